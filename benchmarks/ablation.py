@@ -41,8 +41,13 @@ def changed(limits: LimitsT, **tables: Any) -> LimitsT:
     for table, values in tables.items():
         before = getattr(limits, table)
         if isinstance(values, dict) and before is not None:
-            told = {key: getattr(before, value) if isinstance(value, str) else value for key, value in values.items()}
-            own[table] = before._replace(**{key: type(getattr(before, key))(value) for key, value in told.items()})
+            told = {
+                key: getattr(before, value) if isinstance(value, str) else value
+                for key, value in values.items()
+            }
+            own[table] = before._replace(
+                **{key: type(getattr(before, key))(value) for key, value in told.items()}
+            )
         elif before is not None:
             own[table] = values
     return limits._replace(**own)
@@ -115,23 +120,34 @@ def main() -> None:
         for name in ("all steps", *steps):
             with ExitStack() as patches:
                 if name in FOREST_STEPS:
-                    patches.enter_context(mock.patch.object(pipeline, "FOREST", changed(FOREST, **steps[name])))
+                    patches.enter_context(
+                        mock.patch.object(pipeline, "FOREST", changed(FOREST, **steps[name]))
+                    )
                 elif name in STREET_STEPS:
-                    patches.enter_context(mock.patch.object(pipeline, "STREET", changed(STREET, **steps[name])))
+                    patches.enter_context(
+                        mock.patch.object(pipeline, "STREET", changed(STREET, **steps[name]))
+                    )
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
     print_steps(rows, rows["all steps"])
 
 
-def print_steps(rows: dict[str, dict[str, list[dict[str, float]]]], whole: dict[str, list[dict[str, float]]]) -> None:
+def print_steps(
+    rows: dict[str, dict[str, list[dict[str, float]]]], whole: dict[str, list[dict[str, float]]]
+) -> None:
     """Print what is lost without every step."""
-    print(f"| without | {' | '.join(whole)} | most lost by a class |\n|---|{'---:|' * len(whole)}---|")
+    print(
+        f"| without | {' | '.join(whole)} | most lost by a class |\n|---|{'---:|' * len(whole)}---|"
+    )
     for name, found in rows.items():
         cells, lost = [], []
         for group, before in whole.items():
             if group not in found:
                 cells.append("")
                 continue
-            now, then = (np.mean([np.mean(list(one.values())) for one in some]) for some in (found[group], before))
+            now, then = (
+                np.mean([np.mean(list(one.values())) for one in some])
+                for some in (found[group], before)
+            )
             cells.append(f"{then:.3f}" if name == "all steps" else f"{now - then:+.4f}")
             for one in sorted({key for scores in before for key in scores}):
                 pairs = zip(found[group], before, strict=True)

@@ -42,16 +42,35 @@ STREETS = (
     Simulated("suburb, gap up, 45° slanted", 9313, 40, "suburb", mount={"slant_deg": 45.0}),
     Simulated("boulevard, gap of 50° down, 45° slanted", 9314, 40, "boulevard", mount=DOWN45),
     Simulated("mixed, 5 % noise", 9315, 40, "mixed", noise=0.05),
-    Simulated("terraces, whole turn, 45° slanted", 9316, 8, "terraces", "profiler-1mhz", mount={"slant_deg": 45.0}),
+    Simulated(
+        "terraces, whole turn, 45° slanted",
+        9316,
+        8,
+        "terraces",
+        "profiler-1mhz",
+        mount={"slant_deg": 45.0},
+    ),
     Simulated("boulevard, whole turn", 9317, 8, "boulevard", "profiler-1mhz"),
 )
 PUSH_BROOMS = (
     Simulated("residential, push-broom", 9321, 100, "residential", "sick-push-broom"),
-    Simulated("suburb, push-broom that looks down", 9322, 100, "suburb", "sick-push-broom",
-              mount={"centre_deg": 0.0, "height_m": 2.8}),
-    Simulated("terraces, push-broom of 0.47°", 9323, 100, "terraces", "sick-push-broom",
-              mount={"points_per_line": 385}),
-)  # fmt: skip
+    Simulated(
+        "suburb, push-broom that looks down",
+        9322,
+        100,
+        "suburb",
+        "sick-push-broom",
+        mount={"centre_deg": 0.0, "height_m": 2.8},
+    ),
+    Simulated(
+        "terraces, push-broom of 0.47°",
+        9323,
+        100,
+        "terraces",
+        "sick-push-broom",
+        mount={"points_per_line": 385},
+    ),
+)
 FORESTS = (
     Simulated("mixed forest", 9331, 6, "mixed", "focus3d-120", kind="forest"),
     Simulated("pine heath", 9332, 6, "pine-heath", "focus3d-120", kind="forest"),
@@ -65,7 +84,9 @@ def made(spec: Simulated) -> Scan:
     """Simulate a scan, first returns alone."""
     scan = simulated(spec)
     nothing = np.empty(0, np.int64)
-    return replace(scan, angle_rad=np.unwrap(scan.angle_rad), extra=ExtraReturns.none(), extra_codes=nothing)
+    return replace(
+        scan, angle_rad=np.unwrap(scan.angle_rad), extra=ExtraReturns.none(), extra_codes=nothing
+    )
 
 
 def step_of(angle_rad: F64) -> float:
@@ -80,7 +101,9 @@ def real() -> Iterator[tuple[str, F32, float]]:
         yield f"{scan.name}, SICK", scan.range_m, step_of(scan.angle_rad)
     for scan, name in ((riegl(), "RIEGL, driving"), (park(), "park, RIEGL on a tripod")):
         yield name, scan.range_m, step_of(scan.angle_rad)
-    theta = np.unwrap(np.fromfile(DATA / "echopulse" / "pulse-float32-theta.bin", np.float32).astype(np.float64))
+    theta = np.unwrap(
+        np.fromfile(DATA / "echopulse" / "pulse-float32-theta.bin", np.float32).astype(np.float64)
+    )
     n_echoes = np.fromfile(DATA / "echopulse" / "pulse-uint8-n_echo.bin", np.uint8).astype(np.int64)
     echo = np.fromfile(DATA / "echopulse" / "echo-float32-range.bin", np.float32)
     first = np.minimum(np.cumsum(n_echoes) - n_echoes, len(echo) - 1)
@@ -93,22 +116,34 @@ def real() -> Iterator[tuple[str, F32, float]]:
         lines[found["line"], found["column"]] = found["range_m"]
     yield "Jakarto, four lines", lines, 2 * math.pi / 5099
     for path, topic in (
-        ("cartographer/b0_short.bag", "vertical_laser_2d"), ("cartographer/b0_short.bag", "horizontal_laser_2d"),
+        ("cartographer/b0_short.bag", "vertical_laser_2d"),
+        ("cartographer/b0_short.bag", "horizontal_laser_2d"),
         ("ros/sick_lms1xx_ros1.bag", "/sick_lms_1xx/scan"),
-    ):  # fmt: skip
-        stream = open_stream(DATA / path, load_config(preset="urban", options={"input": {"topic": topic}}))
+    ):
+        stream = open_stream(
+            DATA / path, load_config(preset="urban", options={"input": {"topic": topic}})
+        )
         blocks = list(stream.blocks())
         angle_rad = stream.info.angle_rad if blocks[0].angle_rad is None else blocks[0].angle_rad
         assert angle_rad is not None
-        yield f"{Path(path).name}, {topic}", np.concatenate([one.range_m for one in blocks]), step_of(angle_rad)
+        yield (
+            f"{Path(path).name}, {topic}",
+            np.concatenate([one.range_m for one in blocks]),
+            step_of(angle_rad),
+        )
 
 
 def steps() -> None:
     """Print the step of every scan beside the true one."""
-    print("## The step\n\n| scan | lines | M | true step | measured | uncertainty | error | pieces |")
+    print(
+        "## The step\n\n| scan | lines | M | true step | measured | uncertainty | error | pieces |"
+    )
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     every = [(spec.name, made(spec)) for spec in (*STREETS, *PUSH_BROOMS, *FORESTS)]
-    for name, range_m, step in (*real(), *((name, one.range_m, step_of(one.angle_rad)) for name, one in every)):
+    for name, range_m, step in (
+        *real(),
+        *((name, one.range_m, step_of(one.angle_rad)) for name, one in every),
+    ):
         found = measure_step(range_m[:MOST_LINES])
         shape = f"| {name} | {len(range_m)} | {range_m.shape[1]} | {math.degrees(step):.4f}° |"
         if found is None:
@@ -148,7 +183,9 @@ def f1_cells(found: Iterable[Verdict | None], classes: Iterable[str]) -> str:
     cells = []
     for name in (*classes, ""):
         values = [
-            one[name] if name else float(np.mean(list(one.values()))) for one in by_scan if not name or name in one
+            one[name] if name else float(np.mean(list(one.values())))
+            for one in by_scan
+            if not name or name in one
         ]
         cells.append(f"{np.mean(values):.3f}" if values else "-")
     return " | ".join(cells)
@@ -156,11 +193,17 @@ def f1_cells(found: Iterable[Verdict | None], classes: Iterable[str]) -> str:
 
 def beside_true(title: str, named: Iterable[tuple[str, Scan]]) -> None:
     """Print F1 with ranges and M alone, beside those with true angles."""
-    print(f"## {title}\n\n| scan | angles | step off | uncertainty | {' | '.join(CLASSES)} | mean | doubts |")
+    print(
+        f"## {title}\n\n| scan | angles | step off | uncertainty | {' | '.join(CLASSES)} | mean | doubts |"
+    )
     print("|---|---|---:|---:|" + "---:|" * (len(CLASSES) + 1) + "---|")
     for name, scan in named:
         step = measure_step(scan.range_m[:MOST_LINES])
-        off = "none | " if step is None else f"{step.step_rad / step_of(scan.angle_rad) - 1:+.2%} | {step.off:.1%}"
+        off = (
+            "none | "
+            if step is None
+            else f"{step.step_rad / step_of(scan.angle_rad) - 1:+.2%} | {step.off:.1%}"
+        )
         for what, told in ((f"measured | {off}", ()), ("true | |", angles(scan))):
             verdict, doubts = classified(scan, *told)
             print(f"| {name} | {what} | {f1_cells([verdict], CLASSES)} | {doubts} |", flush=True)
@@ -173,8 +216,15 @@ def wrong_steps() -> None:
         "## How exact it must be\n\nThe step is told wrong, with `input.angle_start` and `input.angle_step`; straight"
     )
     print("down is found from the ground.\n")
-    print(f"| scans | error | {' | '.join(CLASSES)} | mean | doubted | refused |\n|---|---:|" + "---:|" * 8)
-    for name, specs in (("streets", STREETS[:4]), ("push-brooms", PUSH_BROOMS[:2]), ("forests", FORESTS[:2])):
+    print(
+        f"| scans | error | {' | '.join(CLASSES)} | mean | doubted | refused |\n|---|---:|"
+        + "---:|" * 8
+    )
+    for name, specs in (
+        ("streets", STREETS[:4]),
+        ("push-brooms", PUSH_BROOMS[:2]),
+        ("forests", FORESTS[:2]),
+    ):
         scans = [made(spec) for spec in specs]
         for error in WRONG:
             found = [classified(scan, *angles(scan, error, with_down=False)) for scan in scans]
@@ -192,7 +242,10 @@ def told_steps() -> None:
     )
     print("| angles times | says nothing | fine | doubtful | refused |\n|---:|---:|---:|---:|---:|")
     every = [(range_m, step) for _, range_m, step in real()]
-    every += [(one.range_m, step_of(one.angle_rad)) for one in map(made, (*STREETS, *PUSH_BROOMS, *FORESTS))]
+    every += [
+        (one.range_m, step_of(one.angle_rad))
+        for one in map(made, (*STREETS, *PUSH_BROOMS, *FORESTS))
+    ]
     for factor in (1.0, 0.95, 0.9, 0.5, 1.1, 2.0):
         said = []
         for range_m, step in every:
@@ -204,7 +257,9 @@ def told_steps() -> None:
                 info = StreamInfo("", "array", m, None, None)
                 found = check_angle_step(Seen(info, 0, (Window(0, lines),), beam_rad=beam_rad))
                 said.append(-1 if found is None else int(found.verdict))
-        print(f"| {factor:g} | {' | '.join(str(said.count(k)) for k in (-1, 0, 1, 2))} |", flush=True)
+        print(
+            f"| {factor:g} | {' | '.join(str(said.count(k)) for k in (-1, 0, 1, 2))} |", flush=True
+        )
     print()
 
 
@@ -212,7 +267,10 @@ def conditions() -> None:
     """Print tables of noise, M and the number of lines."""
     street, broom, forest = STREETS[0], PUSH_BROOMS[0], FORESTS[0]
     noisy = [
-        (f"{spec.name}, {1000 * noise:g} mm", made(replace(spec, seed=9341, mount={**spec.mount, "noise_m": noise})))
+        (
+            f"{spec.name}, {1000 * noise:g} mm",
+            made(replace(spec, seed=9341, mount={**spec.mount, "noise_m": noise})),
+        )
         for spec in (street, broom, forest)
         for noise in (0.001, 0.003, 0.01, 0.03)
     ]
@@ -224,7 +282,8 @@ def conditions() -> None:
     beside_true("Columns", columns)
     whole = made(replace(street, seed=9343))
     lines = (
-        (f"{n} lines", replace(whole, range_m=whole.range_m[:n], codes=whole.codes[:n])) for n in (16, 32, 64, 128)
+        (f"{n} lines", replace(whole, range_m=whole.range_m[:n], codes=whole.codes[:n]))
+        for n in (16, 32, 64, 128)
     )
     beside_true("Lines", lines)
 
@@ -237,9 +296,14 @@ def picture() -> str:
     per_column, per_u, base, parts = 360 / len(line), 320, 220, []
 
     def places(first: int, values: F64) -> list[str]:
-        return [f"{44 + (first + k) * per_column:.1f},{base - u * per_u:.1f}" for k, u in enumerate(values.tolist())]
+        return [
+            f"{44 + (first + k) * per_column:.1f},{base - u * per_u:.1f}"
+            for k, u in enumerate(values.tolist())
+        ]
 
-    dots = " ".join(f"M{place}h.1" for place, u in zip(places(0, line), line, strict=True) if u < 0.6)
+    dots = " ".join(
+        f"M{place}h.1" for place, u in zip(places(0, line), line, strict=True) if u < 0.6
+    )
     parts.append(f'<path d="{dots}" stroke="#aaa" stroke-width="1.6" stroke-linecap="round"/>')
     x = np.arange(window) - window // 2
     for first in range(0, len(line) - window, window // HOP):
@@ -247,13 +311,17 @@ def picture() -> str:
         error = curvatures(piece[None], BENT)[1] if np.isfinite(piece).all() else np.empty(0)
         if len(error) and error[0] < CERTAIN * step**2:
             way = " ".join(places(first, np.polyval(np.polyfit(x, piece, 2), x).astype(np.float64)))
-            parts.append(f'<polyline points="{way}" fill="none" stroke="#d55e00" stroke-width="2"/>')
+            parts.append(
+                f'<polyline points="{way}" fill="none" stroke="#d55e00" stroke-width="2"/>'
+            )
     pieces = sliding_window_view(inverse, window, axis=1)[:, :: window // HOP].reshape(-1, window)
     found, error = curvatures(pieces[np.isfinite(pieces).all(axis=1)], BENT)
     shares = found[error < CERTAIN * step**2] / step**2
     counts = np.histogram(shares, 60, (0.4, 1.6))[0]
     for k, high in enumerate((counts * 190 / counts.max()).tolist()):
-        parts.append(f'<rect x="{470 + 6 * k}" y="{base - high:.1f}" width="5.5" height="{high:.1f}" fill="#1f6fb2"/>')
+        parts.append(
+            f'<rect x="{470 + 6 * k}" y="{base - high:.1f}" width="5.5" height="{high:.1f}" fill="#1f6fb2"/>'
+        )
     texts = [
         (50, 24, "u = 1 / r [1/m]"),
         (120, 250, "column of one line; fits of 79 columns"),
@@ -263,7 +331,9 @@ def picture() -> str:
     texts += [(462 + 150 * k, 236, f"{0.4 + 0.5 * k:.1f}") for k in (0, 1, 2)]
     texts += [(20, base + 4 - round(per_u * u), f"{u:g}") for u in (0.0, 0.2, 0.4, 0.6)]
     parts += [f'<text x="{left}" y="{top}">{text}</text>' for left, top, text in texts]
-    axes = f'<path d="M44,20V{base}H410M470,20V{base}H835M650,{base}V20" fill="none" stroke="#888"/>'
+    axes = (
+        f'<path d="M44,20V{base}H410M470,20V{base}H835M650,{base}V20" fill="none" stroke="#888"/>'
+    )
     head = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 850 260" font-family="sans-serif" font-size="11"'
     return f'{head} fill="#222"><rect width="100%" height="100%" fill="#fff"/>{axes}{"".join(parts)}</svg>\n'
 
@@ -273,11 +343,18 @@ def main() -> None:
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(picture(), encoding="utf-8")
         return
-    print("<!-- written by python -m benchmarks.angles; do not edit -->\n\n# Tables of measured angles\n")
+    print(
+        "<!-- written by python -m benchmarks.angles; do not edit -->\n\n# Tables of measured angles\n"
+    )
     print("```console\n$ python -m benchmarks.angles > docs/figures/angles.md\n```\n")
-    print("Simulated scans of seeds 9311 to 9350, first returns; `prc classify ranges.bin labels.npy -M M`. F1.\n")
+    print(
+        "Simulated scans of seeds 9311 to 9350, first returns; `prc classify ranges.bin labels.npy -M M`. F1.\n"
+    )
     steps()
-    beside_true("Ranges and M alone", ((spec.name, made(spec)) for spec in (*STREETS, *PUSH_BROOMS, *FORESTS)))
+    beside_true(
+        "Ranges and M alone",
+        ((spec.name, made(spec)) for spec in (*STREETS, *PUSH_BROOMS, *FORESTS)),
+    )
     wrong_steps()
     told_steps()
     conditions()

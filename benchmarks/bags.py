@@ -50,7 +50,9 @@ def write_inputs(folder: Path, seconds: int) -> list[Path]:
         parts.append(data if not second else data[24:])
     capture.write_bytes(b"".join(parts))
     rng = np.random.default_rng(1)
-    rows = (4 + np.sin(np.linspace(0, 3, BEAMS)) + rng.normal(0, 0.01, (SCANS_HZ, BEAMS))).astype(np.float32)
+    rows = (4 + np.sin(np.linspace(0, 3, BEAMS)) + rng.normal(0, 0.01, (SCANS_HZ, BEAMS))).astype(
+        np.float32
+    )
     sent: dict[int, list[recordings.Sent]] = {1: [], 2: []}
     for version, every in sent.items():
         for i in range(seconds * SCANS_HZ):
@@ -77,11 +79,15 @@ def read_elsewhere(path: Path) -> int:
         return sum(len(points) for _, points in velodyne_decoder.read_pcap(str(path)))
     if path.suffix == ".mcap":
         with path.open("rb") as handle:
-            return sum(_ranges(2, message.data) for _, _, message in make_reader(handle).iter_messages())
+            return sum(
+                _ranges(2, message.data) for _, _, message in make_reader(handle).iter_messages()
+            )
     if path.suffix == ".db3":
         return 0
     with AnyReader([path]) as reader:
-        return sum(len(reader.deserialize(raw, one.msgtype).ranges) for one, _, raw in reader.messages())
+        return sum(
+            len(reader.deserialize(raw, one.msgtype).ranges) for one, _, raw in reader.messages()
+        )
 
 
 def _ranges(version: int, data: bytes) -> int:
@@ -109,7 +115,10 @@ def own_mib() -> float:
     """Return the most memory of this process so far [MiB]."""
     # getrusage would count the process that started this one
     status = Path("/proc/self/status").read_text(encoding="ascii")
-    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) / 1024
+    return (
+        next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
+        / 1024
+    )
 
 
 def main() -> None:
@@ -118,18 +127,26 @@ def main() -> None:
     parser.add_argument("--large", action="store_true")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        print("| file | MB | million shots a second, prc | the usual decoder | peak memory | ten times as long |")
+        print(
+            "| file | MB | million shots a second, prc | the usual decoder | peak memory | ten times as long |"
+        )
         print("|---|---|---|---|---|---|")
         small = write_inputs(Path(folder), given.seconds)
         large = write_inputs(Path(folder), 10 * given.seconds) if given.large else small
         for path, ten in zip(small, large, strict=True):
-            shots, own_s, other = read(path), least_s(lambda path=path: read(path)), read_elsewhere(path)
+            shots, own_s, other = (
+                read(path),
+                least_s(lambda path=path: read(path)),
+                read_elsewhere(path),
+            )
             other_s = least_s(lambda path=path: read_elsewhere(path)) if other else float("nan")
             beside = f"{other / other_s / 1e6:.2f}" if other else "-"
             more = f"{peak_mib(ten):.0f} MiB" if given.large else "-"
             size = path.stat().st_size / 1e6
             rate = shots / own_s / 1e6
-            print(f"| {path.name} | {size:.1f} | {rate:.2f} | {beside} | {peak_mib(path):.0f} MiB | {more} |")
+            print(
+                f"| {path.name} | {size:.1f} | {rate:.2f} | {beside} | {peak_mib(path):.0f} MiB | {more} |"
+            )
 
 
 if __name__ == "__main__":

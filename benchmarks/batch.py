@@ -49,7 +49,9 @@ def archive(folder: Path) -> Path:
     place = folder / "archive"
     place.mkdir()
     first = place / "00.laz"
-    subprocess.run([*PRC, "simulate", "street", "-q", str(first), "--lines", str(LINES)], check=True)
+    subprocess.run(
+        [*PRC, "simulate", "street", "-q", str(first), "--lines", str(LINES)], check=True
+    )
     for path in place.iterdir():
         if path != first:
             path.unlink()
@@ -73,9 +75,24 @@ def xargs(source: Path, out: Path, jobs: int) -> subprocess.Popen[bytes]:
     script = f'exec "$@" "$0" "{out}/$(basename "$0")"'
     command = ["sh", "-c", script]
     process = subprocess.Popen(
-        ["xargs", "-0", "-P", str(jobs), "-I", "{}", *command, "{}", *PRC, "classify", "-q", "--threads", "1"],
-        stdin=subprocess.PIPE, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        [
+            "xargs",
+            "-0",
+            "-P",
+            str(jobs),
+            "-I",
+            "{}",
+            *command,
+            "{}",
+            *PRC,
+            "classify",
+            "-q",
+            "--threads",
+            "1",
+        ],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
     assert process.stdin is not None
     process.stdin.write(names)
     process.stdin.close()
@@ -103,17 +120,24 @@ class Way:
         self.run(source, out)
         seconds, after = time.perf_counter() - begin, os.times()
         self.times.append((seconds, cpu_of(before, after)))
-        self.found = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".laz"}
+        self.found = {
+            path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".laz"
+        }
         shutil.rmtree(out)
 
     def print(self) -> None:
         wall, cpu = min(wall for wall, _ in self.times), min(cpu for _, cpu in self.times)
-        print(f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | {len(self.found)} |", flush=True)
+        print(
+            f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | {len(self.found)} |",
+            flush=True,
+        )
 
 
 def cpu_of(before: os.times_result, after: os.times_result) -> float:
     """CPU seconds of the child processes that ended meanwhile."""
-    return after.children_user + after.children_system - before.children_user - before.children_system
+    return (
+        after.children_user + after.children_system - before.children_user - before.children_system
+    )
 
 
 def n_done(out: Path) -> int:
@@ -172,13 +196,19 @@ def main() -> None:
         folder = Path(name)
         source = archive(folder)
         size = (source / "00.laz").stat().st_size
-        print(f"{FILES} files of {LINES} lines, {size / 1e6:.2f} MB each; least of {ROUNDS} rounds\n")
+        print(
+            f"{FILES} files of {LINES} lines, {size / 1e6:.2f} MB each; least of {ROUNDS} rounds\n"
+        )
         loop(source, folder_of(folder, "warm"))
         ways = [
             Way("loop of `classify`, one process", loop),
             Way("`prc batch --jobs 1`", lambda source, out: batch(source, out, 1)),
             Way(f"`prc batch --jobs {JOBS}`", lambda source, out: batch(source, out, JOBS)),
-            Way(f"`xargs -P {JOBS} prc classify`", lambda source, out: xargs(source, out, JOBS).wait(), rounds=1),
+            Way(
+                f"`xargs -P {JOBS} prc classify`",
+                lambda source, out: xargs(source, out, JOBS).wait(),
+                rounds=1,
+            ),
         ]
         for number in range(ROUNDS):
             for way in ways:
@@ -193,7 +223,11 @@ def main() -> None:
         print(f"\nA second run of prc batch, which finds all done: {again:.2f} CPU s.\n")
         print(f"| one worker killed after {KILLED_AFTER} files | files done |")
         print("|---|---|")
-        kills = (("prc batch", kill_batch), ("ProcessPoolExecutor", kill_pool), ("xargs", kill_xargs))
+        kills = (
+            ("prc batch", kill_batch),
+            ("ProcessPoolExecutor", kill_pool),
+            ("xargs", kill_xargs),
+        )
         for title, kill in kills:
             out = folder_of(folder, f"killed-{title}")
             kill(source, out)

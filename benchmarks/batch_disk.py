@@ -60,9 +60,19 @@ def made_up(name: str) -> Done:
     labels = tuple((label.name.lower(), 12_345_678) for label in Label)
     print_ = InputPrint(10**9, 1_795_283_242_109_404_171, "b" * 64)
     return Done(
-        name, print_, 10**9, 1_795_283_242_109_404_171, 100.123, 90.123, 512.3, 100_000, 215_400_000, 160_000_000,
-        labels, ("columns taken under another name: range_m as range",),
-    )  # fmt: skip
+        name,
+        print_,
+        10**9,
+        1_795_283_242_109_404_171,
+        100.123,
+        90.123,
+        512.3,
+        100_000,
+        215_400_000,
+        160_000_000,
+        labels,
+        ("columns taken under another name: range_m as range",),
+    )
 
 
 if __name__ == "__main__":

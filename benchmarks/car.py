@@ -46,10 +46,19 @@ SCORES = ("recall", "precision", "f1")
 def prc(*arguments: object) -> tuple[Any, float, float]:
     """Run a command; return what it prints as JSON, its time [s] and its peak memory [MiB]."""
     start = time.perf_counter()
-    command = [sys.executable, "-c", CHILD.replace("stdout=sys.stderr", "stdout=sys.stdout"), *map(str, arguments)]
+    command = [
+        sys.executable,
+        "-c",
+        CHILD.replace("stdout=sys.stderr", "stdout=sys.stdout"),
+        *map(str, arguments),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     text, _, peak = done.stdout.rstrip().rpartition("\n")
-    return json.loads(text) if text.strip().startswith("{") else None, time.perf_counter() - start, float(peak)
+    return (
+        json.loads(text) if text.strip().startswith("{") else None,
+        time.perf_counter() - start,
+        float(peak),
+    )
 
 
 def registered(las: laspy.LasData, seed: int = 1) -> F64:
@@ -76,7 +85,11 @@ def is_lonely(xyz: F64) -> Mask:
 def car_classes(xyz: F64) -> I64:
     """Classify registered points: cloth simulation, then the shape of the neighbourhood."""
     cloth = import_module("CSF").CSF()
-    cloth.params.bSloopSmooth, cloth.params.cloth_resolution, cloth.params.class_threshold = False, 0.5, 0.2
+    cloth.params.bSloopSmooth, cloth.params.cloth_resolution, cloth.params.class_threshold = (
+        False,
+        0.5,
+        0.2,
+    )
     cloth.setPointCloud(np.ascontiguousarray(xyz))
     module = import_module("CSF")
     ground, other = module.VecInt(), module.VecInt()
@@ -112,7 +125,9 @@ def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float
     """Write the drive, what the office delivers with the true classes, and the CAR; return time and memory."""
     used = {}
     drive = folder / "drive.laz"
-    used["simulate"] = prc("simulate", "street", drive, "--length", length, "--seed", seed, "-q")[1:]
+    used["simulate"] = prc("simulate", "street", drive, "--length", length, "--seed", seed, "-q")[
+        1:
+    ]
     las = laspy.read(drive)
     xyz, codes = registered(las), np.asarray(las.classification).astype(np.int64)
     kept = delivered(xyz, codes != NOISE)
@@ -132,7 +147,9 @@ def noise_of(found: Any) -> tuple[float, float]:
 
 def estimated_noise(found: Any) -> tuple[float, float]:
     """Return the recall and precision of noise that evaluate estimates."""
-    text = next(note for note in found["match"]["notes"] if note.startswith("noise close to the reference"))
+    text = next(
+        note for note in found["match"]["notes"] if note.startswith("noise close to the reference")
+    )
     recall, precision = re.findall(r"(?:recall|precision) (\d\.\d+)", text)
     return float(recall), float(precision)
 
@@ -150,25 +167,63 @@ def page(folder: Path, length: float, seed: int) -> str:
     near = ("--match", "nearest", "--json")
     used["1"] = prc("classify", folder / "drive.laz", run, "--preset", "fused", "-q")[1:]
     exact, *_ = prc("evaluate", run, folder / "drive.laz", "--mapping", "street", "--json")
-    asprs, *used["2"] = prc("evaluate", run, folder / "car", *near, "--mapping", "asprs", "--unmatched", "noise")
-    noise, *used["3"] = prc("evaluate", run, folder / "truth", *near, "--mapping", "street", "--unmatched", "noise",
-                            "--inside", "-500,-500,500,500")  # fmt: skip
-    three, *used["4"] = prc("evaluate", run, folder / "truth", *near, "--mapping", "street", "--third", folder / "car",
-                            "--third-mapping", "asprs", "--unmatched", "noise")  # fmt: skip
+    asprs, *used["2"] = prc(
+        "evaluate", run, folder / "car", *near, "--mapping", "asprs", "--unmatched", "noise"
+    )
+    noise, *used["3"] = prc(
+        "evaluate",
+        run,
+        folder / "truth",
+        *near,
+        "--mapping",
+        "street",
+        "--unmatched",
+        "noise",
+        "--inside",
+        "-500,-500,500,500",
+    )
+    three, *used["4"] = prc(
+        "evaluate",
+        run,
+        folder / "truth",
+        *near,
+        "--mapping",
+        "street",
+        "--third",
+        folder / "car",
+        "--third-mapping",
+        "asprs",
+        "--unmatched",
+        "noise",
+    )
     tile = max((folder / "truth").iterdir(), key=lambda path: path.stat().st_size)
     used["5"] = prc("transfer", run, tile, folder / "out.laz", "--match", "nearest", "-q")[1:]
     n = exact["n_scored"]
-    names = {"simulate": "simulate the drive", "CAR": "clean, thin, classify after registration (CSF, SciPy)",
-             "1": "1 classify", "2": "2 evaluate against CAR", "3": "3 evaluate against the truth as delivered",
-             "4": "4 evaluate all three", "5": "5 transfer to the largest tile"}  # fmt: skip
-    commands = [(name, f"{used[key][0]:.1f}", "-" if np.isnan(used[key][1]) else f"{used[key][1]:.0f}")
-                for key, name in names.items()]  # fmt: skip
+    names = {
+        "simulate": "simulate the drive",
+        "CAR": "clean, thin, classify after registration (CSF, SciPy)",
+        "1": "1 classify",
+        "2": "2 evaluate against CAR",
+        "3": "3 evaluate against the truth as delivered",
+        "4": "4 evaluate all three",
+        "5": "5 transfer to the largest tile",
+    }
+    commands = [
+        (name, f"{used[key][0]:.1f}", "-" if np.isnan(used[key][1]) else f"{used[key][1]:.0f}")
+        for key, name in names.items()
+    ]
     scored = three["three"]
     classes = [
-        (name, *(f"{side['classes'].get(name, {}).get(score) or 0:.3f}" for side in
-                 (scored["predicted"], scored["third"]) for score in SCORES))
+        (
+            name,
+            *(
+                f"{side['classes'].get(name, {}).get(score) or 0:.3f}"
+                for side in (scored["predicted"], scored["third"])
+                for score in SCORES
+            ),
+        )
         for name in ("ground", "building", "vegetation", "noise")
-    ]  # fmt: skip
+    ]
     truth, estimate = noise_of(exact), noise_of(noise)
     parts = [
         f"# Figures of PRC and CAR\n\nWritten by `python -m benchmarks.car --length {length:g}`: {n:,} shots.",
@@ -176,21 +231,38 @@ def page(folder: Path, length: float, seed: int) -> str:
         "with its guard.\n\n## Time and memory\n",
         table(("command", "time [s]", "memory [MiB]"), commands),
         "## Scores against the truth\n",
-        table(("class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), classes),
+        table(
+            ("class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), classes
+        ),
         "## Noise\n",
-        table(("figure", "recall", "precision"),
-              [("true, all shots", *(f"{value:.3f}" for value in truth)),
-               ("from the reference without noise, as counted", *(f"{value:.3f}" for value in estimate)),
-               ("from the same, as estimated", *(f"{value:.3f}" for value in estimated_noise(noise))),
-               ("from the CAR", *(f"{value:.3f}" for value in noise_of(asprs)))]),
+        table(
+            ("figure", "recall", "precision"),
+            [
+                ("true, all shots", *(f"{value:.3f}" for value in truth)),
+                (
+                    "from the reference without noise, as counted",
+                    *(f"{value:.3f}" for value in estimate),
+                ),
+                (
+                    "from the same, as estimated",
+                    *(f"{value:.3f}" for value in estimated_noise(noise)),
+                ),
+                ("from the CAR", *(f"{value:.3f}" for value in noise_of(asprs))),
+            ],
+        ),
         "## Agreement\n",
-        table(("shots", "share"), [(name, f"{count / max(sum(scored['states'].values()), 1):.1%}")
-                                   for name, count in scored["states"].items()]),
+        table(
+            ("shots", "share"),
+            [
+                (name, f"{count / max(sum(scored['states'].values()), 1):.1%}")
+                for name, count in scored["states"].items()
+            ],
+        ),
         "## What evaluate says\n\n### Against CAR\n",
         *(f"- {note}" for note in asprs["match"]["notes"]),
         "\n### Against the truth\n",
         *(f"- {note}" for note in noise["match"]["notes"]),
-    ]  # fmt: skip
+    ]
     return "\n".join(parts).replace(str(folder) + "/", "") + "\n"
 
 
@@ -207,28 +279,53 @@ def oakland_section(folder: Path) -> str:
         there, start = np.isfinite(points).all(axis=1), time.perf_counter()
         codes = np.zeros(len(points), np.uint8)
         codes[there] = car_classes(points[there])
-        seconds.append((f"{strip}", f"{there.sum():,}", f"{used[1]:.1f}", f"{time.perf_counter() - start:.1f}"))
+        seconds.append(
+            (f"{strip}", f"{there.sum():,}", f"{used[1]:.1f}", f"{time.perf_counter() - start:.1f}")
+        )
         np.save(car, codes)
-        found, *_ = prc("evaluate", labels, scan, "--mapping", "street_oakland", "--third", car, "--third-mapping",
-                        "asprs", "--json")  # fmt: skip
+        found, *_ = prc(
+            "evaluate",
+            labels,
+            scan,
+            "--mapping",
+            "street_oakland",
+            "--third",
+            car,
+            "--third-mapping",
+            "asprs",
+            "--json",
+        )
         three = found["three"]
         for name in ("ground", "building", "vegetation"):
             sides = [three[side]["classes"].get(name, {}) for side in ("predicted", "third")]
             if sides[0].get("n_reference"):
-                rows.append((f"{strip} {name}", *(f"{side.get(score) or 0:.3f}" for side in sides for score in SCORES)))
+                rows.append(
+                    (
+                        f"{strip} {name}",
+                        *(f"{side.get(score) or 0:.3f}" for side in sides for score in SCORES),
+                    )
+                )
         total = max(sum(three["states"].values()), 1)
         states.append((f"{strip}", *(f"{count / total:.1%}" for count in three["states"].values())))
     names = tuple(three["states"])
-    return "\n".join([
-        f"{OAKLAND}\n",
-        "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on the registered points. CAR reads",
-        "these points. PRC reads lines, angles and ranges that were recovered from them by fitting (.5 degrees, 1 cm):",
-        "its side is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused method,",
-        "strip 2 one of its rules, strip 3 nothing. Times include Python's start; other work ran beside them.\n",
-        table(("strip and class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), rows),
-        table(("strip", *names), states),
-        table(("strip", "points", "PRC [s]", "CAR [s]"), seconds),
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{OAKLAND}\n",
+            "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on the registered points. CAR reads",
+            "these points. PRC reads lines, angles and ranges that were recovered from them by fitting (.5 degrees, 1 cm):",
+            "its side is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused method,",
+            "strip 2 one of its rules, strip 3 nothing. Times include Python's start; other work ran beside them.\n",
+            table(
+                (
+                    "strip and class",
+                    *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES),
+                ),
+                rows,
+            ),
+            table(("strip", *names), states),
+            table(("strip", "points", "PRC [s]", "CAR [s]"), seconds),
+        ]
+    )
 
 
 def large(n: int, folder: Path) -> str:
@@ -245,17 +342,27 @@ def large(n: int, folder: Path) -> str:
                 points.y, points.z = random.uniform(0, 20, m), random.normal(0, 0.005, m)
                 points.classification[:] = GROUND
                 writer.write_points(points)
-    found, seconds, peak = prc("evaluate", folder / "run.las", folder / "reference.las", "--match", "nearest", "--json")
-    return f"{n:,} shots: {found['match']['n_matched']:,} pairs, {seconds:.0f} s, peak {peak:.0f} MiB"
+    found, seconds, peak = prc(
+        "evaluate", folder / "run.las", folder / "reference.las", "--match", "nearest", "--json"
+    )
+    return (
+        f"{n:,} shots: {found['match']['n_matched']:,} pairs, {seconds:.0f} s, peak {peak:.0f} MiB"
+    )
 
 
 def main() -> None:
     """Write the page, or print the figures of large files."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=7, help="of the street; 7 decided the rule of unmatched noise")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--seed", type=int, default=7, help="of the street; 7 decided the rule of unmatched noise"
+    )
     parser.add_argument("--length", type=float, default=LENGTH_M, help="length of the street [m]")
     parser.add_argument("--page", type=Path, default=PAGE)
-    parser.add_argument("--oakland", action="store_true", help="write the section on the Oakland strips alone")
+    parser.add_argument(
+        "--oakland", action="store_true", help="write the section on the Oakland strips alone"
+    )
     parser.add_argument("--large", type=int, nargs="+", metavar="SHOTS")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -263,13 +370,17 @@ def main() -> None:
             for n in options.large:
                 print(large(n, Path(folder)), flush=True)
             return
-        before, _, section = (PAGE.read_text(encoding="utf-8") if PAGE.exists() else "").partition(OAKLAND)
+        before, _, section = (PAGE.read_text(encoding="utf-8") if PAGE.exists() else "").partition(
+            OAKLAND
+        )
         section = OAKLAND + section if section else ""
         if options.oakland:
             section = oakland_section(Path(folder))
         else:
             before = page(Path(folder), options.length, options.seed) + "\n"
-        options.page.write_text((before.rstrip() + "\n\n" + section).rstrip() + "\n", encoding="utf-8")
+        options.page.write_text(
+            (before.rstrip() + "\n\n" + section).rstrip() + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

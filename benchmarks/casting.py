@@ -51,13 +51,18 @@ def unit_box() -> F64:
 def unit_sphere() -> F64:
     """Triangles of a ball of radius 1, (128, 3, 3): the faces of an octahedron cut in four, twice."""
     corners = [
-        np.array([[x, 0, 0], [0, y, 0], [0, 0, z]], np.float64) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
+        np.array([[x, 0, 0], [0, y, 0], [0, 0, z]], np.float64)
+        for x in (-1, 1)
+        for y in (-1, 1)
+        for z in (-1, 1)
     ]
     for _ in range(2):
         finer = []
         for a, b, c in corners:
             ab, bc, ca = ((p + q) / np.linalg.norm(p + q) for p, q in ((a, b), (b, c), (c, a)))
-            finer += [np.array(face) for face in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+            finer += [
+                np.array(face) for face in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            ]
         corners = finer
     return np.array(corners)
 
@@ -72,7 +77,9 @@ def _triangles(bodies: Bodies) -> Iterator[F64]:
     turn = 2 * np.pi * np.arange(CONE_SIDES) / CONE_SIDES
     for one in bodies.numbers[bodies.shape == Shape.CONE]:
         axis = one[3:6] - one[:3]
-        across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 * np.linalg.norm(axis) else [0.0, 1.0, 0.0])
+        across = np.cross(
+            axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 * np.linalg.norm(axis) else [0.0, 1.0, 0.0]
+        )
         across /= np.linalg.norm(across)
         along = np.cross(axis / np.linalg.norm(axis), across)
         ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * along
@@ -105,10 +112,14 @@ def embree(triangles: F64, origin: F64, direction: F64) -> tuple[float, float] |
 
 def main() -> None:
     """Print the table."""
-    print("| scanner, bodies in sight | caster | million rays a second of one core | built in [ms] |")
+    print(
+        "| scanner, bodies in sight | caster | million rays a second of one core | built in [ms] |"
+    )
     print("|---|---|---:|---:|")
     for name in ("photon-80", "profiler-1mhz"):
-        settings = load_settings("street", options={"lines": LINES, "seed": 7, "scanner": {"name": name}})
+        settings = load_settings(
+            "street", options={"lines": LINES, "seed": 7, "scanner": {"name": name}}
+        )
         scan = open_simulation("street", settings).scan
         shots = aim(scan.platform, scan.scanner, 0, LINES)
         x, y, _ = shots.origin[LINES // 2, 0]
@@ -118,14 +129,18 @@ def main() -> None:
         def ours(bodies: Bodies = bodies, shots: Shots = shots) -> object:
             return cast(bodies, shots.origin, shots.direction, shots.time_s)
 
-        print(f"| {name}, {len(bodies):,} | this project | {n_rays / fastest(ours) / 1e6:.2f} | 0 |")
+        print(
+            f"| {name}, {len(bodies):,} | this project | {n_rays / fastest(ours) / 1e6:.2f} | 0 |"
+        )
         triangles = triangles_of(bodies)
         found = embree(triangles, shots.origin, shots.direction)
         if found is None:
             print(f"| {name} | embreex: not installed | | |")
             continue
         version, row = metadata.version("embreex"), f"{name}, {len(triangles):,} triangles"
-        print(f"| {row} | embreex {version} | {n_rays / found[1] / 1e6:.2f} | {1e3 * found[0]:.0f} |")
+        print(
+            f"| {row} | embreex {version} | {n_rays / found[1] / 1e6:.2f} | {1e3 * found[0]:.0f} |"
+        )
 
 
 if __name__ == "__main__":

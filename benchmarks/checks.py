@@ -75,20 +75,24 @@ def jobs_of(path: Path) -> dict[str, Callable[[], object]]:
         "keeping the sample": sample,
         "figures of the sample": lambda: figures_of(seen.windows),
         "ranges, rounding, missing-code": lambda: (
-            cells.check_ranges(seen), cells.check_rounding(seen), cells.check_missing_code(seen)
+            cells.check_ranges(seen),
+            cells.check_rounding(seen),
+            cells.check_missing_code(seen),
         ),
         "line-length": lambda: lines.check_line_length(seen, figures, turned),
         "columns-along": lambda: most_turned(seen.windows),
         "units": lambda: geometry.check_height(seen),
         "repeated-lines": repeats,
         "labels": result,
-    }  # fmt: skip
+    }
 
 
 def main() -> None:
     """Print the tables."""
     print("<!-- written by python -m benchmarks.checks; do not edit -->\n\n## Time of the checks\n")
-    print("Processor time; the checks of the sample are asked twice in files of more than a million shots.\n")
+    print(
+        "Processor time; the checks of the sample are asked twice in files of more than a million shots.\n"
+    )
     load_classifier()
     with tempfile.TemporaryDirectory() as folder:
         columns: list[dict[str, float]] = []
@@ -106,7 +110,10 @@ def main() -> None:
     print("| work | " + " | ".join(f"{n * M / 1e6:.1f} M shots [ms] | share" for n in SIZES) + " |")
     print("|---|" + "---:|---:|" * len(SIZES))
     for name in columns[0]:
-        cells_ = [f"{1e3 * times[name]:.1f} | {times[name] / list(times.values())[-1]:.1%}" for times in columns]
+        cells_ = [
+            f"{1e3 * times[name]:.1f} | {times[name] / list(times.values())[-1]:.1%}"
+            for times in columns
+        ]
         print(f"| {name} | {' | '.join(cells_)} |")
 
 

@@ -79,9 +79,14 @@ def read_with_plyfile(path: Path) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "--copies", type=int, default=40, help="repetitions of 30 000 rows; memory also at ten times less"
+        "--copies",
+        type=int,
+        default=40,
+        help="repetitions of 30 000 rows; memory also at ten times less",
     )
     copies = parser.parse_args().copies
     with tempfile.TemporaryDirectory() as folder:
@@ -89,13 +94,21 @@ def main() -> None:
         n = repeated(large, copies)
         repeated(small, max(copies // 10, 1))
         for name, job in (
-            ("plyfile, three properties", read_with_plyfile), ("prc, three properties", read_records),
+            ("plyfile, three properties", read_with_plyfile),
+            ("prc, three properties", read_records),
             ("prc, blocks of the stream", read_stream),
-        ):  # fmt: skip
+        ):
             seconds = least(lambda job=job: job(large))
             print(f"{name}: {seconds:.2f} s, {n / seconds / 1e6:.1f} million rows a second")
         for path in (small, large):
-            told = ["classify", str(path), str(Path(folder) / f"{path.stem}.npy"), "--preset", "urban", "-q"]
+            told = [
+                "classify",
+                str(path),
+                str(Path(folder) / f"{path.stem}.npy"),
+                "--preset",
+                "urban",
+                "-q",
+            ]
             accepted = [
                 "--accept-doubt",
                 "line-order",
@@ -104,7 +117,9 @@ def main() -> None:
                 "--accept-doubt",
                 "line-length",
             ]
-            print(f"classify {path.stat().st_size >> 20} MiB: {peak_mib([*told, *accepted]):.0f} MiB")
+            print(
+                f"classify {path.stat().st_size >> 20} MiB: {peak_mib([*told, *accepted]):.0f} MiB"
+            )
 
 
 if __name__ == "__main__":

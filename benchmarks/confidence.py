@@ -35,7 +35,13 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused import confidence, pipeline
-from prc_cli.methods.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table
+from prc_cli.methods.fused.confidence import (
+    N_CELLS,
+    QUESTIONS,
+    Environment,
+    confidence_of,
+    load_table,
+)
 
 ENVIRONMENTS: tuple[Environment, ...] = ("urban", "forest")
 CALIBRATION, CHECK, HELD_OUT = 2601, 2701, 2901
@@ -82,17 +88,26 @@ def specs(environment: Environment, first: int) -> Iterator[Simulated]:
             for k, spec in enumerate(data.TEST_STREETS):
                 scene = SCENES[(SCENES.index(spec.scene) + turn) % len(SCENES)]
                 length_m = SHORTER[spec.length_m]
-                yield replace(spec, seed=first + len(data.TEST_STREETS) * turn + k, scene=scene, length_m=length_m)
+                yield replace(
+                    spec,
+                    seed=first + len(data.TEST_STREETS) * turn + k,
+                    scene=scene,
+                    length_m=length_m,
+                )
             continue
         for k, scene in enumerate(FOREST_SCENES):
             scanner = FOREST_SCANNERS[turn % len(FOREST_SCANNERS)]
             seed = first + len(FOREST_SCENES) * turn + k
-            yield Simulated(f"{scene}, {scanner}", seed, FOREST_M[scanner], scene, scanner, kind="forest")
+            yield Simulated(
+                f"{scene}, {scanner}", seed, FOREST_M[scanner], scene, scanner, kind="forest"
+            )
 
 
 def judge(scan: Scan, environment: Environment) -> Judged:
     """Label a scan, and compare with its reference."""
-    params = load_config(preset="fused" if environment == "urban" else "fused-forest").config.classifier
+    params = load_config(
+        preset="fused" if environment == "urban" else "fused-forest"
+    ).config.classifier
     cells: list[I32] = []
 
     def kept(labels: U8, found: I32, table: U8) -> U8:
@@ -104,7 +119,9 @@ def judge(scan: Scan, environment: Environment) -> Judged:
     labels = np.concatenate([item.labels for item in items])
     shots = np.concatenate([item.confidence for item in items if item.confidence is not None])
     right, there = _right(scan, labels)
-    return Judged(scan.name, labels[there], np.concatenate(cells)[there], right[there], shots[there])
+    return Judged(
+        scan.name, labels[there], np.concatenate(cells)[there], right[there], shots[there]
+    )
 
 
 def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
@@ -115,18 +132,28 @@ def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
     if scan.mapping not in names:
         return codes == scan.codes, there
     mapping = load_mapping(names[scan.mapping])
-    rows, columns = np.array([*mapping.names("reference"), ""]), np.array([*mapping.names("predicted"), "-"])
-    reference = mapping.class_indices(np.where(there, scan.codes, scan.codes[there][0]), "reference")
+    rows, columns = (
+        np.array([*mapping.names("reference"), ""]),
+        np.array([*mapping.names("predicted"), "-"]),
+    )
+    reference = mapping.class_indices(
+        np.where(there, scan.codes, scan.codes[there][0]), "reference"
+    )
     predicted = mapping.class_indices(np.where(there, np.maximum(codes, 1), 1), "predicted")
     right: Mask = rows[reference] == columns[predicted]
     return right, there & (rows[reference] != "")
 
 
-def table_of(judged: Sequence[Judged], environment: Environment, dropped: tuple[str, ...] = ()) -> U8:
+def table_of(
+    judged: Sequence[Judged], environment: Environment, dropped: tuple[str, ...] = ()
+) -> U8:
     """Return the share of right labels in every cell [per cent], without the answers to some questions."""
     table = np.zeros((len(Label), N_CELLS), np.uint8)
     for label, questions in QUESTIONS[environment].items():
-        own = [(one.cells[one.labels == label], one.right[one.labels == label], one.weight) for one in judged]
+        own = [
+            (one.cells[one.labels == label], one.right[one.labels == label], one.weight)
+            for one in judged
+        ]
         if not sum(len(cells) for cells, _, _ in own):
             continue
         n, right = np.zeros(N_CELLS), np.zeros(N_CELLS)
@@ -183,16 +210,19 @@ def row(name: str, judged: Sequence[Judged]) -> str:
     share = np.average(right, weights=weight)
     at_90 = shots >= 90
     cells = [
-        f"{100 * share:.2f}", f"{100 * top_share(shots, right, weight):.2f}",
-        f"{100 * top_share(shots, right, weight, 0.8):.2f}", f"{100 * np.average(at_90, weights=weight):.1f}",
+        f"{100 * share:.2f}",
+        f"{100 * top_share(shots, right, weight):.2f}",
+        f"{100 * top_share(shots, right, weight, 0.8):.2f}",
+        f"{100 * np.average(at_90, weights=weight):.1f}",
         f"{100 * np.average(right[at_90], weights=weight[at_90]):.2f}" if at_90.any() else "",
         f"{100 * expected_error(shots, right, weight):.2f}",
-    ]  # fmt: skip
+    ]
     return f"| {name} | {' | '.join(cells)} |"
 
 
 HEAD = (
-    "| right, % | all | nine tenths | eight tenths | share ≥ 90 | of these | calibration error |\n|---|" + "---:|" * 6
+    "| right, % | all | nine tenths | eight tenths | share ≥ 90 | of these | calibration error |\n|---|"
+    + "---:|" * 6
 )
 
 
@@ -206,7 +236,11 @@ def calibrate(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     empty = np.zeros((len(Label), N_CELLS), np.uint8)
     try:
         tables = {environment: load_table(environment) for environment in ENVIRONMENTS}
-    except (OSError, ValueError, KeyError):  # made for other questions: labels need a table, whatever it says
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+    ):  # made for other questions: labels need a table, whatever it says
         tables = dict.fromkeys(ENVIRONMENTS, empty)
         confidence.save_tables(tables)
     for environment in environments:
@@ -234,8 +268,15 @@ def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
         print(f"\n## What every measure is worth: {NAMES[environment]}\n\n{ABLATION}\n\n{HEAD}")
         print(row("all", with_table(others, table_of(judged, environment, ()))))
         for name in asked:
-            print(row(f"without `{name}`", with_table(others, table_of(judged, environment, (name,)))), flush=True)
-        print(row("the label alone", with_table(others, table_of(judged, environment, tuple(asked)))))
+            print(
+                row(
+                    f"without `{name}`", with_table(others, table_of(judged, environment, (name,)))
+                ),
+                flush=True,
+            )
+        print(
+            row("the label alone", with_table(others, table_of(judged, environment, tuple(asked))))
+        )
 
 
 NAMES: dict[Environment, str] = {"urban": "streets", "forest": "forests"}
@@ -257,7 +298,10 @@ def reliability(judged: Sequence[Judged]) -> list[tuple[str, float, float, float
         if inside.any():
             w = weight[inside]
             name = f"{low}" if end == low + 1 else f"{low}-{end - 1}"
-            mean, share = np.average(shots[inside], weights=w), 100 * np.average(right[inside], weights=w)
+            mean, share = (
+                np.average(shots[inside], weights=w),
+                100 * np.average(right[inside], weights=w),
+            )
             rows.append((name, float(mean), float(share), float(w.sum() / weight.sum())))
     return rows
 
@@ -269,14 +313,24 @@ def print_reliability(judged: Sequence[Judged]) -> None:
         print(f"| {name} | {mean:.1f} | {share:.1f} | {of_all:.1%} |")
     shots, right, weight = pooled(judged)
     labels = np.concatenate([one.labels for one in judged])
-    print("\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % |\n|---|---:|---:|---:|---:|")
+    print(
+        "\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % |\n|---|---:|---:|---:|---:|"
+    )
     for label in np.unique(labels).tolist():
         own = labels == label
         w, sure = weight[own], shots[own] >= 95
-        of_these = f"{100 * np.average(right[own][sure], weights=w[sure]):.1f}" if sure.any() else ""
+        of_these = (
+            f"{100 * np.average(right[own][sure], weights=w[sure]):.1f}" if sure.any() else ""
+        )
         mean, share = np.average(shots[own], weights=w), 100 * np.average(right[own], weights=w)
         name = Label(label).name.lower()
-        cells = (name, f"{share:.1f}", f"{mean:.1f}", f"{np.average(sure, weights=w):.1%}", of_these)
+        cells = (
+            name,
+            f"{share:.1f}",
+            f"{mean:.1f}",
+            f"{np.average(sure, weights=w):.1%}",
+            of_these,
+        )
         print(f"| {' | '.join(cells)} |")
 
 
@@ -291,29 +345,52 @@ def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
     ]
     for tick in range(0, 101, 20):
         at = side * tick / 100
-        parts.append(f'<text x="{edge + at}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>')
-        parts.append(f'<text x="{edge - 8}" y="{edge + side - at + 4}" text-anchor="end">{tick}</text>')
+        parts.append(
+            f'<text x="{edge + at}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>'
+        )
+        parts.append(
+            f'<text x="{edge - 8}" y="{edge + side - at + 4}" text-anchor="end">{tick}</text>'
+        )
         parts.append(f'<path d="M{edge},{edge + side - at} h{side}" stroke="#ddd"/>')
     for k, (name, rows) in enumerate(lines.items()):
-        places = [(edge + side * mean / 100, edge + side * (1 - share / 100)) for _, mean, share, _ in rows]
+        places = [
+            (edge + side * mean / 100, edge + side * (1 - share / 100))
+            for _, mean, share, _ in rows
+        ]
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{colours[k]}" stroke-width="2"/>')
-        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colours[k]}"/>' for x, y in places]
-        parts.append(f'<text x="{edge + 12}" y="{edge + 20 + 16 * k}" fill="{colours[k]}">{name}</text>')
-    parts.append(f'<text x="{edge + side / 2}" y="{edge + side + 38}" text-anchor="middle">confidence [%]</text>')
+        parts.append(
+            f'<polyline points="{path}" fill="none" stroke="{colours[k]}" stroke-width="2"/>'
+        )
+        parts += [
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colours[k]}"/>' for x, y in places
+        ]
+        parts.append(
+            f'<text x="{edge + 12}" y="{edge + 20 + 16 * k}" fill="{colours[k]}">{name}</text>'
+        )
+    parts.append(
+        f'<text x="{edge + side / 2}" y="{edge + side + 38}" text-anchor="middle">confidence [%]</text>'
+    )
     parts.append(f'<text x="14" y="{edge - 14}">labels that are right [%]</text></svg>')
     return "\n".join(parts) + "\n"
 
 
 REAL: dict[str, tuple[str, str, tuple[str, ...], str]] = {
     **{
-        f"Oakland {k}": (f"oakland/oakland_{k}.csv.gz", f"oakland/oakland_{k}.csv.gz", (), "street_oakland")
+        f"Oakland {k}": (
+            f"oakland/oakland_{k}.csv.gz",
+            f"oakland/oakland_{k}.csv.gz",
+            (),
+            "street_oakland",
+        )
         for k in (1, 2, 3)
     },
     "KITTI frame": (
-        "kitti/000000.bin", "kitti/000000.label", ("--config", "sample_configs/kitti_frame.toml"), "kitti"
+        "kitti/000000.bin",
+        "kitti/000000.label",
+        ("--config", "sample_configs/kitti_frame.toml"),
+        "kitti",
     ),
-}  # fmt: skip
+}
 """Scan, reference, options of ``prc classify`` and mapping."""
 
 
@@ -325,7 +402,9 @@ def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
         for scan, (source, reference, options, mapping) in REAL.items():
             output = Path(name) / "labels.csv"
             on = ("--preset", "fused", "--set", "output.confidence=true", "--overwrite", "-q")
-            code, said = in_process(["classify", str(data.DATA / source), str(output), *options, *on])
+            code, said = in_process(
+                ["classify", str(data.DATA / source), str(output), *options, *on]
+            )
             if code not in (0, 4):
                 raise SystemExit(said)
             table: F64 = np.genfromtxt(output, delimiter=",", skip_header=1, usecols=(1, 3))
@@ -333,8 +412,13 @@ def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
             side = CodesOf(mapping, data.DATA / reference)
             right, there = side.right(codes)
             labels = np.zeros(len(codes), np.uint8)
-            one = Judged(scan, labels[there], np.zeros(int(there.sum()), np.int32), right[there],
-                         shots[there].astype(np.uint8))  # fmt: skip
+            one = Judged(
+                scan,
+                labels[there],
+                np.zeros(int(there.sum()), np.int32),
+                right[there],
+                shots[there].astype(np.uint8),
+            )
             print(row(scan, [one]), flush=True)
             oakland += [one] if scan.startswith("Oakland") else []
     lines["Oakland 1 to 3"] = reliability(oakland)
@@ -363,15 +447,25 @@ class CodesOf:
                 expected[np.isin(reference, own)] = code
             return np.where(codes == 66, 2, codes) == expected, expected > 0
         mapping = load_mapping(self.mapping)
-        rows, columns = mapping.class_indices(reference, "reference"), mapping.class_indices(codes, "predicted")
-        names, others = np.array([*mapping.names("reference"), ""]), np.array([*mapping.names("predicted"), "-"])
+        rows, columns = (
+            mapping.class_indices(reference, "reference"),
+            mapping.class_indices(codes, "predicted"),
+        )
+        names, others = (
+            np.array([*mapping.names("reference"), ""]),
+            np.array([*mapping.names("predicted"), "-"]),
+        )
         return names[rows] == others[columns], (rows >= 0) & (columns >= 0)
 
 
 def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     """Print the page of figures, and draw the curve."""
-    print("<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: figures\n")
-    print(f"What the byte means is [described here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}")
+    print(
+        "<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: figures\n"
+    )
+    print(
+        f"What the byte means is [described here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}"
+    )
     lines: dict[str, list[tuple[str, float, float, float]]] = {}
     for environment in environments:
         judged = judged_of(environment, HELD_OUT)
@@ -395,7 +489,9 @@ def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     for environment in environments:
         spec = next(specs(environment, CHECK))
         scan = data.simulated(spec)
-        params = load_config(preset="fused" if environment == "urban" else "fused-forest").config.fused
+        params = load_config(
+            preset="fused" if environment == "urban" else "fused-forest"
+        ).config.fused
         times: dict[bool, list[float]] = {False: [], True: []}
         for wanted in (False, True) * 4:
             start = time.process_time()
@@ -403,12 +499,16 @@ def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
                 list(label_blocks(scan.blocks(), params, wanted=Wanted(confidence=wanted)))
             times[wanted].append((time.process_time() - start) / 3 / scan.n_shots)
         off, on = (1e10 * min(times[wanted]) for wanted in (False, True))
-        print(f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence")
+        print(
+            f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence"
+        )
         found = {}
         for n_lines in (128, 64, 16):
             chosen = params.model_copy(update={"lines_per_block": n_lines})
             items = label_blocks(scan.blocks(), chosen, wanted=Wanted(confidence=True))
-            found[n_lines] = np.concatenate([item.confidence for item in items if item.confidence is not None])
+            found[n_lines] = np.concatenate(
+                [item.confidence for item in items if item.confidence is not None]
+            )
         for n_lines in (64, 16):
             off_by = np.abs(found[128].astype(int) - found[n_lines])[~np.isnan(scan.range_m)]
             print(
@@ -418,13 +518,19 @@ def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 
 COMMAND: dict[str, Callable[[Sequence[Environment]], None]] = {
-    "calibrate": calibrate, "check": check, "ablation": ablation, "report": report, "speed": speed,
-}  # fmt: skip
+    "calibrate": calibrate,
+    "check": check,
+    "ablation": ablation,
+    "report": report,
+    "speed": speed,
+}
 
 
 def main() -> None:
     """Run what is asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("which", choices=tuple(COMMAND))
     parser.add_argument("environments", nargs="*", metavar="urban|forest", help="default: both")
     arguments = parser.parse_args()

@@ -193,16 +193,26 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print("## Against the goals\n")
     say("""Goals are for fused, F1, mean over the scans of a group, compared as printed. Beside it the best method of
     the papers, by its mean.""")
-    print("| | class | goal | fused | worst scan | reached | papers |\n|---|---|---:|---:|---:|---|---|")
+    print(
+        "| | class | goal | fused | worst scan | reached | papers |\n|---|---|---:|---:|---:|---|---|"
+    )
     own = {method.name for method in fused()}
     for group, wanted in GOALS.items():
         items = _streets(groups) if group == STREETS else groups.get(group, [])
         for name, goal in wanted.items():
-            found = {method: scores for method, each in runs.items() if (scores := scores_of(each, items, name))}
+            found = {
+                method: scores
+                for method, each in runs.items()
+                if (scores := scores_of(each, items, name))
+            }
             ours = [scores for method, scores in found.items() if method in own]
             if not ours:
                 continue
-            papers = [(float(np.mean(scores)), method) for method, scores in found.items() if method not in own]
+            papers = [
+                (float(np.mean(scores)), method)
+                for method, scores in found.items()
+                if method not in own
+            ]
             rival = "{:.3f}, {}".format(*max(papers)) if papers else "none"
             mean = float(np.mean(ours[0]))
             cells = f"≥ {goal} | {mean:.3f} | {min(ours[0]):.3f} | {_yes(round(mean, 3) >= goal)} | {rival}"
@@ -223,7 +233,9 @@ def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
     """What slow drives cost beside the same streets driven normally."""
     first, *others = SLOW_DRIVES
     own = runs.get(FUSED, {})
-    streets = [item.name.removesuffix(f", {first}") for item in items if item.name.endswith(f", {first}")]
+    streets = [
+        item.name.removesuffix(f", {first}") for item in items if item.name.endswith(f", {first}")
+    ]
     verdicts = {item.name: own[item.how].verdict.f1() for item in items if item.how in own}
     if not streets or not verdicts:
         return
@@ -234,7 +246,9 @@ def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
         normal = verdicts[f"{street}, {first}"]
         for name, value in normal.items():
             lost = [value - verdicts[f"{street}, {drive}"].get(name, np.nan) for drive in others]
-            cells = " | ".join(f"{-each:+.3f}{' (missed)' if each > MOST_LOST else ''}" for each in lost)
+            cells = " | ".join(
+                f"{-each:+.3f}{' (missed)' if each > MOST_LOST else ''}" for each in lost
+            )
             print(f"| {street} | {name} | {value:.3f} | {cells} |")
     print()
 
@@ -246,8 +260,16 @@ def _yes(reached: bool) -> str:
 def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Every scan."""
     print("## Scan by scan\n\nMacro F1, and the class that is worst.\n")
-    street = [name for name in runs if any(item.how in runs[name] for item in contest.items if not _is_forest(item))]
-    forest = [name for name in runs if any(item.how in runs[name] for item in contest.items if _is_forest(item))]
+    street = [
+        name
+        for name in runs
+        if any(item.how in runs[name] for item in contest.items if not _is_forest(item))
+    ]
+    forest = [
+        name
+        for name in runs
+        if any(item.how in runs[name] for item in contest.items if _is_forest(item))
+    ]
     for names, items in (
         (street, [item for item in contest.items if not _is_forest(item)]),
         (forest, [item for item in contest.items if _is_forest(item)]),
@@ -259,7 +281,9 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             found = {name: runs[name].get(item.how) for name in names}
             own = [run for run in found.values() if run is not None]
             cells = [
-                "" if run is None else f"{run.verdict.macro:.3f} ({run.verdict.worst} {_low(run.verdict):.2f})"
+                ""
+                if run is None
+                else f"{run.verdict.macro:.3f} ({run.verdict.worst} {_low(run.verdict):.2f})"
                 for run in found.values()
             ]
             print(f"| {title_of(item)} | {own[0].returns if own else 0:,} | {' | '.join(cells)} |")
@@ -292,10 +316,17 @@ def shown_in_full(runs: dict[str, dict[str, Run]]) -> set[str]:
 
 def print_confusion(title: str, verdict: Verdict) -> None:
     print(f"### {title}\n")
-    print("| reference | " + " | ".join(verdict.columns) + " | returns |\n|---|" + "---:|" * (len(verdict.columns) + 1))
+    print(
+        "| reference | "
+        + " | ".join(verdict.columns)
+        + " | returns |\n|---|"
+        + "---:|" * (len(verdict.columns) + 1)
+    )
     for row, counts in zip(verdict.rows, verdict.counts, strict=True):
         if counts.sum():
-            print(f"| {row} | {' | '.join(printed_at(n / counts.sum()) for n in counts)} | {counts.sum():,} |")
+            print(
+                f"| {row} | {' | '.join(printed_at(n / counts.sum()) for n in counts)} | {counts.sum():,} |"
+            )
     for name, became in verdict.others.items():
         total = sum(became.values())
         cells = [printed_at(became.get(column, 0) / total) for column in verdict.columns]
@@ -312,8 +343,14 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     Ground filters run alone and after the best noise filter. F1 of ground and noise: mean over the scans,
     worst in brackets. Seconds of processor time per million returns; peak memory of the process, Python and
     points included.""")
-    missing = sorted({peers.PACKAGES[f] for chain in CHAINS.values() for f in (s["filter"] for s in chain)
-                      if peers.installed(f) is None})  # fmt: skip
+    missing = sorted(
+        {
+            peers.PACKAGES[f]
+            for chain in CHAINS.values()
+            for f in (s["filter"] for s in chain)
+            if peers.installed(f) is None
+        }
+    )
     if missing:
         print(f"Not installed when this was run: {', '.join(missing)}.\n")
     items = [item for item in contest.items if item.with_peers]
@@ -325,7 +362,7 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         return
     rows: dict[str, dict[str, Run]] = {
         name: own for name, own in runs.items() if any(item.how in own for item in items)
-    }  # fmt: skip
+    }
     for chain in CHAINS:
         own = {how: each[chain] for how, each in found.items() if chain in each}
         if own:
@@ -337,7 +374,9 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         KITTI: [item for item in items if item.group == KITTI],
     }
     names = {name: own for name, own in names.items() if own}
-    print("| | " + " | ".join(f"{name}: ground | noise" for name in names) + " | s / million | MiB |")
+    print(
+        "| | " + " | ".join(f"{name}: ground | noise" for name in names) + " | s / million | MiB |"
+    )
     print("|---|" + "---:|---:|" * len(names) + "---:|---:|")
     for name, own in rows.items():
         cells = [cell for group in names.values() for cell in _two_scores(own, group)]
@@ -364,10 +403,16 @@ def f1_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
     """Return the F1 of a class in the scans that have it; empty if the method never predicts it."""
     verdicts = of_group(own, items)
     called = sum(int(verdict.counts[:, verdict.columns.index(name)].sum()) for verdict in verdicts)
-    return [float(np.nan_to_num(v.f1()[name])) for v in verdicts if name in v.present] if called else []
+    return (
+        [float(np.nan_to_num(v.f1()[name])) for v in verdicts if name in v.present]
+        if called
+        else []
+    )
 
 
-def print_best(rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], own: set[str]) -> None:
+def print_best(
+    rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], own: set[str]
+) -> None:
     """The best filter of each column beside the best method of the stream that runs on all its scans."""
     print("| | best filter of registered clouds | best of the stream |\n|---|---|---|")
     for group, items in groups.items():
@@ -378,7 +423,9 @@ def print_best(rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]]
                 if values and all(item.how in runs for item in items):
                     sides[row in own].append((float(np.mean(values)), row.strip("*")))
             if all(sides.values()):
-                cells = [f"{value:.3f}, {row}" for value, row in (max(sides[False]), max(sides[True]))]
+                cells = [
+                    f"{value:.3f}, {row}" for value, row in (max(sides[False]), max(sides[True]))
+                ]
                 print(f"| {group}: {name} | {' | '.join(cells)} |")
     print()
 
@@ -411,7 +458,9 @@ def speed(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             if method.takes(scan):
                 wall_s, cpu_s = quickest(scan, method)
                 shots = scan.n_shots / 1e6
-                print(f"| {method.name} | {scan.name} | {shots / wall_s:.1f} | {shots / cpu_s:.1f} |")
+                print(
+                    f"| {method.name} | {scan.name} | {shots / wall_s:.1f} | {shots / cpu_s:.1f} |"
+                )
     print()
 
 
@@ -421,14 +470,21 @@ def repeated(scan: Scan) -> Scan:
     every = np.concatenate([np.arange(len(scan.range_m))] * times)
     time_s = None
     if scan.time_s is not None:
-        step_s = float(scan.time_s[-1, 0] - scan.time_s[0, 0]) * (1 + 1 / max(len(scan.time_s) - 1, 1))
+        step_s = float(scan.time_s[-1, 0] - scan.time_s[0, 0]) * (
+            1 + 1 / max(len(scan.time_s) - 1, 1)
+        )
         time_s = np.concatenate([scan.time_s + k * step_s for k in range(times)])
     intensity = None if scan.intensity is None else scan.intensity[every]
     extra = Scan.__dataclass_fields__["extra"].default_factory()  # type: ignore[misc]
     return replace(
-        scan, range_m=scan.range_m[every], time_s=time_s, intensity=intensity, extra=extra, world_m=None,
+        scan,
+        range_m=scan.range_m[every],
+        time_s=time_s,
+        intensity=intensity,
+        extra=extra,
+        world_m=None,
         codes=np.zeros((0, 0), np.int64),
-    )  # fmt: skip
+    )
 
 
 def quickest(scan: Scan, method: Method) -> tuple[float, float]:
@@ -446,7 +502,10 @@ def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     not judged.""")
     drawn: set[Path] = set()
     for k, item in enumerate(contest.items):
-        if (k not in PICTURED and item.name not in PICTURED) or item.group in (OAKLAND_NOISY, FOREST_CYLINDERS):
+        if (k not in PICTURED and item.name not in PICTURED) or item.group in (
+            OAKLAND_NOISY,
+            FOREST_CYLINDERS,
+        ):
             continue
         method = best(contest, runs, item)
         scan = contest.store.scan(item)
@@ -476,7 +535,10 @@ def worst_confusions(verdict: Verdict) -> str:
         if row != column and n
     ]
     total = verdict.counts.sum()
-    told = [f"{row} as {column} ({n / total:.1%} of all judged)" for n, row, column in sorted(wrong, reverse=True)[:3]]
+    told = [
+        f"{row} as {column} ({n / total:.1%} of all judged)"
+        for n, row, column in sorted(wrong, reverse=True)[:3]
+    ]
     return f"Most of what is wrong: {', '.join(told)}."
 
 
@@ -495,8 +557,10 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             continue
         sums = own.verdict.counts.sum(axis=1)
         shares = ", ".join(
-            f"{name} {n / sums.sum():.1%}" for name, n in zip(own.verdict.rows, sums, strict=True) if n
-        )  # fmt: skip
+            f"{name} {n / sums.sum():.1%}"
+            for name, n in zip(own.verdict.rows, sums, strict=True)
+            if n
+        )
         print(f"| {title_of(item)} | {own.shots:,} | {own.returns:,} | {shares} |")
     print("\n## Methods\n\n| | as | run (UTC) |\n|---|---|---|")
     for method in contest.methods:
@@ -522,7 +586,9 @@ def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     for name, own in runs.items():
         told = sum(run.is_down_told for run in own.values())
         doubted = sum(any("warning: " in line for line in run.said) for run in own.values())
-        refused = sum(sum("error: " in line for line in run.said) > run.is_down_told for run in own.values())
+        refused = sum(
+            sum("error: " in line for line in run.said) > run.is_down_told for run in own.values()
+        )
         print(f"| {name} | {len(own)} | {told or ''} | {doubted or ''} | {refused or ''} |")
         for how, run in own.items():
             for line in run.said:
@@ -552,27 +618,45 @@ QUICK_PARTS = ("summary", "goals", "tables", "confusion")
 
 def main() -> None:
     """Print the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all"
+    )
     parser.add_argument("--quick", action="store_true", help="three scans, streams only")
     parser.add_argument(
-        "--kept", action="store_true", help="filters of registered clouds: show only what was run before"
+        "--kept",
+        action="store_true",
+        help="filters of registered clouds: show only what was run before",
     )
-    parser.add_argument("--only", metavar="TEXT", help="only scans whose name or group holds this text")
-    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "prc_contest", metavar="FOLDER")
+    parser.add_argument(
+        "--only", metavar="TEXT", help="only scans whose name or group holds this text"
+    )
+    parser.add_argument(
+        "--cache", type=Path, default=Path(tempfile.gettempdir()) / "prc_contest", metavar="FOLDER"
+    )
     arguments = parser.parse_args()
     for part in arguments.parts:
         if part not in PARTS:
             parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
     start = time.perf_counter()
     told: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
-    items = tuple(each for each in data_sets() if not arguments.only or arguments.only in f"{each.group} {each.name}")
+    items = tuple(
+        each
+        for each in data_sets()
+        if not arguments.only or arguments.only in f"{each.group} {each.name}"
+    )
     if arguments.quick:
         items = tuple(each for each in items if each.name in _quick_names())
-    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick)
+    contest = Contest(
+        Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick
+    )
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
-    print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n")
+    print(
+        "<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n"
+    )
     say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of the presets and the
     same for all scans, except where a row says otherwise. Tuning used other streets and the first Oakland strip, which
     is shown but not counted. Classes of the macro F1: noise, ground, building, vegetation; in forests also stems.

@@ -6,14 +6,27 @@ from typing import Any
 
 _OUTLIERS: dict[str, Any] = {"filter": "statistical", "neighbours": 20, "sigmas": 2.0}
 _CSF: dict[str, Any] = {
-    "filter": "csf", "resolution_m": 0.5, "threshold_m": 0.5, "rigidness": 3, "slope_smoothing": False,
-}  # fmt: skip
+    "filter": "csf",
+    "resolution_m": 0.5,
+    "threshold_m": 0.5,
+    "rigidness": 3,
+    "slope_smoothing": False,
+}
 _SMRF: dict[str, Any] = {
-    "filter": "smrf", "cell_m": 1.0, "slope": 0.15, "window_m": 18.0, "threshold_m": 0.5, "scaler": 1.25,
-}  # fmt: skip
+    "filter": "smrf",
+    "cell_m": 1.0,
+    "slope": 0.15,
+    "window_m": 18.0,
+    "threshold_m": 0.5,
+    "scaler": 1.25,
+}
 _PATCHWORK: dict[str, Any] = {
-    "filter": "patchwork", "piece_m": 20.0, "distance_m": 0.125, "upright": 0.707, "reach_m": 80.0,
-}  # fmt: skip
+    "filter": "patchwork",
+    "piece_m": 20.0,
+    "distance_m": 0.125,
+    "upright": 0.707,
+    "reach_m": 80.0,
+}
 
 # chosen by ``python -m benchmarks.contest_tune``
 _BEST_OUTLIERS = {**_OUTLIERS, "sigmas": 0.5}

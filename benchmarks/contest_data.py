@@ -101,7 +101,9 @@ class Scan:
                 self.range_m[part],
                 time_s=None if self.time_s is None else self.time_s[part],
                 intensity=None if self.intensity is None else self.intensity[part],
-                xyz_m=None if not self.is_upright or self.world_m is None else self.world_m[part].astype(np.float32),
+                xyz_m=None
+                if not self.is_upright or self.world_m is None
+                else self.world_m[part].astype(np.float32),
                 angle_rad=self.angle_rad,
                 beam_rad=(self.angle_rad + np.pi) % (2 * np.pi) - np.pi,
                 extra=extra,
@@ -135,9 +137,20 @@ class Simulated:
             scene["setback_m"] = self.setback_m
         scanner = {"name": self.scanner, **background(self.scanner, self.noise), **self.mount}
         if self.kind == "street-scan":
-            return {"seed": self.seed, "lines": int(self.length_m), "scene": scene, "scanner": scanner}
+            return {
+                "seed": self.seed,
+                "lines": int(self.length_m),
+                "scene": scene,
+                "scanner": scanner,
+            }
         motion = {"trajectory": {"stop_every_m": 0.0}}
-        return {"seed": self.seed, "length_m": self.length_m, "scene": scene, "scanner": scanner, **motion}
+        return {
+            "seed": self.seed,
+            "length_m": self.length_m,
+            "scene": scene,
+            "scanner": scanner,
+            **motion,
+        }
 
 
 PULSED = ("sick-push-broom", "profiler-1mhz", "scanstation2")
@@ -154,13 +167,20 @@ def background(scanner: str, noise: float | None) -> dict[str, Any]:
     if noise is None:
         return {}
     if noise == 0:
-        nothing = dict.fromkeys(("background_share", "sky_share", "bright_sky_share", "cluster_share"), 0.0)
+        nothing = dict.fromkeys(
+            ("background_share", "sky_share", "bright_sky_share", "cluster_share"), 0.0
+        )
         return {**nothing, **DARK}
     if scanner in PULSED:
         return {}
     # scale the shares of the presets to the requested share
     factor = max(noise - OWN_NOISE, 0.0) / (PRESET_NOISE - OWN_NOISE)
-    shares = {"background_share": 0.008, "sky_share": 0.04, "bright_sky_share": 0.4, "cluster_share": 0.01}
+    shares = {
+        "background_share": 0.008,
+        "sky_share": 0.04,
+        "bright_sky_share": 0.4,
+        "cluster_share": 0.01,
+    }
     return {key: min(value * factor, 0.5) for key, value in shares.items()}
 
 
@@ -179,11 +199,13 @@ def simulated(spec: Simulated) -> Scan:
     blocks = [part.labelled.block for part in parts]
     extras = [
         ExtraReturns(
-            (block.extra.line + block.first_line).astype(np.int32), block.extra.column, block.extra.range_m,
+            (block.extra.line + block.first_line).astype(np.int32),
+            block.extra.column,
+            block.extra.range_m,
             block.extra.record,
         )
         for block in blocks
-    ]  # fmt: skip
+    ]
     world = [part.world_m for part in parts if part.world_m is not None]
     extra_world = [part.extra_world_m for part in parts if part.extra_world_m is not None]
     angle_rad = blocks[0].angle_rad
@@ -196,12 +218,16 @@ def simulated(spec: Simulated) -> Scan:
         np.concatenate([lookup[part.labelled.labels] for part in parts]).astype(np.int64),
         "cylinders" if spec.cylinders else spec.kind.replace("-", "_"),
         time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),
-        intensity=np.concatenate([block.intensity for block in blocks if block.intensity is not None]),
+        intensity=np.concatenate(
+            [block.intensity for block in blocks if block.intensity is not None]
+        ),
         cos_tilt=simulation.scan.info.cos_tilt,
         world_m=np.concatenate(world),
         scanner_m=np.concatenate(scanner_m),
         extra=joined(extras),
-        extra_codes=np.concatenate([lookup[part.labelled.extra_labels] for part in parts]).astype(np.int64),
+        extra_codes=np.concatenate([lookup[part.labelled.extra_labels] for part in parts]).astype(
+            np.int64
+        ),
         extra_world_m=np.concatenate(extra_world),
         is_upright=spec.kind == "street-scan",
         height_m=settings.scanner.height_m,
@@ -211,12 +237,19 @@ def simulated(spec: Simulated) -> Scan:
 
 def joined(extras: list[ExtraReturns]) -> ExtraReturns:
     """Join further returns with common line numbers."""
-    columns = {field.name: [getattr(extra, field.name) for extra in extras] for field in fields(ExtraReturns)}
-    known = {name: parts for name, parts in columns.items() if all(part is not None for part in parts)}
+    columns = {
+        field.name: [getattr(extra, field.name) for extra in extras]
+        for field in fields(ExtraReturns)
+    }
+    known = {
+        name: parts for name, parts in columns.items() if all(part is not None for part in parts)
+    }
     return ExtraReturns(**{name: np.concatenate(parts) for name, parts in known.items()})
 
 
-def _with_background(item: SimulatedBlock, scan: SimulatedScan, spec: Simulated) -> tuple[SimulatedBlock, F64]:
+def _with_background(
+    item: SimulatedBlock, scan: SimulatedScan, spec: Simulated
+) -> tuple[SimulatedBlock, F64]:
     """Add background to ranges of pulsed scanners, which the simulation lacks, and positions of the scanner.
 
     Background replaces random shots, including those without return.
@@ -232,17 +265,29 @@ def _with_background(item: SimulatedBlock, scan: SimulatedScan, spec: Simulated)
     hit = random.random(there.shape) < share
     stray = there & (random.random(there.shape) < STRAY_SHARE)
     scanner = scan.scanner
-    anywhere = random.uniform(scanner.min_range_m, min(scanner.max_range_m, FARTHEST_M), there.shape)
-    moved = np.where(stray, np.nan_to_num(block.range_m) + random.normal(0.0, STRAY_M, there.shape), anywhere)
-    moved = np.maximum(np.rint(moved / scanner.resolution_m) * scanner.resolution_m, scanner.min_range_m)
+    anywhere = random.uniform(
+        scanner.min_range_m, min(scanner.max_range_m, FARTHEST_M), there.shape
+    )
+    moved = np.where(
+        stray, np.nan_to_num(block.range_m) + random.normal(0.0, STRAY_M, there.shape), anywhere
+    )
+    moved = np.maximum(
+        np.rint(moved / scanner.resolution_m) * scanner.resolution_m, scanner.min_range_m
+    )
     ranges: F32 = np.where(hit, moved, block.range_m).astype(np.float32)
     found: U8 = np.where(hit, np.uint8(Label.NOISE), labels)
-    world = np.where(hit[..., None], shots.origin + ranges[..., None] * shots.direction, item.world_m)
+    world = np.where(
+        hit[..., None], shots.origin + ranges[..., None] * shots.direction, item.world_m
+    )
     intensity = block.intensity
     if intensity is not None:
-        intensity = np.where(hit, random.integers(1, 200, there.shape), intensity).astype(np.float32)
+        intensity = np.where(hit, random.integers(1, 200, there.shape), intensity).astype(
+            np.float32
+        )
     block = replace(block, range_m=ranges, intensity=intensity)
-    return replace(item, labelled=replace(item.labelled, block=block, labels=found), world_m=world), origin_m
+    return replace(
+        item, labelled=replace(item.labelled, block=block, labels=found), world_m=world
+    ), origin_m
 
 
 def save(scan: Scan, path: Path) -> None:
@@ -269,25 +314,79 @@ def save(scan: Scan, path: Path) -> None:
 
 TRAIN = (
     Simulated("residential, photon-80, gap up, preset noise", 9001, 80, "residential"),
-    Simulated("terraces, photon-80, gap down 55°, slant 20°, 5 %", 9002, 80, "terraces",
-              mount={"centre_deg": 180.0, "field_deg": 305.0, "slant_deg": 20.0}, noise=0.05),
-    Simulated("suburb, photon-80, gap down 50°, slant 45°, 2 %", 9003, 80, "suburb",
-              mount={"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 45.0}, noise=0.02),
-    Simulated("boulevard, photon-80, gap up, slant 20°, rolled 30°, 10 %", 9004, 80, "boulevard",
-              mount={"roll_deg": 30.0, "slant_deg": 20.0}, noise=0.10),
-    Simulated("mixed, photon-80, gap slanted down, slant 45°, 0 %", 9005, 80, "mixed",
-              mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0}, noise=0.0),
-    Simulated("residential, sick-push-broom, 2 %", 9006, 80, "residential", "sick-push-broom", noise=0.02),
-    Simulated("suburb, sick-push-broom, set back 12 m, 0 %", 9007, 80, "suburb", "sick-push-broom", noise=0.0,
-              setback_m=12.0),
-    Simulated("terraces, sick-push-broom, 10 %", 9008, 80, "terraces", "sick-push-broom", noise=0.10),
-    Simulated("residential, profiler-1mhz, up to 4 returns, slant 25°, 5 %", 9009, 60, "residential", "profiler-1mhz",
-              noise=0.05),
-    Simulated("boulevard, profiler-1mhz, up to 4 returns, slant 45°, 0 %", 9010, 60, "boulevard", "profiler-1mhz",
-              mount={"slant_deg": 45.0}, noise=0.0),
-    Simulated("suburb, photon-80, gap up, heading 45°, 5 %", 9011, 80, "suburb",
-              mount={"heading_deg": 45.0, "slant_deg": 20.0}, noise=0.05),
-)  # fmt: skip
+    Simulated(
+        "terraces, photon-80, gap down 55°, slant 20°, 5 %",
+        9002,
+        80,
+        "terraces",
+        mount={"centre_deg": 180.0, "field_deg": 305.0, "slant_deg": 20.0},
+        noise=0.05,
+    ),
+    Simulated(
+        "suburb, photon-80, gap down 50°, slant 45°, 2 %",
+        9003,
+        80,
+        "suburb",
+        mount={"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 45.0},
+        noise=0.02,
+    ),
+    Simulated(
+        "boulevard, photon-80, gap up, slant 20°, rolled 30°, 10 %",
+        9004,
+        80,
+        "boulevard",
+        mount={"roll_deg": 30.0, "slant_deg": 20.0},
+        noise=0.10,
+    ),
+    Simulated(
+        "mixed, photon-80, gap slanted down, slant 45°, 0 %",
+        9005,
+        80,
+        "mixed",
+        mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0},
+        noise=0.0,
+    ),
+    Simulated(
+        "residential, sick-push-broom, 2 %", 9006, 80, "residential", "sick-push-broom", noise=0.02
+    ),
+    Simulated(
+        "suburb, sick-push-broom, set back 12 m, 0 %",
+        9007,
+        80,
+        "suburb",
+        "sick-push-broom",
+        noise=0.0,
+        setback_m=12.0,
+    ),
+    Simulated(
+        "terraces, sick-push-broom, 10 %", 9008, 80, "terraces", "sick-push-broom", noise=0.10
+    ),
+    Simulated(
+        "residential, profiler-1mhz, up to 4 returns, slant 25°, 5 %",
+        9009,
+        60,
+        "residential",
+        "profiler-1mhz",
+        noise=0.05,
+    ),
+    Simulated(
+        "boulevard, profiler-1mhz, up to 4 returns, slant 45°, 0 %",
+        9010,
+        60,
+        "boulevard",
+        "profiler-1mhz",
+        mount={"slant_deg": 45.0},
+        noise=0.0,
+    ),
+    Simulated(
+        "suburb, photon-80, gap up, heading 45°, 5 %",
+        9011,
+        80,
+        "suburb",
+        mount={"heading_deg": 45.0, "slant_deg": 20.0},
+        noise=0.05,
+    ),
+)
 """Scans for tuning."""
 TRAIN_FOREST = (
     Simulated("mixed", 9101, 15, "mixed", "focus3d-120", kind="forest"),
@@ -298,22 +397,79 @@ TRAIN_FOREST = (
 GAP_DOWN: dict[str, Any] = {"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 20.0}
 TEST_STREETS = (
     Simulated("residential, photon-80, gap up, slant 25°, preset's noise", 7201, 80, "residential"),
-    Simulated("mixed, photon-80, gap of 50° down, slant 20°, preset's noise", 7202, 80, "mixed", mount=GAP_DOWN),
-    Simulated("terraces, photon-80, gap of 50° down, slant 20°, 5 %", 7203, 80, "terraces", mount=GAP_DOWN, noise=0.05),
-    Simulated("suburb, photon-80, gap up, slant 45°, 2 %", 7204, 80, "suburb", mount={"slant_deg": 45.0}, noise=0.02),
-    Simulated("boulevard, photon-80, gap up, rolled 30°, slant 20°, 10 %", 7205, 80, "boulevard",
-              mount={"roll_deg": 30.0, "slant_deg": 20.0}, noise=0.10),
-    Simulated("mixed, photon-80, gap down and 45° aside, slant 45°, 0 %", 7206, 80, "mixed",
-              mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0}, noise=0.0),
-    Simulated("residential, photon-80, facades 12 m farther, turned 45°, 5 %", 7207, 80, "residential",
-              mount={"heading_deg": 45.0}, noise=0.05, setback_m=12.0),
-    Simulated("residential, sick-push-broom, 2 %", 7208, 160, "residential", "sick-push-broom", noise=0.02),
+    Simulated(
+        "mixed, photon-80, gap of 50° down, slant 20°, preset's noise",
+        7202,
+        80,
+        "mixed",
+        mount=GAP_DOWN,
+    ),
+    Simulated(
+        "terraces, photon-80, gap of 50° down, slant 20°, 5 %",
+        7203,
+        80,
+        "terraces",
+        mount=GAP_DOWN,
+        noise=0.05,
+    ),
+    Simulated(
+        "suburb, photon-80, gap up, slant 45°, 2 %",
+        7204,
+        80,
+        "suburb",
+        mount={"slant_deg": 45.0},
+        noise=0.02,
+    ),
+    Simulated(
+        "boulevard, photon-80, gap up, rolled 30°, slant 20°, 10 %",
+        7205,
+        80,
+        "boulevard",
+        mount={"roll_deg": 30.0, "slant_deg": 20.0},
+        noise=0.10,
+    ),
+    Simulated(
+        "mixed, photon-80, gap down and 45° aside, slant 45°, 0 %",
+        7206,
+        80,
+        "mixed",
+        mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0},
+        noise=0.0,
+    ),
+    Simulated(
+        "residential, photon-80, facades 12 m farther, turned 45°, 5 %",
+        7207,
+        80,
+        "residential",
+        mount={"heading_deg": 45.0},
+        noise=0.05,
+        setback_m=12.0,
+    ),
+    Simulated(
+        "residential, sick-push-broom, 2 %", 7208, 160, "residential", "sick-push-broom", noise=0.02
+    ),
     Simulated("suburb, sick-push-broom, 0 %", 7209, 160, "suburb", "sick-push-broom", noise=0.0),
-    Simulated("terraces, sick-push-broom, 10 %", 7210, 160, "terraces", "sick-push-broom", noise=0.10),
-    Simulated("boulevard, profiler-1mhz, slant 25°, 5 %", 7211, 30, "boulevard", "profiler-1mhz", noise=0.05),
-    Simulated("mixed, profiler-1mhz, slant 45°, 0 %", 7212, 30, "mixed", "profiler-1mhz",
-              mount={"slant_deg": 45.0}, noise=0.0),
-)  # fmt: skip
+    Simulated(
+        "terraces, sick-push-broom, 10 %", 7210, 160, "terraces", "sick-push-broom", noise=0.10
+    ),
+    Simulated(
+        "boulevard, profiler-1mhz, slant 25°, 5 %",
+        7211,
+        30,
+        "boulevard",
+        "profiler-1mhz",
+        noise=0.05,
+    ),
+    Simulated(
+        "mixed, profiler-1mhz, slant 45°, 0 %",
+        7212,
+        30,
+        "mixed",
+        "profiler-1mhz",
+        mount={"slant_deg": 45.0},
+        noise=0.0,
+    ),
+)
 """Simulated streets for reporting; nothing is tuned on them."""
 TEST_FORESTS = (
     Simulated("mixed forest", 7301, 15, "mixed", "focus3d-120", kind="forest"),
@@ -327,7 +483,8 @@ NOISY_FORESTS = tuple(
 )
 """The same with another scanner."""
 SLOW_STREETS = tuple(
-    Simulated(scene, 7221 + i, 30, scene, noise=0.0) for i, scene in enumerate(("residential", "suburb", "boulevard"))
+    Simulated(scene, 7221 + i, 30, scene, noise=0.0)
+    for i, scene in enumerate(("residential", "suburb", "boulevard"))
 )
 """Streets for slow drives (benchmarks.slow)."""
 OAKLAND_NOISE = 0.05
@@ -352,9 +509,15 @@ def oakland(strip: int) -> Scan:
     angle_rad = np.deg2rad(image(2)[0])
     codes = np.nan_to_num(image(7)).astype(np.int64)
     return Scan(
-        f"Oakland strip {strip}", ranges, angle_rad, np.where(np.isnan(ranges), 0, codes), "oakland",
-        world_m=world, scanner_m=scanner_places(world, ranges, angle_rad), range_noise_m=0.01,
-    )  # fmt: skip
+        f"Oakland strip {strip}",
+        ranges,
+        angle_rad,
+        np.where(np.isnan(ranges), 0, codes),
+        "oakland",
+        world_m=world,
+        scanner_m=scanner_places(world, ranges, angle_rad),
+        range_noise_m=0.01,
+    )
 
 
 def oakland_noisy(strip: int) -> Scan:
@@ -366,14 +529,18 @@ def oakland_noisy(strip: int) -> Scan:
     stray = random.random(there.shape) < STRAY_SHARE
     anywhere = random.uniform(1.0, 80.0, there.shape)
     moved = np.where(stray, scan.range_m + random.normal(0.0, STRAY_M, there.shape), anywhere)
-    ranges = np.where(hit, np.maximum(np.rint(moved * 100.0) / 100.0, 0.5), scan.range_m).astype(np.float32)
+    ranges = np.where(hit, np.maximum(np.rint(moved * 100.0) / 100.0, 0.5), scan.range_m).astype(
+        np.float32
+    )
     assert scan.world_m is not None
     assert scan.scanner_m is not None
     origin = scan.scanner_m[:, None]
     farther = (ranges / scan.range_m)[..., None]
     world = np.where(hit[..., None], origin + (scan.world_m - origin) * farther, scan.world_m)
     codes = np.where(hit, 7, scan.codes)
-    return replace(scan, name=f"{scan.name}, 5 % background added", range_m=ranges, world_m=world, codes=codes)
+    return replace(
+        scan, name=f"{scan.name}, 5 % background added", range_m=ranges, world_m=world, codes=codes
+    )
 
 
 def kitti() -> Scan:
@@ -384,20 +551,35 @@ def kitti() -> Scan:
     reference = np.fromfile(source.with_suffix(".label"), np.uint32).astype(np.int64) & 0xFFFF
     records = np.concatenate([block.records() for block in blocks])
     extras = [
-        replace(block.extra, line=(block.extra.line + block.first_line).astype(np.int32)) for block in blocks
-    ]  # fmt: skip
+        replace(block.extra, line=(block.extra.line + block.first_line).astype(np.int32))
+        for block in blocks
+    ]
     extra = joined(extras)
-    xyz = np.concatenate([block.xyz_m for block in blocks if block.xyz_m is not None]).astype(np.float64)
+    xyz = np.concatenate([block.xyz_m for block in blocks if block.xyz_m is not None]).astype(
+        np.float64
+    )
     beam_rad = blocks[0].beam_rad
     assert beam_rad is not None
     ranges = np.concatenate([block.range_m for block in blocks])
     raw = np.fromfile(source, np.float32).reshape(-1, 4)[:, :3].astype(np.float64)
     return Scan(
-        "KITTI frame", ranges, beam_rad, np.where(np.isnan(ranges), 0, reference[records]), "kitti", world_m=xyz,
-        scanner_m=np.zeros((len(ranges), 3)), extra=extra, extra_codes=reference[extra.record],
-        extra_world_m=raw[extra.record], is_upright=True, height_m=1.73, range_noise_m=0.02,
-        source=source, config=config, record=records,
-    )  # fmt: skip
+        "KITTI frame",
+        ranges,
+        beam_rad,
+        np.where(np.isnan(ranges), 0, reference[records]),
+        "kitti",
+        world_m=xyz,
+        scanner_m=np.zeros((len(ranges), 3)),
+        extra=extra,
+        extra_codes=reference[extra.record],
+        extra_world_m=raw[extra.record],
+        is_upright=True,
+        height_m=1.73,
+        range_noise_m=0.02,
+        source=source,
+        config=config,
+        record=records,
+    )
 
 
 def views(kind: str, parity: int) -> Iterator[Scan]:
@@ -423,8 +605,14 @@ def view(path: Path) -> Scan:
     mapping = "views_kitti" if path.stem.startswith("kitti") else "views_nuscenes"
     reference = codes[order].T.astype(np.int64)
     return Scan(
-        path.stem, lines, np.pi / 2 + rings[order], reference, mapping, is_upright=True, range_noise_m=0.02
-    )  # fmt: skip
+        path.stem,
+        lines,
+        np.pi / 2 + rings[order],
+        reference,
+        mapping,
+        is_upright=True,
+        range_noise_m=0.02,
+    )
 
 
 def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
@@ -454,7 +642,14 @@ def park() -> Scan:
     if zenith[0] < zenith[-1]:
         ranges, zenith = ranges[:, ::-1], zenith[::-1]
     ranges = np.ascontiguousarray(ranges, dtype=np.float32)
-    return Scan("park", ranges, np.deg2rad(180.0 - zenith), np.zeros(ranges.shape, np.int64), "forest", is_upright=True)
+    return Scan(
+        "park",
+        ranges,
+        np.deg2rad(180.0 - zenith),
+        np.zeros(ranges.shape, np.int64),
+        "forest",
+        is_upright=True,
+    )
 
 
 README = """Data of the contest (issue 8), made by `python -m benchmarks.contest_data`; the tuning share only.
@@ -480,7 +675,9 @@ further returns, for pipeline.label_blocks.
 
 def main() -> None:
     """Write the scans for tuning, or the real ones."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=("train", "real"))
     parser.add_argument("folder", type=Path)
     arguments = parser.parse_args()

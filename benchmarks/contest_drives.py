@@ -53,14 +53,34 @@ def print_drives() -> None:
                 rows.append(f"| {drive.name} | `{drive.path}` | {code} | | {'; '.join(doubts)} |")
                 continue
             record = json.loads(output.with_name("labels.npy.prc.json").read_text(encoding="utf-8"))
-            in_process(["render", str(path), str(picture), "--labels", str(output), "--steps", "range,classes",
-                        "--width", "1100", "--overwrite", "-q"])  # fmt: skip
+            in_process(
+                [
+                    "render",
+                    str(path),
+                    str(picture),
+                    "--labels",
+                    str(output),
+                    "--steps",
+                    "range,classes",
+                    "--width",
+                    "1100",
+                    "--overwrite",
+                    "-q",
+                ]
+            )
         chosen = next(said["value"] for said in record["assumptions"] if said["key"] == "method")
         counts = {entry["code"]: entry["count"] for entry in record["classes"] if entry["code"] > 1}
         total = sum(counts.values())
-        shares = ", ".join(f"{names.get(key, key)} {n / total:.1%}" for key, n in counts.items() if n >= total / 1000)
+        shares = ", ".join(
+            f"{names.get(key, key)} {n / total:.1%}"
+            for key, n in counts.items()
+            if n >= total / 1000
+        )
         rows.append(f"| {drive.name} | `{drive.path}` | {code} | {chosen} | {shares} |")
-        pictures += [f"![{drive.name}](../images/{picture.name})\n", f"{drive.name}. {' '.join(doubts)}\n"]
+        pictures += [
+            f"![{drive.name}](../images/{picture.name})\n",
+            f"{drive.name}. {' '.join(doubts)}\n",
+        ]
     print("| | file | exit code | method | |\n|---|---|---:|---|---|")
     print("\n".join(rows), end="\n\n")
     print("\n".join(pictures))

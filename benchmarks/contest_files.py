@@ -17,9 +17,15 @@ from benchmarks.contest_data import Scan
 from prc_cli.core.types import F64, I64, U8
 
 _FIELDS = (
-    ("range", "f4"), ("time", "f8"), ("intensity", "f4"), ("angle", "f8"), ("scan_line", "u4"), ("column", "u4"),
-    ("return_number", "u1"), ("number_of_returns", "u1"),
-)  # fmt: skip
+    ("range", "f4"),
+    ("time", "f8"),
+    ("intensity", "f4"),
+    ("angle", "f8"),
+    ("scan_line", "u4"),
+    ("column", "u4"),
+    ("return_number", "u1"),
+    ("number_of_returns", "u1"),
+)
 
 
 @dataclass(frozen=True, slots=True)

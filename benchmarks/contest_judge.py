@@ -88,7 +88,9 @@ class Verdict:
         """Classes of the reference that have enough returns to be judged."""
         sums = self.counts.sum(axis=1)
         least = LEAST_SHARE * sums.sum()
-        return tuple(name for name, n in zip(self.rows, sums.tolist(), strict=True) if n >= least and n)
+        return tuple(
+            name for name, n in zip(self.rows, sums.tolist(), strict=True) if n >= least and n
+        )
 
     def score(self, name: str) -> float:
         """Return a score by its name in ``prc evaluate --fail-under``, such as ``f1.ground``; NaN if undefined."""
@@ -123,7 +125,12 @@ class Verdict:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict as plain values for JSON."""
-        table = {"rows": self.rows, "columns": self.columns, "blocks": self.blocks.tolist(), "others": self.others}
+        table = {
+            "rows": self.rows,
+            "columns": self.columns,
+            "blocks": self.blocks.tolist(),
+            "others": self.others,
+        }
         return dict(table)
 
     @classmethod

@@ -50,7 +50,9 @@ class Method:
     def _options(self, scan: Scan) -> dict[str, Any]:
         if self.preset != "street-scan":
             return self.options
-        return merge(self.options, {"sequential_angle": {"angles": {"range_noise_m": scan.range_noise_m}}})
+        return merge(
+            self.options, {"sequential_angle": {"angles": {"range_noise_m": scan.range_noise_m}}}
+        )
 
     def takes(self, scan: Scan) -> bool:
         """Whether the method is for such a scan."""
@@ -62,7 +64,9 @@ class Method:
         if self.path is not None:
             chosen = ["--config", str(self.path)]
         options = self._options(scan)
-        return chosen + [part for key, value in _flat(options) for part in ("--set", f"{key}={value}")]
+        return chosen + [
+            part for key, value in _flat(options) for part in ("--set", f"{key}={value}")
+        ]
 
     def command(self) -> str:
         """Return the same as a text, without what differs between scans."""
@@ -171,11 +175,23 @@ def label_scan(scan: Scan, method: Method) -> Labelled:
         output = Path(name) / "labels.npy"
         said: list[str] = []
         for nadir in ((), file.nadir) if file.nadir else ((),):
-            command = ["classify", str(file.path), str(output), *file.options, *method.arguments(scan), *nadir, "-q"]
+            command = [
+                "classify",
+                str(file.path),
+                str(output),
+                *file.options,
+                *method.arguments(scan),
+                *nadir,
+                "-q",
+            ]
             start, busy = time.perf_counter(), time.process_time()
             code, stderr = in_process(command)
             wall_s, cpu_s = time.perf_counter() - start, time.process_time() - busy
-            said += [f"{code}: {line.replace(f'{name}/', '')}" for line in stderr.splitlines() if line.strip()]
+            said += [
+                f"{code}: {line.replace(f'{name}/', '')}"
+                for line in stderr.splitlines()
+                if line.strip()
+            ]
             if output.exists():
                 codes = np.load(output).ravel()
                 break

@@ -79,7 +79,9 @@ def _left_out(n: int, kept: Any) -> Mask:
     return found
 
 
-def csf(points: Points, resolution_m: float, threshold_m: float, rigidness: int, slope_smoothing: bool) -> Mask:
+def csf(
+    points: Points, resolution_m: float, threshold_m: float, rigidness: int, slope_smoothing: bool
+) -> Mask:
     """Cloth simulation filter (Zhang et al. 2016), its authors' package."""
     module = import_module("CSF")
     cloth = module.CSF()
@@ -95,7 +97,9 @@ def csf(points: Points, resolution_m: float, threshold_m: float, rigidness: int,
     return found
 
 
-def patchwork(points: Points, piece_m: float, distance_m: float, upright: float, reach_m: float) -> Mask:
+def patchwork(
+    points: Points, piece_m: float, distance_m: float, upright: float, reach_m: float
+) -> Mask:
     """Patchwork++ (Lee et al. 2022), its authors' package, which takes clouds around the scanner one by one.
 
     A frame holds the points of some metres of the drive, with the scanner in its middle at the origin and z up, because
@@ -105,11 +109,15 @@ def patchwork(points: Points, piece_m: float, distance_m: float, upright: float,
     params = module.Parameters()
     params.verbose = False
     params.sensor_height = points.height_m
-    params.enable_RNR = False  # it finds reflections below the ground by intensities of the scanner of that paper
+    params.enable_RNR = (
+        False  # it finds reflections below the ground by intensities of the scanner of that paper
+    )
     params.min_range, params.max_range = 0.0, reach_m
     params.th_dist, params.uprightness_thr = distance_m, upright
     filtered = module.patchworkpp(params)
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points.scanner_m[:, :2], axis=0).T))])
+    way_m = np.concatenate(
+        [[0.0], np.cumsum(np.hypot(*np.diff(points.scanner_m[:, :2], axis=0).T))]
+    )
     piece = (way_m // piece_m).astype(np.int64)
     found = np.zeros(len(points.xyz_m), dtype=bool)
     of_point = piece[points.line]
@@ -124,7 +132,9 @@ def patchwork(points: Points, piece_m: float, distance_m: float, upright: float,
     return found
 
 
-def smrf(points: Points, cell_m: float, slope: float, window_m: float, threshold_m: float, scaler: float) -> Mask:
+def smrf(
+    points: Points, cell_m: float, slope: float, window_m: float, threshold_m: float, scaler: float
+) -> Mask:
     """Simple morphological filter (Pingel et al. 2013): an opened surface of lowest points, then a threshold."""
     xyz = points.xyz_m
     low = xyz[:, :2].min(axis=0)
@@ -212,22 +222,36 @@ def run(
 
 def main() -> None:
     """Run one chain of filters in this process; used by ``benchmarks.contest``."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("points", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("steps", nargs="+", type=json.loads)
     parser.add_argument("--after", type=Path, help="go on from this output")
     arguments = parser.parse_args()
     with np.load(arguments.points) as arrays:
-        points = Points(arrays["xyz_m"], arrays["line"], arrays["scanner_m"], float(arrays["height_m"]))
+        points = Points(
+            arrays["xyz_m"], arrays["line"], arrays["scanner_m"], float(arrays["height_m"])
+        )
     for step in arguments.steps:
-        import_module({"csf": "CSF", "patchwork": "pypatchworkpp", "smrf": "scipy"}.get(step["filter"], "open3d"))
+        import_module(
+            {"csf": "CSF", "patchwork": "pypatchworkpp", "smrf": "scipy"}.get(
+                step["filter"], "open3d"
+            )
+        )
     before, spent_s, peak_mib = None, 0.0, 0.0
     if arguments.after is not None:
         with np.load(arguments.after) as arrays:
-            before, spent_s, peak_mib = arrays["codes"], float(arrays["cpu_s"]), float(arrays["peak_mib"])
+            before, spent_s, peak_mib = (
+                arrays["codes"],
+                float(arrays["cpu_s"]),
+                float(arrays["peak_mib"]),
+            )
     codes, cpu_s = run(points, arguments.steps, before)
-    np.savez(arguments.output, codes=codes, cpu_s=spent_s + cpu_s, peak_mib=max(peak_mib, _peak_mib()))
+    np.savez(
+        arguments.output, codes=codes, cpu_s=spent_s + cpu_s, peak_mib=max(peak_mib, _peak_mib())
+    )
 
 
 def _peak_mib() -> float:
@@ -236,7 +260,9 @@ def _peak_mib() -> float:
         with Path("/proc/self/status").open() as status:
             return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
     except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+            1024**2 if sys.platform == "darwin" else 1024
+        )
 
 
 if __name__ == "__main__":

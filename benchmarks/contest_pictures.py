@@ -24,10 +24,18 @@ from prc_cli.imaging.sheet import Axis, Panel, draw_sheet, zoom_for
 MOST_LINES, MOST_COLUMNS = 520, 1100
 """Lines of a picture; columns are thinned to at most so many."""
 NAMES = ("noise", "ground", "building", "vegetation", "stem", "other")
-_LABELS = (Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.STEM, Label.UNCLASSIFIED)
+_LABELS = (
+    Label.NOISE,
+    Label.GROUND,
+    Label.BUILDING,
+    Label.VEGETATION,
+    Label.STEM,
+    Label.UNCLASSIFIED,
+)
 UNSCORED = len(NAMES) + 1
 COLOURS: U8 = np.array(
-    [LABEL_COLOURS[Label.MISSING], *(LABEL_COLOURS[label] for label in _LABELS), NOT_SCORED_COLOUR], np.uint8
+    [LABEL_COLOURS[Label.MISSING], *(LABEL_COLOURS[label] for label in _LABELS), NOT_SCORED_COLOUR],
+    np.uint8,
 )
 """Of no return, the classes and what is not judged."""
 
@@ -57,7 +65,9 @@ def failures(scan: Scan, codes: U8, method: str, path: Path) -> None:
         "range": range_picture(ranges, limits),
         "reference": COLOURS[reference],
         method: COLOURS[predicted],
-        "wrong, in the colour of the predicted class": difference_picture(predicted, reference, COLOURS, UNSCORED),
+        "wrong, in the colour of the predicted class": difference_picture(
+            predicted, reference, COLOURS, UNSCORED
+        ),
     }
     if scan.is_upright:
         pictures = {name: np.rot90(picture) for name, picture in pictures.items()}
@@ -66,11 +76,20 @@ def failures(scan: Scan, codes: U8, method: str, path: Path) -> None:
         x, y = y, Axis("ring", scan.range_m.shape[1], 0)
     zoom = zoom_for(*next(iter(pictures.values())).shape[1::-1], least=(700, 120), most=1100)
     panels = [
-        Panel(name, np.ascontiguousarray(picture), x, y, bar=range_bar(limits) if name == "range" else None, zoom=zoom)
+        Panel(
+            name,
+            np.ascontiguousarray(picture),
+            x,
+            y,
+            bar=range_bar(limits) if name == "range" else None,
+            zoom=zoom,
+        )
         for name, picture in pictures.items()
     ]
     used = np.unique(np.concatenate([predicted.ravel(), reference.ravel()]))
-    key = [(NAMES[k - 1], tuple(int(c) for c in COLOURS[k])) for k in used.tolist() if 0 < k < UNSCORED]
+    key = [
+        (NAMES[k - 1], tuple(int(c) for c in COLOURS[k])) for k in used.tolist() if 0 < k < UNSCORED
+    ]
     key += [("not judged", NOT_SCORED_COLOUR), ("right", AGREE_COLOUR)]
     wide = pictures["range"].shape[1] > 2 * pictures["range"].shape[0]
     image = draw_sheet(f"{scan.name}: {method}", panels, tuple(key), columns=1 if wide else 2)

@@ -51,8 +51,16 @@ def _simulated(spec: Simulated, group: str, *, with_peers: bool = False) -> Data
     return DataSet(spec.name, group, partial(data.simulated, spec), repr(spec), with_peers)
 
 
-PHOTON, SICK_GROUP, PROFILER = "streets, photon-80", "streets, sick-push-broom", "streets, profiler-1mhz"
-OAKLAND, OAKLAND_NOISY, OAKLAND_TRAIN = "Oakland 2, 3", "Oakland 2, 3, background added", "Oakland 1 (tuned on)"
+PHOTON, SICK_GROUP, PROFILER = (
+    "streets, photon-80",
+    "streets, sick-push-broom",
+    "streets, profiler-1mhz",
+)
+OAKLAND, OAKLAND_NOISY, OAKLAND_TRAIN = (
+    "Oakland 2, 3",
+    "Oakland 2, 3, background added",
+    "Oakland 1 (tuned on)",
+)
 KITTI, FOREST, FOREST_CYLINDERS = "KITTI frame", "forests", "forests, reference of cylinders"
 FOREST_NOISY, SLOW = "forests, 3 cm of noise", "slow drives"
 VIEWS = {"kitti": "KITTI views", "nuscenes": "nuScenes views", "vlp32": "VLP-32 views"}
@@ -67,21 +75,39 @@ _GROUP_OF = {"photon-80": PHOTON, "sick-push-broom": SICK_GROUP, "profiler-1mhz"
 def data_sets() -> tuple[DataSet, ...]:
     """Return all scans for reporting, real ones if available."""
     found = [
-        _simulated(spec, _GROUP_OF[spec.scanner], with_peers=spec.seed in PEER_SEEDS) for spec in data.TEST_STREETS
+        _simulated(spec, _GROUP_OF[spec.scanner], with_peers=spec.seed in PEER_SEEDS)
+        for spec in data.TEST_STREETS
     ]
     found += _slow_drives()
     if (data.DATA / "oakland").exists():
         for n in (2, 3):
             name, path = f"Oakland strip {n}", data.DATA / "oakland" / f"oakland_{n}.csv.gz"
-            found.append(DataSet(name, OAKLAND, partial(data.oakland, n), f"oakland {n}", True, path))
+            found.append(
+                DataSet(name, OAKLAND, partial(data.oakland, n), f"oakland {n}", True, path)
+            )
             noisy = partial(data.oakland_noisy, n)
             found.append(
-                DataSet(f"{name}, 5 % background added", OAKLAND_NOISY, noisy, f"oakland noisy {n}", True, path)
+                DataSet(
+                    f"{name}, 5 % background added",
+                    OAKLAND_NOISY,
+                    noisy,
+                    f"oakland noisy {n}",
+                    True,
+                    path,
+                )
             )
         path = data.DATA / "oakland" / "oakland_1.csv.gz"
-        found.append(DataSet("Oakland strip 1", OAKLAND_TRAIN, partial(data.oakland, 1), "oakland 1", source=path))
+        found.append(
+            DataSet(
+                "Oakland strip 1", OAKLAND_TRAIN, partial(data.oakland, 1), "oakland 1", source=path
+            )
+        )
     if (data.DATA / "kitti").exists():
-        found.append(DataSet("KITTI frame", KITTI, data.kitti, "kitti", True, data.DATA / "kitti" / "000000.bin"))
+        found.append(
+            DataSet(
+                "KITTI frame", KITTI, data.kitti, "kitti", True, data.DATA / "kitti" / "000000.bin"
+            )
+        )
     for kind, group in VIEWS.items():
         found += [
             DataSet(path.stem, group, partial(data.view, path), path.stem, source=path)
@@ -90,7 +116,9 @@ def data_sets() -> tuple[DataSet, ...]:
         ]
     found += [_simulated(spec, FOREST) for spec in data.TEST_FORESTS]
     found += [_simulated(spec, FOREST_NOISY) for spec in data.NOISY_FORESTS]
-    found += [_simulated(replace(spec, cylinders=True), FOREST_CYLINDERS) for spec in data.TEST_FORESTS]
+    found += [
+        _simulated(replace(spec, cylinders=True), FOREST_CYLINDERS) for spec in data.TEST_FORESTS
+    ]
     return tuple(found)
 
 
@@ -100,7 +128,11 @@ def _slow_drives() -> list[DataSet]:
     for spec in data.SLOW_STREETS:
         for name in SLOW_DRIVES:
             drive = slow.DRIVES[name]
-            found.append(DataSet(f"{spec.name}, {name}", SLOW, partial(_slowed, spec, drive), f"{spec!r} {name}"))
+            found.append(
+                DataSet(
+                    f"{spec.name}, {name}", SLOW, partial(_slowed, spec, drive), f"{spec!r} {name}"
+                )
+            )
     return found
 
 
@@ -156,7 +188,9 @@ class Store:
         if not path.exists():
             scan = self.scan(item)
             parts = [scan.range_m, scan.codes, scan.angle_rad, scan.extra.range_m, scan.extra_codes]
-            parts += [] if scan.world_m is None else [scan.world_m]  # filters of registered clouds get nothing else
+            parts += (
+                [] if scan.world_m is None else [scan.world_m]
+            )  # filters of registered clouds get nothing else
             digest = hashlib.blake2b(digest_size=16)
             for part in parts:
                 digest.update(np.ascontiguousarray(part).data)
@@ -204,13 +238,22 @@ class Store:
                 write_points(points_of(scan), Path(folder) / POINTS)
                 # run common first steps of several chains once, before them
                 begin = {json.dumps(chains[name][:-1]): chains[name][:-1] for name in missing}
-                list(pool.map(partial(_run_chain, Path(folder)), [steps for steps in begin.values() if steps]))
+                list(
+                    pool.map(
+                        partial(_run_chain, Path(folder)),
+                        [steps for steps in begin.values() if steps],
+                    )
+                )
 
                 def work(name: str) -> None:
                     self.told(f"{item.name}: {name}")
                     self.n_new += 1
                     with np.load(_run_chain(Path(folder), chains[name])) as arrays:
-                        codes, cpu_s, peak_mib = arrays["codes"], float(arrays["cpu_s"]), float(arrays["peak_mib"])
+                        codes, cpu_s, peak_mib = (
+                            arrays["codes"],
+                            float(arrays["cpu_s"]),
+                            float(arrays["peak_mib"]),
+                        )
                     verdict = judge(scan, *as_image(scan, codes))
                     self._keep(paths[name], json.dumps(_table(verdict, scan, cpu_s, peak_mib)))
 
@@ -237,8 +280,12 @@ def points_of(scan: Scan) -> peers.Points:
 def write_points(points: peers.Points, path: Path) -> None:
     """Write points for a separate process."""
     np.savez(
-        path, xyz_m=points.xyz_m, line=points.line, scanner_m=points.scanner_m, height_m=points.height_m
-    )  # fmt: skip
+        path,
+        xyz_m=points.xyz_m,
+        line=points.line,
+        scanner_m=points.scanner_m,
+        height_m=points.height_m,
+    )
 
 
 def as_image(scan: Scan, codes: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -256,7 +303,11 @@ def _run_chain(folder: Path, steps: list[dict[str, Any]]) -> Path:
     if output.exists():
         return output
     command = [sys.executable, "-m", "benchmarks.contest_peers", str(folder / POINTS), str(output)]
-    command += [json.dumps(steps[-1]), "--after", str(before)] if before.exists() else [json.dumps(s) for s in steps]
+    command += (
+        [json.dumps(steps[-1]), "--after", str(before)]
+        if before.exists()
+        else [json.dumps(s) for s in steps]
+    )
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         problem = f"{' '.join(command)}\n{done.stderr}"
@@ -271,7 +322,13 @@ def _output_of(folder: Path, steps: list[dict[str, Any]]) -> Path:
 def _table(verdict: Verdict, scan: Scan, cpu_s: float, peak_mib: float | None) -> dict[str, Any]:
     returns = int((~np.isnan(scan.range_m)).sum()) + len(scan.extra)
     when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
-    table = {"verdict": verdict.as_dict(), "shots": scan.n_shots, "returns": returns, "cpu_s": cpu_s, "when": when}
+    table = {
+        "verdict": verdict.as_dict(),
+        "shots": scan.n_shots,
+        "returns": returns,
+        "cpu_s": cpu_s,
+        "when": when,
+    }
     return table if peak_mib is None else {**table, "peak_mib": peak_mib}
 
 
@@ -300,7 +357,10 @@ def source_hash(names: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=1)
 def judge_hash() -> str:
-    files = [FOLDER / "contest_judge.py", *(path for path in MAPPINGS.values() if isinstance(path, Path))]
+    files = [
+        FOLDER / "contest_judge.py",
+        *(path for path in MAPPINGS.values() if isinstance(path, Path)),
+    ]
     return _digest([_file_hash(file) for file in files])
 
 
@@ -333,9 +393,14 @@ def print_things(groups: dict[str, list[DataSet]], runs: dict[str, dict[str, Run
     """One table a thing: methods that know it by group."""
     for name in NAMES:
         found = {
-            method: {group: judged(own, items, name) for group, items in groups.items()} for method, own in runs.items()
+            method: {group: judged(own, items, name) for group, items in groups.items()}
+            for method, own in runs.items()
         }
-        found = {method: cells for method, cells in found.items() if any(c[1] for each in cells.values() for c in each)}
+        found = {
+            method: cells
+            for method, cells in found.items()
+            if any(c[1] for each in cells.values() for c in each)
+        }
         shown = [group for group in groups if any(cells[group] for cells in found.values())]
         if not shown:
             continue

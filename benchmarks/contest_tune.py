@@ -19,18 +19,31 @@ from benchmarks.contest_judge import judge
 from benchmarks.contest_peers import NOISE_FILTERS, run
 from benchmarks.contest_runs import as_image, points_of
 
-SPECS = tuple(replace(spec, length_m=30.0) for spec in data.TRAIN if spec.seed in (9001, 9004, 9006))
+SPECS = tuple(
+    replace(spec, length_m=30.0) for spec in data.TRAIN if spec.seed in (9001, 9004, 9006)
+)
 """The first parts of three streets: the choice does not depend on length, and radius filters are slow."""
 GRIDS: dict[str, list[dict[str, Any]]] = {
-    "statistical": [{"neighbours": n, "sigmas": s} for n, s in ((8, 2.0), (20, 0.25), (20, 0.5), (20, 1.0), (20, 2.0))],
-    "radius": [{"least": n, "radius_m": r} for n, r in ((4, 0.2), (4, 0.4), (8, 0.5), (4, 0.6), (8, 0.8))],
+    "statistical": [
+        {"neighbours": n, "sigmas": s}
+        for n, s in ((8, 2.0), (20, 0.25), (20, 0.5), (20, 1.0), (20, 2.0))
+    ],
+    "radius": [
+        {"least": n, "radius_m": r} for n, r in ((4, 0.2), (4, 0.4), (8, 0.5), (4, 0.6), (8, 0.8))
+    ],
     "csf": [
         {"resolution_m": c, "threshold_m": t, "rigidness": 3, "slope_smoothing": False}
         for c, t in product((0.5, 1.0), (0.15, 0.3))
     ],
     "smrf": [
         {"cell_m": c, "slope": 0.15, "window_m": 18.0, "threshold_m": t, "scaler": k}
-        for c, t, k in ((0.5, 0.15, 0.0), (0.5, 0.15, 1.25), (0.5, 0.3, 0.0), (1.0, 0.15, 1.25), (1.0, 0.3, 0.0))
+        for c, t, k in (
+            (0.5, 0.15, 0.0),
+            (0.5, 0.15, 1.25),
+            (0.5, 0.3, 0.0),
+            (1.0, 0.15, 1.25),
+            (1.0, 0.3, 0.0),
+        )
     ],
     "patchwork": [
         {"piece_m": p, "distance_m": d, "upright": u, "reach_m": 80.0}
@@ -56,7 +69,10 @@ def main() -> None:
                 float(np.nan_to_num(judge(scan, *as_image(scan, own)).score(f"f1.{judged}")))
                 for (scan, _), own in zip(streets, codes, strict=True)
             ]
-            print(f"{np.mean(found):.3f}  {' '.join(f'{f:.3f}' for f in found)}  {name} {setting}", flush=True)
+            print(
+                f"{np.mean(found):.3f}  {' '.join(f'{f:.3f}' for f in found)}  {name} {setting}",
+                flush=True,
+            )
             if judged == "noise" and np.mean(found) > best:
                 best, noisy = float(np.mean(found)), codes
         before = noisy

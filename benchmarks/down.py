@@ -24,15 +24,30 @@ SPREAD_LINES, EVERY = 640, 64
 """Lines that a guess is spread over, and lines between two starting points."""
 SCENES = ("residential", "terraces", "suburb", "boulevard", "mixed")
 MOUNTS: tuple[tuple[str, str, dict[str, float]], ...] = (
-    ("gap of 50° down, slant 20°", "photon-80", {"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 20.0}),
-    ("gap of 60° down, slant 30°", "photon-80", {"centre_deg": 180.0, "field_deg": 300.0, "slant_deg": 30.0}),
-    ("gap of 70° down, slant 45°", "photon-80", {"centre_deg": 180.0, "field_deg": 290.0, "slant_deg": 45.0}),
-    ("gap down and 30° aside", "photon-80",
-     {"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 45.0, "roll_deg": 30.0}),
+    (
+        "gap of 50° down, slant 20°",
+        "photon-80",
+        {"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 20.0},
+    ),
+    (
+        "gap of 60° down, slant 30°",
+        "photon-80",
+        {"centre_deg": 180.0, "field_deg": 300.0, "slant_deg": 30.0},
+    ),
+    (
+        "gap of 70° down, slant 45°",
+        "photon-80",
+        {"centre_deg": 180.0, "field_deg": 290.0, "slant_deg": 45.0},
+    ),
+    (
+        "gap down and 30° aside",
+        "photon-80",
+        {"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 45.0, "roll_deg": 30.0},
+    ),
     ("gap up, slant 25°", "photon-80", {"slant_deg": 25.0}),
     ("push-broom", "sick-push-broom", {}),
     ("whole turn, slant 45°", "profiler-1mhz", {"slant_deg": 45.0}),
-)  # fmt: skip
+)
 LENGTHS_M = {"photon-80": 170.0, "sick-push-broom": 250.0, "profiler-1mhz": 50.0}
 FORESTS = ("mixed", "pine-heath", "dense-spruce")
 
@@ -42,10 +57,18 @@ def scans(seed: int) -> Iterator[tuple[str, Scan]]:
     for title, scanner, mount in MOUNTS:
         for scene in SCENES:
             seed += 1
-            yield title, simulated(Simulated(scene, seed, LENGTHS_M[scanner], scene, scanner, mount=dict(mount)))
+            yield (
+                title,
+                simulated(
+                    Simulated(scene, seed, LENGTHS_M[scanner], scene, scanner, mount=dict(mount))
+                ),
+            )
     for scene in FORESTS:
         seed += 1
-        yield "forest, gap down", simulated(Simulated(scene, seed, 18.0, scene, "focus3d-120", kind="forest"))
+        yield (
+            "forest, gap down",
+            simulated(Simulated(scene, seed, 18.0, scene, "focus3d-120", kind="forest")),
+        )
     for strip in (1, 2, 3):
         yield "Oakland", oakland(strip)
 
@@ -66,7 +89,9 @@ def main() -> None:
         lines = scan.range_m[np.isfinite(scan.range_m).any(axis=1)]
         for n in (SPREAD_LINES, MOST_LINES):
             starts = range(0, max(len(lines) - MOST_LINES, 1), EVERY)
-            found.setdefault((title, n), []).extend(judge(scan.angle_rad, lines[at : at + n]) for at in starts)
+            found.setdefault((title, n), []).extend(
+                judge(scan.angle_rad, lines[at : at + n]) for at in starts
+            )
     print("| scans | lines | windows | right | wrong | refused | off in the middle | at most |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for (title, n), rows in found.items():

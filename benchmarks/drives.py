@@ -44,7 +44,9 @@ def write_drive(path: Path, ranges: Path, point_format: int) -> None:
     image = np.memmap(ranges, "<f4", "r").reshape(-1, POINTS_PER_LINE)
     with laspy.open(path, "w", header=header) as writer:
         for first in range(0, len(image), _LINES_AT_ONCE):
-            writer.write_points(drive_points(image[first : first + _LINES_AT_ONCE], first, header, rng))
+            writer.write_points(
+                drive_points(image[first : first + _LINES_AT_ONCE], first, header, rng)
+            )
 
 
 def drive_points(
@@ -57,12 +59,18 @@ def drive_points(
     turn = 2 * np.pi * column / POINTS_PER_LINE
     points = laspy.ScaleAwarePointRecord.zeros(len(range_m), header=header)
     across = range_m * np.cos(turn) * np.sqrt(0.5)
-    points.x, points.y, points.z = 650_100 + across + 0.05 * line, 6_860_100 + across, 2 + range_m * np.sin(turn)
+    points.x, points.y, points.z = (
+        650_100 + across + 0.05 * line,
+        6_860_100 + across,
+        2 + range_m * np.sin(turn),
+    )
     points.intensity = rng.normal(2000, 150, len(range_m)).astype("u2")
     points.return_number = points.number_of_returns = np.ones(len(range_m), "u1")
     points.gps_time = 3e8 + line / 100 + column / (100 * POINTS_PER_LINE)
     name = "scan_angle" if header.point_format.id >= 6 else "scan_angle_rank"
     step_deg = _ANGLE_STEP_DEG[header.point_format.id >= 6]
-    points[name] = np.rint(np.rad2deg(turn - np.pi) / 2 / step_deg).astype("i2" if step_deg < 1 else "i1")
+    points[name] = np.rint(np.rad2deg(turn - np.pi) / 2 / step_deg).astype(
+        "i2" if step_deg < 1 else "i1"
+    )
     points["range"], points["scan_line"], points["column"] = range_m, line, column
     return points

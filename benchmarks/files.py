@@ -53,9 +53,13 @@ def parse(source: Path) -> None:
     csv.read_csv(source, convert_options=csv.ConvertOptions(column_types={"range": pa.float64()}))
 
 
-def jobs_of(folder: Path, n_lines: int) -> tuple[dict[str, tuple[Path, Callable[[], object]]], dict[str, int]]:
+def jobs_of(
+    folder: Path, n_lines: int
+) -> tuple[dict[str, tuple[Path, Callable[[], object]]], dict[str, int]]:
     """Every job by its name with its input, and the shots of each input."""
-    raw, array, text, small = (folder / name for name in ("street.bin", "street.npz", "street.csv", "small.bin"))
+    raw, array, text, small = (
+        folder / name for name in ("street.bin", "street.npz", "street.csv", "small.bin")
+    )
     write_raw(raw, n_lines)
     image = np.memmap(raw, "<f4", "r").reshape(-1, POINTS_PER_LINE)
     np.savez(array, range_m=image)
@@ -79,14 +83,21 @@ def jobs_of(folder: Path, n_lines: int) -> tuple[dict[str, tuple[Path, Callable[
         "raw: read, write": (raw, plain(raw, read_plainly, labels)),
         "raw to labels": (raw, lambda: classify(raw, folder / "a.npy", with_m, overwrite=True)),
         "npz: read, write": (array, plain(array, read_plainly, labels)),
-        "npz to labels": (array, lambda: classify(array, folder / "b.npy", without, overwrite=True)),
+        "npz to labels": (
+            array,
+            lambda: classify(array, folder / "b.npy", without, overwrite=True),
+        ),
         "csv: parse, write": (text, plain(text, parse, few)),
         "csv to labels": (text, lambda: classify(text, folder / "c.npy", with_m, overwrite=True)),
         "PRC in memory": (small, lambda: classify_ranges(in_memory, with_m).labels),
         "SHA-256": (raw, lambda: hashlib.file_digest(raw.open("rb"), "sha256")),
     }, {
-        "raw": image.size, "npz": image.size, "csv": len(few), "PRC": in_memory.size, "SHA-256": image.size,
-    }  # fmt: skip
+        "raw": image.size,
+        "npz": image.size,
+        "csv": len(few),
+        "PRC": in_memory.size,
+        "SHA-256": image.size,
+    }
 
 
 ROWS = (
@@ -99,7 +110,9 @@ ROWS = (
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--lines", type=int, default=FULL_LINES[0])
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--cold", action="store_true")
@@ -117,8 +130,12 @@ def main() -> None:
                 best = took.get(job, this)
                 took[job] = min(best[0], this[0]), min(best[1], this[1])
     cache = "not in the cache" if arguments.cold else "in the cache"
-    print(f"{shots['raw'] / 1e6:.1f} million shots ({shots['csv'] / 1e6:.1f} as text), inputs {cache}\n")
-    print("| work | s (of all cores) | Mshots/s | beside | s (of all cores) | ratio | processor time | goal |")
+    print(
+        f"{shots['raw'] / 1e6:.1f} million shots ({shots['csv'] / 1e6:.1f} as text), inputs {cache}\n"
+    )
+    print(
+        "| work | s (of all cores) | Mshots/s | beside | s (of all cores) | ratio | processor time | goal |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     for work, beside, goal in ROWS:
         (wall, cpu), (wall_beside, cpu_beside) = took[work], took[beside]
@@ -129,7 +146,9 @@ def main() -> None:
         )
     for work in ("PRC in memory", "SHA-256"):
         wall, cpu = took[work]
-        print(f"| {work} | {wall:.3f} ({cpu:.3f}) | {shots[work.split()[0]] / wall / 1e6:.0f} | | | | | |")
+        print(
+            f"| {work} | {wall:.3f} ({cpu:.3f}) | {shots[work.split()[0]] / wall / 1e6:.0f} | | | | | |"
+        )
 
 
 if __name__ == "__main__":

@@ -44,7 +44,9 @@ STREETS: dict[str, Simulated] = {
     "push-broom, noise": Simulated("", 0, 120, scanner="sick-push-broom", noise=0.05),
     "two returns": Simulated("", 0, 12, scanner="profiler-1mhz", mount={"max_returns": 2}),
     "tripod": Simulated("", 0, 783, scanner="scanstation2", kind="street-scan", mount=WHOLE_TURN),
-    "tripod, noise": Simulated("", 0, 783, scanner="scanstation2", kind="street-scan", mount=WHOLE_TURN, noise=0.05),
+    "tripod, noise": Simulated(
+        "", 0, 783, scanner="scanstation2", kind="street-scan", mount=WHOLE_TURN, noise=0.05
+    ),
 }
 """Drives of so many metres, and tripods of so many lines; without noise, only mixed ranges at edges remain."""
 Making = Callable[[], Scan]
@@ -61,7 +63,12 @@ def scans(seeds: list[int], only: str) -> Iterator[tuple[str, str, Making]]:
         forest = Simulated("", seed, 15, wood, "focus3d-120", kind="forest")
         groups.setdefault("forest", []).append((f"{wood} {seed}", partial(data.simulated, forest)))
     groups["Oakland"] = [(f"strip {strip}", partial(data.oakland, strip)) for strip in (1, 2, 3)]
-    yield from ((group, *each) for group, every in groups.items() if group.startswith(only) for each in every)
+    yield from (
+        (group, *each)
+        for group, every in groups.items()
+        if group.startswith(only)
+        for each in every
+    )
 
 
 def written(scan: Scan, folder: Path) -> tuple[contest_files.ScanFile, Path]:
@@ -71,7 +78,9 @@ def written(scan: Scan, folder: Path) -> tuple[contest_files.ScanFile, Path]:
     if file.record is None:
         np.save(reference, scan.codes.ravel().astype(np.int32))
     else:
-        codes = np.zeros(int(max(file.record.max(), file.extra_record.max(initial=-1))) + 1, np.int32)
+        codes = np.zeros(
+            int(max(file.record.max(), file.extra_record.max(initial=-1))) + 1, np.int32
+        )
         codes[file.record[file.record >= 0]] = scan.codes[file.record >= 0]
         codes[file.extra_record] = scan.extra_codes
         np.save(reference, codes)
@@ -126,10 +135,14 @@ def mean(found: list[dict[str, float]]) -> dict[str, float]:
 
 def main() -> None:
     """Print a row for every scan, and the mean of every group."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", default=SEEDS, help="of simulated scans, e.g. 8801-8806,8901")
     parser.add_argument("--only", default="", metavar="GROUP", help="the groups that begin so")
-    parser.add_argument("--against", metavar="PYTHON", help="command of a Python with another checkout")
+    parser.add_argument(
+        "--against", metavar="PYTHON", help="command of a Python with another checkout"
+    )
     chosen = parser.parse_args()
     pythons = [sys.executable, *([chosen.against] if chosen.against else [])]
     print(f"| scan | {' | '.join(CLASSES)} |\n|---|{'---:|' * len(CLASSES)}")

@@ -53,7 +53,9 @@ def read_fields(source: Path, *, intensity: bool = True) -> None:
     if intensity:
         wanted |= layers.INTENSITY
     backend = laspy.LazBackend.LazrsParallel
-    with laspy.open(source, laz_backend=backend, decompression_selection=wanted & ~layers.Z) as reader:
+    with laspy.open(
+        source, laz_backend=backend, decompression_selection=wanted & ~layers.Z
+    ) as reader:
         for _ in reader.chunk_iterator(CHUNK):
             pass
 
@@ -84,7 +86,11 @@ def forget(path: Path) -> None:
 
 
 def measure(
-    jobs: dict[str, tuple[Path, Callable[[Path, Path], None]]], folder: Path, runs: int, *, cold: bool
+    jobs: dict[str, tuple[Path, Callable[[Path, Path], None]]],
+    folder: Path,
+    runs: int,
+    *,
+    cold: bool,
 ) -> dict[str, tuple[float, float]]:
     """Return the least wall time and processor time of every job [s]."""
     least: dict[str, tuple[float, float]] = {}
@@ -105,7 +111,9 @@ def measure(
     return least
 
 
-def jobs_of(laz: Path, las: Path, config: LoadedConfig) -> dict[str, tuple[Path, Callable[[Path, Path], None]]]:
+def jobs_of(
+    laz: Path, las: Path, config: LoadedConfig
+) -> dict[str, tuple[Path, Callable[[Path, Path], None]]]:
     """Every job by its name, with its input."""
 
     def labels_alone(source: Path, output: Path) -> None:
@@ -121,7 +129,10 @@ def jobs_of(laz: Path, las: Path, config: LoadedConfig) -> dict[str, tuple[Path,
         "without intensity": (laz, lambda source, _: read_fields(source, intensity=False)),
         "LAZ to labels": (laz, labels_alone),
         "copy and patch": (las, lambda source, output: copy_and_patch(source, output, flush=False)),
-        "copy, patch and flush": (las, lambda source, output: copy_and_patch(source, output, flush=True)),
+        "copy, patch and flush": (
+            las,
+            lambda source, output: copy_and_patch(source, output, flush=True),
+        ),
         "LAS to classified LAS": (las, whole),
     }
 
@@ -138,7 +149,9 @@ ROWS = (
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--lines", type=int, default=4643)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--format", type=int, default=6, choices=(1, 6))
@@ -159,7 +172,9 @@ def main() -> None:
             n_points = reader.header.point_count
         took = measure(jobs_of(laz, las, config), folder, arguments.runs, cold=arguments.cold)
     cache = "not in the cache" if arguments.cold else "in the cache"
-    print(f"{n_points / 1e6:.1f} million records of point format {arguments.format}, input {cache}\n")
+    print(
+        f"{n_points / 1e6:.1f} million records of point format {arguments.format}, input {cache}\n"
+    )
     print("| work | s (of all cores) | beside | s (of all cores) | ratio | processor time | goal |")
     print("|---|---|---|---|---|---|---|")
     for work, beside, goal in ROWS:

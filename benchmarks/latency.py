@@ -41,7 +41,9 @@ def waits(ranges: F32, preset: str, block: int) -> list[float]:
     options = ["--preset", preset, "--set", f"prc.lines_per_block={block}"]
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", "-M", str(width), *options]
     found: list[float] = []
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+    ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         # the first labels need two lines more than their own
@@ -59,7 +61,9 @@ def waits(ranges: F32, preset: str, block: int) -> list[float]:
 
 def main() -> None:
     """Print the table."""
-    print("| labels leave | median [ms] | 99 % [ms] | longest [ms] | a line of the scanner takes [ms] |")
+    print(
+        "| labels leave | median [ms] | 99 % [ms] | longest [ms] | a line of the scanner takes [ms] |"
+    )
     print("|---|---:|---:|---:|---:|")
     for name, kind, scanner, preset, block in JOBS:
         ranges, line_hz = lines_of(kind, scanner, LINES)

@@ -46,7 +46,10 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
     write_raw(raw, n_lines)
     for path in (las, laz):
         write_drive(path, raw, 6)
-    n_shots, n_returns = n_lines * POINTS_PER_LINE, int(np.count_nonzero(np.fromfile(raw, "<f4") > 0))
+    n_shots, n_returns = (
+        n_lines * POINTS_PER_LINE,
+        int(np.count_nonzero(np.fromfile(raw, "<f4") > 0)),
+    )
     urban = configured("urban")
     jobs: dict[str, tuple[Path, str, LoadedConfig, int]] = {
         "raw ranges to labels, urban": (raw, "labels.npy", urban, n_shots),
@@ -62,7 +65,9 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
         load_classifier(config)
         target = folder / output
 
-        def job(source: Path = source, target: Path = target, config: LoadedConfig = config) -> None:
+        def job(
+            source: Path = source, target: Path = target, config: LoadedConfig = config
+        ) -> None:
             classify(source, target, config, overwrite=True, threads=1)
 
         seconds = least_cpu_s(job, runs)
@@ -105,7 +110,9 @@ def main() -> None:
     parser.add_argument("--written", type=float, help="plan: bytes a record")
     parser.add_argument("--records", type=float, default=1e13)
     parser.add_argument("--cores", type=int, default=512)
-    parser.add_argument("--gigabytes", type=float, default=10.0, help="plan: throughput of the share a second")
+    parser.add_argument(
+        "--gigabytes", type=float, default=10.0, help="plan: throughput of the share a second"
+    )
     parser.add_argument("--price", type=float, default=0.04, help="plan: of a core hour")
     options = parser.parse_args()
     if options.what == "plan":

@@ -28,7 +28,13 @@ WITH_M = ("-M", str(POINTS_PER_LINE))
 
 def classify(source: Path, output: Path, preset: str = "urban") -> float:
     """Peak resident size of one run [MiB]."""
-    options = ["--preset", preset, "--quiet", "--overwrite", *(() if source.suffix == ".npz" else WITH_M)]
+    options = [
+        "--preset",
+        preset,
+        "--quiet",
+        "--overwrite",
+        *(() if source.suffix == ".npz" else WITH_M),
+    ]
     return peak_mib(["classify", str(source), str(output), *options])
 
 
@@ -42,7 +48,9 @@ def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     yield "raw → laz", classify(raw, folder / "built.laz")
     yield (
         "raw → calibrate",
-        peak_mib(["calibrate", str(raw), "-o", str(folder / "c.toml"), "--overwrite", "-q", *WITH_M]),
+        peak_mib(
+            ["calibrate", str(raw), "-o", str(folder / "c.toml"), "--overwrite", "-q", *WITH_M]
+        ),
     )
     np.savez(array, range_m=np.memmap(raw, "<f4", "r").reshape(-1, POINTS_PER_LINE))
     yield "npz → npy", classify(array, folder / "labels.npy")
@@ -61,28 +69,58 @@ def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
 
 def measure_methods(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     """Yield every preset on a simulated LAZ file, and its peak [MiB]."""
-    for kind, presets in (("street", ("urban", "street-scan", "fused")), ("forest", ("forest", "fused-forest"))):
+    for kind, presets in (
+        ("street", ("urban", "street-scan", "fused")),
+        ("forest", ("forest", "fused-forest")),
+    ):
         drive = folder / f"{kind}.laz"
         peak_mib(["simulate", kind, str(drive), "--lines", str(n_lines), "--seed", "7", "-q"])
-        doubts = [word for name in ("units", "indoors", "line-length", "down") for word in ("--accept-doubt", name)]
+        doubts = [
+            word
+            for name in ("units", "indoors", "line-length", "down")
+            for word in ("--accept-doubt", name)
+        ]
         for preset in presets:
-            yield preset, peak_mib(["classify", str(drive), str(folder / "o.laz"), "--preset", preset, "-q",
-                                    "--overwrite", *doubts])  # fmt: skip
+            yield (
+                preset,
+                peak_mib(
+                    [
+                        "classify",
+                        str(drive),
+                        str(folder / "o.laz"),
+                        "--preset",
+                        preset,
+                        "-q",
+                        "--overwrite",
+                        *doubts,
+                    ]
+                ),
+            )
         drive.unlink()
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--lines", type=int, nargs=2, default=[600, 6000])
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--methods", action="store_true")
     arguments = parser.parse_args()
-    lines = FULL_LINES if arguments.full else (600, FULL_LINES[0]) if arguments.methods else arguments.lines
+    lines = (
+        FULL_LINES
+        if arguments.full
+        else (600, FULL_LINES[0])
+        if arguments.methods
+        else arguments.lines
+    )
     peaks: dict[str, list[float]] = {}
     for n_lines in lines:
         with tempfile.TemporaryDirectory() as name:
-            for job, peak in (measure_methods if arguments.methods else measure)(Path(name), n_lines):
+            for job, peak in (measure_methods if arguments.methods else measure)(
+                Path(name), n_lines
+            ):
                 peaks.setdefault(job, []).append(peak)
     sizes = " | ".join(f"{n * POINTS_PER_LINE / 1e6:.1f} M shots [MiB]" for n in lines)
     print(f"| job | {sizes} | ratio | goal [MiB] |")
@@ -90,7 +128,9 @@ def main() -> None:
     for job, found in peaks.items():
         cells = [f"{peak:.0f}" for peak in found] + [""] * (2 - len(found))
         ratio = f"{found[1] / found[0]:.2f}" if len(found) == 2 else ""
-        print(f"| {job} | {' | '.join(cells)} | {ratio} | {LIMIT_MIB if 'calibrate' not in job else ''} |")
+        print(
+            f"| {job} | {' | '.join(cells)} | {ratio} | {LIMIT_MIB if 'calibrate' not in job else ''} |"
+        )
 
 
 if __name__ == "__main__":

@@ -42,7 +42,10 @@ SHOTS_M = 1.0
 """A told car that is none of the list is right if a shot of a car is this near to its middle: it moves."""
 CURB_COLUMNS = 20
 """Columns beside a told curb in which the simulator's counts."""
-SCENES = {"forest": ("mixed", "pine-heath", "dense-spruce"), "street": ("residential", "terraces", "boulevard")}
+SCENES = {
+    "forest": ("mixed", "pine-heath", "dense-spruce"),
+    "street": ("residential", "terraces", "boulevard"),
+}
 LENGTH_M = {"forest": 5.0, "street": 60.0}
 RINGS_M = (5.0, 10.0, 20.0)
 
@@ -79,7 +82,9 @@ def trees(path: Path) -> Listed:
     with path.open(encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
     base = np.array([[float(row[name]) for name in ("x_m", "y_m", "z_m")] for row in rows])
-    lean, azimuth = (np.deg2rad([float(row[name]) for row in rows]) for name in ("lean_deg", "lean_azimuth_deg"))
+    lean, azimuth = (
+        np.deg2rad([float(row[name]) for row in rows]) for name in ("lean_deg", "lean_azimuth_deg")
+    )
     slope = np.tan(lean)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     return Listed("stem", base, slope)
 
@@ -105,7 +110,9 @@ def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
     which, off = listed.nearest(shots)
     n_shots = np.bincount(which[off < NEAR_M[listed.kind]], minlength=len(listed.base))
     seen = n_shots >= RULES[listed.kind].least_shots
-    told = np.array([[one.x, one.y, one.z] for one in things if one.kind == listed.kind]).reshape(-1, 3)
+    told = np.array([[one.x, one.y, one.z] for one in things if one.kind == listed.kind]).reshape(
+        -1, 3
+    )
     of, distance = listed.nearest(told) if len(told) else (np.empty(0, np.int64), np.empty(0))
     right = distance < NEAR_M[listed.kind]
     said = right.copy()
@@ -139,19 +146,26 @@ def compare_curbs(line: I64, column: I64, things: list[Thing]) -> None:
     told = [one for one in things if one.kind == "curb"]
     for one in told:
         inside = (line >= one.first_line) & (line <= one.last_line)
-        inside &= (column >= one.first_column - CURB_COLUMNS) & (column <= one.last_column + CURB_COLUMNS)
+        inside &= (column >= one.first_column - CURB_COLUMNS) & (
+            column <= one.last_column + CURB_COLUMNS
+        )
         is_found |= inside
         n_lines += one.last_line - one.first_line + 1
         n_right += len(np.unique(line[inside]))
     recall = is_found.mean() if len(line) else float("nan")
     precision = n_right / n_lines if n_lines else float("nan")
-    print(f"| curb, along the lines |  | {len(told)} | {recall:.2f} | {precision:.2f} |  |  |", flush=True)
+    print(
+        f"| curb, along the lines |  | {len(told)} | {recall:.2f} | {precision:.2f} |  |  |",
+        flush=True,
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.objects", description=__doc__)
     parser.add_argument("--seed", type=int, default=921, help="of the first scene")
-    parser.add_argument("--streets", action="store_true", help="posts, cars and curbs of streets too")
+    parser.add_argument(
+        "--streets", action="store_true", help="posts, cars and curbs of streets too"
+    )
     parser.add_argument("--preset", help="default: the method is chosen")
     options = parser.parse_args()
     kinds: tuple[Kind, ...] = ("forest", "street") if options.streets else ("forest",)
@@ -160,7 +174,9 @@ def main() -> None:
             given = {"seed": options.seed + i, "scene": {"name": scene}, "length_m": LENGTH_M[kind]}
             settings = load_settings(kind, options=given)
             print(f"\n{kind}, {scene}, seed {options.seed + i}\n")
-            print("| within | seen | told | recall | precision | told per thing | distance, median [m] |")
+            print(
+                "| within | seen | told | recall | precision | told per thing | distance, median [m] |"
+            )
             print("|---|---:|---:|---:|---:|---:|---:|", flush=True)
             with tempfile.TemporaryDirectory() as name:
                 _one(kind, settings, Path(name), options.preset)
@@ -168,7 +184,12 @@ def main() -> None:
 
 def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
     scan, stems = folder / "scan.laz", folder / "stems.csv"
-    simulate(kind, scan, settings, beside=Beside(folder / "way.csv", stems=stems if kind == "forest" else None))
+    simulate(
+        kind,
+        scan,
+        settings,
+        beside=Beside(folder / "way.csv", stems=stems if kind == "forest" else None),
+    )
     things: list[Thing] = []
     config = load_config(preset=preset, options={"input": {"accept_doubts": list(CHECK_NAMES)}})
     find_objects(scan, None, config, each=things.append)
@@ -176,13 +197,17 @@ def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
     xyz, codes = np.asarray(las.xyz), np.asarray(las.classification)
     with (folder / "way.csv").open(encoding="utf-8") as handle:
         way = np.array([[float(row["x"]), float(row["y"])] for row in csv.DictReader(handle)])
-    lists = [trees(stems)] if kind == "forest" else [built("pole", settings), built("car", settings)]
+    lists = (
+        [trees(stems)] if kind == "forest" else [built("pole", settings), built("car", settings)]
+    )
     own = ClassCodes()
     for listed in lists:
         compare(listed, xyz[codes == own.code(Label[listed.kind.upper()])], things, way)
     if kind == "street":
         is_curb = codes == own.code(Label.CURB)
-        line, column = (np.asarray(las[name])[is_curb].astype(np.int64) for name in ("scan_line", "column"))
+        line, column = (
+            np.asarray(las[name])[is_curb].astype(np.int64) for name in ("scan_line", "column")
+        )
         compare_curbs(line, column, things)
 
 

@@ -38,7 +38,9 @@ PAGE = DOCS / "figures" / "odometry.md"
 PICTURE = DOCS / "images" / "odometry_paths.png"
 SEEDS, N_FRAMES = (71, 72, 73), 30
 STEP_DEG, TURNS_HZ = 0.4, 10.0
-CODE = {label.name.lower(): ClassCodes().code(label) for label in Label if label is not Label.MISSING}
+CODE = {
+    label.name.lower(): ClassCodes().code(label) for label in Label if label is not Label.MISSING
+}
 NOISE, STATIC = (CODE["noise"],), ("ground", "building", "pole")
 KEPT = tuple(CODE[name] for name in STATIC)
 TRUE_KEPT = (*KEPT, CODE["stem"], CODE["curb"])
@@ -61,7 +63,9 @@ SCENES = {
     "street, 16 rings": Scene("street", "vlp-16"),
     "street, 32 rings": Scene("street", "vlp-32c"),
     "street, 64 rings": Scene("street", "hdl-64e"),
-    "traffic, 32 rings": Scene("street", "vlp-32c", {"scene": {"cars_per_km": 40.0, "parked": 0.9}}),
+    "traffic, 32 rings": Scene(
+        "street", "vlp-32c", {"scene": {"cars_per_km": 40.0, "parked": 0.9}}
+    ),
     "snow, 32 rings": Scene("street", "vlp-32c", {"flake_m": 80.0}),
     "forest, 16 rings": Scene("forest", "vlp-16", {"trajectory": {"speed_m_s": 2.0}}),
 }
@@ -83,7 +87,10 @@ class Drive:
 
 def read_frames(folder: Path) -> list[F64]:
     """Return the points of KITTI's frames of a folder."""
-    return [np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(np.float64) for path in sorted(folder.glob("*.bin"))]
+    return [
+        np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+        for path in sorted(folder.glob("*.bin"))
+    ]
 
 
 def labelled(folder: Path) -> list[I64]:
@@ -100,12 +107,30 @@ def labelled(folder: Path) -> list[I64]:
 
 def make(scene: Scene, seed: int, n_frames: int, folder: Path) -> Drive:
     """Simulate a drive and label it."""
-    scanner = {"name": scene.scanner, "azimuth_step_deg": STEP_DEG, "line_hz": TURNS_HZ * 360.0 / STEP_DEG}
-    options = {"scanner": scanner, "seed": seed, "duration_s": n_frames / TURNS_HZ, "sight_m": 80.0, **scene.more}
+    scanner = {
+        "name": scene.scanner,
+        "azimuth_step_deg": STEP_DEG,
+        "line_hz": TURNS_HZ * 360.0 / STEP_DEG,
+    }
+    options = {
+        "scanner": scanner,
+        "seed": seed,
+        "duration_s": n_frames / TURNS_HZ,
+        "sight_m": 80.0,
+        **scene.more,
+    }
     settings = load_settings(scene.kind, options=options)
-    simulate(scene.kind, folder / "drive.npz", settings, beside=Beside(frames=folder / "frames"), threads=1)
+    simulate(
+        scene.kind,
+        folder / "drive.npz",
+        settings,
+        beside=Beside(frames=folder / "frames"),
+        threads=1,
+    )
     frames = folder / "frames"
-    true = [np.fromfile(path, "<u4").astype(np.int64) for path in sorted((frames / "labels").iterdir())]
+    true = [
+        np.fromfile(path, "<u4").astype(np.int64) for path in sorted((frames / "labels").iterdir())
+    ]
     poses = np.tile(np.eye(4), (len(true), 1, 1))
     poses[:, :3] = np.loadtxt(frames / "poses.txt").reshape(-1, 3, 4)
     velodyne = frames / "velodyne"
@@ -127,7 +152,9 @@ def only_static(*, is_true: bool = False) -> Frames:
     return lambda drive: _chosen(drive, lambda classes: np.isin(classes, kept), is_true=is_true)
 
 
-def _chosen(drive: Drive, choose: Callable[[I64], Any], *, is_true: bool) -> Iterator[tuple[F64, I64]]:
+def _chosen(
+    drive: Drive, choose: Callable[[I64], Any], *, is_true: bool
+) -> Iterator[tuple[F64, I64]]:
     for points, classes in zip(drive.points, drive.true if is_true else drive.found, strict=True):
         keep = choose(classes)
         yield points[keep], classes[keep]
@@ -151,7 +178,9 @@ def weighted(drive: Drive) -> Iterator[tuple[F64, I64]]:
         parts = [points[~np.isin(classes, tuple(COARSE_M))]]
         for code, edge_m in COARSE_M.items():
             if (mine := classes == code).any():
-                parts.append(np.array(small_gicp.voxelgrid_sampling(points[mine], edge_m).points()[:, :3]))
+                parts.append(
+                    np.array(small_gicp.voxelgrid_sampling(points[mine], edge_m).points()[:, :3])
+                )
         yield np.concatenate(parts), ONE_CLASS
 
 
@@ -183,10 +212,14 @@ MATCHED: dict[str, Frames] = {
     "− noise, class to class": but("noise"),
 }
 PLAN = {
-    **{(library, arm): frames for library in LIBRARIES for arm, frames in ARMS.items()
-       if library != "GenZ-ICP" or arm in FEW},
+    **{
+        (library, arm): frames
+        for library in LIBRARIES
+        for arm, frames in ARMS.items()
+        if library != "GenZ-ICP" or arm in FEW
+    },
     **{(CLASS_TO_CLASS, arm): frames for arm, frames in MATCHED.items()},
-}  # fmt: skip
+}
 """Frames by library and arm."""
 SLOW = ("GenZ-ICP", CLASS_TO_CLASS)
 """Libraries that take several times as long as the others: with the first seed alone."""
@@ -213,7 +246,12 @@ def runs_of(job: tuple[str, int, int, bool]) -> Result:
     return name, seed, found, drive.poses[:, :3, 3]
 
 
-MEASURES = (("ATE [m]", "ate_m", 3), ("RPE [m]", "rpe_m", 4), ("t_rel [%]", "t_rel", 2), ("r_rel [deg/m]", "r_rel", 3))
+MEASURES = (
+    ("ATE [m]", "ate_m", 3),
+    ("RPE [m]", "rpe_m", 4),
+    ("t_rel [%]", "t_rel", 2),
+    ("r_rel [deg/m]", "r_rel", 3),
+)
 
 
 def spread(values: list[float], digits: int) -> str:
@@ -229,11 +267,24 @@ def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
     """Return the table of a scene."""
     rows = []
     for (library, arm), seeds in runs.items():
-        cells = [spread([getattr(one, key) for one in seeds], digits) for _, key, digits in MEASURES]
+        cells = [
+            spread([getattr(one, key) for one in seeds], digits) for _, key, digits in MEASURES
+        ]
         failed = f"{sum(one.is_failed for one in seeds)} of {len(seeds)}"
-        means = (f"{np.mean([getattr(one, key) for one in seeds]):,.0f}" for key in ("ms", "points"))
+        means = (
+            f"{np.mean([getattr(one, key) for one in seeds]):,.0f}" for key in ("ms", "points")
+        )
         rows.append((f"{library}: {arm}", *cells, failed, *means))
-    return table(("library: points", *(name for name, *_ in MEASURES), "failed", "ms a frame", "points a frame"), rows)
+    return table(
+        (
+            "library: points",
+            *(name for name, *_ in MEASURES),
+            "failed",
+            "ms a frame",
+            "points a frame",
+        ),
+        rows,
+    )
 
 
 def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, digits: int) -> str:
@@ -241,9 +292,14 @@ def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, 
     rows = []
     for library, arm in PLAN:
         seeds = [runs.get((library, arm), []) for runs in every.values()]
-        cells = [f"{np.median([getattr(one, key) for one in scene]):.{digits}f}" if scene else "–" for scene in seeds]
+        cells = [
+            f"{np.median([getattr(one, key) for one in scene]):.{digits}f}" if scene else "–"
+            for scene in seeds
+        ]
         flat = [one for scene in seeds for one in scene]
-        rows.append((f"{library}: {arm}", *cells, f"{sum(one.is_failed for one in flat)} of {len(flat)}"))
+        rows.append(
+            (f"{library}: {arm}", *cells, f"{sum(one.is_failed for one in flat)} of {len(flat)}")
+        )
     return table(("library: points", *every, "failed"), rows)
 
 
@@ -291,9 +347,11 @@ def page(found: list[Result], n_frames: int, picture: Path) -> str:
         f"Median of the seeds (lowest–highest); {' and '.join(SLOW)}, which are slow, have the first seed alone.",
         "A run fails where it stops, or a pose is off by more than 2 m and 5 % of the way.",
         "Times are of one machine shared with other work: compare them within a table alone.\n",
-        "## ATE of all scenes [m]\n", summary_table(every, "ate_m", 3),
-        "## Time of a frame in all scenes [ms]\n", summary_table(every, "ms", 0),
-    ]  # fmt: skip
+        "## ATE of all scenes [m]\n",
+        summary_table(every, "ate_m", 3),
+        "## Time of a frame in all scenes [ms]\n",
+        summary_table(every, "ms", 0),
+    ]
     for name, runs_of_scene in every.items():
         parts += [f"## {name[0].upper()}{name[1:]}\n", scene_table(runs_of_scene)]
     return "\n".join(parts)
@@ -301,13 +359,17 @@ def page(found: list[Result], n_frames: int, picture: Path) -> str:
 
 def main() -> None:
     """Write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--frames", type=int, default=N_FRAMES, help="of a drive")
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--scenes", nargs="+", default=[""], help="names begin so; all by default")
     parser.add_argument("--jobs", type=int, default=2, help="drives at a time")
     parser.add_argument("--page", type=Path, default=PAGE)
-    parser.add_argument("--kitti", type=Path, help="run all arms over a folder of frames, without truth")
+    parser.add_argument(
+        "--kitti", type=Path, help="run all arms over a folder of frames, without truth"
+    )
     options = parser.parse_args()
     if options.kitti:
         smoke(options.kitti)

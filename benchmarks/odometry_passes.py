@@ -69,21 +69,38 @@ class Pass:
 def drive(kind: Kind, options: dict[str, Any], folder: Path, name: str) -> Pass:
     """Simulate a pass and label it."""
     path, way = folder / f"{name}.laz", folder / f"{name}.csv"
-    simulate(kind, path, load_settings(kind, options=options), beside=Beside(trajectory=way), threads=1)
+    simulate(
+        kind, path, load_settings(kind, options=options), beside=Beside(trajectory=way), threads=1
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         classify(path, folder / f"{name}.npy")
     las = laspy.read(path)
     with way.open(encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
-    time_s, *places = (np.array([float(row[key]) for row in rows]) for key in _columns(list(rows[0])))
-    codes = np.asarray(las.classification).astype(np.int64), np.load(folder / f"{name}.npy").ravel().astype(np.int64)
-    return Pass(path, np.asarray(las.xyz), np.asarray(las.gps_time), *codes, time_s, np.stack(places, axis=1))
+    time_s, *places = (
+        np.array([float(row[key]) for row in rows]) for key in _columns(list(rows[0]))
+    )
+    codes = (
+        np.asarray(las.classification).astype(np.int64),
+        np.load(folder / f"{name}.npy").ravel().astype(np.int64),
+    )
+    return Pass(
+        path,
+        np.asarray(las.xyz),
+        np.asarray(las.gps_time),
+        *codes,
+        time_s,
+        np.stack(places, axis=1),
+    )
 
 
 def _columns(names: list[str]) -> list[str]:
     """Return the columns of time and place."""
-    return [next(name for name in names if name.lower().startswith(axis)) for axis in ("t", "x", "y", "z")]
+    return [
+        next(name for name in names if name.lower().startswith(axis))
+        for axis in ("t", "x", "y", "z")
+    ]
 
 
 class Drift:
@@ -92,14 +109,19 @@ class Drift:
     def __init__(self, one: Pass, seed: int, start_m: float = 0.0, start_deg: float = 0.0) -> None:
         random = np.random.default_rng(seed)
         self._one, self._from_s = one, float(one.way_s[0])
-        self._acceleration, self._turn = random.normal(0.0, ACCELERATION), np.deg2rad(random.normal(0.0, TURN_DEG))
+        self._acceleration, self._turn = (
+            random.normal(0.0, ACCELERATION),
+            np.deg2rad(random.normal(0.0, TURN_DEG)),
+        )
         self._start_m = np.array([*random.uniform(-start_m, start_m, 2), 0.0])
         self._start = np.deg2rad(random.uniform(-start_deg, start_deg))
 
     def __call__(self, xyz_m: F64, time_s: F64) -> F64:
         """Return where points come to lie, (n, 3)."""
         one, after = self._one, time_s - self._from_s
-        place = np.stack([np.interp(time_s, one.way_s, one.way_m[:, axis]) for axis in range(3)], axis=1)
+        place = np.stack(
+            [np.interp(time_s, one.way_s, one.way_m[:, axis]) for axis in range(3)], axis=1
+        )
         upright = np.array([0.0, 0.0, 1.0])
         swung = Rotation.from_rotvec((self._turn * after)[:, None] * upright).apply(xyz_m - place)
         drifted = swung + place + 0.5 * self._acceleration * after[:, None] ** 2
@@ -109,8 +131,13 @@ class Drift:
 def icp(target_m: F64, source_m: F64) -> F64:
     """Return the matrix that brings points onto others, (4, 4)."""
     middle = target_m.mean(axis=0)
-    found = small_gicp.align(target_m - middle, source_m - middle, downsampling_resolution=DOWN_M,
-                             max_correspondence_distance=NEAR_M, max_iterations=50)  # fmt: skip
+    found = small_gicp.align(
+        target_m - middle,
+        source_m - middle,
+        downsampling_resolution=DOWN_M,
+        max_correspondence_distance=NEAR_M,
+        max_iterations=50,
+    )
     back, matrix = np.eye(4), np.array(found.T_target_source)
     back[:3, 3] = middle
     return back @ matrix @ np.linalg.inv(back)
@@ -132,7 +159,9 @@ STRIPS: dict[str, Choice] = {
     "− noise": lambda found, true: found != CODE["noise"],
     "− noise − cars": lambda found, true: ~np.isin(found, (CODE["noise"], CODE["car"])),
     "− noise − vegetation − cars": lambda found, true: ~np.isin(found, MOVABLE),
-    "random, as many as − noise − vegetation − cars": lambda found, true: _as_many(~np.isin(found, MOVABLE)),
+    "random, as many as − noise − vegetation − cars": lambda found, true: _as_many(
+        ~np.isin(found, MOVABLE)
+    ),
     "true labels: − noise − vegetation − cars": lambda found, true: ~np.isin(true, MOVABLE),
 }
 
@@ -143,24 +172,41 @@ def _as_many(mask: Any) -> Any:
 
 def strips(seed: int, length_m: float) -> dict[str, list[float]]:
     """Return how far the points of every strip of a street are off, before and after ICP, by arm [m]."""
-    common = {"seed": seed, "length_m": length_m, "scene": {"curves": 0.0, "cars_per_km": 40.0}, "sight_m": 60.0}
+    common = {
+        "seed": seed,
+        "length_m": length_m,
+        "scene": {"curves": 0.0, "cars_per_km": 40.0},
+        "sight_m": 60.0,
+    }
     with tempfile.TemporaryDirectory() as folder:
         first, second = (
-            drive("street", {**common, "trajectory": {"speed_m_s": speed, "stop_every_m": 0.0}}, Path(folder), name)
+            drive(
+                "street",
+                {**common, "trajectory": {"speed_m_s": speed, "stop_every_m": 0.0}},
+                Path(folder),
+                name,
+            )
             for name, speed in (("a", 8.33), ("b", 6.5))
         )
     drifted = Drift(second, seed)(second.xyz_m, second.time_s)
     result: dict[str, list[float]] = {"before": [], **{arm: [] for arm in STRIPS}}
     start = max(one.way_m[0, 0] for one in (first, second))
     for low in np.arange(start, start + length_m - STRIP_M / 2, STRIP_M):
-        ours, theirs = ((one.xyz_m[:, 0] >= low) & (one.xyz_m[:, 0] < low + STRIP_M) for one in (first, second))
-        near = np.abs(second.xyz_m[theirs, 1] - np.interp(low, second.way_m[:, 0], second.way_m[:, 1])) < 30.0
+        ours, theirs = (
+            (one.xyz_m[:, 0] >= low) & (one.xyz_m[:, 0] < low + STRIP_M) for one in (first, second)
+        )
+        near = (
+            np.abs(second.xyz_m[theirs, 1] - np.interp(low, second.way_m[:, 0], second.way_m[:, 1]))
+            < 30.0
+        )
         judged = np.flatnonzero(theirs)[near & ~np.isin(second.true[theirs], MOVABLE)]
         result["before"].append(off(drifted[judged], second.xyz_m[judged]))
         for arm, choose in STRIPS.items():
             target = first.xyz_m[ours][choose(first.found[ours], first.true[ours])]
             source = drifted[theirs][choose(second.found[theirs], second.true[theirs])]
-            result[arm].append(off(moved(icp(target, source), drifted[judged]), second.xyz_m[judged]))
+            result[arm].append(
+                off(moved(icp(target, source), drifted[judged]), second.xyz_m[judged])
+            )
     return result
 
 
@@ -182,7 +228,9 @@ def stems_of(one: Pass, folder: Path) -> tuple[F64, F64]:
 
 def _rigid(source_m: F64, target_m: F64) -> F64:
     """Return the matrix that brings points onto their partners best, (4, 4)."""
-    turn, _ = Rotation.align_vectors(target_m - target_m.mean(axis=0), source_m - source_m.mean(axis=0))
+    turn, _ = Rotation.align_vectors(
+        target_m - target_m.mean(axis=0), source_m - source_m.mean(axis=0)
+    )
     found = np.eye(4)
     found[:3, :3] = turn.as_matrix()
     found[:3, 3] = target_m.mean(axis=0) - turn.apply(source_m.mean(axis=0))
@@ -232,7 +280,10 @@ def forest(seed: int, length_m: float) -> dict[str, float]:
         # stems tell nothing of the height
         return off(moved(matrix, way)[:, :2], second.way_m[:, :2])
 
-    result = {"before": apart(np.eye(4)), "best of all rigid moves": apart(_rigid(way, second.way_m))}
+    result = {
+        "before": apart(np.eye(4)),
+        "best of all rigid moves": apart(_rigid(way, second.way_m)),
+    }
     chosen: dict[str, Callable[[I64], Any]] = {
         "ICP, all points": lambda codes: np.ones(len(codes), np.bool_),
         "ICP, − noise": lambda codes: codes != CODE["noise"],
@@ -245,7 +296,11 @@ def forest(seed: int, length_m: float) -> dict[str, float]:
     return {**result, "stems, first pass": len(ours), "stems, second pass": len(theirs)}
 
 
-def page(of_seeds: list[tuple[int, dict[str, list[float]], dict[str, float]]], street_m: float, walk_m: float) -> str:
+def page(
+    of_seeds: list[tuple[int, dict[str, list[float]], dict[str, float]]],
+    street_m: float,
+    walk_m: float,
+) -> str:
     """Return the page of what every seed gave: strips and walk."""
     seeds = [seed for seed, _, _ in of_seeds]
     found: dict[str, list[float]] = {}
@@ -257,26 +312,40 @@ def page(of_seeds: list[tuple[int, dict[str, list[float]], dict[str, float]]], s
             walks.setdefault(arm, []).append(value)
     rows = [(arm, spread(values, 3), str(len(values))) for arm, values in found.items()]
     of_walks = [
-        (arm, *(f"{value:.0f}" if arm.startswith("stems,") else "none found" if np.isnan(value) else f"{value:.3f}"
-                for value in values)) for arm, values in walks.items()
-    ]  # fmt: skip
-    return "\n".join((
-        "<!-- written by python -m benchmarks.odometry_passes; do not edit -->\n\n# Figures of two passes\n",
-        f"`python -m benchmarks.odometry_passes --streets {street_m:g} --walk {walk_m:g}"
-        f" --seeds {' '.join(map(str, seeds))}`\n",
-        "Streets are of a Photon 80, walks of a Focus3D.\n",
-        "## Strips of a street\n",
-        f"How far what stands still is off in strips of {STRIP_M:g} m, root mean square [m]: median (least–most).\n",
-        table(("points", "off [m]", "strips"), rows),
-        "## Walks in a forest\n",
-        "How far the second pass's trajectory is off in x and y, root mean square [m], and stems of prc objects.\n",
-        table(("way", *(f"seed {seed}" for seed in seeds)), of_walks),
-    ))  # fmt: skip
+        (
+            arm,
+            *(
+                f"{value:.0f}"
+                if arm.startswith("stems,")
+                else "none found"
+                if np.isnan(value)
+                else f"{value:.3f}"
+                for value in values
+            ),
+        )
+        for arm, values in walks.items()
+    ]
+    return "\n".join(
+        (
+            "<!-- written by python -m benchmarks.odometry_passes; do not edit -->\n\n# Figures of two passes\n",
+            f"`python -m benchmarks.odometry_passes --streets {street_m:g} --walk {walk_m:g}"
+            f" --seeds {' '.join(map(str, seeds))}`\n",
+            "Streets are of a Photon 80, walks of a Focus3D.\n",
+            "## Strips of a street\n",
+            f"How far what stands still is off in strips of {STRIP_M:g} m, root mean square [m]: median (least–most).\n",
+            table(("points", "off [m]", "strips"), rows),
+            "## Walks in a forest\n",
+            "How far the second pass's trajectory is off in x and y, root mean square [m], and stems of prc objects.\n",
+            table(("way", *(f"seed {seed}" for seed in seeds)), of_walks),
+        )
+    )
 
 
 def main() -> None:
     """Write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--streets", type=float, default=STREET_M, help="length of a street [m]")
     parser.add_argument("--walk", type=float, default=WALK_M, help="length of a walk [m]")

@@ -100,7 +100,9 @@ class ClassToClass:
             before, self.pose = self.pose, self._aligned(own, self.pose @ self.delta)
             self.delta = np.linalg.inv(before) @ self.pose
         turn, shift = self.pose[:3, :3], self.pose[:3, 3]
-        self.kept.append({one: (xyz @ turn.T + shift, normal @ turn.T) for one, (xyz, normal) in own.items()})
+        self.kept.append(
+            {one: (xyz @ turn.T + shift, normal @ turn.T) for one, (xyz, normal) in own.items()}
+        )
         return self.pose
 
     def _aligned(self, own: dict[int, tuple[F64, F64]], pose: F64) -> F64:
@@ -122,7 +124,9 @@ class ClassToClass:
                 apart.append(((moved - at) * up).sum(axis=1))
             rows, off = np.concatenate(lines), np.concatenate(apart)
             weight = 1.0 / (1.0 + (off / 0.1) ** 2)
-            step = -np.linalg.lstsq(rows.T @ (rows * weight[:, None]), rows.T @ (off * weight), rcond=None)[0]
+            step = -np.linalg.lstsq(
+                rows.T @ (rows * weight[:, None]), rows.T @ (off * weight), rcond=None
+            )[0]
             pose = pose.copy()
             pose[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ pose[:3, :3]
             pose[:3, 3] += step[3:]
@@ -191,7 +195,9 @@ def run(name: str, frames: Iterable[tuple[F64, I64]], truth: F64) -> Run:
     is_failed = n < len(truth) or bool(away.max() > max(FAILED_M, FAILED_SHARE * way_m))
     if n < 10:
         return Run(*[float("nan")] * 4, True, ms, mean, found[:, :3, 3])
-    return Run(*_evo(truth[:n], found), *_kitti(truth[:n], found), is_failed, ms, mean, found[:, :3, 3])
+    return Run(
+        *_evo(truth[:n], found), *_kitti(truth[:n], found), is_failed, ms, mean, found[:, :3, 3]
+    )
 
 
 def _evo(truth: F64, found: F64) -> tuple[float, float]:
@@ -214,7 +220,9 @@ def _rigid(pose: F64) -> F64:
 
 def _kitti(truth: F64, found: F64) -> tuple[float, float]:
     """Return the mean errors of parts of the way that begin at every frame: translation [%], rotation [deg/m]."""
-    way_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))])
+    way_m = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))]
+    )
     shift, turn = [], []
     for length_m in PARTS_M:
         for first in range(len(truth)):
@@ -224,5 +232,7 @@ def _kitti(truth: F64, found: F64) -> tuple[float, float]:
             moves = [np.linalg.inv(poses[first]) @ poses[last] for poses in (truth, found)]
             error = np.linalg.inv(moves[1]) @ moves[0]
             shift.append(100 * np.linalg.norm(error[:3, 3]) / length_m)
-            turn.append(np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1))) / length_m)
+            turn.append(
+                np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1))) / length_m
+            )
     return (float(np.mean(shift)), float(np.mean(turn))) if shift else (float("nan"), float("nan"))

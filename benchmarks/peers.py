@@ -82,8 +82,17 @@ def main() -> None:
         "checkerboard": checkerboard(*SHAPE),
         "spiral": spiral(*SHAPE, width=1, gap=1),
     }
-    for title, jobs in (("4-connected components", labellers()), ("two dilations with the cross", dilations())):
-        print(f"\n| {title} [ns a pixel] | " + " | ".join(images) + " |\n|---" * 1 + "|---" * len(images) + "|")
+    for title, jobs in (
+        ("4-connected components", labellers()),
+        ("two dilations with the cross", dilations()),
+    ):
+        print(
+            f"\n| {title} [ns a pixel] | "
+            + " | ".join(images)
+            + " |\n|---" * 1
+            + "|---" * len(images)
+            + "|"
+        )
         for name, job in jobs.items():
             times = []
             for image in images.values():

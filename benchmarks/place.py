@@ -27,13 +27,23 @@ def scans(seed: int) -> Iterator[tuple[str, str, F32, F64]]:
     """Yield name, true kind, ranges [m] and beam angles from straight down [rad] of every scan."""
     for source in sources("held-out", seed):
         scan = source.make()
-        yield source.name, "forest" if scan.mapping == "forest" else "street", scan.range_m, scan.angle_rad
+        yield (
+            source.name,
+            "forest" if scan.mapping == "forest" else "street",
+            scan.range_m,
+            scan.angle_rad,
+        )
     if (data.DATA / "oakland").exists():
         scan = data.oakland(1)
         yield "Oakland strip 1", "street", scan.range_m, scan.angle_rad
     if (data.DATA / PARK).exists():
         with np.load(data.DATA / PARK) as park:
-            yield "park (VZ-400i)", "park", park["range_m"], np.pi - np.deg2rad(park["zenith_deg"].astype(np.float64))
+            yield (
+                "park (VZ-400i)",
+                "park",
+                park["range_m"],
+                np.pi - np.deg2rad(park["zenith_deg"].astype(np.float64)),
+            )
 
 
 def main() -> None:
@@ -47,7 +57,9 @@ def main() -> None:
         starts = range(0, max(len(range_m) - SAMPLE_LINES, 0) + 1, SAMPLE_LINES)
         found = Counter(place_of(range_m[a : a + SAMPLE_LINES], beam).kind for a in starts)
         total.update({(true, kind): n for kind, n in found.items()})
-        print(f"| {name} | {found['street']} | {found['forest']} | {found['unknown']} |", flush=True)
+        print(
+            f"| {name} | {found['street']} | {found['forest']} | {found['unknown']} |", flush=True
+        )
     for true in ("street", "forest", "park"):
         row = " | ".join(str(total[true, kind]) for kind in ("street", "forest", "unknown"))
         print(f"| **all: {true}** | {row} |")

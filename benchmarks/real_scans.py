@@ -20,7 +20,14 @@ from prc_cli.evaluation.reports import as_markdown
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
-from tests.profiler import jakarto, jakarto_input, placed, scanner_positions, steps_apart, write_trajectory
+from tests.profiler import (
+    jakarto,
+    jakarto_input,
+    placed,
+    scanner_positions,
+    steps_apart,
+    write_trajectory,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
@@ -31,7 +38,11 @@ def oakland(folder: Path) -> None:
     """Three labelled strips with the published and the adapted parameters."""
     for title, config, option in (
         ("published urban parameters", load_config(preset="urban"), "--preset urban"),
-        ("parameters for this sensor", load_config(SICK), "--config sample_configs/sick_push_broom.toml"),
+        (
+            "parameters for this sensor",
+            load_config(SICK),
+            "--config sample_configs/sick_push_broom.toml",
+        ),
     ):
         print(f"## Oakland, {title}\n")
         for strip in (1, 2, 3):
@@ -41,7 +52,9 @@ def oakland(folder: Path) -> None:
             classify(source, labels, config, overwrite=True)
             print(f"### Strip {strip}\n")
             print(f"```console\n$ prc classify {source.name} {name}.npy {option}")
-            print(f"$ prc evaluate {name}.npy {source.name} --mapping oakland --format markdown\n```\n")
+            print(
+                f"$ prc evaluate {name}.npy {source.name} --mapping oakland --format markdown\n```\n"
+            )
             print(as_markdown(evaluate(labels, source, "oakland")))
 
 
@@ -49,15 +62,24 @@ def forest(folder: Path) -> None:
     """The unlabelled park scan: class shares."""
     source = DATA / "forest" / "tls_park.npz"
     codes = ClassCodes().names()
-    print("## Park, forest preset\n\n```console\n$ prc classify tls_park.npz tls_park.npy --preset forest\n```\n")
+    print(
+        "## Park, forest preset\n\n```console\n$ prc classify tls_park.npz tls_park.npy --preset forest\n```\n"
+    )
     print("| zeta_s, zeta_p | noise | ground | stem | vegetation |\n|---|---|---|---|---|")
     for zeta_s, zeta_p in ((0.01, 0.01), (1.0, 0.1)):
         options = {"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
-        classify(source, folder / "park.npy", load_config(preset="forest", options=options), overwrite=True)
+        classify(
+            source,
+            folder / "park.npy",
+            load_config(preset="forest", options=options),
+            overwrite=True,
+        )
         labels = np.load(folder / "park.npy")
         counts = np.bincount(labels[labels > 0], minlength=256)
         names = {name: counts[code] / counts.sum() for code, name in codes.items()}
-        shares = " | ".join(f"{names[name]:.1%}" for name in ("noise", "ground", "stem", "vegetation"))
+        shares = " | ".join(
+            f"{names[name]:.1%}" for name in ("noise", "ground", "stem", "vegetation")
+        )
         print(f"| {zeta_s} m, {zeta_p} m | {shares} |")
 
 
@@ -67,7 +89,9 @@ def profiler(folder: Path) -> None:
     las = laspy.read(source)
     write_trajectory(folder / "drive.csv", scanner_positions(las, recovered))
     inputs = jakarto_input(folder / "drive.csv")
-    line, column, range_m, n_cells = placed(source, load_config(options={"input": inputs}), len(las))
+    line, column, range_m, n_cells = placed(
+        source, load_config(options={"input": inputs}), len(las)
+    )
     steps = steps_apart(line, column, recovered)
     print("## Profiler sample\n\n```console")
     lines, columns = inputs["lines"], inputs["columns"]
@@ -80,7 +104,10 @@ def profiler(folder: Path) -> None:
         what = "same cell" if not distance else f"at most {distance} shots beside it"
         print(f"| {what} | {(steps <= distance).mean():.1%} |")
     difference = np.abs(range_m - recovered["range_m"])
-    print(f"| range difference, median and 99th percentile | {np.nanmedian(difference) * 1000:.1f} mm, ", end="")
+    print(
+        f"| range difference, median and 99th percentile | {np.nanmedian(difference) * 1000:.1f} mm, ",
+        end="",
+    )
     print(f"{np.nanpercentile(difference, 99) * 1000:.1f} mm |\n")
 
 
@@ -95,14 +122,20 @@ def strip(folder: Path) -> None:
     print("| | |\n|---|---|")
     print(f"| lines by the wrap of the scan angle | {found.facts.n_lines} |")
     print(f"| line frequency from the times of the lines | {found.facts.line_hz:.3f} Hz |")
-    print(f"| line periods between the first and the last record after the stray start | {np.ptp(time_s) * 150:.1f} |")
+    print(
+        f"| line periods between the first and the last record after the stray start | {np.ptp(time_s) * 150:.1f} |"
+    )
     degrees = np.asarray(las.scan_angle) * 0.006
-    print(f"| jumps back of the scan angle by more than 2° | {np.count_nonzero(np.diff(degrees) > 2)} |\n")
+    print(
+        f"| jumps back of the scan angle by more than 2° | {np.count_nonzero(np.diff(degrees) > 2)} |\n"
+    )
 
 
 def main() -> None:
     """Print all tables."""
-    print("<!-- written by python -m benchmarks.real_scans; do not edit -->\n\n# Tables of real scans\n")
+    print(
+        "<!-- written by python -m benchmarks.real_scans; do not edit -->\n\n# Tables of real scans\n"
+    )
     with tempfile.TemporaryDirectory() as name:
         profiler(Path(name))
         strip(Path(name))

@@ -158,7 +158,16 @@ class Cloud:
 
     def take(self, index: I64 | Mask) -> Cloud:
         """Return some of the points, or another order of them."""
-        arrays = ("xyz_m", "time_s", "truth", "record", "intensity", "return_number", "n_returns", "scanner")
+        arrays = (
+            "xyz_m",
+            "time_s",
+            "truth",
+            "record",
+            "intensity",
+            "return_number",
+            "n_returns",
+            "scanner",
+        )
         return replace(self, **{name: getattr(self, name)[index] for name in arrays})
 
 
@@ -196,7 +205,17 @@ class Drive:
         if not path.exists():
             own = work / f"{self.name}_own.csv"
             settings = ("--scanner", self.scanner, "--duration", self.seconds, "--seed", self.seed)
-            _must("simulate", self.kind, raw, *settings, "--trajectory", own, *self.options, "-q", "--overwrite")
+            _must(
+                "simulate",
+                self.kind,
+                raw,
+                *settings,
+                "--trajectory",
+                own,
+                *self.options,
+                "-q",
+                "--overwrite",
+            )
             _move_path(own, path)
         las = laspy.read(raw)
         n = len(las.points)
@@ -308,7 +327,9 @@ def part(points: Path, cloud: Cloud, raw: Path | None = None, *, options: Option
     """Return a cloud that is compared with its whole raw stream, or with another one."""
     reference = Reference(cloud.raw if raw is None else raw)
     path = cloud.path
-    return Part(write_cloud(points, cloud), cloud.truth, (reference,), (cloud.record,), path, options)
+    return Part(
+        write_cloud(points, cloud), cloud.truth, (reference,), (cloud.record,), path, options
+    )
 
 
 def masked(points: Path, cloud: Cloud, name: str, *, options: Options = POINTS) -> Part:
@@ -341,7 +362,9 @@ def scores(codes: U8, truth: U8) -> dict[str, float]:
 def _merged(codes: U8, truth: U8) -> U8:
     codes = np.where(codes == CURB, KINDS["ground"], codes).astype(np.uint8)
     has_stems = bool((truth == STEM).any())
-    return codes if has_stems else np.where(codes == STEM, KINDS["vegetation"], codes).astype(np.uint8)
+    return (
+        codes if has_stems else np.where(codes == STEM, KINDS["vegetation"], codes).astype(np.uint8)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,7 +385,9 @@ def path_error(found: Path, true: Path) -> PathError:
     rows = rows[inside]
     if not len(rows):
         return PathError(float("nan"), float("nan"), 0.0)
-    expected = np.stack([np.interp(rows[:, 0], truth[:, 0], truth[:, 1 + axis]) for axis in range(3)], axis=1)
+    expected = np.stack(
+        [np.interp(rows[:, 0], truth[:, 0], truth[:, 1 + axis]) for axis in range(3)], axis=1
+    )
     off_m = np.linalg.norm(rows[:, 1:] - expected, axis=1)
     covered = np.ptp(rows[:, 0]) / np.ptp(truth[:, 0])
     return PathError(float(np.median(off_m)), float(np.quantile(off_m, 0.95)), float(covered))
@@ -434,7 +459,9 @@ def run_case(case: Case, work: Path, output: Path) -> Row:
     truths = [piece.truth for piece in parts if piece.truth is not None]
     if wanted:
         row.raw = scores(np.concatenate(wanted), np.concatenate(truths))
-    whole = [piece.whole[0].labels()[0][piece.whole[1]] for piece in parts if piece.whole is not None]
+    whole = [
+        piece.whole[0].labels()[0][piece.whole[1]] for piece in parts if piece.whole is not None
+    ]
     if whole:
         row.whole = scores(np.concatenate(whole), np.concatenate(truths))
     _measure_path(case, max(parts, key=lambda piece: piece.points.stat().st_size), row, output)
@@ -474,7 +501,9 @@ def _classify(parts: Sequence[Part], row: Row, output: Path) -> list[U8 | None]:
 
 def _classify_drive(parts: Sequence[Part], row: Row, output: Path) -> list[U8 | None]:
     folder = parts[0].points.parent
-    run = prc("batch", folder, output / "out", "--drive", "tile_*.laz", *parts[0].options, "--to", "npy")
+    run = prc(
+        "batch", folder, output / "out", "--drive", "tile_*.laz", *parts[0].options, "--to", "npy"
+    )
     row.runs.append(run)
     paths = [output / "out" / f"{piece.points.name}.labels.npy" for piece in parts]
     return [np.load(path).ravel() if path.exists() else None for path in paths]
@@ -524,13 +553,19 @@ DRIVES = {
         Drive("hdl-64e", "hdl-64e", 1.5, 5107),
         Drive("forest", "focus3d-120", 4.0, 5108, "forest"),
         Drive("field", "photon-80", 8.0, 5109, options=("--sight", "25", *FIELD)),
-        Drive("standing", "photon-80", 18.0, 5110, options=("--speed", "4", "--set", "trajectory.stop_every_m=45")),
+        Drive(
+            "standing",
+            "photon-80",
+            18.0,
+            5110,
+            options=("--speed", "4", "--set", "trajectory.stop_every_m=45"),
+        ),
         Drive("first_pass", "photon-80", 8.0, 5111),
         Drive("second_pass", "photon-80", 10.0, 5111, options=("--speed", "6")),
         Drive("left", "photon-80", 6.0, 5112, options=("--mount-heading", "45")),
         Drive("right", "photon-80", 6.0, 5112, options=("--mount-heading", "-45")),
     )
-}  # fmt: skip
+}
 
 
 def whole(name: str, work: Path) -> list[Part]:
@@ -580,7 +615,8 @@ def tiles_as_drive(name: str, work: Path) -> list[Part]:
     raw = part_of(cloud.raw, kept, "all_tiles")
     folder = work / f"{name}_tiles"
     return [
-        part(folder / f"{tile}.laz", replace(own, record=np.searchsorted(kept, own.record)), raw) for tile, own in cut
+        part(folder / f"{tile}.laz", replace(own, record=np.searchsorted(kept, own.record)), raw)
+        for tile, own in cut
     ]
 
 
@@ -612,7 +648,8 @@ def as_ply(name: str, work: Path) -> list[Part]:
     path = work / f"{name}_points.ply"
     if not path.exists():
         rows = np.zeros(
-            len(cloud.time_s), np.dtype([(field_name, "<f8") for field_name in ("x", "y", "z", "GPS_time")])
+            len(cloud.time_s),
+            np.dtype([(field_name, "<f8") for field_name in ("x", "y", "z", "GPS_time")]),
         )
         rows["x"], rows["y"], rows["z"] = cloud.xyz_m.T
         rows["GPS_time"] = cloud.time_s
@@ -666,7 +703,9 @@ def one_in_5_cm(cloud: Cloud) -> I64:
 def moved_half(cloud: Cloud) -> Cloud:
     """Move the second half of the drive by the height of a geoid, as after a change of the datum."""
     late = cloud.time_s > np.median(cloud.time_s)
-    return replace(cloud, xyz_m=cloud.xyz_m + np.where(late, 45.0, 0.0)[:, None] * np.array([0.0, 0.0, 1.0]))
+    return replace(
+        cloud, xyz_m=cloud.xyz_m + np.where(late, 45.0, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+    )
 
 
 def adjusted(cloud: Cloud) -> Cloud:
@@ -675,12 +714,16 @@ def adjusted(cloud: Cloud) -> Cloud:
     return replace(cloud, xyz_m=cloud.xyz_m + 0.03 * np.sin(2.0 * np.pi * phase))
 
 
-def joined(clouds: Sequence[Cloud], points: Path, order: Callable[[Cloud], I64] | None, word: str) -> list[Part]:
+def joined(
+    clouds: Sequence[Cloud], points: Path, order: Callable[[Cloud], I64] | None, word: str
+) -> list[Part]:
     """Return several clouds in one file, compared with the raw stream of each."""
     arrays = ("xyz_m", "time_s", "truth", "intensity", "return_number", "n_returns", "scanner")
     merged = {name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in arrays}
     number = np.repeat(np.arange(len(clouds)), [len(cloud.time_s) for cloud in clouds])
-    record = np.concatenate([np.searchsorted(np.sort(cloud.record), cloud.record) for cloud in clouds])
+    record = np.concatenate(
+        [np.searchsorted(np.sort(cloud.record), cloud.record) for cloud in clouds]
+    )
     both = replace(clouds[0], **merged, record=np.arange(len(number)))
     index = np.arange(len(number)) if order is None else order(both)
     both, number, record = both.take(index), number[index], record[index]
@@ -696,7 +739,9 @@ def two_passes(work: Path) -> list[Part]:
     corner = np.floor(np.median(first.xyz_m[:, :2], axis=0)) - TILE_M / 2
 
     def inside(cloud: Cloud) -> Cloud:
-        return cloud.take(((cloud.xyz_m[:, :2] >= corner) & (cloud.xyz_m[:, :2] < corner + TILE_M)).all(axis=1))
+        return cloud.take(
+            ((cloud.xyz_m[:, :2] >= corner) & (cloud.xyz_m[:, :2] < corner + TILE_M)).all(axis=1)
+        )
 
     def order(cloud: Cloud) -> I64:
         return in_space(cloud).record
@@ -708,7 +753,9 @@ def two_profilers(is_numbered: bool, work: Path) -> list[Part]:
     """Return the clouds of two scanners of one vehicle in one file, sorted by time."""
     clouds = [DRIVES[name].cloud(work) for name in ("left", "right")]
     if is_numbered:
-        clouds = [replace(cloud, scanner=cloud.scanner + k) for k, cloud in enumerate(clouds, start=1)]
+        clouds = [
+            replace(cloud, scanner=cloud.scanner + k) for k, cloud in enumerate(clouds, start=1)
+        ]
     # the heads are not in phase
     clouds[1] = replace(clouds[1], time_s=clouds[1].time_s + 0.0031)
     word = "numbered" if is_numbered else "not_numbered"
@@ -758,11 +805,26 @@ def sharp_turn(work: Path) -> list[Part]:
         world = np.concatenate([item.world_m for item in items if item.world_m is not None])
         np.savez(extra, truth=truth, world=world, time_s=time_s)
     with np.load(extra) as arrays:
-        world, time_s, truth = arrays["world"].reshape(-1, 3), arrays["time_s"].ravel(), arrays["truth"].ravel()
+        world, time_s, truth = (
+            arrays["world"].reshape(-1, 3),
+            arrays["time_s"].ravel(),
+            arrays["truth"].ravel(),
+        )
     there = np.flatnonzero(np.isfinite(world[:, 0]))
     one = np.ones(len(there), np.int64)
     codes = truth[there].astype(np.uint8)
-    cloud = Cloud(world[there] + PLACE_M, time_s[there] + CLOCK_S, codes, raw, there, path, one, one, one, 0 * one)
+    cloud = Cloud(
+        world[there] + PLACE_M,
+        time_s[there] + CLOCK_S,
+        codes,
+        raw,
+        there,
+        path,
+        one,
+        one,
+        one,
+        0 * one,
+    )
     return [part(work / "sharp_turn_points.laz", cloud)]
 
 
@@ -787,11 +849,24 @@ def riegl(work: Path) -> list[Part]:
     rows = np.concatenate([_ply_rows(DATA / name) for name in RIEGL])
     if not labels.exists():
         _must("classify", *(DATA / name for name in RIEGL), labels, "--return", "first")
-    own = np.concatenate([np.load(labels / f"{Path(name).name}.labels.npy").ravel() for name in RIEGL])
+    own = np.concatenate(
+        [np.load(labels / f"{Path(name).name}.labels.npy").ravel() for name in RIEGL]
+    )
     n = len(rows)
     none = np.zeros(n, np.int64)
     xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    cloud = Cloud(xyz, rows["GPS_time"].astype(np.float64), own, points, np.arange(n), points, none, none, none, none)
+    cloud = Cloud(
+        xyz,
+        rows["GPS_time"].astype(np.float64),
+        own,
+        points,
+        np.arange(n),
+        points,
+        none,
+        none,
+        none,
+        none,
+    )
     path = work / "riegl_path.csv"
     with np.load(DATA / "registered" / "riegl_mirror_centre.npz") as arrays:
         table = np.column_stack([arrays["gps_time"], arrays["centre"]])
@@ -805,8 +880,18 @@ def _ply_rows(path: Path) -> np.ndarray[Any, Any]:
     head, _, body = data.partition(b"end_header\n")
     lines = head.decode().splitlines()
     order = ">" if "big_endian" in lines[1] else "<"
-    kinds = {"double": "f8", "float": "f4", "float32": "f4", "float64": "f8", "int": "i4", "uchar": "u1", "uint8": "u1",
-             "ushort": "u2", "uint": "u4", "int32": "i4"}  # fmt: skip
+    kinds = {
+        "double": "f8",
+        "float": "f4",
+        "float32": "f4",
+        "float64": "f8",
+        "int": "i4",
+        "uchar": "u1",
+        "uint8": "u1",
+        "ushort": "u2",
+        "uint": "u4",
+        "int32": "i4",
+    }
     properties = [line.split() for line in lines if line.startswith("property")]
     kind = np.dtype([(words[2], order + kinds[words[1]]) for words in properties])
     count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
@@ -830,8 +915,14 @@ CASES: tuple[tuple[str, tuple[Case, ...]], ...] = (
         tuple(
             Case(f"drive {name}", partial(whole, name), limit)
             for name, limit in (
-                ("photon", 0.005), ("focus3d", 0.005), ("sick", 0.005), ("profiler", 0.005), ("vlp-16", 0.02),
-                ("vlp-32c", 0.02), ("hdl-64e", 0.02), ("forest", 0.01),
+                ("photon", 0.005),
+                ("focus3d", 0.005),
+                ("sick", 0.005),
+                ("profiler", 0.005),
+                ("vlp-16", 0.02),
+                ("vlp-32c", 0.02),
+                ("hdl-64e", 0.02),
+                ("forest", 0.01),
             )
         ),
     ),
@@ -851,8 +942,12 @@ CASES: tuple[tuple[str, tuple[Case, ...]], ...] = (
             Case("tiles profiler", partial(tiles, "profiler")),
             Case("tiles vlp-16", partial(tiles, "vlp-16")),
             Case("tiles as drive photon", partial(tiles_as_drive, "photon"), 0.005, as_drive=True),
-            Case("tiles as drive profiler", partial(tiles_as_drive, "profiler"), 0.005, as_drive=True),
-            Case("tiles that halve the street", partial(halves_of_street, "photon"), may_doubt=True),
+            Case(
+                "tiles as drive profiler", partial(tiles_as_drive, "profiler"), 0.005, as_drive=True
+            ),
+            Case(
+                "tiles that halve the street", partial(halves_of_street, "photon"), may_doubt=True
+            ),
             Case("tile with trajectory", partial(tile_with_trajectory, "photon")),
         ),
     ),
@@ -872,44 +967,81 @@ CASES: tuple[tuple[str, tuple[Case, ...]], ...] = (
                 for step_us in (1, 10, 100)
             ),
             Case("half deleted", partial(thinned, "photon", half, "half"), may_doubt=True),
-            Case("noise deleted", partial(thinned, "photon", without_noise, "no_noise"), may_doubt=True),
+            Case(
+                "noise deleted",
+                partial(thinned, "photon", without_noise, "no_noise"),
+                may_doubt=True,
+            ),
             Case("5 cm thinning", partial(thinned, "photon", one_in_5_cm, "5cm"), may_doubt=True),
             Case("two passes in a tile", two_passes, may_doubt=True),
             *(
-                Case(f"unit {unit}", partial(changed, "photon", partial(scaled, factor), unit), may_doubt=True)
+                Case(
+                    f"unit {unit}",
+                    partial(changed, "photon", partial(scaled, factor), unit),
+                    may_doubt=True,
+                )
                 for unit, factor in (("mm", 1000.0), ("cm", 100.0), ("feet", 1 / 0.3048))
             ),
             Case("strip adjustment", partial(changed, "photon", adjusted, "adjusted")),
-            Case("another datum from half on", partial(changed, "photon", moved_half, "datum"), may_doubt=True),
+            Case(
+                "another datum from half on",
+                partial(changed, "photon", moved_half, "datum"),
+                may_doubt=True,
+            ),
             Case("two profilers, numbered", partial(two_profilers, True)),
             Case("two profilers, no number", partial(two_profilers, False), may_doubt=True),
             Case("airborne strip", partial(real, "las/als_strip_labelled.laz"), must_doubt=True),
             Case("airborne profiler", partial(real, "registered/UAS_Clip.laz"), must_doubt=True),
             Case("handheld", partial(real, "registered/dbh.laz"), must_doubt=True),
             Case("one plane", partial(real, "las/plane.laz"), must_doubt=True),
-            Case("airborne tile", partial(real, "las/ign_tile_not_chronological.laz"), must_doubt=True),
+            Case(
+                "airborne tile",
+                partial(real, "las/ign_tile_not_chronological.laz"),
+                must_doubt=True,
+            ),
         ),
     ),
     (
         "Real files",
         (
             Case("riegl", riegl, 0.01),
-            Case("jakarto", partial(real, "profiler/jakarto_0.02s.las"), check=jakarto_path, may_doubt=True),
-            Case("two heads, leaping clock", partial(real, "las/mls_not_in_time_order.las"), must_doubt=True),
+            Case(
+                "jakarto",
+                partial(real, "profiler/jakarto_0.02s.las"),
+                check=jakarto_path,
+                may_doubt=True,
+            ),
+            Case(
+                "two heads, leaping clock",
+                partial(real, "las/mls_not_in_time_order.las"),
+                must_doubt=True,
+            ),
         ),
     ),
-)  # fmt: skip
+)
 
 
 # The page
 
 
 HEADER = (
-    "case", "verdict", "macro whole", "macro raw", "macro points", "loss", "same labels", *KINDS,
+    "case",
+    "verdict",
+    "macro whole",
+    "macro raw",
+    "macro points",
+    "loss",
+    "same labels",
+    *KINDS,
     "path, median / 95 % [m]",
-    "covered", "CPU [s]", "M points a CPU second", "MiB", "info proposes points",
-    "info CPU [s]", "info with points CPU [s]",
-)  # fmt: skip
+    "covered",
+    "CPU [s]",
+    "M points a CPU second",
+    "MiB",
+    "info proposes points",
+    "info CPU [s]",
+    "info with points CPU [s]",
+)
 
 
 def cells(row: Row) -> list[str]:
@@ -964,11 +1096,19 @@ def said(row: Row) -> Iterator[str]:
 
 def main() -> None:
     """Run the cases and print the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--work", type=Path, help="folder that keeps the inputs")
-    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="cases whose names contain a word")
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="WORD", help="cases whose names contain a word"
+    )
     parser.add_argument("--list", action="store_true", help="print the names of the cases")
-    parser.add_argument("--make", action="store_true", help="make the inputs and the labels of the raw streams alone")
+    parser.add_argument(
+        "--make",
+        action="store_true",
+        help="make the inputs and the labels of the raw streams alone",
+    )
     options = parser.parse_args()
     if options.list:
         print("\n".join(case.name for _, cases in CASES for case in cases))
@@ -980,13 +1120,23 @@ def main() -> None:
 
 
 def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
-    print("<!-- written by python -m benchmarks.registered; do not edit -->\n\n# Figures of registered clouds\n")
+    print(
+        "<!-- written by python -m benchmarks.registered; do not edit -->\n\n# Figures of registered clouds\n"
+    )
     commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     day = datetime.now(tz=UTC).date().isoformat()
-    print(f"Version {prc_cli.__version__}, commit {commit.stdout.strip()}, {day}, {platform.machine()}.")
-    print("Every cell with an arrow is F1 of the raw stream → F1 of the points. The average is over ground, building,")
+    print(
+        f"Version {prc_cli.__version__}, commit {commit.stdout.strip()}, {day}, {platform.machine()}."
+    )
+    print(
+        "Every cell with an arrow is F1 of the raw stream → F1 of the points. The average is over ground, building,"
+    )
     print(
         "vegetation, noise and stem. Memory is the peak of `prc classify`, or of `prc batch`. Times contain the start."
     )
@@ -1005,7 +1155,12 @@ def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
                     row = run_case(case, work, Path(folder))
                 except NotMadeError as failure:
                     row = Row(case.name, "not measured", note=str(failure))
-                text = "\n".join(said(row)).replace(folder, "OUT").replace(str(work), "WORK").replace(str(DATA), "DATA")
+                text = (
+                    "\n".join(said(row))
+                    .replace(folder, "OUT")
+                    .replace(str(work), "WORK")
+                    .replace(str(DATA), "DATA")
+                )
             print(f"| {' | '.join(cells(row))} |", flush=True)
             notes.append(f"\n{case.name}:\n\n```text\n{text}\n```")
         print("\n".join(notes), flush=True)
@@ -1026,7 +1181,10 @@ def _make(case: Case, work: Path) -> None:
     f1 = scores(np.concatenate([codes for codes, _ in expected]), truth)
     doubts = sorted(frozenset[str]().union(*(run.doubts for _, runs in expected for run in runs)))
     values = ", ".join(f"{name} {value:.3f}" for name, value in f1.items())
-    print(f"| {case.name}, {len(parts)} files, {len(truth):,} points: {values} | {', '.join(doubts)} |", flush=True)
+    print(
+        f"| {case.name}, {len(parts)} files, {len(truth):,} points: {values} | {', '.join(doubts)} |",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

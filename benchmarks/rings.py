@@ -34,18 +34,60 @@ GROUND, BUILDING, VEGETATION, CAR, POLE, NOISE = (
 )
 CLASSES = {
     "kitti_views": {
-        0: IGNORED, 1: CAR, 4: CAR, 5: CAR, 9: GROUND, 10: GROUND, 11: GROUND, 12: GROUND, 17: GROUND, 13: BUILDING,
-        14: BUILDING, 15: VEGETATION, 16: VEGETATION, 18: POLE, 19: POLE,
+        0: IGNORED,
+        1: CAR,
+        4: CAR,
+        5: CAR,
+        9: GROUND,
+        10: GROUND,
+        11: GROUND,
+        12: GROUND,
+        17: GROUND,
+        13: BUILDING,
+        14: BUILDING,
+        15: VEGETATION,
+        16: VEGETATION,
+        18: POLE,
+        19: POLE,
     },
     "nuscenes": {
-        10: IGNORED, 0: GROUND, 1: GROUND, 2: BUILDING, 3: POLE, 4: VEGETATION, 7: CAR, 8: CAR, 9: CAR,
+        10: IGNORED,
+        0: GROUND,
+        1: GROUND,
+        2: BUILDING,
+        3: POLE,
+        4: VEGETATION,
+        7: CAR,
+        8: CAR,
+        9: CAR,
     },
     "kitti": {
-        0: IGNORED, 1: IGNORED, 40: GROUND, 44: GROUND, 48: GROUND, 49: GROUND, 60: GROUND, 72: GROUND, 50: BUILDING,
-        51: BUILDING, 52: BUILDING, 70: VEGETATION, 71: VEGETATION, 10: CAR, 13: CAR, 16: CAR, 18: CAR, 20: CAR,
-        252: CAR, 257: CAR, 258: CAR, 259: CAR, 80: POLE, 81: POLE,
+        0: IGNORED,
+        1: IGNORED,
+        40: GROUND,
+        44: GROUND,
+        48: GROUND,
+        49: GROUND,
+        60: GROUND,
+        72: GROUND,
+        50: BUILDING,
+        51: BUILDING,
+        52: BUILDING,
+        70: VEGETATION,
+        71: VEGETATION,
+        10: CAR,
+        13: CAR,
+        16: CAR,
+        18: CAR,
+        20: CAR,
+        252: CAR,
+        257: CAR,
+        258: CAR,
+        259: CAR,
+        80: POLE,
+        81: POLE,
     },
-}  # fmt: skip
+}
 """Classes by codes of the data sets; lorries and buses are cars, fences buildings, trunks vegetation."""
 LOW_M = -1.3
 """Vegetation lower than this is ground in the second way [m]."""
@@ -77,7 +119,14 @@ def frames(folder: Path) -> Iterator[Frame]:
             yield _view(path, kind, folder)
     reference = np.fromfile(DATA / "kitti" / "000000.label", np.uint32).astype(np.int64) & 0xFFFF
     frame = np.fromfile(DATA / "kitti" / "000000.bin", np.float32).reshape(-1, 4)[:, :3]
-    yield Frame("kitti_000000", "kitti", DATA / "kitti" / "000000.bin", frame, _coded(reference, "kitti"), False)
+    yield Frame(
+        "kitti_000000",
+        "kitti",
+        DATA / "kitti" / "000000.bin",
+        frame,
+        _coded(reference, "kitti"),
+        False,
+    )
     for name in ("000010", "000030"):
         yield _snow(name, folder)
     yield from _argoverse(folder)
@@ -93,11 +142,17 @@ def _coded(codes: I64, kind: str) -> U8:
 def _view(path: Path, kind: str, folder: Path) -> Frame:
     """Write a range view as lines of rings, from low to high."""
     with np.load(path) as arrays:
-        ranges, xyz, codes = arrays["range_m"], arrays["xyz"].astype(np.float32), arrays["label"].astype(np.int64)
+        ranges, xyz, codes = (
+            arrays["range_m"],
+            arrays["xyz"].astype(np.float32),
+            arrays["label"].astype(np.int64),
+        )
     xyz[np.isnan(ranges)] = np.nan
     elevation = _medians(np.rad2deg(np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))))
     order = np.argsort(elevation)[: np.count_nonzero(np.isfinite(elevation))]
-    ranges, xyz, codes = (np.ascontiguousarray(np.swapaxes(each[order], 0, 1)) for each in (ranges, xyz, codes))
+    ranges, xyz, codes = (
+        np.ascontiguousarray(np.swapaxes(each[order], 0, 1)) for each in (ranges, xyz, codes)
+    )
     file = folder / path.name
     np.savez(file, range_m=ranges, xyz=xyz, zenith_deg=90.0 - elevation[order])
     group = f"{kind}_views" if kind == "kitti" else kind
@@ -117,7 +172,10 @@ def _snow(name: str, folder: Path) -> Frame:
     stored = np.fromfile(DATA / "snow" / f"{name}.bin", np.float32).reshape(64, -1, 4)
     labels = np.fromfile(DATA / "snow" / f"{name}.label", np.uint32).reshape(64, -1)
     n_lines = stored.shape[1]
-    image, codes = np.full((n_lines, 64, 4), np.nan, np.float32), np.full((n_lines, 64), IGNORED, np.uint8)
+    image, codes = (
+        np.full((n_lines, 64, 4), np.nan, np.float32),
+        np.full((n_lines, 64), IGNORED, np.uint8),
+    )
     ring, at = np.nonzero((stored != -1).any(axis=-1))
     shots = stored[ring, at]
     azimuth = np.pi - np.arctan2(shots[:, 1], shots[:, 0])
@@ -128,7 +186,14 @@ def _snow(name: str, folder: Path) -> Frame:
     ranges = np.sqrt((xyz**2).sum(axis=-1))
     file = folder / f"snow_{name}.npz"
     np.savez(file, range_m=ranges, xyz=xyz, intensity=image[:, seen][:, ::-1, 3])
-    return Frame(f"snow_{name}", "snow", file, xyz.reshape(-1, 3), codes[:, seen][:, ::-1].ravel(), name == "000010")
+    return Frame(
+        f"snow_{name}",
+        "snow",
+        file,
+        xyz.reshape(-1, 3),
+        codes[:, seen][:, ::-1].ravel(),
+        name == "000010",
+    )
 
 
 def _argoverse(folder: Path) -> Iterator[Frame]:
@@ -138,15 +203,31 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
     home = DATA / "av2"
     sweep = feather.read_table(home / "315966265259836000.feather")
     truth = feather.read_table(home / "315966265259836000_labels.feather")
-    poses = {one["sensor_name"]: one for one in feather.read_table(home / "egovehicle_SE3_sensor.feather").to_pylist()}
-    is_ground, box = (truth[name].to_numpy(zero_copy_only=False) for name in ("is_ground", "box_class"))
+    poses = {
+        one["sensor_name"]: one
+        for one in feather.read_table(home / "egovehicle_SE3_sensor.feather").to_pylist()
+    }
+    is_ground, box = (
+        truth[name].to_numpy(zero_copy_only=False) for name in ("is_ground", "box_class")
+    )
     vehicle_m = np.stack([sweep[axis].to_numpy().astype(np.float64) for axis in "xyz"], axis=1)
     laser = sweep["laser_number"].to_numpy()
     for k, name in enumerate(("up", "down")):
         pose, own = poses[f"{name}_lidar"], laser // 32 == k
         turn = rotation.from_quat([pose[key] for key in ("qx", "qy", "qz", "qw")])
-        xyz = turn.inv().apply(vehicle_m[own] - [pose[key] for key in ("tx_m", "ty_m", "tz_m")]).astype(np.float32)
-        kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f8")]
+        xyz = (
+            turn.inv()
+            .apply(vehicle_m[own] - [pose[key] for key in ("tx_m", "ty_m", "tz_m")])
+            .astype(np.float32)
+        )
+        kinds = [
+            ("x", "<f4"),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("intensity", "<f4"),
+            ("ring", "<u2"),
+            ("time", "<f8"),
+        ]
         rows = np.zeros(len(xyz), kinds)
         rows["x"], rows["y"], rows["z"] = xyz.T
         rows["intensity"], rows["ring"] = sweep["intensity"].to_numpy()[own], laser[own] % 32
@@ -156,14 +237,20 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
         head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
         head += [f"property {types[kind]} {field}" for field, kind in kinds]
         file.write_bytes("\n".join([*head, "end_header", ""]).encode() + rows.tobytes())
-        codes = np.where(is_ground[own], GROUND, np.where(box[own] == REGULAR_VEHICLE, CAR, OTHER)).astype(np.uint8)
+        codes = np.where(
+            is_ground[own], GROUND, np.where(box[own] == REGULAR_VEHICLE, CAR, OTHER)
+        ).astype(np.uint8)
         xyz = xyz * np.array([1, 1, 1 if name == "up" else -1], np.float32)
         yield Frame(f"av2_{name}", f"av2_{name}", file, xyz, codes, name == "up")
 
 
 def label(frame: Frame) -> tuple[U8, str]:
     """Return the codes of a frame's records, and what was doubted."""
-    output = frame.path if frame.path.parent != DATA / "kitti" else Path(tempfile.gettempdir()) / frame.path.name
+    output = (
+        frame.path
+        if frame.path.parent != DATA / "kitti"
+        else Path(tempfile.gettempdir()) / frame.path.name
+    )
     output = output.with_suffix(".labels.npy")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
@@ -215,7 +302,9 @@ class Score:
     def of(cls, found: Mask, reference: Mask) -> Score:
         """Compare two masks."""
         both = int(np.count_nonzero(found & reference))
-        return cls(both / max(np.count_nonzero(found), 1), both / max(np.count_nonzero(reference), 1))
+        return cls(
+            both / max(np.count_nonzero(found), 1), both / max(np.count_nonzero(reference), 1)
+        )
 
     @property
     def f1(self) -> float:
@@ -230,7 +319,9 @@ def ground_scores(frame: Frame, is_ground: Mask) -> dict[str, Score]:
     found = {"ground": Score.of(is_ground[own], reference[own] == GROUND)}
     if frame.group.startswith("kitti"):
         is_low = (reference == VEGETATION) & (frame.xyz_m[:, 2] < LOW_M)
-        found["ground, low plants too"] = Score.of(is_ground[there], ((reference == GROUND) | is_low)[there])
+        found["ground, low plants too"] = Score.of(
+            is_ground[there], ((reference == GROUND) | is_low)[there]
+        )
     if not frame.group.startswith("av2"):
         found["ground, plants apart"] = Score.of(is_ground[there], reference[there] == GROUND)
     return found
@@ -254,8 +345,12 @@ def main() -> None:
     wanted = tuple(sys.argv[1:])
     means: dict[tuple[str, bool], list[tuple[dict[str, Score], dict[str, Score]]]] = {}
     print("<!-- written by python -m benchmarks.rings; do not edit -->\n\n# Figures of rings\n")
-    print("F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the scanner's height.\n")
-    print("| frame | limits chosen on it | class | prc | Patchwork++ | doubts |\n|---|---|---|---:|---:|---|")
+    print(
+        "F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the scanner's height.\n"
+    )
+    print(
+        "| frame | limits chosen on it | class | prc | Patchwork++ | doubts |\n|---|---|---|---:|---:|---|"
+    )
     with tempfile.TemporaryDirectory() as folder:
         for frame in frames(Path(folder)):
             if wanted and not frame.name.startswith(wanted):
@@ -267,8 +362,13 @@ def main() -> None:
             for name, score in own.items():
                 beside = _cell(other[name]) if name in other else ""
                 chosen = "yes" if frame.is_tuned else "no"
-                print(f"| {frame.name} | {chosen} | {name} | {_cell(score)} | {beside} | {doubts} |", flush=True)
-    print("\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ |\n|---|---|---|---:|---:|")
+                print(
+                    f"| {frame.name} | {chosen} | {name} | {_cell(score)} | {beside} | {doubts} |",
+                    flush=True,
+                )
+    print(
+        "\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ |\n|---|---|---|---:|---:|"
+    )
     for (group, is_tuned), found in means.items():
         for name in found[0][0]:
             mine, theirs = (
@@ -277,7 +377,9 @@ def main() -> None:
                 else [""]
                 for k in (0, 1)
             )
-            print(f"| {group} ({len(found)}) | {'yes' if is_tuned else 'no'} | {name} | {mine[0]} | {theirs[0]} |")
+            print(
+                f"| {group} ({len(found)}) | {'yes' if is_tuned else 'no'} | {name} | {mine[0]} | {theirs[0]} |"
+            )
 
 
 def _cell(score: Score) -> str:

@@ -98,15 +98,26 @@ def measure() -> tuple[dict[str, Points], dict[str, float]]:
             (n * base.size / 1e6, np.tile(base, (n, 1)), usual) for n in (1, 2, 4, 8, 16, 32)
         ],
         "M, shots in a line": [
-            (m, street(max(K, 1_200_000 // m), m), usual) for m in (250, 500, 1000, 2154, 4270, 10_000)
+            (m, street(max(K, 1_200_000 // m), m), usual)
+            for m in (250, 500, 1000, 2154, 4270, 10_000)
         ],
-        "k, lines in a block": [(k, np.tile(base, (4, 1)), parameters(k)) for k in (10, 25, 50, 99, 255, 999)],
-        "share of noise": [(share, add_noise(base, share), usual) for share in (0, 0.1, 0.25, 0.5, 0.75, 1)],
+        "k, lines in a block": [
+            (k, np.tile(base, (4, 1)), parameters(k)) for k in (10, 25, 50, 99, 255, 999)
+        ],
+        "share of noise": [
+            (share, add_noise(base, share), usual) for share in (0, 0.1, 0.25, 0.5, 0.75, 1)
+        ],
     }
     jobs = {name: (ranges, usual) for name, ranges in worst_cases().items()}
-    jobs |= {f"{title} {x}": (ranges, params) for title, case in cases.items() for x, ranges, params in case}
+    jobs |= {
+        f"{title} {x}": (ranges, params)
+        for title, case in cases.items()
+        for x, ranges, params in case
+    }
     best = best_times(jobs)
-    curves = {title: [(x, best[f"{title} {x}"]) for x, _, _ in case] for title, case in cases.items()}
+    curves = {
+        title: [(x, best[f"{title} {x}"]) for x, _, _ in case] for title, case in cases.items()
+    }
     return curves, {name: best[name] for name in worst_cases()}
 
 
@@ -119,23 +130,32 @@ def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
         scale = (lambda x: x) if title.startswith("share") else np.log10
         low, high = (float(scale(points[i][0])) for i in (0, -1))
         xs = [
-            panel * width + left + 10 + (float(scale(x)) - low) / (high - low) * (width - left - 40) for x, _ in points
+            panel * width + left + 10 + (float(scale(x)) - low) / (high - low) * (width - left - 40)
+            for x, _ in points
         ]
         ys = [base - y / top * 120 for _, y in points]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(xs, ys, strict=True))
         parts.append(f'<polyline points="{line}" fill="none" stroke="#1f6fb2" stroke-width="2"/>')
         for x, y, (value, found) in zip(xs, ys, points, strict=True):
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="#1f6fb2"/>')
-            parts.append(f'<text x="{x:.1f}" y="{y - 7:.1f}" text-anchor="middle">{found:.1f}</text>')
-            parts.append(f'<text x="{x:.1f}" y="{base + 14}" text-anchor="middle">{short(value)}</text>')
-        parts.append(f'<text x="{panel * width + width / 2 + 10}" y="{height - 8}" text-anchor="middle">{title}</text>')
+            parts.append(
+                f'<text x="{x:.1f}" y="{y - 7:.1f}" text-anchor="middle">{found:.1f}</text>'
+            )
+            parts.append(
+                f'<text x="{x:.1f}" y="{base + 14}" text-anchor="middle">{short(value)}</text>'
+            )
+        parts.append(
+            f'<text x="{panel * width + width / 2 + 10}" y="{height - 8}" text-anchor="middle">{title}</text>'
+        )
     for panel in range(len(curves)):
         x = panel * width + left
         parts.append(f'<path d="M{x},20V{base}H{x + width - 50}" fill="none" stroke="#888"/>')
     for row, (name, found) in enumerate(worst.items()):
         y = height + 18 + 18 * row
         parts.append(f'<text x="200" y="{y + 9}" text-anchor="end">{name}</text>')
-        parts.append(f'<rect x="208" y="{y}" width="{found / top * 700:.1f}" height="11" fill="#1f6fb2"/>')
+        parts.append(
+            f'<rect x="208" y="{y}" width="{found / top * 700:.1f}" height="11" fill="#1f6fb2"/>'
+        )
         parts.append(f'<text x="{214 + found / top * 700:.1f}" y="{y + 9}">{found:.1f}</text>')
     size = f'viewBox="0 0 {width * len(curves)} {height + 30 + 18 * len(worst)}"'
     style = '<rect width="100%" height="100%" fill="#fff"/><text x="6" y="13">ns a shot, one core</text>'
@@ -150,7 +170,13 @@ def main() -> None:
     load_kernels(frozenset({"prc.components", "prc.support", "prc.surfaces"}))
     curves, worst = measure()
     for title, points in curves.items():
-        print(f"\n| {title} | " + " | ".join(short(x) for x, _ in points) + " |\n" + "|---" * (len(points) + 1) + "|")
+        print(
+            f"\n| {title} | "
+            + " | ".join(short(x) for x, _ in points)
+            + " |\n"
+            + "|---" * (len(points) + 1)
+            + "|"
+        )
         print("| ns a shot | " + " | ".join(f"{y:.1f}" for _, y in points) + " |")
     print("\n| stream | ns a shot |\n|---|---|")
     for name, found in worst.items():

@@ -52,7 +52,11 @@ from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.simulation.world import PROPERTIES, Material, Property
 
 CLASSES = {
-    "kitti": {Label.GROUND: (9, 10, 11, 12, 17), Label.BUILDING: (13, 14), Label.VEGETATION: (15, 16)},
+    "kitti": {
+        Label.GROUND: (9, 10, 11, 12, 17),
+        Label.BUILDING: (13, 14),
+        Label.VEGETATION: (15, 16),
+    },
     "nuscenes": {Label.GROUND: (0, 1), Label.BUILDING: (2,), Label.VEGETATION: (4,)},
 }
 """Reference codes of the views; others are not judged."""
@@ -104,13 +108,17 @@ SETTINGS: dict[str, Setting] = {
     "varied, 1 mm": Setting(merge(VARIED, FINE), range_noise_m=0.001),
     "scanner on the sidewalk": Setting(SIDEWALK),
     "varied, on the sidewalk, 5 mm": Setting(merge(VARIED, SIDEWALK)),
-    "varied, on the sidewalk, 1 mm": Setting(merge(merge(VARIED, SIDEWALK), FINE), range_noise_m=0.001),
+    "varied, on the sidewalk, 1 mm": Setting(
+        merge(merge(VARIED, SIDEWALK), FINE), range_noise_m=0.001
+    ),
     "steps of 0.06°": Setting({"scanner": {"points_per_line": 2085}}),
     "steps of 0.23°": Setting({"scanner": {"points_per_line": 544}}),
     "10 mm noise, told 5 mm": Setting({"scanner": {"noise_m": 0.01}}),
     "10 mm noise, told so": Setting({"scanner": {"noise_m": 0.01}}, range_noise_m=0.01),
     "published constants, 1 mm": Setting(FINE, preset="street-scan-published"),
-    "published constants, varied, 1 mm": Setting(merge(VARIED, FINE), preset="street-scan-published"),
+    "published constants, varied, 1 mm": Setting(
+        merge(VARIED, FINE), preset="street-scan-published"
+    ),
     "published constants": Setting(preset="street-scan-published"),
 }
 ON_ALL_SEEDS = 4
@@ -139,7 +147,10 @@ HEADERLESS = "car_cloud401.csv"
 
 
 def street_scan(
-    path: Path | None = None, preset: str = "street-scan", range_noise_m: float | None = None, **inputs: Any
+    path: Path | None = None,
+    preset: str = "street-scan",
+    range_noise_m: float | None = None,
+    **inputs: Any,
 ) -> LoadedConfig:
     """A preset of the classifier, for a scanner with other noise, for inputs that need options."""
     options: dict[str, Any] = {"input": inputs} if inputs else {}
@@ -178,7 +189,11 @@ def print_scores(rows: dict[str, ConfusionMatrix], names: tuple[str, ...]) -> No
     for title, matrix in rows.items():
         found = scores(matrix)
         by_name = {item.name: item for item in found.classes}
-        cells = [f"{number:.3f}" for name in names for number in (by_name[name].recall, by_name[name].precision)]
+        cells = [
+            f"{number:.3f}"
+            for name in names
+            for number in (by_name[name].recall, by_name[name].precision)
+        ]
         print(f"| {title} | {' | '.join(cells)} | {found.accuracy:.3f} |".replace("nan", "-"))
 
 
@@ -190,7 +205,9 @@ def simulated(folder: Path) -> None:
     fine: ConfusionMatrix | None = None
     for number, (title, setting) in enumerate(SETTINGS.items()):
         first = not sums
-        for seed in range(FIRST_SEED, FIRST_SEED + (SEEDS if number < ON_ALL_SEEDS else MORE_SEEDS)):
+        for seed in range(
+            FIRST_SEED, FIRST_SEED + (SEEDS if number < ON_ALL_SEEDS else MORE_SEEDS)
+        ):
             source, reference = write_scan(folder, seed, COARSE, setting.options)
             labels = folder / "labels.npy"
             config = street_scan(preset=setting.preset, range_noise_m=setting.range_noise_m)
@@ -202,12 +219,20 @@ def simulated(folder: Path) -> None:
                 own = evaluate(labels, reference, "sequential_angle")
                 fine = own if fine is None else fine + own
     print("## Simulated static street scans\n")
-    print(f"{SEEDS} streets in the first {ON_ALL_SEEDS} rows, {MORE_SEEDS} in the others. No parameter was chosen on")
+    print(
+        f"{SEEDS} streets in the first {ON_ALL_SEEDS} rows, {MORE_SEEDS} in the others. No parameter was chosen on"
+    )
     print("them, and they were run once.\n")
-    print("The classifier is told the noise; that of the paper's scanner is about 1 mm (footnote 3). Rows that name no")
+    print(
+        "The classifier is told the noise; that of the paper's scanner is about 1 mm (footnote 3). Rows that name no"
+    )
     print("noise have 5 mm. Last row:")
-    print("Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n")
-    print(f"```console\n$ prc simulate street-scan scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46")
+    print(
+        "Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n"
+    )
+    print(
+        f"```console\n$ prc simulate street-scan scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46"
+    )
     print("$ prc classify scan.npz labels.npy --preset street-scan")
     print("$ prc evaluate labels.npy scan.npz --mapping street_scan --format markdown\n```\n")
     print_scores(sums, names)
@@ -233,8 +258,12 @@ PRINTED: dict[str, dict[str, Any]] = {
     "car.dividers.under_sigmas = 0": {"car": {"dividers": {"under_sigmas": 0}}},
     "car.dividers.vertical_break_m = 10000": {"car": {"dividers": {"vertical_break_m": 10_000}}},
     "car.fourier.window = 0": {"car": {"fourier": {"window": 0}}},
-    "car.fourier.longest = 0, car.most_foliage = 1": {"car": {"fourier": {"longest": 0}, "most_foliage": 1}},
-    "the same, car.fourier.window = 0": {"car": {"fourier": {"longest": 0, "window": 0}, "most_foliage": 1}},
+    "car.fourier.longest = 0, car.most_foliage = 1": {
+        "car": {"fourier": {"longest": 0}, "most_foliage": 1}
+    },
+    "the same, car.fourier.window = 0": {
+        "car": {"fourier": {"longest": 0, "window": 0}, "most_foliage": 1}
+    },
     "car.ground_layer_m = 0": {"car": {"ground_layer_m": 0}},
     "angles.least_chord_m = 0": {"angles": {"least_chord_m": 0}},
     "coarse.windows.share = 1": {"coarse": {"windows": {"share": 1}}},
@@ -285,9 +314,13 @@ def readings(folder: Path) -> None:
             classify(source, labels, config, overwrite=True)
             matrix = evaluate(labels, reference, "sequential_angle")
             found[title] = found[title] + matrix if title in found else matrix
-    print(f"## Readings, one at a time\n\n{MORE_SEEDS} of the varied streets above, 5 mm, every other one from the")
+    print(
+        f"## Readings, one at a time\n\n{MORE_SEEDS} of the varied streets above, 5 mm, every other one from the"
+    )
     print("sidewalk, every class by itself. The last rows switch a stage of the paper on or off.\n")
-    print("```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0")
+    print(
+        "```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0"
+    )
     print("$ prc evaluate labels.npy scan.npz --mapping sequential_angle\n```\n")
     print_scores(found, names)
     print()
@@ -302,36 +335,57 @@ def vegetation(folder: Path) -> None:
         "## The tests for vegetation\n\nLines 0.92° apart. F1 of T over all returns but those of cars and mixed ones;"
     )
     print("T' by the share of foliage, of cars and of all else that it takes.\n")
-    print("| scan | T | T, kept with .9, σ 20° | T, printed chords | T' foliage | T' cars | T' else | script's end |")
+    print(
+        "| scan | T | T, kept with .9, σ 20° | T, printed chords | T' foliage | T' cars | T' else | script's end |"
+    )
     print("|---|" + "---:|" * 7)
     for title, (seed, options) in VEGETATION.items():
         block, label = scan_of(seed, {"scanner": {"azimuth_step_deg": 0.92}}, options)
         beam = beams(block)
         lines = vertical_lines(block.range_m, block.xyz_m, beam, split_sides(beam), 300.0)
-        angles = ChordThresholds(range_noise_m=0.01 if options.get("scanner", {}).get("noise_m") else NOISE_M)
+        angles = ChordThresholds(
+            range_noise_m=0.01 if options.get("scanner", {}).get("noise_m") else NOISE_M
+        )
         literal = angles._replace(min_chord_sigmas=0.0, least_chord_m=0.0, chord_depth_sigmas=0.0)
         signed = signed_angles(lines, angles.at_noise()).signed_deg
         foliage = label == Label.VEGETATION
         judged = ~np.isin(label, (Label.MISSING, Label.NOISE, Label.CAR))
 
         def f1(
-            signed_deg: Any, params: MarkovThresholds, judged: Any = judged, foliage: Any = foliage, lines: Any = lines
+            signed_deg: Any,
+            params: MarkovThresholds,
+            judged: Any = judged,
+            foliage: Any = foliage,
+            lines: Any = lines,
         ) -> str:
-            said = coarse(signed_deg, lines, CoarseThresholds(vegetation=params)) == Surface.VEGETATION
+            said = (
+                coarse(signed_deg, lines, CoarseThresholds(vegetation=params)) == Surface.VEGETATION
+            )
             agreed = np.count_nonzero(said & foliage & judged)
             either = np.count_nonzero(said & judged) + np.count_nonzero(foliage & judged)
             return f"{2 * agreed / either:.3f}"
 
         def dense(params: MarkovThresholds, signed: Any = signed, lines: Any = lines) -> Any:
             flags = dense_vegetation(angle_differences(signed), params)
-            return car_surface(signed, flags, lines, CoarseThresholds().surfaces) == Surface.VEGETATION
+            return (
+                car_surface(signed, flags, lines, CoarseThresholds().surfaces) == Surface.VEGETATION
+            )
 
         usual = dense(THRESHOLDS.dense_vegetation)
-        script = dense(THRESHOLDS.dense_vegetation._replace(sprt=True, backdate=False, initial_h0=uniform))
-        shares = [usual[foliage], usual[label == Label.CAR], usual[judged & ~foliage], script[foliage]]
+        script = dense(
+            THRESHOLDS.dense_vegetation._replace(sprt=True, backdate=False, initial_h0=uniform)
+        )
+        shares = [
+            usual[foliage],
+            usual[label == Label.CAR],
+            usual[judged & ~foliage],
+            script[foliage],
+        ]
         printed = signed_angles(lines, literal.at_noise()).signed_deg
         cells = [f1(signed, MarkovThresholds()), f1(signed, slow), f1(printed, MarkovThresholds())]
-        print(f"| {title} | {' | '.join([*cells, *(f'{np.mean(share):.3f}' for share in shares)])} |")
+        print(
+            f"| {title} | {' | '.join([*cells, *(f'{np.mean(share):.3f}' for share in shares)])} |"
+        )
     print()
 
 
@@ -349,14 +403,24 @@ WINDOWS: dict[str, tuple[Material, ...]] = {
 
 def windows(folder: Path) -> None:
     """What windows and the mixture of classes make of the published constants."""
-    print("## The published constants and windows\n\nStreets 1 to 4, which were used in development, 1 mm. A shot at a")
-    print("window returns from the room behind it, or not at all. In the second rows the classes have the shares")
     print(
-        "that they have in the paper: " + ", ".join(f"{name} {s}" for name, s in zip(PAPER, PAPER_SHARES, strict=True))
+        "## The published constants and windows\n\nStreets 1 to 4, which were used in development, 1 mm. A shot at a"
+    )
+    print(
+        "window returns from the room behind it, or not at all. In the second rows the classes have the shares"
+    )
+    print(
+        "that they have in the paper: "
+        + ", ".join(f"{name} {s}" for name, s in zip(PAPER, PAPER_SHARES, strict=True))
     )
     print("(precision depends on them).\n")
     names = tuple(PAPER)
-    print("| | " + " | ".join(f"{name} recall | precision" for name in names) + " |\n|---|" + "---:|" * 8)
+    print(
+        "| | "
+        + " | ".join(f"{name} recall | precision" for name in names)
+        + " |\n|---|"
+        + "---:|" * 8
+    )
     usual = dict(PROPERTIES)
     config = street_scan(preset="street-scan-published", range_noise_m=0.001)
     for title, dark in WINDOWS.items():
@@ -393,26 +457,49 @@ def kitti(folder: Path) -> None:
     # the scanner's data sheet says 2 cm
     classify(source, labels, street_scan(KITTI, range_noise_m=0.02), overwrite=True)
     print("## KITTI frame\n\n```console")
-    print(f"$ prc classify {source.name} kitti.npy --preset street-scan --config sample_configs/{KITTI.name} \\")
+    print(
+        f"$ prc classify {source.name} kitti.npy --preset street-scan --config sample_configs/{KITTI.name} \\"
+    )
     print("      --set sequential_angle.angles.range_noise_m=0.02")
-    print("$ prc evaluate kitti.npy 000000.label --mapping street_scan_kitti --format markdown\n```\n")
+    print(
+        "$ prc evaluate kitti.npy 000000.label --mapping street_scan_kitti --format markdown\n```\n"
+    )
     print(as_markdown(evaluate(labels, source.with_suffix(".label"), "street_scan_kitti")))
     print("Share that is ground, with and without heights that follow their side:\n")
-    print(f"| | {' | '.join(KITTI_GROUND)} | all that is ground |\n|---|" + "---:|" * (len(KITTI_GROUND) + 1))
+    print(
+        f"| | {' | '.join(KITTI_GROUND)} | all that is ground |\n|---|"
+        + "---:|" * (len(KITTI_GROUND) + 1)
+    )
     truth = np.fromfile(source.with_suffix(".label"), np.uint32) & 0xFFFF
     code = ClassCodes().code(Label.GROUND)
     for follow_m in (THRESHOLDS.ground.follow_m, 0):
-        options = {"sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}}
-        classify(source, labels, load_config(KITTI, preset="street-scan", options=options), overwrite=True)
+        options = {
+            "sequential_angle": {
+                "angles": {"range_noise_m": 0.02},
+                "ground": {"follow_m": follow_m},
+            }
+        }
+        classify(
+            source,
+            labels,
+            load_config(KITTI, preset="street-scan", options=options),
+            overwrite=True,
+        )
         found = np.load(labels).ravel() == code
         cells = [np.mean(found[np.isin(truth, classes)]) for classes in KITTI_GROUND.values()]
         right = np.mean(np.isin(truth[found], sum(KITTI_GROUND.values(), ())))
-        print(f"| ground.follow_m = {follow_m:g} | {' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |")
+        print(
+            f"| ground.follow_m = {follow_m:g} | {' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |"
+        )
     print()
-    print("The same on labelled range views of SemanticKITTI, which decided nothing; mean over the views:\n")
+    print(
+        "The same on labelled range views of SemanticKITTI, which decided nothing; mean over the views:\n"
+    )
     print("| | views | ground found | found that is ground |\n|---|---:|---:|---:|")
     for follow_m in (THRESHOLDS.ground.follow_m, 0):
-        found = np.array([_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)])
+        found = np.array(
+            [_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)]
+        )
         print(
             f"| ground.follow_m = {follow_m:g} | {len(found)} | {found[:, 0].mean():.3f} | {found[:, 1].mean():.3f} |"
         )
@@ -421,7 +508,9 @@ def kitti(folder: Path) -> None:
 
 def _ground_of(scan: Scan, follow_m: float) -> tuple[float, float]:
     """Return recall and precision of ground in a view."""
-    options = {"sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}}
+    options = {
+        "sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}
+    }
     labels = label(scan, load_config(KITTI, preset="street-scan", options=options)).codes
     code = ClassCodes().code(Label.GROUND)
     truth = np.isin(scan.codes, CLASSES["kitti"][Label.GROUND])
@@ -438,12 +527,16 @@ def oakland(folder: Path) -> None:
         "PRC, for this sensor": load_config(SICK),
     }
     print("## Oakland strips, beside PRC\n")
-    print("Ground counts as horizontal, PRC's buildings as vertical. PRC has no cars.\n\n```console")
+    print(
+        "Ground counts as horizontal, PRC's buildings as vertical. PRC has no cars.\n\n```console"
+    )
     print("$ prc classify oakland_1.csv.gz labels.npy --preset street-scan --set input.nadir=0 \\")
     print("      --set sequential_angle.angles.range_noise_m=0.01")
     print("$ prc classify oakland_1.csv.gz labels.npy --preset urban")
     print("$ prc classify oakland_1.csv.gz labels.npy --config sample_configs/sick_push_broom.toml")
-    print("$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format markdown\n```\n")
+    print(
+        "$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format markdown\n```\n"
+    )
     for strip in (1, 2, 3):
         source, labels = DATA / "oakland" / f"oakland_{strip}.csv.gz", folder / "oakland.npy"
         rows = {}
@@ -459,14 +552,18 @@ def headerless_layout(folder: Path) -> Path:
     """Write the layout of :data:`HEADERLESS`."""
     layout = folder / "layout.toml"
     fields = ", ".join(f'{{ name = "{name}", source = {i} }}' for i, name in enumerate("xyz"))
-    layout.write_text(f'[layout]\ndelimiter = " "\nheader = false\nfields = [{fields}]\n', encoding="utf-8")
+    layout.write_text(
+        f'[layout]\ndelimiter = " "\nheader = false\nfields = [{fields}]\n', encoding="utf-8"
+    )
     return layout
 
 
 def organised(folder: Path) -> None:
     """Every organised file: lines, shots, class shares."""
     names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
-    print("## Organised scans\n\nThe options are those of [the page on formats](../formats.md).\n\n```console")
+    print(
+        "## Organised scans\n\nThe options are those of [the page on formats](../formats.md).\n\n```console"
+    )
     print("$ prc classify pumpA.e57 labels.npy --preset street-scan\n```\n")
     print("| file | lines | shots | missing | " + " | ".join(names) + " |")
     print("|---|---:|---:|---:|" + "---:|" * len(names))
@@ -476,7 +573,9 @@ def organised(folder: Path) -> None:
         if source.suffix not in ORGANISED:
             continue
         try:
-            config = street_scan(layout if source.name == HEADERLESS else None, **ORGANISED[source.suffix])
+            config = street_scan(
+                layout if source.name == HEADERLESS else None, **ORGANISED[source.suffix]
+            )
             summary = classify(source, folder / "organised.npy", config, overwrite=True)
         except PrcError as error:
             reason = str(error).replace(f"{source}: ", "")
@@ -519,9 +618,15 @@ def speed(folder: Path) -> None:
         name = f"all stages, in memory, {threads} thread{'s' * (threads > 1)}"
         times[name] = rate(partial(all_stages, threads), 5) / TURNS
     source, _ = write_scan(folder, 3)
-    times["from .npz to .npy"] = rate(lambda: classify(source, folder / "speed.npy", config, overwrite=True))
-    times["from .npz to .laz"] = rate(lambda: classify(source, folder / "speed.laz", config, overwrite=True))
-    print(f"## Speed\n\n{n_lines:,} lines of {whole.points_per_line:,} shots; stages on one core.\n")
+    times["from .npz to .npy"] = rate(
+        lambda: classify(source, folder / "speed.npy", config, overwrite=True)
+    )
+    times["from .npz to .laz"] = rate(
+        lambda: classify(source, folder / "speed.laz", config, overwrite=True)
+    )
+    print(
+        f"## Speed\n\n{n_lines:,} lines of {whole.points_per_line:,} shots; stages on one core.\n"
+    )
     print("| work | lines a second | million shots a second |\n|---|---:|---:|")
     for name, seconds in times.items():
         print(f"| {name} | {n_lines / seconds:,.0f} | {n_shots / seconds / 1e6:.2f} |")
@@ -545,7 +650,15 @@ def memory(folder: Path) -> None:
         with raw.open("wb") as handle:
             for _ in range(times):
                 xyz.tofile(handle)
-        arguments = ["classify", str(raw), str(folder / "big.npy"), "--config", str(config), "--quiet", "--overwrite"]
+        arguments = [
+            "classify",
+            str(raw),
+            str(folder / "big.npy"),
+            "--config",
+            str(config),
+            "--quiet",
+            "--overwrite",
+        ]
         peak = peak_mib(arguments)
         shots = times * xyz.shape[0] * xyz.shape[1]
         print(f"| raw x, y, z | {times * len(xyz):,} | {shots:,} | {peak:.0f} MiB |")
@@ -618,12 +731,19 @@ PARTS: dict[str, Callable[[Path], None]] = {
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all but {', '.join(SPEED)}"
+        "parts",
+        nargs="*",
+        metavar="PART",
+        help=f"{', '.join(PARTS)}; default: all but {', '.join(SPEED)}",
     )
     arguments = parser.parse_args()
-    print("<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# Sequential-angle: figures\n")
+    print(
+        "<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# Sequential-angle: figures\n"
+    )
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.parts or [part for part in PARTS if part not in SPEED]:
             if part not in PARTS:

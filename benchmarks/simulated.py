@@ -77,7 +77,8 @@ FOREST_NAMES = ("noise", "ground", "stem")
 TABLE_II = ((0.93, 0.02, 0.04), (0.65, 0.31, 0.03), (0.28, 0.18, 0.50))
 """The same paper, Table II, as printed."""
 TABLE_II_COUNTS = np.array(
-    [[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]], dtype=np.int64
+    [[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]],
+    dtype=np.int64,
 )
 """Counts of the same table; their rows differ from the printed recall values."""
 RELAXED_STEM = (0.204, 0.413)
@@ -111,7 +112,10 @@ OAKLAND_LINES = 1500
 
 def say(text: str) -> None:
     """Print a paragraph, rewrapped."""
-    print(textwrap.fill(" ".join(text.split()), 118, break_long_words=False, break_on_hyphens=False) + "\n")
+    print(
+        textwrap.fill(" ".join(text.split()), 118, break_long_words=False, break_on_hyphens=False)
+        + "\n"
+    )
 
 
 def commands(*lines: str) -> None:
@@ -129,7 +133,9 @@ def made(kind: Kind, folder: Path, **options: Any) -> Path:
     return target
 
 
-def compared(source: Path, config: LoadedConfig, mapping: str, reference: Path | None = None) -> ConfusionMatrix:
+def compared(
+    source: Path, config: LoadedConfig, mapping: str, reference: Path | None = None
+) -> ConfusionMatrix:
     """Classify a file and compare with its reference."""
     labels = source.with_name("labels.npy")
     classify(source, labels, config, overwrite=True)
@@ -143,7 +149,9 @@ def pooled(parts: Iterable[ConfusionMatrix]) -> ConfusionMatrix:
     return first
 
 
-def recall_table(parts: list[ConfusionMatrix], rows: tuple[str, ...], columns: tuple[str, ...]) -> list[list[str]]:
+def recall_table(
+    parts: list[ConfusionMatrix], rows: tuple[str, ...], columns: tuple[str, ...]
+) -> list[list[str]]:
     """Shares of reference rows over all parts, smallest and largest of the parts in brackets."""
     each = np.stack([shares_of(part, rows, columns) for part in parts])
     whole = shares_of(pooled(parts), rows, columns)
@@ -151,7 +159,9 @@ def recall_table(parts: list[ConfusionMatrix], rows: tuple[str, ...], columns: t
     spread = len(parts) > 1
     return [
         [
-            f"{whole[i, j]:.3f} ({low[i, j]:.2f}–{high[i, j]:.2f})" if spread else f"{whole[i, j]:.3f}"
+            f"{whole[i, j]:.3f} ({low[i, j]:.2f}–{high[i, j]:.2f})"
+            if spread
+            else f"{whole[i, j]:.3f}"
             for j in range(len(columns))
         ]
         for i in range(len(rows))
@@ -166,7 +176,9 @@ def shares_of(matrix: ConfusionMatrix, rows: tuple[str, ...], columns: tuple[str
 
 
 def urban_config(zeta_p: float, area: int = 30, gamma: int = 2) -> LoadedConfig:
-    options = {"prc": {"support": {"zeta_p": zeta_p}, "surfaces": {"area": float(area), "gamma": gamma}}}
+    options = {
+        "prc": {"support": {"zeta_p": zeta_p}, "surfaces": {"area": float(area), "gamma": gamma}}
+    }
     return load_config(preset="urban", options=options)
 
 
@@ -196,10 +208,23 @@ def urban(folder: Path) -> None:
     set_back(folder)
 
 
-def print_table_i(title: str, parts: list[ConfusionMatrix], published: tuple[tuple[float, ...], ...]) -> None:
-    print(f"### {title}\n\n| reference | " + " | ".join(URBAN_COLUMNS) + " |\n|---|" + "---:|" * len(URBAN_COLUMNS))
-    for name, cells, paper in zip(URBAN_ROWS, recall_table(parts, URBAN_ROWS, URBAN_COLUMNS), published, strict=True):
-        print(f"| {name} | " + " | ".join(f"{a} *{b:.3f}*" for a, b in zip(cells, paper, strict=True)) + " |")
+def print_table_i(
+    title: str, parts: list[ConfusionMatrix], published: tuple[tuple[float, ...], ...]
+) -> None:
+    print(
+        f"### {title}\n\n| reference | "
+        + " | ".join(URBAN_COLUMNS)
+        + " |\n|---|"
+        + "---:|" * len(URBAN_COLUMNS)
+    )
+    for name, cells, paper in zip(
+        URBAN_ROWS, recall_table(parts, URBAN_ROWS, URBAN_COLUMNS), published, strict=True
+    ):
+        print(
+            f"| {name} | "
+            + " | ".join(f"{a} *{b:.3f}*" for a, b in zip(cells, paper, strict=True))
+            + " |"
+        )
     matrix = pooled(parts)
     by_name = {item.name: item for item in scores(matrix).classes}
     cells = [f"{name} {by_name[name].precision:.3f}" for name in URBAN_COLUMNS]
@@ -213,14 +238,20 @@ def print_areas(found: dict[tuple[float, int, int], list[ConfusionMatrix]]) -> N
     say("""Recall of vegetation and building, and the share of all returns that is called so. The paper says: with γ = 0
     fewer true and false positives of vegetation and more of building, with γ = 20 next to no building left; A = 10
     and A = 100 within ten percentile points of A = 30.""")
-    commands("prc classify street.npz labels.npy --preset urban --set prc.surfaces.area=10 --set prc.surfaces.gamma=0")
-    print("| ζ_p | A | γ | vegetation recall | share | building recall | share |\n|---:|---:|---:|---:|---:|---:|---:|")
+    commands(
+        "prc classify street.npz labels.npy --preset urban --set prc.surfaces.area=10 --set prc.surfaces.gamma=0"
+    )
+    print(
+        "| ζ_p | A | γ | vegetation recall | share | building recall | share |\n|---:|---:|---:|---:|---:|---:|---:|"
+    )
     for (zeta, area, gamma), parts in found.items():
         matrix = pooled(parts)
         shares = shares_of(matrix, URBAN_ROWS, URBAN_COLUMNS)
         called = matrix.counts.sum(axis=0) / matrix.n_scored
         v, b = (called[matrix.predicted_names.index(name)] for name in ("vegetation", "building"))
-        print(f"| {zeta:g} | {area} | {gamma} | {shares[2, 2]:.3f} | {v:.1%} | {shares[3, 3]:.3f} | {b:.1%} |")
+        print(
+            f"| {zeta:g} | {area} | {gamma} | {shares[2, 2]:.3f} | {v:.1%} | {shares[3, 3]:.3f} | {b:.1%} |"
+        )
     print()
 
 
@@ -229,7 +260,9 @@ def kinds(folder: Path) -> None:
     print("### Kinds of street\n")
     say(f"""{MORE_STREETS} streets of {MORE_M:g} m of each kind, A = 30, γ = 2; recall, and the share of buildings that
     is taken for ground.""")
-    commands(f"prc simulate street street.npz --scene terraces --length {MORE_M:g} --seed {FIRST_SEED}")
+    commands(
+        f"prc simulate street street.npz --scene terraces --length {MORE_M:g} --seed {FIRST_SEED}"
+    )
     print_diagonals(folder, {name: {"name": name} for name in CHARACTERS})
 
 
@@ -241,12 +274,17 @@ def set_back(folder: Path) -> None:
     commands("prc simulate street street.npz --scene residential --set scene.setback_m=12")
     scenes: dict[str, dict[str, Any]] = {
         f"{m:g} m farther": {"name": "residential", "setback_m": m} for m in SET_BACK_M
-    }  # fmt: skip
+    }
     print_diagonals(folder, scenes)
 
 
 def print_diagonals(folder: Path, scenes: dict[str, dict[str, Any]]) -> None:
-    print("| street | ζ_p | " + " | ".join(URBAN_COLUMNS) + " | building as ground |\n|---|---:|" + "---:|" * 5)
+    print(
+        "| street | ζ_p | "
+        + " | ".join(URBAN_COLUMNS)
+        + " | building as ground |\n|---|---:|"
+        + "---:|" * 5
+    )
     for name, scene in scenes.items():
         found: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
         for seed in range(FIRST_SEED, FIRST_SEED + MORE_STREETS):
@@ -274,7 +312,9 @@ class Walk:
 def walk(folder: Path, scene: str, seed: int) -> Walk:
     """Simulate once, label twice: the same as with --reference truth and with --reference cylinders."""
     options = {"seed": seed, "length_m": WALK_M, "scene": {"name": scene}}
-    simulation = open_simulation("forest", load_settings("forest", options=options), with_world=True)
+    simulation = open_simulation(
+        "forest", load_settings("forest", options=options), with_world=True
+    )
     forest = simulation.scene
     assert isinstance(forest, ForestScene)
     lookup = ClassCodes().lookup()
@@ -294,7 +334,9 @@ def walk(folder: Path, scene: str, seed: int) -> Walk:
 
 
 def forest_config(zeta_s: float, zeta_p: float) -> LoadedConfig:
-    return load_config(preset="forest", options={"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}})
+    return load_config(
+        preset="forest", options={"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
+    )
 
 
 def forest(folder: Path) -> None:
@@ -323,8 +365,11 @@ def forest(folder: Path) -> None:
     for zetas in ZETAS:
         for kind in ("cylinders", "truth"):
             paper = TABLE_II if zetas == ZETAS[0] and kind == "cylinders" else None
-            print_table_ii(f"ζ_s = {zetas[0]:g} m, ζ_p = {zetas[1]:g} m, reference: {kind}",
-                           found["mixed", kind, zetas], paper)  # fmt: skip
+            print_table_ii(
+                f"ζ_s = {zetas[0]:g} m, ζ_p = {zetas[1]:g} m, reference: {kind}",
+                found["mixed", kind, zetas],
+                paper,
+            )
     print_stems(found)
 
 
@@ -348,42 +393,75 @@ def unsupported(folder: Path) -> None:
             support = {"zeta_s": zeta_s, "zeta_p": zeta_p}
             options = {"prc": {"support": support, "forest": {"noise_in_ground_columns": False}}}
             config = load_config(preset="forest", options=options)
-            classes = classify(one.source, folder / "labels.npy", config, overwrite=True).record.classes
+            classes = classify(
+                one.source, folder / "labels.npy", config, overwrite=True
+            ).record.classes
             counts = {found.name: found.count for found in classes if found.name != "missing"}
-            print(f"| {scene} | {zeta_s:g}, {zeta_p:g} | {counts['noise'] / sum(counts.values()):.3f} |")
+            print(
+                f"| {scene} | {zeta_s:g}, {zeta_p:g} | {counts['noise'] / sum(counts.values()):.3f} |"
+            )
     for (zeta_s, zeta_p), share in zip(ZETAS, UNSUPPORTED, strict=True):
         print(f"| *the paper* | {zeta_s:g}, {zeta_p:g} | *{share:.3f}* |")
     print()
 
 
-def print_table_ii(title: str, parts: list[ConfusionMatrix], published: tuple[tuple[float, ...], ...] | None) -> None:
-    print(f"### {title}\n\n| reference | noise (other) | ground | tree stem |\n|---|---:|---:|---:|")
+def print_table_ii(
+    title: str, parts: list[ConfusionMatrix], published: tuple[tuple[float, ...], ...] | None
+) -> None:
+    print(
+        f"### {title}\n\n| reference | noise (other) | ground | tree stem |\n|---|---:|---:|---:|"
+    )
     cells = recall_table(parts, FOREST_NAMES, FOREST_NAMES)
     for i, name in enumerate(("noise (other)", "ground", "tree stem")):
-        shown = [cell if published is None else f"{cell} *{published[i][j]:.2f}*" for j, cell in enumerate(cells[i])]
+        shown = [
+            cell if published is None else f"{cell} *{published[i][j]:.2f}*"
+            for j, cell in enumerate(cells[i])
+        ]
         print(f"| {name} | {' | '.join(shown)} |")
     print()
 
 
 def print_stems(found: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]]) -> None:
-    names = ("stem recall", "precision", "accuracy", "ground recall", "precision", "accuracy", "noise and other")
-    print("### Stems and ground in every forest\n\nLast column: share of the returns that is called noise or other.\n")
-    print("| forest | ζ_s, ζ_p | reference | " + " | ".join(names) + " |\n|---|---|---|" + "---:|" * len(names))
+    names = (
+        "stem recall",
+        "precision",
+        "accuracy",
+        "ground recall",
+        "precision",
+        "accuracy",
+        "noise and other",
+    )
+    print(
+        "### Stems and ground in every forest\n\nLast column: share of the returns that is called noise or other.\n"
+    )
+    print(
+        "| forest | ζ_s, ζ_p | reference | "
+        + " | ".join(names)
+        + " |\n|---|---|---|"
+        + "---:|" * len(names)
+    )
     paper = ConfusionMatrix(FOREST_NAMES, FOREST_NAMES, TABLE_II_COUNTS)
     for scene in PLOTS:
         for zetas in ZETAS:
             for reference in ("cylinders", "truth"):
                 cells = stem_cells(pooled(found[scene, reference, zetas]))
-                print(f"| {scene} | {zetas[0]:g}, {zetas[1]:g} | {reference} | {' | '.join(cells)} |")
-    print(f"| *the paper, from its counts* | 0.01, 0.01 | cylinders | {' | '.join(stem_cells(paper))} |")
+                print(
+                    f"| {scene} | {zetas[0]:g}, {zetas[1]:g} | {reference} | {' | '.join(cells)} |"
+                )
+    print(
+        f"| *the paper, from its counts* | 0.01, 0.01 | cylinders | {' | '.join(stem_cells(paper))} |"
+    )
     recall, precision = RELAXED_STEM
     print(f"| *the paper* | 1, 0.1 | cylinders | {recall:.3f} | {precision:.3f} | | | | | |\n")
 
 
 def stem_cells(matrix: ConfusionMatrix) -> list[str]:
     by_name = {item.name: item for item in scores(matrix).classes}
-    numbers = [n for key in ("stem", "ground") for n in
-               (by_name[key].recall, by_name[key].precision, by_name[key].accuracy)]  # fmt: skip
+    numbers = [
+        n
+        for key in ("stem", "ground")
+        for n in (by_name[key].recall, by_name[key].precision, by_name[key].accuracy)
+    ]
     called = matrix.counts.sum(axis=0)[matrix.predicted_names.index("noise")] / matrix.n_scored
     return [printed_at(number) for number in (*numbers, called)]
 
@@ -395,15 +473,21 @@ def static(folder: Path) -> None:
     for seed in range(FIRST_SEED, FIRST_SEED + STATIONS):
         source = made("street-scan", folder, seed=seed, scanner={"azimuth_step_deg": COARSE_DEG})
         for preset in presets:
-            rows.setdefault(f"`{preset}`", []).append(compared(source, load_config(preset=preset), "street_scan"))
+            rows.setdefault(f"`{preset}`", []).append(
+                compared(source, load_config(preset=preset), "street_scan")
+            )
         opaque = {"azimuth_step_deg": COARSE_DEG, "pane_share": 1.0, "ghost_share": 0.0}
         source = made("street-scan", folder, seed=seed, scanner=opaque)
         config = load_config(preset="street-scan")
-        rows.setdefault("`street-scan`, panes like walls", []).append(compared(source, config, "street_scan"))
+        rows.setdefault("`street-scan`, panes like walls", []).append(
+            compared(source, config, "street_scan")
+        )
     for seed in range(FIRST_SEED, FIRST_SEED + FINE_STATIONS):
         source = made("street-scan", folder, seed=seed)
         title = f"`street-scan`, every line ({FINE_STATIONS} scans)"
-        rows.setdefault(title, []).append(compared(source, load_config(preset="street-scan"), "street_scan"))
+        rows.setdefault(title, []).append(
+            compared(source, load_config(preset="street-scan"), "street_scan")
+        )
     print("## Static scans: Stamos et al., Table 1\n")
     say(f"""{STATIONS} whole turns on mixed streets, as many as the paper has, lines {COARSE_DEG}° apart. Ground counts
     as horizontal, curbs as vertical, as there. The classifier was tuned on another, simpler simulator and never on
@@ -437,11 +521,15 @@ def spread_scores(parts: list[ConfusionMatrix]) -> list[str]:
     def row(matrix: ConfusionMatrix) -> list[float]:
         found = scores(matrix)
         by_name = {item.name: item for item in found.classes}
-        return [n for name in SCAN_NAMES for n in (by_name[name].recall, by_name[name].precision)] + [found.accuracy]
+        return [
+            n for name in SCAN_NAMES for n in (by_name[name].recall, by_name[name].precision)
+        ] + [found.accuracy]
 
     each = np.array([row(part) for part in parts])
     low, high = np.nanmin(each, axis=0), np.nanmax(each, axis=0)
-    return [f"{a:.3f} ({b:.2f}–{c:.2f})" for a, b, c in zip(row(pooled(parts)), low, high, strict=True)]
+    return [
+        f"{a:.3f} ({b:.2f}–{c:.2f})" for a, b, c in zip(row(pooled(parts)), low, high, strict=True)
+    ]
 
 
 def statistics(range_m: F32) -> dict[str, float]:
@@ -471,7 +559,9 @@ def strip_numbers(strip: Strip, mapping: str) -> dict[str, float]:
     numbers = statistics(strip.range_m)
     classes = load_mapping(mapping)
     names = classes.names("reference")
-    index = classes.class_indices(strip.reference.ravel(), "reference").reshape(strip.reference.shape)
+    index = classes.class_indices(strip.reference.ravel(), "reference").reshape(
+        strip.reference.shape
+    )
     for name in ("ground", "vegetation", "building"):
         own = np.where(index == names.index(name), strip.range_m, np.nan)
         numbers[f"{name}: range 50% [m]"] = median(own)
@@ -487,7 +577,9 @@ def strip_numbers(strip: Strip, mapping: str) -> dict[str, float]:
     for name in ("vegetation", "building"):
         numbers[f"PRC: {name}"] = float((found == codes[name]).mean())
     building = strip.predicted[(index == names.index("building")) & (strip.predicted != 0)]
-    numbers["PRC: building as ground"] = float((building == codes["ground"]).mean()) if building.size else np.nan
+    numbers["PRC: building as ground"] = (
+        float((building == codes["ground"]).mean()) if building.size else np.nan
+    )
     return numbers
 
 
@@ -519,7 +611,13 @@ def push_broom(folder: Path, scene: dict[str, Any], config: LoadedConfig) -> Str
     motion = {"speed_m_s": OAKLAND_SPEED_M_S, "stop_every_m": 0.0}
     chosen = {"name": "sick-push-broom"}
     source = made(
-        "street", folder, seed=FIRST_SEED, lines=OAKLAND_LINES, trajectory=motion, scanner=chosen, scene=scene
+        "street",
+        folder,
+        seed=FIRST_SEED,
+        lines=OAKLAND_LINES,
+        trajectory=motion,
+        scanner=chosen,
+        scene=scene,
     )
     labels = folder / "labels.npy"
     classify(source, labels, config, overwrite=True)
@@ -534,7 +632,9 @@ def push_broom(folder: Path, scene: dict[str, Any], config: LoadedConfig) -> Str
 def oakland(folder: Path) -> None:
     """A push-broom scanner simulated over several kinds of street, beside three real strips."""
     config = load_config(SICK)
-    columns = {f"strip {n}": strip_numbers(oakland_strip(n, folder, config), "oakland") for n in (1, 2, 3)}
+    columns = {
+        f"strip {n}": strip_numbers(oakland_strip(n, folder, config), "oakland") for n in (1, 2, 3)
+    }
     for title, scene in OAKLAND_SCENES.items():
         columns[f"*{title}*"] = strip_numbers(push_broom(folder, scene, config), "prc")
     print("## Beside the real push-broom scans (Oakland)\n")
@@ -554,7 +654,9 @@ def print_columns(columns: dict[str, dict[str, float]]) -> None:
     """A column a scan, a row a number; shares in percent, lengths to the centimetre."""
     print("| | " + " | ".join(columns) + " |\n|---|" + "---:|" * len(columns))
     for name in next(iter(columns.values())):
-        cells = [f"{c[name]:.2f}" if name.endswith("[m]") else f"{c[name]:.1%}" for c in columns.values()]
+        cells = [
+            f"{c[name]:.2f}" if name.endswith("[m]") else f"{c[name]:.1%}" for c in columns.values()
+        ]
         print(f"| {name} | {' | '.join(cells)} |".replace("nan%", "-").replace("nan", "-"))
     print()
 
@@ -575,10 +677,15 @@ def park(folder: Path) -> None:
     m, n_lines = real.shape[1], real.shape[0]
     angles = 180.0 - zenith  # from down
     scanner = SCANNERS["scanstation2"].changed(
-        points_per_line=m, field_deg=float(angles[-1] - angles[0]) * m / (m - 1),
-        centre_deg=float(angles[0] + angles[-1]) / 2.0, azimuth_step_deg=360.0 / n_lines, divergence_mrad=0.35,
-        exit_mm=7.0, noise_m=0.003, max_range_m=300.0,
-    )  # fmt: skip
+        points_per_line=m,
+        field_deg=float(angles[-1] - angles[0]) * m / (m - 1),
+        centre_deg=float(angles[0] + angles[-1]) / 2.0,
+        azimuth_step_deg=360.0 / n_lines,
+        divergence_mrad=0.35,
+        exit_mm=7.0,
+        noise_m=0.003,
+        max_range_m=300.0,
+    )
 
     def near(scene: ForestScene, x_m: float, y_m: float, radius_m: float, time_s: float) -> Bodies:
         return scene.bodies_near(x_m, y_m, radius_m)
@@ -589,7 +696,7 @@ def park(folder: Path) -> None:
         place = Station(float(ground[0]), float(ground[1]), float(ground[2]) + PARK_HEIGHT_M)
         scan = SimulatedScan(
             name, partial(near, scene), scanner, place, FIRST_SEED, n_lines, PARK_SIGHT_M, threads=2
-        )  # fmt: skip
+        )
         ranges = np.concatenate([block.range_m for block in scan.blocks()])
         columns[f"{name}, simulated"] = park_numbers(folder, ranges)
     print("## Beside the real park scan\n")
@@ -626,7 +733,9 @@ def speed(folder: Path) -> None:
     print("## Speed\n")
     say("""Scene, casting and sensor, nothing written, a world that was not seen before; the shorter of two runs by the
     clock, and by the time of all cores together, which other load disturbs less. Last row: the whole command.""")
-    print("| simulation | threads | million shots a second | a second of one core |\n|---|---:|---:|---:|")
+    print(
+        "| simulation | threads | million shots a second | a second of one core |\n|---|---:|---:|---:|"
+    )
     kind: Kind
     for title, (name, options, lines) in SPEED.items():
         kind = "forest" if name == "forest" else "street"
@@ -670,13 +779,19 @@ PARTS: dict[str, Callable[[Path], None]] = {
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all"
+    )
     arguments = parser.parse_args()
     for part in arguments.parts:
         if part not in PARTS:
             parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
-    print("<!-- written by python -m benchmarks.simulated; do not edit -->\n\n# Simulated scans: figures\n")
+    print(
+        "<!-- written by python -m benchmarks.simulated; do not edit -->\n\n# Simulated scans: figures\n"
+    )
     say("""The simulator is described [here](../simulation.md), with what to make of these figures. No parameter was
     chosen on these seeds; `fused` was tuned on other seeds of this simulator. The forest's defaults were chosen
     with the shares of Table II's reference in view, on other seeds.""")

@@ -58,21 +58,33 @@ def slowed(scan: Scan, places: F64, seed: int) -> Scan:
         one, two = scan.range_m[line], scan.range_m[other]
         rows = np.where(takes_next, two, one)
         # surfaces go on evenly
-        is_even = (abs(two - one) < EVEN_M) & (scan.codes[line] == scan.codes[other]) & (scan.codes[line] != LEAVES)
+        is_even = (
+            (abs(two - one) < EVEN_M)
+            & (scan.codes[line] == scan.codes[other])
+            & (scan.codes[line] != LEAVES)
+        )
         rows = np.where(is_even, one + np.float32(place - line) * (two - one), rows)
         rows = rows + rng.normal(0, NOISE_M, rows.shape).astype(np.float32)
         own = np.where(takes_next, scan.codes[other], scan.codes[line])
         is_stray = rng.random(rows.shape) < STRAY_SHARE
         is_around = rng.random(rows.shape) < data.STRAY_SHARE
         around = rows + rng.normal(0, data.STRAY_M, rows.shape)
-        strays = np.where(is_around & (around > 0), around, rng.random(rows.shape) * data.FARTHEST_M)
+        strays = np.where(
+            is_around & (around > 0), around, rng.random(rows.shape) * data.FARTHEST_M
+        )
         ranges.append(np.where(is_stray, strays, rows))
         codes.append(np.where(is_stray, NOISE, own))
     return replace(
-        scan, range_m=np.maximum(np.stack(ranges), np.float32(0.1)).astype(np.float32), codes=np.stack(codes),
-        extra=ExtraReturns.none(), extra_codes=np.empty(0, np.int64), time_s=None, intensity=None, world_m=None,
+        scan,
+        range_m=np.maximum(np.stack(ranges), np.float32(0.1)).astype(np.float32),
+        codes=np.stack(codes),
+        extra=ExtraReturns.none(),
+        extra_codes=np.empty(0, np.int64),
+        time_s=None,
+        intensity=None,
+        world_m=None,
         scanner_m=None,
-    )  # fmt: skip
+    )
 
 
 def every(part: float) -> Callable[[int], F64]:
@@ -83,7 +95,9 @@ def every(part: float) -> Callable[[int], F64]:
 def stop_and_go(n: int) -> F64:
     """Return the places of a drive that brakes, stands for 400 lines and speeds up again, half way."""
     usual = np.ones(max((n - 80) // 2, 0))
-    steps = np.concatenate([usual, np.linspace(1, 0.02, 80), np.zeros(400), np.linspace(0.02, 1, 80), usual])
+    steps = np.concatenate(
+        [usual, np.linspace(1, 0.02, 80), np.zeros(400), np.linspace(0.02, 1, 80), usual]
+    )
     places = np.concatenate([[0.0], np.cumsum(steps)])
     kept: F64 = places[places < n - 1.0]
     return kept
@@ -102,7 +116,9 @@ SETTINGS = {"": STREET, "without": STREET._replace(spaced=None)}
 
 def streets(seeds: Sequence[int]) -> list[Scan]:
     """Simulate streets of all scenes."""
-    specs = [Simulated("", seed, LENGTH_M, scene=SCENES[i % 5], noise=0) for i, seed in enumerate(seeds)]
+    specs = [
+        Simulated("", seed, LENGTH_M, scene=SCENES[i % 5], noise=0) for i, seed in enumerate(seeds)
+    ]
     return [data.simulated(spec) for spec in specs]
 
 
@@ -118,18 +134,25 @@ def cells(f1: F64, normal: F64) -> str:
     """Return the mean over streets, the lowest, and the most that is lost on one street beside its normal drive."""
     loss = np.nanmax(normal - f1, axis=0)
     pairs = zip(f1.T, loss, strict=True)
-    return " | ".join(f"{np.nanmean(one):.3f} ({np.nanmin(one):.2f}, {-lost:+.3f})" for one, lost in pairs)
+    return " | ".join(
+        f"{np.nanmean(one):.3f} ({np.nanmin(one):.2f}, {-lost:+.3f})" for one, lost in pairs
+    )
 
 
 def main() -> None:
     """Print the table."""
     seeds = range(1311, 1317) if "report" in sys.argv[1:] else range(1, 6)
     scans = streets(seeds)
-    print(f"F1 on streets of seeds {seeds[0]} to {seeds[-1]}; lowest street, and most lost beside the normal drive\n")
+    print(
+        f"F1 on streets of seeds {seeds[0]} to {seeds[-1]}; lowest street, and most lost beside the normal drive\n"
+    )
     print(f"| drive | {' | '.join(NAMES)} |\n|---|{'---:|' * 4}")
     normal = None
     for name, where in DRIVES.items():
-        drives = [slowed(scan, where(len(scan.range_m)), seed) for scan, seed in zip(scans, seeds, strict=True)]
+        drives = [
+            slowed(scan, where(len(scan.range_m)), seed)
+            for scan, seed in zip(scans, seeds, strict=True)
+        ]
         for suffix, limits in SETTINGS.items():
             rows = np.array([f1_of(drive, limits) for drive in drives])
             normal = rows if normal is None else normal

@@ -30,7 +30,9 @@ ROUNDS = 7
 
 def classify_all(ranges: F32, params: PrcParams, threads: int, *, segments: bool = False) -> None:
     """Run the block pipeline over a range image; labels are dropped block by block."""
-    for _ in label_blocks(iter([ScanBlock(0, ranges)]), params, threads=threads, wanted=Wanted(segments=segments)):
+    for _ in label_blocks(
+        iter([ScanBlock(0, ranges)]), params, threads=threads, wanted=Wanted(segments=segments)
+    ):
         pass
 
 
@@ -39,7 +41,9 @@ def numpy_support(ranges: F32, lines: int) -> None:
     width = ranges.shape[1]
     for first in range(0, len(ranges) - 2, lines):
         tail = np.full(width + 1, np.nan, np.float32)
-        window = stream_window(tail, ranges[first : first + lines], ranges[first + lines : first + lines + 2])
+        window = stream_window(
+            tail, ranges[first : first + lines], ranges[first + lines : first + lines + 2]
+        )
         oracle.support_mask(window, len(ranges[first : first + lines]), width, 1.0, 1.0, 3, 2)
 
 
@@ -50,7 +54,9 @@ def street(n_lines: int, points_per_line: int) -> F32:
     return np.concatenate([block.range_m for block in scan.blocks()])
 
 
-def best_times(jobs: dict[str, tuple[Callable[[], object], int]], rounds: int) -> Iterator[tuple[str, float, float]]:
+def best_times(
+    jobs: dict[str, tuple[Callable[[], object], int]], rounds: int
+) -> Iterator[tuple[str, float, float]]:
     """Name of every job and its best rates [million shots a second]: by the clock, and by the time of one core."""
     walls: dict[str, list[float]] = {name: [] for name in jobs}
     cores: dict[str, list[float]] = {name: [] for name in jobs}
@@ -81,14 +87,27 @@ def main() -> None:
     }
     for n in sorted({1, cores}):
         job = partial(classify_all, threads=n)
-        jobs[f"PRC urban, k 99, M 2154, threads: {n}"] = partial(job, ranges, urban.prc), ranges.size
-        jobs[f"PRC urban with segment ids, threads: {n}"] = partial(job, ranges, urban.prc, segments=True), ranges.size
+        jobs[f"PRC urban, k 99, M 2154, threads: {n}"] = (
+            partial(job, ranges, urban.prc),
+            ranges.size,
+        )
+        jobs[f"PRC urban with segment ids, threads: {n}"] = (
+            partial(job, ranges, urban.prc, segments=True),
+            ranges.size,
+        )
         jobs[f"PRC forest, k 255, M 4270, threads: {n}"] = partial(job, wide, forest.prc), wide.size
-    jobs[f"classify_ranges(), urban, threads: {cores}"] = (lambda: classify_ranges(ranges, urban).labels, ranges.size)
+    jobs[f"classify_ranges(), urban, threads: {cores}"] = (
+        lambda: classify_ranges(ranges, urban).labels,
+        ranges.size,
+    )
     found = list(best_times(jobs, ROUNDS))
-    found += best_times({"oracle, urban": (lambda: oracle_prc.classify_stream(piece, settings), piece.size)}, 1)
+    found += best_times(
+        {"oracle, urban": (lambda: oracle_prc.classify_stream(piece, settings), piece.size)}, 1
+    )
     base = found[-1][1]
-    print("| work | million shots a second | beside the oracle | million shots a second of one core's time |")
+    print(
+        "| work | million shots a second | beside the oracle | million shots a second of one core's time |"
+    )
     print("|---|---|---|---|")
     for name, by_clock, by_core in found:
         print(f"| {name} | {by_clock:.2f} | {by_clock / base:.0f} | {by_core:.2f} |")

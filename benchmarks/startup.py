@@ -25,7 +25,12 @@ from prc_cli.kernels.loading import short_name
 RUNS = 5
 LOAD = "import sys, prc_cli.kernels as k; k.load_kernels(frozenset(sys.argv[1:]))"
 """As the command does it."""
-METHODS = {"prc": "urban", "sequential-angle": "street-scan", "fused": "fused", "fused-forest": "fused-forest"}
+METHODS = {
+    "prc": "urban",
+    "sequential-angle": "street-scan",
+    "fused": "fused",
+    "fused-forest": "fused-forest",
+}
 """One preset for every set of compiled loops."""
 WARM = ("urban", "street-scan", "fused")
 """Presets whose warm start is timed."""
@@ -42,18 +47,28 @@ print(time.process_time() - begin)
 
 def run(arguments: list[str], cache: Path) -> tuple[float, float]:
     """Wall and CPU seconds of a Python process."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPYCACHEPREFIX": str(cache.parent / "bytecode")}
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONPYCACHEPREFIX": str(cache.parent / "bytecode"),
+    }
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before, begin = os.times(), time.perf_counter()
-    subprocess.run([sys.executable, *arguments], env=environment, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, *arguments], env=environment, check=True, stdout=subprocess.DEVNULL
+    )
     seconds, after = time.perf_counter() - begin, os.times()
-    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    cpu = (
+        after.children_user + after.children_system - before.children_user - before.children_system
+    )
     return seconds, cpu
 
 
 def row(title: str, times: list[tuple[float, float]]) -> None:
     """Print the least wall and CPU time."""
-    print(f"| {title} | {min(wall for wall, _ in times):.2f} | {min(cpu for _, cpu in times):.2f} |")
+    print(
+        f"| {title} | {min(wall for wall, _ in times):.2f} | {min(cpu for _, cpu in times):.2f} |"
+    )
 
 
 def cold(folder: Path) -> None:
@@ -73,7 +88,15 @@ def warm(folder: Path) -> None:
             range_m=np.ascontiguousarray(street["range_m"][:, one_side]),
             zenith_deg=180 - street["angle_deg"][one_side],
         )
-    classify = ["-m", "prc_cli", "classify", str(folder / "small.npz"), str(folder / "o.npy"), "--overwrite", "--quiet"]
+    classify = [
+        "-m",
+        "prc_cli",
+        "classify",
+        str(folder / "small.npz"),
+        str(folder / "o.npy"),
+        "--overwrite",
+        "--quiet",
+    ]
     works = {
         "`python -c pass`": ["-c", "pass"],
         "`import numpy, numba`": ["-c", "import numpy, numba"],
@@ -90,7 +113,11 @@ def modules(folder: Path) -> None:
     for number, module in enumerate(sorted(set(KERNELS.values()))):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"one-{number}")}
         found = subprocess.run(
-            [sys.executable, "-c", ONE, module], env=environment, check=True, capture_output=True, text=True
+            [sys.executable, "-c", ONE, module],
+            env=environment,
+            check=True,
+            capture_output=True,
+            text=True,
         )
         print(f"| {short_name(module)} | {float(found.stdout):.2f} |")
 

@@ -133,17 +133,39 @@ class Trial:
         code, stderr = self.run(["classify", str(told.path), str(output), *options, "-q"])
         labels = np.load(output).ravel() if output.exists() else None
         command = shlex.join(["prc", "classify", told.path.name, output.name, *options])
-        return Done(code, stderr, labels), command.replace(f"{self.folder}/", "").replace(f"{ROOT}/", "")
+        return Done(code, stderr, labels), command.replace(f"{self.folder}/", "").replace(
+            f"{ROOT}/", ""
+        )
 
     def judge(self, case: Case, told: Told, f1_right: float, *, is_right: bool = False) -> Result:
         """Run a case and say what became of it."""
         done, command = self.classify(told, case.options)
-        f1 = float("nan") if done.labels is None else macro_f1(case.mapping, done.labels, told.truth)
-        said = next((line for line in done.stderr.splitlines() if line.strip()), "").replace(f"{self.folder}/", "")
+        f1 = (
+            float("nan") if done.labels is None else macro_f1(case.mapping, done.labels, told.truth)
+        )
+        said = next((line for line in done.stderr.splitlines() if line.strip()), "").replace(
+            f"{self.folder}/", ""
+        )
         outcome = outcome_of(done, f1, f1_right)
-        works = None if is_right or outcome not in ("doubted", "refused") else self.follow(case, told, done, f1_right)
-        result = Result(case.row, case.scan, case.first_line, case.method, outcome, done.exit_code, f1, f1_right,
-                        said, command, is_right, works)  # fmt: skip
+        works = (
+            None
+            if is_right or outcome not in ("doubted", "refused")
+            else self.follow(case, told, done, f1_right)
+        )
+        result = Result(
+            case.row,
+            case.scan,
+            case.first_line,
+            case.method,
+            outcome,
+            done.exit_code,
+            f1,
+            f1_right,
+            said,
+            command,
+            is_right,
+            works,
+        )
         self.results.append(result)
         return result
 
@@ -156,7 +178,10 @@ class Trial:
                 break
             told = replace(told, options=(*told.options, *typed))
             done, _ = self.classify(told, case.options)
-            works = done.labels is not None and macro_f1(case.mapping, done.labels, told.truth) > f1_right - NEAR
+            works = (
+                done.labels is not None
+                and macro_f1(case.mapping, done.labels, told.truth) > f1_right - NEAR
+            )
         return works
 
 
@@ -225,11 +250,15 @@ def random_of(*parts: object) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(" ".join(map(str, parts)).encode()))
 
 
-def try_window(trial: Trial, source: Source, window: Window, rows: Iterable[Row], form: int, seed: int) -> None:
+def try_window(
+    trial: Trial, source: Source, window: Window, rows: Iterable[Row], form: int, seed: int
+) -> None:
     """Run a window rightly told, then the rows, with every method."""
     for method in methods_of(window):
         random = random_of(seed, "right", window.scan, window.first_line, method)
-        context = Context(trial.folder, method, random, source.slower if source.can_be_slower else None)
+        context = Context(
+            trial.folder, method, random, source.slower if source.can_be_slower else None
+        )
         case = Case(TOLD, window.scan, window.first_line, method, window.mapping, METHODS[method])
         forms = right_forms(window)
         told = forms[form % len(forms)](window, context)
@@ -255,13 +284,22 @@ def _as_image(window: Window, labels: U8, told: Told) -> I64:
     return codes.reshape(window.range_m.shape)
 
 
-def try_row(trial: Trial, row: Row, window: Window, context: Context, f1_right: float, seed: int) -> Result | None:
+def try_row(
+    trial: Trial, row: Row, window: Window, context: Context, f1_right: float, seed: int
+) -> Result | None:
     """Run a row at a window."""
     random = random_of(seed, row.name, window.scan, window.first_line, context.method)
     made = row.make(window, replace(context, random=random))
     if made is None:
         return None
-    case = Case(row.name, window.scan, window.first_line, context.method, window.mapping, METHODS[context.method])
+    case = Case(
+        row.name,
+        window.scan,
+        window.first_line,
+        context.method,
+        window.mapping,
+        METHODS[context.method],
+    )
     if isinstance(made, Pair):
         right = trial.judge(replace(case, row=f"right: {row.name}"), made.right, 0.0, is_right=True)
         return trial.judge(case, made.wrong, 1.0 if np.isnan(right.f1) else right.f1)
@@ -278,16 +316,22 @@ def try_frame(trial: Trial, frame: Frame, only: str, seed: int) -> None:
         for row in FRAME_ROWS:
             if only in row.name:
                 told = row.make(frame, replace(context, random=random_of(seed, row.name, method)))
-                trial.judge(replace(case, row=row.name), told, 1.0 if np.isnan(right.f1) else right.f1)
+                trial.judge(
+                    replace(case, row=row.name), told, 1.0 if np.isnan(right.f1) else right.f1
+                )
 
 
-def run_set(trial: Trial, part: Part, seed: int, *, is_quick: bool, only: str, told: Callable[[str], None]) -> None:
+def run_set(
+    trial: Trial, part: Part, seed: int, *, is_quick: bool, only: str, told: Callable[[str], None]
+) -> None:
     """Run all scans of a set."""
     rows = [row for row in ROWS if only in row.name]
     for source in sources(part, seed, is_quick=is_quick):
         start = time.perf_counter()
         windows = source.windows(QUICK_WINDOWS if is_quick else WINDOWS)
-        chosen = chosen_windows(rows, len(windows), QUICK_CASES if is_quick else CASES, source.name, seed)
+        chosen = chosen_windows(
+            rows, len(windows), QUICK_CASES if is_quick else CASES, source.name, seed
+        )
         for i, window in enumerate(windows):
             if only and not chosen[i]:
                 continue
@@ -303,7 +347,9 @@ def chosen_windows(rows: list[Row], n: int, each: int, scan: str, seed: int) -> 
     found: list[list[Row]] = [[] for _ in range(n)]
     for row in rows:
         random = random_of(seed, "where", row.name, scan)
-        where = range(n) if row.everywhere else random.choice(n, min(each, n), replace=False).tolist()
+        where = (
+            range(n) if row.everywhere else random.choice(n, min(each, n), replace=False).tolist()
+        )
         for i in where:
             found[i].append(row)
     return found
@@ -338,7 +384,9 @@ def print_alarms(results: list[Result]) -> None:
     say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records, text and LAS, with
     every method; and in other forms with nothing wrong. Not told: scan angles in the file, nothing of straight down;
     what is refused or doubted there may be so with reason.""")
-    print("| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |")
+    print(
+        "| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |"
+    )
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name in [*dict.fromkeys(one.scan for one in results), ""]:
         own = [one for one in results if name in ("", one.scan)]
@@ -351,7 +399,9 @@ def print_alarms(results: list[Result]) -> None:
     alarms = [one for one in results if one.is_alarm]
     n_right = sum(one.is_right for one in results)
     if n_right:
-        print(f"{len(alarms)} of {n_right} rightly told runs are false alarms ({len(alarms) / n_right:.1%}).\n")
+        print(
+            f"{len(alarms)} of {n_right} rightly told runs are false alarms ({len(alarms) / n_right:.1%}).\n"
+        )
     wrong = [one for one in results if one.is_right and one.outcome == "silent"]
     for one in [*alarms, *wrong]:
         print(
@@ -372,9 +422,13 @@ def print_silent(results: list[Result]) -> None:
     if not silent:
         print("None.\n")
         return
-    print("| what is wrong | scan | from line | method | macro F1 | rightly told |\n|---|---|---:|---|---:|---:|")
+    print(
+        "| what is wrong | scan | from line | method | macro F1 | rightly told |\n|---|---|---:|---|---:|---:|"
+    )
     for one in silent:
-        print(f"| {one.row} | {one.scan} | {one.first_line} | {one.method} | {one.f1:.2f} | {one.f1_right:.2f} |")
+        print(
+            f"| {one.row} | {one.scan} | {one.first_line} | {one.method} | {one.f1:.2f} | {one.f1_right:.2f} |"
+        )
     print()
 
 
@@ -393,24 +447,42 @@ def print_words(results: list[Result]) -> None:
 def as_json(results: list[Result]) -> Iterator[dict[str, object]]:
     for one in results:
         values = asdict(one)
-        yield {key: None if isinstance(value, float) and np.isnan(value) else value for key, value in values.items()}
+        yield {
+            key: None if isinstance(value, float) and np.isnan(value) else value
+            for key, value in values.items()
+        }
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--set", dest="part", choices=PARTS, default="held-out")
     parser.add_argument("--quick", action="store_true", help="three small scans")
-    parser.add_argument("--seed", type=int, default=0, help="other streets, other windows, other damage")
-    parser.add_argument("--only", metavar="NAME", default="", help="only rows whose name holds this text")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="other streets, other windows, other damage"
+    )
+    parser.add_argument(
+        "--only", metavar="NAME", default="", help="only rows whose name holds this text"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write every run")
-    parser.add_argument("--processes", action="store_true", help="a process for every run, as in a shell; slow")
+    parser.add_argument(
+        "--processes", action="store_true", help="a process for every run, as in a shell; slow"
+    )
     arguments = parser.parse_args()
     start = time.perf_counter()
     told: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
     with tempfile.TemporaryDirectory() as name:
         trial = Trial(Path(name), in_own_process if arguments.processes else in_process)
-        run_set(trial, arguments.part, arguments.seed, is_quick=arguments.quick, only=arguments.only, told=told)
+        run_set(
+            trial,
+            arguments.part,
+            arguments.seed,
+            is_quick=arguments.quick,
+            only=arguments.only,
+            told=told,
+        )
     results = trial.results
     print("<!-- written by python -m benchmarks.trust; do not edit -->\n\n# Trust: figures\n")
     say(f"""Scans that are {"held out: no limit was chosen on them" if arguments.part == "held-out" else "for tuning"},

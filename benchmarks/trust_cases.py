@@ -30,7 +30,14 @@ Random: TypeAlias = np.random.Generator
 METHODS: dict[str, tuple[str, ...]] = {
     "prc": ("--preset", "urban"),
     "prc push-broom": ("--config", str(ROOT / "sample_configs" / "sick_push_broom.toml")),
-    "prc forest": ("--preset", "forest", "--set", "prc.support.zeta_s=1", "--set", "prc.support.zeta_p=0.1"),
+    "prc forest": (
+        "--preset",
+        "forest",
+        "--set",
+        "prc.support.zeta_s=1",
+        "--set",
+        "prc.support.zeta_p=0.1",
+    ),
     "fused": ("--preset", "fused"),
     "fused-forest": ("--preset", "fused-forest"),
     "sequential-angle": ("--preset", "street-scan"),
@@ -40,9 +47,17 @@ AIMED = frozenset({"fused", "fused-forest", "sequential-angle"})
 KITTI_CONFIG = ("--config", str(ROOT / "sample_configs" / "kitti_frame.toml"))
 FEET = 1.0 / 0.3048
 _TYPES = {
-    "range": "<f4", "intensity": "<f4", "time": "<f8", "x": "<f8", "y": "<f8", "z": "<f8", "angle": "<f8",
-    "scan_line": "<u4", "column": "<u4", "user_data": "<u1",
-}  # fmt: skip
+    "range": "<f4",
+    "intensity": "<f4",
+    "time": "<f8",
+    "x": "<f8",
+    "y": "<f8",
+    "z": "<f8",
+    "angle": "<f8",
+    "scan_line": "<u4",
+    "column": "<u4",
+    "user_data": "<u1",
+}
 NOISE = 7
 WEEK_S = 604_800.0
 PLACE_M = (650_000.0, 6_860_000.0, 40.0)
@@ -136,7 +151,9 @@ def taken(shots: Shots, order: NDArray[np.integer[Any]]) -> Shots:
     return {name: values[order] for name, values in shots.items()}
 
 
-def dump(path: Path, shots: Shots, names: Sequence[str], points_per_line: int | None = None) -> tuple[str, ...]:
+def dump(
+    path: Path, shots: Shots, names: Sequence[str], points_per_line: int | None = None
+) -> tuple[str, ...]:
     """Write records with the named fields and their layout; return the options that name it."""
     records = np.zeros(len(shots["range"]), np.dtype([(name, _TYPES[name]) for name in names]))
     for name in names:
@@ -150,7 +167,12 @@ def dump(path: Path, shots: Shots, names: Sequence[str], points_per_line: int | 
 
 
 def aim(
-    window: Window, context: Context, *, step: float = 1.0, nadir: float | None = 0.0, angles: bool = True
+    window: Window,
+    context: Context,
+    *,
+    step: float = 1.0,
+    nadir: float | None = 0.0,
+    angles: bool = True,
 ) -> tuple[str, ...]:
     """Return the options that tell angles and straight down, where the method needs them.
 
@@ -175,7 +197,9 @@ def _set(key: str, value: float) -> tuple[str, str]:
     return ("--set", f"input.{key}={value:.8g}")
 
 
-def flat(window: Window, context: Context, values: NDArray[Any], truth: I64 | None = None, *, m: int = 0) -> Told:
+def flat(
+    window: Window, context: Context, values: NDArray[Any], truth: I64 | None = None, *, m: int = 0
+) -> Told:
     """Write values one after the other, as a plain dump of ranges with M told."""
     path = context.folder / "scan.bin"
     values.tofile(path)
@@ -187,13 +211,17 @@ def flat(window: Window, context: Context, values: NDArray[Any], truth: I64 | No
 def plain(window: Window, context: Context, **aiming: Any) -> Told:
     """Write a window as a plain dump."""
     told = flat(window, context, window.range_m)
-    return replace(told, options=("-M", str(window.points_per_line), *aim(window, context, **aiming)))
+    return replace(
+        told, options=("-M", str(window.points_per_line), *aim(window, context, **aiming))
+    )
 
 
 def array(window: Window, context: Context, step: float = 1.0, **aiming: Any) -> Told:
     """Write a window as .npz with scan angles and times."""
     path = context.folder / "scan.npz"
-    np.savez(path, range_m=window.range_m, angle_deg=window.angle_deg() * step, time_s=window.time_s)
+    np.savez(
+        path, range_m=window.range_m, angle_deg=window.angle_deg() * step, time_s=window.time_s
+    )
     return Told(path, aim(window, context, angles=False, **aiming), window.codes.ravel())
 
 
@@ -210,8 +238,13 @@ def text(window: Window, context: Context) -> Told:
     """Write one row a shot, missing ones with an empty cell."""
     shots = shots_of(window)
     path = context.folder / "scan.csv"
-    columns = {"scan_line": shots["scan_line"], "column": shots["column"], "angle_deg": shots["angle"].round(6),
-               "time_s": shots["time"], "range_m": shots["range"]}  # fmt: skip
+    columns = {
+        "scan_line": shots["scan_line"],
+        "column": shots["column"],
+        "angle_deg": shots["angle"].round(6),
+        "time_s": shots["time"],
+        "range_m": shots["range"],
+    }
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     csv.write_csv(table, path)
     return Told(path, aim(window, context, angles=False), shots["truth"])
@@ -240,7 +273,11 @@ def las(window: Window, context: Context) -> Told:
 
 def right_forms(window: Window) -> tuple[Callable[[Window, Context], Told], ...]:
     """Return the ways in which a window can be told rightly."""
-    return (plain, array, listed, text) if window.world_m is None else (plain, array, listed, text, las)
+    return (
+        (plain, array, listed, text)
+        if window.world_m is None
+        else (plain, array, listed, text, las)
+    )
 
 
 # Direction and angles
@@ -292,7 +329,9 @@ def registered_as_own(window: Window, context: Context) -> Made:
     shots = shots_of(window, returns_only=True)
     path = context.folder / "scan.dat"
     layout = dump(path, shots, ("x", "y", "z", "scan_line", "column"))
-    return Told(path, (*layout, "-M", str(window.points_per_line), "--range", "sensor-xyz"), shots["truth"])
+    return Told(
+        path, (*layout, "-M", str(window.points_per_line), "--range", "sensor-xyz"), shots["truth"]
+    )
 
 
 def trajectory_late(window: Window, context: Context) -> Made:
@@ -309,9 +348,16 @@ def trajectory_late(window: Window, context: Context) -> Made:
     places = np.concatenate([places[:1] + ends[0] * speed, places, places[-1:] + ends[1] * speed])
     rows = np.column_stack([time_s, places])
     np.savetxt(drive, rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.6f")
-    options = (*layout, "-M", str(window.points_per_line), "--range", f"trajectory:{drive}",
-               "--set", f"input.trajectory_max_gap={2 * TRAJECTORY_ENDS_S}",
-               *aim(window, context, angles=False))  # fmt: skip
+    options = (
+        *layout,
+        "-M",
+        str(window.points_per_line),
+        "--range",
+        f"trajectory:{drive}",
+        "--set",
+        f"input.trajectory_max_gap={2 * TRAJECTORY_ENDS_S}",
+        *aim(window, context, angles=False),
+    )
     late = (*options, "--set", "input.trajectory_time_offset=1")
     return Pair(Told(path, late, shots["truth"]), Told(path, options, shots["truth"]))
 
@@ -330,7 +376,9 @@ def radians(window: Window, context: Context) -> Made:
     """Write radians under the name of degrees, in an array or in text."""
     if context.random.random() < 0.5:
         return array(window, context, step=math.pi / 180.0, nadir=None)
-    turned = replace(window, start_deg=math.radians(window.start_deg), step_deg=math.radians(window.step_deg))
+    turned = replace(
+        window, start_deg=math.radians(window.start_deg), step_deg=math.radians(window.step_deg)
+    )
     return replace(text(turned, context), options=())
 
 
@@ -359,7 +407,9 @@ def angles_in_extra_bytes(window: Window, context: Context) -> Made:
 def angles_mirrored(window: Window, context: Context) -> Made:
     told = plain(window, context)
     aimed = _set("angle_start", window.start_deg) + _set("angle_step", -window.step_deg)
-    return replace(told, options=("-M", str(window.points_per_line), *aimed, *_set("nadir", window.nadir_deg)))
+    return replace(
+        told, options=("-M", str(window.points_per_line), *aimed, *_set("nadir", window.nadir_deg))
+    )
 
 
 # M
@@ -401,7 +451,11 @@ def rounded_to_dm(window: Window, context: Context) -> Made:
 def missing_as_far(window: Window, context: Context) -> Made:
     """Write the largest range for a shot without return, as some scanners do."""
     farthest = np.ceil(np.nanmax(window.range_m)) + np.float32(0.91)
-    return flat(window, context, np.where(np.isnan(window.range_m), farthest, window.range_m).astype(np.float32))
+    return flat(
+        window,
+        context,
+        np.where(np.isnan(window.range_m), farthest, window.range_m).astype(np.float32),
+    )
 
 
 def wrong_order_of_bytes(window: Window, context: Context) -> Made:
@@ -453,7 +507,13 @@ def converted_without_layout(window: Window, context: Context) -> Made:
 def _converted(window: Window, context: Context) -> Path:
     source = context.folder / "before.npz"
     intensity = np.where(np.isnan(window.range_m), np.nan, 100.0).astype(np.float32)
-    np.savez(source, range_m=window.range_m, angle_deg=window.angle_deg(), time_s=window.time_s, intensity=intensity)
+    np.savez(
+        source,
+        range_m=window.range_m,
+        angle_deg=window.angle_deg(),
+        time_s=window.time_s,
+        intensity=intensity,
+    )
     # in a folder of its own: the layout would be taken for that of other dumps of this name
     path = context.folder / "converted" / "scan.bin"
     path.parent.mkdir(exist_ok=True)
@@ -502,10 +562,21 @@ def timed(window: Window, context: Context, shots: Shots) -> Told:
     path = context.folder / "scan.dat"
     if context.random.random() < 0.5:
         layout = dump(path, shots, ("range", "time"))
-        return Told(path, (*layout, "-M", str(window.points_per_line), *aim(window, context)), shots["truth"])
+        return Told(
+            path,
+            (*layout, "-M", str(window.points_per_line), *aim(window, context)),
+            shots["truth"],
+        )
     shots = taken(shots, np.flatnonzero(~np.isnan(shots["range"])))
     layout = dump(path, shots, ("range", "angle", "time"))
-    options = (*layout, "--lines", "angle-wrap", "--columns", "angle", *_set("angle_start", window.start_deg))
+    options = (
+        *layout,
+        "--lines",
+        "angle-wrap",
+        "--columns",
+        "angle",
+        *_set("angle_start", window.start_deg),
+    )
     options += (*_set("angle_step", window.step_deg), *aim(window, context, angles=False))
     return Told(path, options, shots["truth"])
 
@@ -515,7 +586,9 @@ def with_times(window: Window, context: Context) -> Made:
     return timed(window, context, shots_of(window))
 
 
-def _in_blocks(window: Window, n: int, order: Callable[[int], Sequence[int]]) -> NDArray[np.integer[Any]]:
+def _in_blocks(
+    window: Window, n: int, order: Callable[[int], Sequence[int]]
+) -> NDArray[np.integer[Any]]:
     """Return the cells with blocks of whole lines in another order."""
     cells = np.arange(window.range_m.size).reshape(window.range_m.shape)
     parts = np.array_split(cells, n)
@@ -558,10 +631,17 @@ def lines_twice_untimed(window: Window, context: Context) -> Made:
 def line_numbers_begin_anew(window: Window, context: Context) -> Made:
     shots = shots_of(window, returns_only=True)
     half = window.n_lines // 2
-    shots["scan_line"] = np.where(shots["scan_line"] < half, shots["scan_line"], shots["scan_line"] - half)
+    shots["scan_line"] = np.where(
+        shots["scan_line"] < half, shots["scan_line"], shots["scan_line"] - half
+    )
     path = context.folder / "scan.dat"
     names = ("range", "angle", "time", "scan_line", "column")
-    options = (*dump(path, shots, names), "-M", str(window.points_per_line), *aim(window, context, angles=False))
+    options = (
+        *dump(path, shots, names),
+        "-M",
+        str(window.points_per_line),
+        *aim(window, context, angles=False),
+    )
     return Told(path, options, shots["truth"])
 
 
@@ -591,9 +671,18 @@ def restart_sorted(window: Window, context: Context) -> Made:
     shots = taken(shots, np.flatnonzero(~np.isnan(shots["range"])))
     path = context.folder / "scan.dat"
     layout = dump(path, shots, ("range", "angle", "time", "column"))
-    options = (*layout, "--sort-by-time", "--lines", f"time:{window.line_hz:.10g}", "--columns", "dimension:column",
-               *_set("time_origin", float(window.time_s[0, 0]) - 1e-7), "-M", str(window.points_per_line),
-               *aim(window, context, angles=False))  # fmt: skip
+    options = (
+        *layout,
+        "--sort-by-time",
+        "--lines",
+        f"time:{window.line_hz:.10g}",
+        "--columns",
+        "dimension:column",
+        *_set("time_origin", float(window.time_s[0, 0]) - 1e-7),
+        "-M",
+        str(window.points_per_line),
+        *aim(window, context, angles=False),
+    )
     return Told(path, options, shots["truth"])
 
 
@@ -606,7 +695,12 @@ def two_scanners(window: Window, context: Context) -> Made:
     shots = taken(shots, np.lexsort((shots["user_data"], shots["column"], shots["scan_line"])))
     path = context.folder / "scan.dat"
     names = ("range", "angle", "scan_line", "column", "user_data")
-    options = (*dump(path, shots, names), "-M", str(window.points_per_line), *aim(window, context, angles=False))
+    options = (
+        *dump(path, shots, names),
+        "-M",
+        str(window.points_per_line),
+        *aim(window, context, angles=False),
+    )
     right = (*options, "--scanner", "user_data")
     return Pair(Told(path, options, shots["truth"]), Told(path, right, shots["truth"]))
 
@@ -619,7 +713,9 @@ def each_line_again(times: int, every: int) -> Callable[[Window, Context], Made]
 
     def make(window: Window, context: Context) -> Made:
         lines = slice(0, max(window.n_lines // times, 12))
-        ranges, codes = (np.repeat(one[lines, ::every], times, axis=0) for one in (window.range_m, window.codes))
+        ranges, codes = (
+            np.repeat(one[lines, ::every], times, axis=0) for one in (window.range_m, window.codes)
+        )
         ranges = (ranges + context.random.normal(0.0, 0.003, ranges.shape)).astype(np.float32)
         path = context.folder / "scan.npz"
         np.savez(path, range_m=ranges, angle_deg=window.angle_deg()[::every])
@@ -792,7 +888,9 @@ class FrameRow:
     make: Callable[[Frame, Context], Told]
 
 
-def frame_file(frame: Frame, context: Context, points: NDArray[Any] | None = None, truth: I64 | None = None) -> Told:
+def frame_file(
+    frame: Frame, context: Context, points: NDArray[Any] | None = None, truth: I64 | None = None
+) -> Told:
     """Write a frame with the options of its sample configuration."""
     path = context.folder / "frame.bin"
     (frame.points if points is None else points).tofile(path)
@@ -807,7 +905,9 @@ def _frame_scaled(factor: float) -> Callable[[Frame, Context], Told]:
     return make
 
 
-def _frame_taken(choose: Callable[[int, Random], NDArray[np.integer[Any]]]) -> Callable[[Frame, Context], Told]:
+def _frame_taken(
+    choose: Callable[[int, Random], NDArray[np.integer[Any]]],
+) -> Callable[[Frame, Context], Told]:
     def make(frame: Frame, context: Context) -> Told:
         order = choose(len(frame.points), context.random)
         return frame_file(frame, context, frame.points[order], frame.codes[order])
@@ -822,9 +922,13 @@ def _frame_rings(n: int) -> Callable[[Frame, Context], Told]:
     return make
 
 
-def _frame_columns(order: Sequence[int], signs: Sequence[float]) -> Callable[[Frame, Context], Told]:
+def _frame_columns(
+    order: Sequence[int], signs: Sequence[float]
+) -> Callable[[Frame, Context], Told]:
     def make(frame: Frame, context: Context) -> Told:
-        return frame_file(frame, context, frame.points[:, list(order)] * np.array(signs, np.float32))
+        return frame_file(
+            frame, context, frame.points[:, list(order)] * np.array(signs, np.float32)
+        )
 
     return make
 
@@ -854,6 +958,9 @@ FRAME_ROWS: tuple[FrameRow, ...] = (
     FrameRow("two bytes off", _frame_bytes(_two_off)),
     FrameRow("shots shuffled", _frame_taken(lambda n, random: random.permutation(n))),
     FrameRow("halves of the frame swapped", _frame_taken(_halves)),
-    FrameRow("30 % of the shots lost", _frame_taken(lambda n, random: np.flatnonzero(random.random(n) > 0.3))),
+    FrameRow(
+        "30 % of the shots lost",
+        _frame_taken(lambda n, random: np.flatnonzero(random.random(n) > 0.3)),
+    ),
 )
 """They have the names of the rows that they are like."""

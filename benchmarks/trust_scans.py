@@ -142,13 +142,17 @@ class Source:
         each = min(self.n_lines, lines)
         n = min(n, 1 + (lines - each) // max(each // 8, 1))
         firsts = np.unique(np.linspace(0, lines - each, n).astype(int))
-        return [cut(self.name, scan, int(first), each, is_labelled=self.is_labelled) for first in firsts]
+        return [
+            cut(self.name, scan, int(first), each, is_labelled=self.is_labelled) for first in firsts
+        ]
 
     def slower(self, between_lines_m: float) -> Window:
         """Return the street driven with another way between lines."""
         assert self.spec is not None
         length_m = between_lines_m * (self.n_lines + 2)
-        scan = data.simulated(replace(self.spec, length_m=length_m, between_lines_m=between_lines_m))
+        scan = data.simulated(
+            replace(self.spec, length_m=length_m, between_lines_m=between_lines_m)
+        )
         return cut(self.name, scan, 0, min(self.n_lines, len(scan.range_m)))
 
     @property
@@ -192,21 +196,35 @@ def riegl() -> Scan:
 
     Shots without return are no rows of the files; the angle says where they are missing.
     """
-    vectors = [f"{axis}{of}" for of in ("_sensor", "_origin_sensor", "", "_origin") for axis in "xyz"]
+    vectors = [
+        f"{axis}{of}" for of in ("_sensor", "_origin_sensor", "", "_origin") for axis in "xyz"
+    ]
     floats = [*vectors, "range", "theta", "phi"]
     after = ("amplitude", "reflectance", "deviation", "background_radiation")
-    kind = np.dtype([
-        ("time", ">f8"), *((name, ">f4") for name in floats), ("num_echo", "u1"), ("nb_of_echo", "u1"),
-        *((name, ">f4") for name in after),
-    ])  # fmt: skip
+    kind = np.dtype(
+        [
+            ("time", ">f8"),
+            *((name, ">f4") for name in floats),
+            ("num_echo", "u1"),
+            ("nb_of_echo", "u1"),
+            *((name, ">f4") for name in after),
+        ]
+    )
     parts = []
     for path in sorted((data.DATA / "riegl").glob("*.ply")):
         content = path.read_bytes()
-        parts.append(np.frombuffer(content, kind, offset=content.index(b"end_header\n") + len(b"end_header\n")))
+        parts.append(
+            np.frombuffer(
+                content, kind, offset=content.index(b"end_header\n") + len(b"end_header\n")
+            )
+        )
     rows = np.concatenate(parts)
     time_s = rows["time"].astype(np.float64)
     # further returns of a shot have its time
-    rows, time_s = rows[np.diff(time_s, prepend=-np.inf) > 0], time_s[np.diff(time_s, prepend=-np.inf) > 0]
+    rows, time_s = (
+        rows[np.diff(time_s, prepend=-np.inf) > 0],
+        time_s[np.diff(time_s, prepend=-np.inf) > 0],
+    )
     step = 2.0 * np.pi / RIEGL_COLUMNS
     turned = np.unwrap(rows["theta"].astype(np.float64)) + np.pi
     place = np.rint(turned / step).astype(np.int64)
@@ -220,10 +238,14 @@ def riegl() -> Scan:
         world_m[line, column, axis] = rows[name]
     angle: F64 = -np.pi + step * np.arange(RIEGL_COLUMNS, dtype=np.float64)
     start_s = float(time_s[0]) - (float(turned[0]) % (2 * np.pi)) / (2 * np.pi) / RIEGL_LINES_HZ
-    fired = start_s + (np.arange(shape[0])[:, None] + np.arange(shape[1]) / shape[1]) / RIEGL_LINES_HZ
+    fired = (
+        start_s + (np.arange(shape[0])[:, None] + np.arange(shape[1]) / shape[1]) / RIEGL_LINES_HZ
+    )
     fit = fit_heights(angle[column], range_m[line, column], world_m[line, column, 2], line)
     codes = np.zeros(shape, np.int64)
-    return Scan("RIEGL strip", range_m, angle - fit.down_rad, codes, "street", time_s=fired, world_m=world_m)
+    return Scan(
+        "RIEGL strip", range_m, angle - fit.down_rad, codes, "street", time_s=fired, world_m=world_m
+    )
 
 
 def kitti() -> Frame:
@@ -251,7 +273,16 @@ class _Plan:
 
     def source(self, part: Part, seed: int, *, is_short: bool) -> Source:
         n_lines = _LINES[self.scanner]
-        spec = Drive(self.name, seed, self.length_m, self.scene, self.scanner, self.mount, self.noise, self.kind)
+        spec = Drive(
+            self.name,
+            seed,
+            self.length_m,
+            self.scene,
+            self.scanner,
+            self.mount,
+            self.noise,
+            self.kind,
+        )
         if is_short:
             spec = replace(spec, length_m=1.5 * n_lines * spec.usual_m)
         return Source(self.name, part, partial(data.simulated, spec), n_lines, spec)
@@ -262,41 +293,107 @@ _PLANS: dict[Part, tuple[_Plan, ...]] = {
     "tuning": (
         _Plan("residential, photon-80, gap up, slant 25°", 150, "residential"),
         _Plan("mixed, photon-80, gap of 50° down, slant 20°", 150, "mixed", mount=GAP_DOWN),
-        _Plan("suburb, photon-80, gap of 40° down and 30° aside, slant 45°", 150, "suburb",
-              mount={"centre_deg": 180.0, "roll_deg": 30.0, "slant_deg": 45.0}, noise=0.02),
+        _Plan(
+            "suburb, photon-80, gap of 40° down and 30° aside, slant 45°",
+            150,
+            "suburb",
+            mount={"centre_deg": 180.0, "roll_deg": 30.0, "slant_deg": 45.0},
+            noise=0.02,
+        ),
         _Plan("residential, sick-push-broom", 300, "residential", "sick-push-broom", noise=0.02),
         _Plan("boulevard, profiler-1mhz, slant 25°", 24, "boulevard", "profiler-1mhz", noise=0.02),
         _Plan("mixed forest, gap of 55° down, slant 20°", 6, "mixed", **_WALK),
     ),
     "held-out": (
-        _Plan("mixed, photon-80, gap of 70° down, slant 45°", 150, "mixed",
-              mount={"centre_deg": 180.0, "field_deg": 290.0, "slant_deg": 45.0}),
-        _Plan("terraces, photon-80, gap up, turned 45°, slant 20°", 150, "terraces",
-              mount={"heading_deg": 45.0, "slant_deg": 20.0}, noise=0.05),
-        _Plan("boulevard, photon-80, gap of 40° 60° from up, slant 30°", 150, "boulevard",
-              mount={"roll_deg": -60.0, "slant_deg": 30.0}, noise=0.02),
-        _Plan("suburb, focus3d-120 on a car, gap of 55° down, upright", 90, "suburb", "focus3d-120",
-              mount={"slant_deg": 0.0, "height_m": 2.9}),
-        _Plan("residential, profiler of 300 kHz, seam aside, slant 35°", 48, "residential", "profiler-1mhz",
-              mount={"points_per_line": 3000, "line_hz": 100.0, "roll_deg": 90.0, "slant_deg": 35.0, "height_m": 3.2},
-              noise=0.02),
-        _Plan("mixed, profiler-1mhz, slant 45°", 24, "mixed", "profiler-1mhz", mount={"slant_deg": 45.0}, noise=0.0),
-        _Plan("terraces, sick-push-broom on the other side", 300, "terraces", "sick-push-broom",
-              mount={"centre_deg": -90.0}, noise=0.05),
-        _Plan("boulevard, sick-push-broom looking down", 300, "boulevard", "sick-push-broom",
-              mount={"centre_deg": 0.0, "height_m": 2.8}, noise=0.02),
-        _Plan("mixed forest, gap of 55° down and 20° aside, slant 35°", 6, "mixed",
-              mount={"roll_deg": 20.0, "slant_deg": 35.0}, **_WALK),
+        _Plan(
+            "mixed, photon-80, gap of 70° down, slant 45°",
+            150,
+            "mixed",
+            mount={"centre_deg": 180.0, "field_deg": 290.0, "slant_deg": 45.0},
+        ),
+        _Plan(
+            "terraces, photon-80, gap up, turned 45°, slant 20°",
+            150,
+            "terraces",
+            mount={"heading_deg": 45.0, "slant_deg": 20.0},
+            noise=0.05,
+        ),
+        _Plan(
+            "boulevard, photon-80, gap of 40° 60° from up, slant 30°",
+            150,
+            "boulevard",
+            mount={"roll_deg": -60.0, "slant_deg": 30.0},
+            noise=0.02,
+        ),
+        _Plan(
+            "suburb, focus3d-120 on a car, gap of 55° down, upright",
+            90,
+            "suburb",
+            "focus3d-120",
+            mount={"slant_deg": 0.0, "height_m": 2.9},
+        ),
+        _Plan(
+            "residential, profiler of 300 kHz, seam aside, slant 35°",
+            48,
+            "residential",
+            "profiler-1mhz",
+            mount={
+                "points_per_line": 3000,
+                "line_hz": 100.0,
+                "roll_deg": 90.0,
+                "slant_deg": 35.0,
+                "height_m": 3.2,
+            },
+            noise=0.02,
+        ),
+        _Plan(
+            "mixed, profiler-1mhz, slant 45°",
+            24,
+            "mixed",
+            "profiler-1mhz",
+            mount={"slant_deg": 45.0},
+            noise=0.0,
+        ),
+        _Plan(
+            "terraces, sick-push-broom on the other side",
+            300,
+            "terraces",
+            "sick-push-broom",
+            mount={"centre_deg": -90.0},
+            noise=0.05,
+        ),
+        _Plan(
+            "boulevard, sick-push-broom looking down",
+            300,
+            "boulevard",
+            "sick-push-broom",
+            mount={"centre_deg": 0.0, "height_m": 2.8},
+            noise=0.02,
+        ),
+        _Plan(
+            "mixed forest, gap of 55° down and 20° aside, slant 35°",
+            6,
+            "mixed",
+            mount={"roll_deg": 20.0, "slant_deg": 35.0},
+            **_WALK,
+        ),
         _Plan("pine heath, gap of 55° down, slant 20°", 6, "pine-heath", **_WALK),
-        _Plan("dense spruce, gap up, slant 20°", 6, "dense-spruce", mount={"centre_deg": 0.0}, **_WALK),
+        _Plan(
+            "dense spruce, gap up, slant 20°", 6, "dense-spruce", mount={"centre_deg": 0.0}, **_WALK
+        ),
     ),
-}  # fmt: skip
+}
 _TOYS: dict[str, _Plan] = {
-    "street": _Plan("street", 45, "residential",
-                    mount={**GAP_DOWN, "points_per_line": 718, "line_hz": 48.0, "divergence_mrad": 2.0}, noise=0.02),
+    "street": _Plan(
+        "street",
+        45,
+        "residential",
+        mount={**GAP_DOWN, "points_per_line": 718, "line_hz": 48.0, "divergence_mrad": 2.0},
+        noise=0.02,
+    ),
     "push-broom": _Plan("push-broom", 115, "residential", "sick-push-broom", noise=0.02),
     "forest": _Plan("forest", 1.7, "mixed", mount={"points_per_line": 1424}, **_WALK),
-}  # fmt: skip
+}
 TOY_SEED = 59_000
 _QUICK: dict[Part, tuple[int, ...]] = {"tuning": (1, 3, 5), "held-out": (0, 7, 10)}
 """Scans of a quick run."""

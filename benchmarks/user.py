@@ -22,7 +22,9 @@ def in_process(arguments: list[str]) -> tuple[int, str]:
     """Run the command line in this process; return its exit code and stderr."""
     said = io.StringIO()
     is_main = threading.current_thread() is threading.main_thread()
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT) if is_main}
+    handlers = {
+        number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT) if is_main
+    }
     code = 0
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):

@@ -55,16 +55,21 @@ def cli_page() -> str:
         parts.append(f"## prc {name}\n\n```text\n{_help(command, f'prc {name}')}\n```\n")
         if isinstance(command, click.Group):
             for sub_name, sub in command.commands.items():
-                parts.append(f"### prc {name} {sub_name}\n\n```text\n{_help(sub, f'prc {name} {sub_name}')}\n```\n")
+                parts.append(
+                    f"### prc {name} {sub_name}\n\n```text\n{_help(sub, f'prc {name} {sub_name}')}\n```\n"
+                )
     return "\n".join(parts)
 
 
 def _help(command: click.Command, name: str) -> str:
     settings = cli.context_settings
     with click.Context(
-        command, info_name=name, terminal_width=100, help_option_names=settings["help_option_names"],
+        command,
+        info_name=name,
+        terminal_width=100,
+        help_option_names=settings["help_option_names"],
         max_content_width=settings["max_content_width"],
-    ) as context:  # fmt: skip
+    ) as context:
         return command.get_help(context).rstrip()
 
 
@@ -85,7 +90,8 @@ def configuration_page() -> str:
         "Each is a file of `sample_configs/`; what it does not set is a default. `prc config presets` lists them.\n"
     )
     parts.extend(
-        f"### {preset.name}\n\n```toml\n{preset.file.read_text(encoding='utf-8')}```\n" for preset in preset_summaries()
+        f"### {preset.name}\n\n```toml\n{preset.file.read_text(encoding='utf-8')}```\n"
+        for preset in preset_summaries()
     )
     return "\n".join(parts)
 
@@ -100,8 +106,18 @@ def _tables(model: type[Params], prefix: str) -> Iterator[str]:
             continue
         schema = model.model_json_schema(by_alias=True)["properties"][key]
         default = info.get_default(call_default_factory=True)
-        shown = "required" if info.is_required() else "not set" if default is None else f"`{_toml(default)}`"
-        rows.append(f"| `{key}` | {shown} | {_bounds(schema)} | {info.description or ''} |".replace("  ", " "))
+        shown = (
+            "required"
+            if info.is_required()
+            else "not set"
+            if default is None
+            else f"`{_toml(default)}`"
+        )
+        rows.append(
+            f"| `{key}` | {shown} | {_bounds(schema)} | {info.description or ''} |".replace(
+                "  ", " "
+            )
+        )
     title = f"[{prefix.rstrip('.')}]" if prefix else "Top level"
     documentation = (model.__doc__ or "").strip().splitlines()[0].replace("``", "`")
     if rows:
@@ -114,12 +130,18 @@ def _tables(model: type[Params], prefix: str) -> Iterator[str]:
 def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else str(list(value) if isinstance(value, tuple) else value)
+    return (
+        f'"{value}"'
+        if isinstance(value, str)
+        else str(list(value) if isinstance(value, tuple) else value)
+    )
 
 
 def _bounds(schema: dict[str, Any]) -> str:
     if "anyOf" in schema:
-        return " or ".join(_bounds(option) for option in schema["anyOf"] if option.get("type") != "null")
+        return " or ".join(
+            _bounds(option) for option in schema["anyOf"] if option.get("type") != "null"
+        )
     if "enum" in schema:
         return ", ".join(f"`{_toml(value)}`" for value in schema["enum"])
     if "const" in schema:
@@ -137,7 +159,9 @@ def classes_page() -> str:
         f"{'no return; label files only' if label is Label.MISSING else _description(label)} |"
         for label in Label
     ]
-    table = "\n".join(["| class | code | colour in pictures | meaning |", "|---|---|---|---|", *rows])
+    table = "\n".join(
+        ["| class | code | colour in pictures | meaning |", "|---|---|---|---|", *rows]
+    )
     text = """\
         # Class codes
 
@@ -166,7 +190,8 @@ def checks_page() -> str:
     for check in check_table():
         facts = (("Limit", check.limit), ("Why", check.reason), ("Not seen", check.blind))
         told = "\n".join(
-            textwrap.fill(f"- {name}: {text.rstrip('.')}.", 120, subsequent_indent="  ") for name, text in facts
+            textwrap.fill(f"- {name}: {text.rstrip('.')}.", 120, subsequent_indent="  ")
+            for name, text in facts
         )
         parts.append(f"## {check.name}\n\n{check.asks}\n\n{told}\n")
     return "\n".join(parts)
@@ -203,11 +228,15 @@ def simulation_page() -> str:
         ## Scanners
         """
     names = list(SCANNERS)
-    fields = [key for key, info in Scanner.model_fields.items() if model_in(info.annotation) is None]
+    fields = [
+        key for key, info in Scanner.model_fields.items() if model_in(info.annotation) is None
+    ]
     rows = [f"| | {' | '.join(f'`{name}`' for name in names)} |", "|---|" + "---|" * len(names)]
     for key in fields:
         values = [getattr(SCANNERS[name], key) for name in names]
-        rows.append(f"| `{key}` | {' | '.join('not set' if value is None else _plain(value) for value in values)} |")
+        rows.append(
+            f"| `{key}` | {' | '.join('not set' if value is None else _plain(value) for value in values)} |"
+        )
     parts = [GENERATED, textwrap.dedent(intro), "\n".join(rows) + "\n"]
     seen: set[str] = set()
     for kind in KINDS:
@@ -245,7 +274,9 @@ def with_figures(path: Path, text: str) -> str:
         try:
             value = _looked_up(tables(path.parent / page, section), told)
         except (LookupError, ValueError, OSError) as error:
-            raise ValueError(f"{path.name}: {shown} of {page}#{section} {told!r}: {error}") from None
+            raise ValueError(
+                f"{path.name}: {shown} of {page}#{section} {told!r}: {error}"
+            ) from None
         return found.group().replace(f"[{shown}]", f"[{_like(shown, value)}]", 1)
 
     def rows(found: re.Match[str]) -> str:
@@ -283,7 +314,9 @@ def tables(page: Path, section: str) -> tuple[Table, ...]:
         elif (level and blocks[-1][1]) or heading != blocks[-1][0]:
             blocks.append((heading, []))
     found = [
-        (name, _columns(_cells(rows[0])), [_cells(row) for row in rows[2:]], rows[2:]) for name, rows in blocks if rows
+        (name, _columns(_cells(rows[0])), [_cells(row) for row in rows[2:]], rows[2:])
+        for name, rows in blocks
+        if rows
     ]
     if not found:
         raise LookupError("there is no table below such a heading")
@@ -296,7 +329,11 @@ def _anchor(heading: str) -> str:
     >>> _anchor("## Forest: Table II")
     'forest-table-ii'
     """
-    return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.lstrip("# ").strip().lower(), flags=re.ASCII))
+    return re.sub(
+        r"[\s-]+",
+        "-",
+        re.sub(r"[^\w\s-]", "", heading.lstrip("# ").strip().lower(), flags=re.ASCII),
+    )
 
 
 def _cells(row: str) -> list[str]:
@@ -446,7 +483,9 @@ def main() -> int:
             path.write_text(text, encoding="utf-8")
     if stale:
         verb = (
-            "differ from the code or the figures; run python docs/generate.py" if "--check" in sys.argv else "written"
+            "differ from the code or the figures; run python docs/generate.py"
+            if "--check" in sys.argv
+            else "written"
         )
         sys.stderr.write(f"{', '.join(stale)}: {verb}\n")
     return 1 if stale and "--check" in sys.argv else 0

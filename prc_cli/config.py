@@ -39,7 +39,9 @@ class _Input(Params):
         "combination of both), rings (spinning scanners), or auto: the method whose table is given, else what labels "
         "the input best",
     )
-    input: InputConfig = Field(default_factory=InputConfig, description="how the stream is read from the input")
+    input: InputConfig = Field(
+        default_factory=InputConfig, description="how the stream is read from the input"
+    )
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
 
 
@@ -67,7 +69,9 @@ class RunConfig(MethodTables, _Input):
             return {}
         known = dict(flatten(tomllib.loads(path.read_text("utf-8")), f"{location[0]}."))
         key = ".".join(location)
-        keys = [name for name, _ in flatten(given, f"{key}.")] if isinstance(given, Mapping) else [key]
+        keys = (
+            [name for name, _ in flatten(given, f"{key}.")] if isinstance(given, Mapping) else [key]
+        )
         return {name: known[name] for name in keys if name in known}
 
     @property
@@ -78,7 +82,9 @@ class RunConfig(MethodTables, _Input):
     @property
     def classifier(self) -> MethodParams:
         """Parameters of the classifier that ``method`` names; undecided, of PRC, which needs the least of an input."""
-        params: MethodParams = self.prc if self.method == "auto" else getattr(self, table_of(self.method))
+        params: MethodParams = (
+            self.prc if self.method == "auto" else getattr(self, table_of(self.method))
+        )
         return params
 
     @property
@@ -112,7 +118,15 @@ def tables_given(table: Mapping[str, Any]) -> list[MethodName]:
     return [method for method in METHODS if table_of(method) in table]
 
 
-PRESETS = ("urban", "forest", "fused", "fused-forest", "rings", "street-scan", "street-scan-published")
+PRESETS = (
+    "urban",
+    "forest",
+    "fused",
+    "fused-forest",
+    "rings",
+    "street-scan",
+    "street-scan-published",
+)
 """Names of the presets; each is a file of the sample configurations (:func:`preset_file`)."""
 
 
@@ -147,14 +161,22 @@ class MethodChoice:
         """
         if self.doubt:
             expected = "a place that is clearly a street or a forest"
-            give = "say which it is: --preset fused-forest for a forest, --preset fused for a street"
+            give = (
+                "say which it is: --preset fused-forest for a forest, --preset fused for a street"
+            )
             return (Finding("method", Verdict.DOUBTFUL, self.doubt, expected, give),)
         if not self.lacks:
             return ()
         found = f"PRC as published was taken: {self.lacks}"
         expected = "the angles of the beams, with which fused labels streets (mean F1 0.96 there, of PRC 0.59)"
         return (
-            Finding("method", Verdict.DOUBTFUL, found, expected, f"{self.give}; or name the method: --preset urban"),
+            Finding(
+                "method",
+                Verdict.DOUBTFUL,
+                found,
+                expected,
+                f"{self.give}; or name the method: --preset urban",
+            ),
         )
 
     @property
@@ -171,7 +193,11 @@ def refuse_window(config: RunConfig, command: str) -> None:
     """Refuse a part of a stream where whole ones are needed."""
     if config.input.window is not None:
         problem = f"found {config.input.window.option}, but {command} takes files whole"
-        raise ConfigError("[input]", problem, "leave it out; prc classify, convert, calibrate and objects take a part")
+        raise ConfigError(
+            "[input]",
+            problem,
+            "leave it out; prc classify, convert, calibrate and objects take a part",
+        )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -210,7 +236,9 @@ class LoadedConfig(Brief):
 
 
 def load_config(
-    path: Path | str | None = None, preset: str | None = None, options: Mapping[str, Any] | None = None
+    path: Path | str | None = None,
+    preset: str | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> LoadedConfig:
     """Build the effective configuration.
 
@@ -253,7 +281,9 @@ def load_config(
     return from_layers(layers, () if file_path is None else (file_path,))
 
 
-def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Path, ...] = ()) -> LoadedConfig:
+def from_layers(
+    layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Path, ...] = ()
+) -> LoadedConfig:
     """Build a configuration from named nested tables; later ones win."""
     merged: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -269,7 +299,9 @@ def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Pa
         tables = " and ".join(f"[{table_of(method)}]" for method in given)
         if len(given) > 1:
             problem = f"found the tables {tables} and no method, expected one method"
-            raise ConfigError(layers[-1][0], problem, 'name it: method = "auto" is what labels the input best')
+            raise ConfigError(
+                layers[-1][0], problem, 'name it: method = "auto" is what labels the input best'
+            )
         sources["method"] = f"the table {tables}"
     return LoadedConfig(build(RunConfig, merged, "configuration"), sources, files)
 
@@ -299,7 +331,9 @@ def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     try:
         name = (folder / Path(rule.partition(":")[2]).expanduser()).absolute()
     except RuntimeError:
-        raise ConfigError("input.range", f"found {rule!r}, whose home folder is not known", "write it out") from None
+        raise ConfigError(
+            "input.range", f"found {rule!r}, whose home folder is not known", "write it out"
+        ) from None
     return merge(table, {"input": {"range": f"trajectory:{name}"}})
 
 
@@ -344,7 +378,9 @@ def preset_summaries() -> list[PresetSummary]:
             purpose = lines.readline().removeprefix("#").strip()
         values = dict(flatten(preset_table(name)))
         effective = load_config(preset=name).config
-        changed = [key for key, value in flatten(effective.to_table()) if value != defaults.get(key)]
+        changed = [
+            key for key, value in flatten(effective.to_table()) if value != defaults.get(key)
+        ]
         summaries.append(PresetSummary(name, purpose, effective.method, len(changed), values, file))
     return summaries
 
@@ -357,7 +393,10 @@ def sample_summaries() -> list[tuple[Path, str]]:
     """
     presets = {preset_file(name) for name in PRESETS}
     files = sorted(file for file in samples_folder().glob("*.toml") if file not in presets)
-    return [(file, file.read_text(encoding="utf-8").partition("\n")[0].removeprefix("#").strip()) for file in files]
+    return [
+        (file, file.read_text(encoding="utf-8").partition("\n")[0].removeprefix("#").strip())
+        for file in files
+    ]
 
 
 def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
@@ -366,7 +405,11 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     if layout is not None and layout.fields and not has_layout(path):
         if loaded.sources.get("layout.fields") == "option" and path.is_file():
             problem = f"does nothing: {suffix_of(path) or 'these'} files describe their records themselves"
-            raise ConfigError("layout.fields", problem, "leave it out; ranges in mm: --set input.range_scale=0.001")
+            raise ConfigError(
+                "layout.fields",
+                problem,
+                "leave it out; ranges in mm: --set input.range_scale=0.001",
+            )
         note = f"the layout is not used: {suffix_of(path) or 'these'} files describe their records themselves"
         return loaded if note in loaded.notes else replace(loaded, notes=(*loaded.notes, note))
     if layout is not None or not has_layout(path):
@@ -382,7 +425,10 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
         told = _with_table(loaded, from_folder(own, beside.parent), str(beside), note)
         return replace(told, files=(*loaded.files, beside))
     inputs = loaded.config.input
-    is_told = inputs.points_per_line is not None or (inputs.lines, inputs.columns, inputs.range) != ("auto",) * 3
+    is_told = (
+        inputs.points_per_line is not None
+        or (inputs.lines, inputs.columns, inputs.range) != ("auto",) * 3
+    )
     if is_told or not is_dump(path) or not path.is_file():
         return loaded
     # imported here: only dumps need it
@@ -392,7 +438,10 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     if names is None:
         return loaded
     sample = read_toml(samples_folder() / FRAME_SAMPLE)
-    del sample["method"], sample["input"]["points_per_line"]  # frames of other scanners have other rings
+    del (
+        sample["method"],
+        sample["input"]["points_per_line"],
+    )  # frames of other scanners have other rings
     known = len(sample["layout"]["fields"])
     sample["layout"]["fields"] += [{"name": name, "type": "f4"} for name in names[known:]]
     shown = f"{', '.join(names[:-1])} and {names[-1]}"
@@ -431,7 +480,9 @@ def parse_assignment(text: str) -> dict[str, Any]:
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.split(".")):
-        raise ConfigError("--set", f"found {text!r}, expected KEY=VALUE such as prc.support.zeta_p=0.1")
+        raise ConfigError(
+            "--set", f"found {text!r}, expected KEY=VALUE such as prc.support.zeta_p=0.1"
+        )
     return _nested(key.strip(), _parse_value(value.strip()))
 
 
@@ -453,7 +504,9 @@ def options_of(loaded: LoadedConfig) -> list[str]:
     values, words = dict(flatten(loaded.config.to_table())), list[str]()
     layered = set(loaded.sources.values())
     # a layout is laid into the options: no value has the name of its file
-    has_layout = any(key.startswith("layout.") and source == "option" for key, source in loaded.sources.items())
+    has_layout = any(
+        key.startswith("layout.") and source == "option" for key, source in loaded.sources.items()
+    )
     layouts = [file for file in loaded.files if has_layout and str(file) not in layered]
     for file in loaded.files:
         words += ["--layout" if file in layouts else "--config", file.name]
@@ -462,7 +515,9 @@ def options_of(loaded: LoadedConfig) -> list[str]:
         if source != "option" or is_said or key not in values:
             continue
         value = values[key]
-        text = value if isinstance(value, str) and _parse_value(value) == value else _toml_value(value)
+        text = (
+            value if isinstance(value, str) and _parse_value(value) == value else _toml_value(value)
+        )
         words += ["--method", text] if key == "method" else ["--set", f"{key}={text}"]
     return words
 
@@ -472,7 +527,9 @@ def to_toml(loaded: LoadedConfig, *, comments: bool = True) -> str:
     return params_to_toml(loaded.config, loaded.sources, comments=comments)
 
 
-def params_to_toml(params: Params, sources: Mapping[str, str] | None = None, *, comments: bool = True) -> str:
+def params_to_toml(
+    params: Params, sources: Mapping[str, str] | None = None, *, comments: bool = True
+) -> str:
     """Write any parameter table as TOML.
 
     >>> print(params_to_toml(ClassCodes(noise=18), comments=False).splitlines()[1])
@@ -481,7 +538,9 @@ def params_to_toml(params: Params, sources: Mapping[str, str] | None = None, *, 
     return "\n".join(_toml_lines(params, "", sources or {}, comments)).strip() + "\n"
 
 
-def _toml_lines(table: Params, prefix: str, sources: Mapping[str, str], comments: bool) -> Iterator[str]:
+def _toml_lines(
+    table: Params, prefix: str, sources: Mapping[str, str], comments: bool
+) -> Iterator[str]:
     tables: list[tuple[str, Params]] = []
     for name, info in type(table).model_fields.items():
         key = info.alias or name
@@ -499,7 +558,9 @@ def _toml_lines(table: Params, prefix: str, sources: Mapping[str, str], comments
         yield from _toml_lines(value, f"{prefix}{key}.", sources, comments)
 
 
-def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comments: bool) -> Iterator[str]:
+def _toml_key(
+    key: str, value: Any, info: FieldInfo, source: str | None, comments: bool
+) -> Iterator[str]:
     origin = _origin(source) if comments and source else ""
     if comments and info.description:
         yield f"# {info.description}"
@@ -509,7 +570,10 @@ def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comment
     elif isinstance(value, tuple) and value and isinstance(value[0], Params):
         rows = (row.model_dump(mode="json", by_alias=True, exclude_defaults=True) for row in value)
         yield f"{key} = [{origin}"
-        yield from (f"    {{ {', '.join(f'{k} = {_toml_value(v)}' for k, v in row.items())} }}," for row in rows)
+        yield from (
+            f"    {{ {', '.join(f'{k} = {_toml_value(v)}' for k, v in row.items())} }},"
+            for row in rows
+        )
         yield "]"
     else:
         yield f"{key} = {_toml_value(value)}{origin}"
@@ -517,7 +581,9 @@ def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comment
 
 def _origin(source: str) -> str:
     """Return a comment with the source; control characters in file names are escaped, so they cannot end it."""
-    shown = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in source)
+    shown = "".join(
+        character if character.isprintable() else ascii(character)[1:-1] for character in source
+    )
     return f"  # from: {shown}"
 
 

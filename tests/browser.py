@@ -18,9 +18,16 @@ from urllib.request import Request, urlopen
 import pytest
 
 _FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 
 
 class Browser:
@@ -43,10 +50,16 @@ class Browser:
         """Send a command of the DevTools protocol."""
         return self._call("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
 
-    def open(self, page: Path | str, *, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+    def open(
+        self, page: Path | str, *, width: int = 1280, height: int = 900, dark: bool = False
+    ) -> None:
         """Open a page in a window of a size, light or dark."""
         self.devtools(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
         )
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.devtools("Emulation.setEmulatedMedia", features=scheme)
@@ -65,12 +78,16 @@ class Browser:
         """Wait for an expression to become true."""
         end = time.monotonic() + seconds
         while not self.run(f"return !!({condition})"):
-            assert time.monotonic() < end, f"not true after {seconds} s: {condition}; {self.errors()}"
+            assert time.monotonic() < end, (
+                f"not true after {seconds} s: {condition}; {self.errors()}"
+            )
             time.sleep(0.05)
 
     def settle(self) -> None:
         """Wait until what was asked for is drawn."""
-        self.run("return new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(() => go(true))))")
+        self.run(
+            "return new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(() => go(true))))"
+        )
 
     def click(self, selector: str) -> None:
         """Click the middle of an element with the mouse."""
@@ -102,7 +119,9 @@ def chromium() -> Iterator[Browser]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with subprocess.Popen([driver, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        [driver, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
         try:
             browser = _started(f"http://127.0.0.1:{port}")
             try:

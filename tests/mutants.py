@@ -42,9 +42,18 @@ from tests.golden.run import TOLD
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = (
-    "methods", "formats", "streams", "matching", "jobs", "cli", "evaluation", "imaging", "simulation", "core",
+    "methods",
+    "formats",
+    "streams",
+    "matching",
+    "jobs",
+    "cli",
+    "evaluation",
+    "imaging",
+    "simulation",
+    "core",
     "reference",
-)  # fmt: skip
+)
 LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz")
 """Tests that take long, or that run no line of the rooms in their own process, as most that are ``slow``."""
 SIZES = re.compile(
@@ -67,11 +76,22 @@ BUDGET_S = 15.0
 _AT_START = {name: value for name, value in TOLD.items() if name[:4] in ("NPY_", "OPEN")}
 """What NumPy reads when it is imported."""
 
-COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
+COMPARED = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+}
 CALCULATED = {
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
     ast.Mod: ast.FloorDiv,
-}  # fmt: skip
+}
 SWAPPED = {"max": "min", "min": "max", "any": "all", "all": "any"}
 
 
@@ -110,7 +130,9 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
         yield Mutant(file, node.lineno, start, stop, before, changed, reach, in_body)
 
 
-def _code(node: ast.AST, reach: tuple[int, int], in_body: bool = False) -> Iterator[tuple[Any, tuple[int, int], bool]]:
+def _code(
+    node: ast.AST, reach: tuple[int, int], in_body: bool = False
+) -> Iterator[tuple[Any, tuple[int, int], bool]]:
     """Yield what is calculated, and the lines of the statement; not types, texts and sizes.
 
     What is calculated on import counts as run by whatever runs the function or module that it belongs to.
@@ -119,18 +141,31 @@ def _code(node: ast.AST, reach: tuple[int, int], in_body: bool = False) -> Itera
         if field in ("annotation", "returns"):
             continue
         for child in value if isinstance(value, list) else [value]:
-            if not isinstance(child, ast.AST) or isinstance(child, ast.JoinedStr) or _is_size(child):
+            if (
+                not isinstance(child, ast.AST)
+                or isinstance(child, ast.JoinedStr)
+                or _is_size(child)
+            ):
                 continue
-            if field == "slice" and isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal":
+            if (
+                field == "slice"
+                and isinstance(node, ast.Subscript)
+                and ast.unparse(node.value) == "Literal"
+            ):
                 continue
             inner = reach
-            is_statement = isinstance(child, ast.stmt) and not isinstance(node, ast.ClassDef | ast.Module)
+            is_statement = isinstance(child, ast.stmt) and not isinstance(
+                node, ast.ClassDef | ast.Module
+            )
             inside = in_body or (is_statement and reach[0] != 1)
             if isinstance(child, ast.FunctionDef):
                 inner = (child.lineno, child.end_lineno or child.lineno)
             elif isinstance(child, ast.stmt) and inside:
                 body = getattr(child, "body", None)
-                inner = (child.lineno, body[0].lineno - 1 if body else child.end_lineno or child.lineno)
+                inner = (
+                    child.lineno,
+                    body[0].lineno - 1 if body else child.end_lineno or child.lineno,
+                )
                 inner = (inner[0], max(inner))
             yield child, inner, inside
             yield from _code(child, inner, inside)
@@ -148,16 +183,22 @@ def _changed(node: ast.AST) -> str | None:
     """Return the source of a node with one fault, None where it can have none."""
     other: ast.expr
     match node:
-        case ast.Compare(left=left, ops=[operator], comparators=right) if type(operator) in COMPARED:
+        case ast.Compare(left=left, ops=[operator], comparators=right) if (
+            type(operator) in COMPARED
+        ):
             other = ast.Compare(left, [COMPARED[type(operator)]()], right)
-        case ast.BinOp(left=left, op=operator, right=right) if type(operator) in CALCULATED and not _is_text(node):
+        case ast.BinOp(left=left, op=operator, right=right) if type(
+            operator
+        ) in CALCULATED and not _is_text(node):
             other = ast.BinOp(left, CALCULATED[type(operator)](), right)
         case ast.BoolOp(op=operator, values=values):
             other = ast.BoolOp(ast.Or() if isinstance(operator, ast.And) else ast.And(), values)
         case ast.UnaryOp(op=ast.Not(), operand=operand):
             other = operand
         case ast.Constant(value=value) if type(value) in (int, float):
-            return repr(value + 1) if isinstance(value, int) else repr(float(str(value)) * 1.5 + 1e-3)
+            return (
+                repr(value + 1) if isinstance(value, int) else repr(float(str(value)) * 1.5 + 1e-3)
+            )
         case ast.Call(func=ast.Name(id=name)) if name in SWAPPED:
             other = ast.Call(ast.Name(SWAPPED[name]), node.args, node.keywords)
         case _:
@@ -167,7 +208,8 @@ def _changed(node: ast.AST) -> str | None:
 
 def _is_text(node: ast.BinOp) -> bool:
     return any(
-        isinstance(side, ast.JoinedStr) or (isinstance(side, ast.Constant) and isinstance(side.value, str | bytes))
+        isinstance(side, ast.JoinedStr)
+        or (isinstance(side, ast.Constant) and isinstance(side.value, str | bytes))
         for side in (node.left, node.right)
     )
 
@@ -220,15 +262,36 @@ def measure(data: Path) -> None:
     setup = data.with_suffix(".ini")
     setup.write_text("[run]\nsource = prc_cli\nsigterm = true\n", encoding="utf-8")
     command = [
-        sys.executable, "-m", "coverage", "run", f"--rcfile={setup}", f"--data-file={data}",
-        "-m", "pytest", "-q", "-m", "not slow and not long", "-p", "tests.mutants", "-p", "no:cacheprovider",
-        "tests", "prc_cli",
+        sys.executable,
+        "-m",
+        "coverage",
+        "run",
+        f"--rcfile={setup}",
+        f"--data-file={data}",
+        "-m",
+        "pytest",
+        "-q",
+        "-m",
+        "not slow and not long",
+        "-p",
+        "tests.mutants",
+        "-p",
+        "no:cacheprovider",
+        "tests",
+        "prc_cli",
         *(f"--ignore={folder}" for folder in LEFT_OUT),
-    ]  # fmt: skip
+    ]
     environment = {**os.environ, "PRC_MUTANTS_SECONDS": str(data.with_suffix(".json"))}
     # a test that fails without a fault is told in the end
     subprocess.run(command, cwd=ROOT, check=False, stdin=subprocess.DEVNULL, env=environment)
-    golden = [*command[: command.index("-m", 3)], "--append", "-m", "tests.mutants", "--golden", str(data)]
+    golden = [
+        *command[: command.index("-m", 3)],
+        "--append",
+        "-m",
+        "tests.mutants",
+        "--golden",
+        str(data),
+    ]
     subprocess.run(golden, cwd=ROOT, check=True, stdin=subprocess.DEVNULL)
 
 
@@ -240,7 +303,10 @@ def measure_golden(data: Path) -> None:
     cases, place = all_cases(), data.with_suffix(".golden")
     place.mkdir()
     _lay(place)
-    depth, seconds = golden.needed(cases, list(cases)), json.loads(data.with_suffix(".json").read_text("utf-8"))
+    depth, seconds = (
+        golden.needed(cases, list(cases)),
+        json.loads(data.with_suffix(".json").read_text("utf-8")),
+    )
     for name in sorted(depth, key=depth.__getitem__):
         _context(f"{GOLDEN}{name}")
         seconds[f"{GOLDEN}{name}"] = golden.run_case(name, cases[name], str(place))[2]
@@ -264,9 +330,13 @@ class Reached:
         base = sqlite3.connect(data)
         names = dict(base.execute("select id, context from context"))
         paths = dict(base.execute("select id, path from file"))
-        self._seconds: dict[str, float] = json.loads(data.with_suffix(".json").read_text(encoding="utf-8"))
+        self._seconds: dict[str, float] = json.loads(
+            data.with_suffix(".json").read_text(encoding="utf-8")
+        )
         self._lines: dict[str, list[tuple[str, bytes]]] = {}
-        for file, context, bits in base.execute("select file_id, context_id, numbits from line_bits"):
+        for file, context, bits in base.execute(
+            "select file_id, context_id, numbits from line_bits"
+        ):
             if names[context]:
                 self._lines.setdefault(paths[file], []).append((names[context], bits))
 
@@ -275,27 +345,42 @@ class Reached:
         return {
             name
             for name, bits in self._lines.get(str(ROOT / mutant.file), [])
-            if any(line // 8 < len(bits) and bits[line // 8] >> line % 8 & 1 for line in range(first, last + 1))
+            if any(
+                line // 8 < len(bits) and bits[line // 8] >> line % 8 & 1
+                for line in range(first, last + 1)
+            )
         }
 
     def cases(self, mutant: Mutant) -> list[str]:
         """Return the golden cases that run a statement, the quickest first, as many as the budget allows."""
-        found = sorted((name for name in self._found(mutant) if name.startswith(GOLDEN)), key=self._took)
+        found = sorted(
+            (name for name in self._found(mutant) if name.startswith(GOLDEN)), key=self._took
+        )
         total = itertools.accumulate(map(self._took, found))
-        return [name.removeprefix(GOLDEN) for name, spent in zip(found, total, strict=True) if spent < BUDGET_S]
+        return [
+            name.removeprefix(GOLDEN)
+            for name, spent in zip(found, total, strict=True)
+            if spent < BUDGET_S
+        ]
 
     def tests(self, mutant: Mutant) -> list[str]:
         """Return the tests, or files of tests, that run a statement: the nearest first, of these the quickest first."""
         found = {name for name in self._found(mutant) if not name.startswith(GOLDEN)}
         found = {name for name in found if "::" not in name or name.partition("::")[0] not in found}
-        ranked = sorted(found, key=lambda name: (_distance(mutant.file, name), self._took(name), name))
+        ranked = sorted(
+            found, key=lambda name: (_distance(mutant.file, name), self._took(name), name)
+        )
         total = itertools.accumulate(map(self._took, ranked))
-        return [name for name, spent in zip(ranked, total, strict=True) if spent < BUDGET_S] or ranked[:1]
+        return [
+            name for name, spent in zip(ranked, total, strict=True) if spent < BUDGET_S
+        ] or ranked[:1]
 
     def _took(self, name: str) -> float:
         if "::" in name:
             return self._seconds.get(name, 0.0)
-        return sum(seconds for test, seconds in self._seconds.items() if test.startswith(f"{name}::"))
+        return sum(
+            seconds for test, seconds in self._seconds.items() if test.startswith(f"{name}::")
+        )
 
 
 def _distance(file: str, test: str) -> int:
@@ -315,7 +400,9 @@ def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> t
     """Return whether the check of the generated pages, the tests or the golden cases notice a fault, and which does."""
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
         return False, "not run: the file was changed meanwhile"
-    checks: list[Callable[[], int]] = [partial(_run_tests, some) for some in (tests[:FIRST], tests[FIRST:]) if some]
+    checks: list[Callable[[], int]] = [
+        partial(_run_tests, some) for some in (tests[:FIRST], tests[FIRST:]) if some
+    ]
     checks += [partial(_check_golden, cases, golden)] if cases else []
     # the number of a field or a default
     checks[:0] = [] if mutant.in_body else [_check_pages]
@@ -325,7 +412,12 @@ def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> t
             return False, f"not run: pytest ends with {code}"
         if code != 0:
             return True, "hangs" if code is None else failed[0] if failed else f"exit code {code}"
-    return False, f"survived {len(tests)} tests, {len(cases)} cases" if tests or cases else "reached by no test"
+    return (
+        False,
+        f"survived {len(tests)} tests, {len(cases)} cases"
+        if tests or cases
+        else "reached by no test",
+    )
 
 
 def confirm(killers: list[str], golden: Path) -> set[str]:
@@ -333,7 +425,10 @@ def confirm(killers: list[str], golden: Path) -> set[str]:
     cases = [name.removeprefix(GOLDEN) for name in killers if name.startswith(GOLDEN)]
     tests = [name for name in killers if "::" in name and not name.startswith(GOLDEN)]
     checks = [partial(_check_golden, [name], golden) for name in cases]
-    checks += [partial(_run_tests, tests[at : at + FIRST], "--maxfail=0") for at in range(0, len(tests), FIRST)]
+    checks += [
+        partial(_run_tests, tests[at : at + FIRST], "--maxfail=0")
+        for at in range(0, len(tests), FIRST)
+    ]
     return {name for check in checks for name in _fork(None, check)[1]}
 
 
@@ -341,10 +436,20 @@ def _run_tests(tests: list[str], *options: str) -> int:
     # pytest would import modules whose doctests are run by itself, without the fault, to rewrite assertions
     return pytest.main(
         [
-            "-q", "-x", "-rfE", "-m", "not long", "-p", "no:cacheprovider", "--randomly-dont-reorganize", "--tb=no",
-            "--assert=plain", *options, *tests,
+            "-q",
+            "-x",
+            "-rfE",
+            "-m",
+            "not long",
+            "-p",
+            "no:cacheprovider",
+            "--randomly-dont-reorganize",
+            "--tb=no",
+            "--assert=plain",
+            *options,
+            *tests,
         ]
-    )  # fmt: skip
+    )
 
 
 def _check_golden(cases: list[str], kept: Path) -> int:
@@ -400,7 +505,9 @@ def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, 
             os.waitpid(child, 0)
             return None, []
         printed.seek(0)
-        failed = re.findall(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", printed.read().decode(errors="replace"), re.M)
+        failed = re.findall(
+            r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", printed.read().decode(errors="replace"), re.M
+        )
         return os.waitstatus_to_exitcode(status), failed
 
 
@@ -415,7 +522,9 @@ def _put_in(mutant: Mutant) -> None:
         codes, functions = dict(_codes(faulty)), gc.get_objects()
         for one in functions:
             if type(one) is FunctionType and one.__code__.co_filename == path:
-                one.__code__ = codes.get((one.__code__.co_qualname, one.__code__.co_firstlineno), one.__code__)
+                one.__code__ = codes.get(
+                    (one.__code__.co_qualname, one.__code__.co_firstlineno), one.__code__
+                )
         return
 
     def get_code(self: SourceFileLoader, fullname: str) -> Any:
@@ -436,7 +545,9 @@ def load() -> None:
     """Import once, for all forked processes, the whole program."""
     for path in sorted((ROOT / "prc_cli").rglob("*.py")):
         if path.stem != "__main__":
-            importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
+            importlib.import_module(
+                ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+            )
 
 
 def drawn(places: list[Mutant], seed: int) -> list[Mutant]:
@@ -456,19 +567,32 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--skip", type=int, default=0, help="so many were run before")
     parser.add_argument("--only", default="", help="part of the file names to put faults into")
-    parser.add_argument("--list", action="store_true", help="print the places with their lines, and run nothing")
+    parser.add_argument(
+        "--list", action="store_true", help="print the places with their lines, and run nothing"
+    )
     parser.add_argument("--seed", type=int, default=14)
     parser.add_argument("--rooms", nargs="*", default=ROOMS)
     parser.add_argument("--golden", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--coverage", type=Path, default=Path("mutants.sqlite"), help="measured if it does not exist")
+    parser.add_argument(
+        "--coverage",
+        type=Path,
+        default=Path("mutants.sqlite"),
+        help="measured if it does not exist",
+    )
     chosen = parser.parse_args()
     os.chdir(ROOT)
     if not os.environ.items() >= _AT_START.items():
-        os.execve(sys.executable, [sys.executable, "-m", "tests.mutants", *sys.argv[1:]], {**os.environ, **_AT_START})
+        os.execve(
+            sys.executable,
+            [sys.executable, "-m", "tests.mutants", *sys.argv[1:]],
+            {**os.environ, **_AT_START},
+        )
     if chosen.golden:
         measure_golden(chosen.golden)
         return
-    files = [path for room in chosen.rooms for path in sorted((ROOT / "prc_cli" / room).rglob("*.py"))]
+    files = [
+        path for room in chosen.rooms for path in sorted((ROOT / "prc_cli" / room).rglob("*.py"))
+    ]
     files = [path for path in files if not path.name.endswith("_loops.py")]
     places = drawn([mutant for path in files for mutant in mutants_of(path)], chosen.seed)
     numbered = [
@@ -491,14 +615,22 @@ def main() -> None:
         if mutant.in_body and "prc_cli.cli" not in sys.modules:
             load()
         found[mutant] = judge(mutant, reached.tests(mutant), reached.cases(mutant), golden)
-        print(f"{number:4} {'killed by ' * found[mutant][0]}{found[mutant][1]} | {mutant}", flush=True)
+        print(
+            f"{number:4} {'killed by ' * found[mutant][0]}{found[mutant][1]} | {mutant}", flush=True
+        )
     unsound = confirm(sorted({by for is_killed, by in found.values() if is_killed}), golden)
     print(*(f"fails without a fault: {name}" for name in sorted(unsound)), sep="\n")
     tried = Counter(Path(mutant.file).parts[1] for mutant in found)
-    killed = Counter(Path(mutant.file).parts[1] for mutant, (yes, by) in found.items() if yes and by not in unsound)
+    killed = Counter(
+        Path(mutant.file).parts[1]
+        for mutant, (yes, by) in found.items()
+        if yes and by not in unsound
+    )
     print(*(f"{room}: {killed[room]} of {tried[room]} killed" for room in sorted(tried)), sep="\n")
     total = killed.total()
-    print(f"{len(found)} mutants of {len(places)}, {total} killed: {100 * total / max(len(found), 1):.1f} %")
+    print(
+        f"{len(found)} mutants of {len(places)}, {total} killed: {100 * total / max(len(found), 1):.1f} %"
+    )
 
 
 if __name__ == "__main__":

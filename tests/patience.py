@@ -35,7 +35,11 @@ def wait_until(is_so: Callable[[], object], what: str = "") -> None:
 
 
 def run(
-    command: Sequence[str | os.PathLike[str]], *, check: bool = False, timeout: float = HANGS_S, **options: Any
+    command: Sequence[str | os.PathLike[str]],
+    *,
+    check: bool = False,
+    timeout: float = HANGS_S,
+    **options: Any,
 ) -> subprocess.CompletedProcess[Any]:
     """Run a program to its end, as :func:`subprocess.run` does.
 

@@ -18,9 +18,14 @@ HEIGHT_M = 1.75
 """Of the static scanner above the road [m]."""
 
 
-def static_scan(elevation_step: float, azimuth_step: float, seed: int, *, turn: float = 360.0) -> SimulatedScan:
+def static_scan(
+    elevation_step: float, azimuth_step: float, seed: int, *, turn: float = 360.0
+) -> SimulatedScan:
     """A tripod in a street, steps in degrees."""
-    scanner = {"azimuth_step_deg": azimuth_step, "points_per_line": round(FIELD_DEG / elevation_step)}
+    scanner = {
+        "azimuth_step_deg": azimuth_step,
+        "points_per_line": round(FIELD_DEG / elevation_step),
+    }
     options = {"seed": seed, "scanner": scanner, "station": {"turn_deg": turn}}
     return _open("street-scan", options).scan
 

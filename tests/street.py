@@ -28,7 +28,9 @@ def street(n_lines: int = N_LINES, seed: int = 1) -> F32:
         right = np.where(np.sin(angle) > 0.05, 8.0 / np.sin(angle), np.inf)
         left = np.where(np.sin(angle) < -0.05, -11.0 / np.sin(angle), np.inf)
     walls = np.minimum(right, left)
-    walls = np.where(-walls * np.cos(angle) > 12.0, np.inf, walls)  # facades end 12 m above the scanner
+    walls = np.where(
+        -walls * np.cos(angle) > 12.0, np.inf, walls
+    )  # facades end 12 m above the scanner
     image = np.tile(np.minimum(ground, walls), (n_lines, 1))
     image += rng.normal(0.0, 0.003, image.shape)
     bush = (slice(20, 60), slice(24, 40))

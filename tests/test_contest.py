@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.contest_data import TEST_FORESTS, TEST_STREETS, TRAIN, TRAIN_FOREST, Scan, Simulated, save, simulated
+from benchmarks.contest_data import (
+    TEST_FORESTS,
+    TEST_STREETS,
+    TRAIN,
+    TRAIN_FOREST,
+    Scan,
+    Simulated,
+    save,
+    simulated,
+)
 from benchmarks.contest_judge import judge
 from benchmarks.contest_methods import PAPERS, label_scan
 from benchmarks.contest_peers import Points, run
@@ -47,11 +56,20 @@ def test_a_simulated_scan_is_read_back_as_it_is_judged(tmp_path) -> None:
 
 
 def test_smrf_leaves_a_box_on_a_plane() -> None:
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 40.0, 0.25), np.arange(0.0, 40.0, 0.25)))
+    x, y = (
+        axis.ravel() for axis in np.meshgrid(np.arange(0.0, 40.0, 0.25), np.arange(0.0, 40.0, 0.25))
+    )
     box = (np.abs(x - 20.0) < 3.0) & (np.abs(y - 20.0) < 3.0)
     xyz = np.stack([x, y, 0.05 * x + np.where(box, 2.5, 0.0)], axis=1)
     points = Points(xyz, np.zeros(len(xyz), np.int32), np.zeros((1, 3)), 2.0)
-    step = {"filter": "smrf", "cell_m": 1.0, "slope": 0.15, "window_m": 5.0, "threshold_m": 0.5, "scaler": 1.25}
+    step = {
+        "filter": "smrf",
+        "cell_m": 1.0,
+        "slope": 0.15,
+        "window_m": 5.0,
+        "threshold_m": 0.5,
+        "scaler": 1.25,
+    }
     codes, _ = run(points, [step])
     np.testing.assert_array_equal(codes == 2, ~box)
 

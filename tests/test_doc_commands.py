@@ -20,7 +20,9 @@ from prc_cli.core.errors import OutputExistsError
 from tests.runner import runner
 from tests.test_docs import PAGES, ROOT
 
-BLOCK = re.compile(r"^(?:<!-- ([^\n]*) -->\n)?```(?:console|sh|bash)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(
+    r"^(?:<!-- ([^\n]*) -->\n)?```(?:console|sh|bash)\n(.*?)^```", re.MULTILINE | re.DOTALL
+)
 REASON = re.compile(r"(not run: .{10,}|run by (tests/[\w/.]+)|ci: \w+)")
 WRITTEN = "<!-- written by"
 DONE = (0, 4)
@@ -44,7 +46,9 @@ def commands(block: str) -> list[str]:
 def test_what_is_not_run_has_a_reason(path: Path) -> None:
     for reason, block in blocks(path):
         if not reason:
-            assert all(re.match(r"prc [a-z]", one) for one in commands(block)), f"{path.name}:\n{block}"
+            assert all(re.match(r"prc [a-z]", one) for one in commands(block)), (
+                f"{path.name}:\n{block}"
+            )
             continue
         told = REASON.fullmatch(reason)
         assert told, f"{path.name}: {reason}"
@@ -57,12 +61,16 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
 
     def prc(words: str) -> None:
-        result = runner().invoke(cli, [word.replace("@", f"{folder}/") for word in shlex.split(words)])
+        result = runner().invoke(
+            cli, [word.replace("@", f"{folder}/") for word in shlex.split(words)]
+        )
         assert result.exit_code in DONE, f"{words}\n{result.stderr}"
 
     prc("simulate street @drive.npz --lines 72 --seed 3 --set scanner.points_per_line=2154 -q")
     with np.load(folder / "drive.npz") as drive:
-        codes = drive[next(name for name in drive.files if name in ("class", "codes", "label", "labels"))]
+        codes = drive[
+            next(name for name in drive.files if name in ("class", "codes", "label", "labels"))
+        ]
         ranges = drive["range_m"]
     np.save(folder / "reference.npy", codes.ravel().astype(np.uint8))
     ranges.astype("<f4").tofile(folder / "drive.bin")
@@ -73,7 +81,9 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     prc("classify @drive.npz @labels.npy -q")
     prc("classify @drive.npz @labels.csv -q")
     prc("classify @drive.laz @out.laz -q")
-    prc("simulate street-scan @scan.e57 --set station.turn_deg=40 --set scanner.azimuth_step_deg=0.5 -q")
+    prc(
+        "simulate street-scan @scan.e57 --set station.turn_deg=40 --set scanner.azimuth_step_deg=0.5 -q"
+    )
     for name in ("drive_classified.laz", "classified.laz"):
         shutil.copy(folder / "out.laz", folder / name)
     shutil.copy(folder / "drive.laz", folder / "reference.laz")
@@ -89,7 +99,9 @@ RUN = [path for path in PAGES if any(not reason for reason, _ in blocks(path))]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RUN, ids=lambda path: str(path.relative_to(ROOT)))
-def test_commands_run(path: Path, sandbox: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run(
+    path: Path, sandbox: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for reason, block in blocks(path):
         if reason:
             continue

@@ -26,12 +26,16 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
 def is_written_by_hand(path: Path) -> bool:
-    generated = path.parent.name == "figures" or path.read_text(encoding="utf-8").startswith("<!-- written by")
+    generated = path.parent.name == "figures" or path.read_text(encoding="utf-8").startswith(
+        "<!-- written by"
+    )
     return not generated and path.parent != ROOT
 
 
 def blocks(path: Path, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -75,7 +79,15 @@ def check_command(words: list[str], line: str) -> None:
 
 def test_every_parameter_and_class_is_in_the_reference() -> None:
     configuration = (ROOT / "docs/reference/configuration.md").read_text(encoding="utf-8")
-    for table in ("input", "layout", "prc.support", "prc.background", "prc.surfaces", "classes", "output"):
+    for table in (
+        "input",
+        "layout",
+        "prc.support",
+        "prc.background",
+        "prc.surfaces",
+        "classes",
+        "output",
+    ):
         assert f"## [{table}]" in configuration
     algorithm = (ROOT / "docs/algorithm.md").read_text(encoding="utf-8")
     for table in ("support", "background", "components", "surfaces", "urban", "forest"):
@@ -132,7 +144,9 @@ def fill(page: Path, text: str) -> str:
         (".10", "ours > car precision / span", ".23"),
     ],
 )
-def test_a_figure_is_written_from_its_cell(page: Path, shown: str, title: str, expected: str) -> None:
+def test_a_figure_is_written_from_its_cell(
+    page: Path, shown: str, title: str, expected: str
+) -> None:
     text = f'It is [{shown}](x_figures.md#streets-all "{title}") of 3.'
     assert fill(page, text) == text.replace(f"[{shown}]", f"[{expected}]")
 
@@ -153,7 +167,9 @@ def test_a_figure_that_is_not_there_is_named(page: Path, title: str, problem: st
 
 
 def test_rows_of_a_table_are_copied(page: Path) -> None:
-    text = "<!-- rows of x_figures.md#streets-all -->\n\n| | a |\n|---|---|\n| *the paper* | old |\n"
+    text = (
+        "<!-- rows of x_figures.md#streets-all -->\n\n| | a |\n|---|---|\n| *the paper* | old |\n"
+    )
     assert "| *the paper* | 0.867 | 0.962 | 8 |\n" in fill(page, text)
     with pytest.raises(ValueError, match="no row 'theirs'"):
         fill(page, text.replace("*the paper*", "theirs"))
@@ -161,7 +177,12 @@ def test_rows_of_a_table_are_copied(page: Path) -> None:
 
 def test_figures_of_all_pages_are_those_of_the_tables() -> None:
     pages: dict[Path, str] = GENERATE["prose"]()
-    assert {path.name for path in pages} >= {"accuracy.md", "sequential_angle.md", "simulation.md", "speed.md"}
+    assert {path.name for path in pages} >= {
+        "accuracy.md",
+        "sequential_angle.md",
+        "simulation.md",
+        "speed.md",
+    }
     for path, text in pages.items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python docs/generate.py"
 
@@ -183,7 +204,9 @@ def test_the_copy_button_copies_what_a_shell_takes(tmp_path: Path) -> None:
     (tmp_path / "docs" / "index.md").write_text(example, encoding="utf-8")
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[0]
     (tmp_path / "mkdocs.yml").write_text(settings, encoding="utf-8")
-    patience.run([sys.executable, "-m", "mkdocs", "build", "-q", "-d", "site"], cwd=tmp_path, check=True)
+    patience.run(
+        [sys.executable, "-m", "mkdocs", "build", "-q", "-d", "site"], cwd=tmp_path, check=True
+    )
     with chromium() as browser:
         browser.open(tmp_path / "site" / "index.html")
         button = "[data-clipboard-target]"
@@ -195,4 +218,7 @@ def test_the_copy_button_copies_what_a_shell_takes(tmp_path: Path) -> None:
         browser.click(button)
         browser.wait("window.copied")
         copied = browser.run("return window.copied")
-    assert [line for line in copied.split("\n") if line] == ["prc demo", "prc info a.laz  # what is in it"]
+    assert [line for line in copied.split("\n") if line] == [
+        "prc demo",
+        "prc info a.laz  # what is in it",
+    ]

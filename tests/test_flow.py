@@ -43,7 +43,9 @@ def no_thread_left() -> Iterator[None]:
 @pytest.mark.usefixtures("no_thread_left")
 @pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet", ".las", ".laz"])
 @pytest.mark.parametrize("kind", [".bin", ".csv", ".npz"])
-def test_bytes_are_equal_with_any_number_of_threads(tmp_path: Path, image: np.ndarray, kind: str, suffix: str) -> None:
+def test_bytes_are_equal_with_any_number_of_threads(
+    tmp_path: Path, image: np.ndarray, kind: str, suffix: str
+) -> None:
     write = {".bin": write_raw, ".csv": write_csv, ".npz": write_npz}[kind]
     source = write(tmp_path / f"drive{kind}", image)
     found = []
@@ -56,7 +58,9 @@ def test_bytes_are_equal_with_any_number_of_threads(tmp_path: Path, image: np.nd
 
 @pytest.mark.usefixtures("no_thread_left")
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_rewritten_clouds_are_equal_with_any_number_of_threads(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
+def test_rewritten_clouds_are_equal_with_any_number_of_threads(
+    tmp_path: Path, image: np.ndarray, suffix: str
+) -> None:
     source = tmp_path / f"drive{suffix}"
     classify(write_npz(tmp_path / "drive.npz", image), source, SHORT)
     outputs = [tmp_path / f"{threads}{suffix}" for threads in (1, 2, 3)]
@@ -82,7 +86,12 @@ def after(n: int, function: Callable[..., object], error: BaseException) -> Call
 @pytest.mark.parametrize("where", ["reader", "classifier", "writer", "progress"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("fault")])
 def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray, where: str, threads: int, error: BaseException
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    image: np.ndarray,
+    where: str,
+    threads: int,
+    error: BaseException,
 ) -> None:
     if isinstance(error, KeyboardInterrupt) and where == "classifier":
         pytest.skip("interrupts arrive in the main thread")
@@ -110,7 +119,9 @@ def test_an_input_that_vanishes_from_the_fingerprint_is_refused(
     source = write_raw(tmp_path / "drive.bin", image)
     (tmp_path / "out").mkdir()
     gone = InputError("drive.bin", "cannot be read", "check")
-    monkeypatch.setattr("prc_cli.formats.writing.record.FingerprintBeside._read", after(0, print, gone))
+    monkeypatch.setattr(
+        "prc_cli.formats.writing.record.FingerprintBeside._read", after(0, print, gone)
+    )
     with pytest.raises(InputError, match="cannot be read"):
         classify(source, tmp_path / "out" / "labels.npy", SHORT, threads=2)
     assert os.listdir(tmp_path / "out") == []
@@ -132,8 +143,20 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
 
     # loops that are not in the cache yet could not be written there
     load_classifier(SHORT)
-    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(output), "-M", str(POINTS_PER_LINE), "-q"]
-    run = patience.run([*command, "--threads", "2"], capture_output=True, text=True, preexec_fn=limit)
+    command = [
+        sys.executable,
+        "-m",
+        "prc_cli",
+        "classify",
+        str(source),
+        str(output),
+        "-M",
+        str(POINTS_PER_LINE),
+        "-q",
+    ]
+    run = patience.run(
+        [*command, "--threads", "2"], capture_output=True, text=True, preexec_fn=limit
+    )
     assert run.returncode == 1, run.stderr
     assert run.stderr.count("\n") == 1
     assert "the system's limit for the size of a file is too small" in run.stderr
@@ -146,10 +169,25 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
 def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) -> None:
     source, out = write_endless(tmp_path / "drive.bin"), tmp_path / "out"
     out.mkdir()
-    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(out / "labels.npy"), "-M", "2000", "-q"]
+    command = [
+        sys.executable,
+        "-m",
+        "prc_cli",
+        "classify",
+        str(source),
+        str(out / "labels.npy"),
+        "-M",
+        "2000",
+        "-q",
+    ]
     with patience.start([*command, "--threads", threads], stderr=subprocess.PIPE, text=True) as run:
         # the run is in its midst when labels are there
-        wait_until(lambda: any(part.stat().st_size > 300_000 for part in out.iterdir()) or run.poll() is not None)
+        wait_until(
+            lambda: (
+                any(part.stat().st_size > 300_000 for part in out.iterdir())
+                or run.poll() is not None
+            )
+        )
         assert run.poll() is None
         run.send_signal(signal.SIGINT)
         _, told = run.communicate(timeout=HANGS_S)

@@ -63,7 +63,9 @@ def names() -> Iterator[str]:
     for name in prc_cli.__all__:
         thing = getattr(prc_cli, name)
         if inspect.isfunction(thing):
-            yield from (f"python {name}({parameter})" for parameter in inspect.signature(thing).parameters)
+            yield from (
+                f"python {name}({parameter})" for parameter in inspect.signature(thing).parameters
+            )
         elif dataclasses.is_dataclass(thing):
             yield from (f"python {name}.{field.name}" for field in dataclasses.fields(thing))
     yield from _json()
@@ -74,7 +76,9 @@ def _options(command: click.Command, name: str) -> Iterator[str]:
     for parameter in command.params:
         yield from (f"{name} {option}" for option in (*parameter.opts, *parameter.secondary_opts))
         if isinstance(parameter.type, click.Choice):
-            yield from (f"{name} {parameter.opts[-1]} {choice}" for choice in parameter.type.choices)
+            yield from (
+                f"{name} {parameter.opts[-1]} {choice}" for choice in parameter.type.choices
+            )
     if isinstance(command, click.Group):
         for inner in command.list_commands(click.Context(command)):
             found = command.get_command(click.Context(command), inner)
@@ -85,7 +89,11 @@ def _options(command: click.Command, name: str) -> Iterator[str]:
 def _keys(model: type[Params], prefix: str) -> Iterator[str]:
     for name, info in model.model_fields.items():
         inner = model_in(info.annotation)
-        path = f"{prefix} {info.alias or name}" if " " not in prefix else f"{prefix}.{info.alias or name}"
+        path = (
+            f"{prefix} {info.alias or name}"
+            if " " not in prefix
+            else f"{prefix}.{info.alias or name}"
+        )
         yield from _keys(inner, path) if inner else [path]
 
 
@@ -98,7 +106,9 @@ def _json() -> Iterator[str]:
             assert told.exit_code in (0, 4), (line, told.stderr)
             if "--json" in words:
                 texts = told.stdout.splitlines() if command == "objects" else [told.stdout]
-                yield from (f"json {command} {path}" for text in texts for path in _paths(json.loads(text)))
+                yield from (
+                    f"json {command} {path}" for text in texts for path in _paths(json.loads(text))
+                )
 
 
 def _paths(found: Any, prefix: str = "") -> Iterator[str]:

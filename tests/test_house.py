@@ -43,9 +43,19 @@ def test_no_function_is_too_deep() -> None:
 
 
 COMPOUND = (
-    ast.For, ast.AsyncFor, ast.While, ast.If, ast.With, ast.AsyncWith, ast.Try, ast.TryStar, ast.Match, ast.ClassDef,
-    ast.FunctionDef, ast.AsyncFunctionDef,
-)  # fmt: skip
+    ast.For,
+    ast.AsyncFor,
+    ast.While,
+    ast.If,
+    ast.With,
+    ast.AsyncWith,
+    ast.Try,
+    ast.TryStar,
+    ast.Match,
+    ast.ClassDef,
+    ast.FunctionDef,
+    ast.AsyncFunctionDef,
+)
 
 
 def nesting(node: ast.AST) -> int:
@@ -53,7 +63,10 @@ def nesting(node: ast.AST) -> int:
     last = node.orelse if isinstance(node, ast.If) else []
     elifs = [one for one in last if isinstance(one, ast.If) and len(last) == 1]
     inner = (one for one in ast.iter_child_nodes(node) if not isinstance(one, ast.expr))
-    return max((nesting(one) + (isinstance(one, COMPOUND) and one not in elifs) for one in inner), default=0)
+    return max(
+        (nesting(one) + (isinstance(one, COMPOUND) and one not in elifs) for one in inner),
+        default=0,
+    )
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -99,7 +112,10 @@ def test_the_citation_names_this_version_and_both_papers() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {prc_cli.__version__}\n" in citation
     assert "doi: 10.1109/TGRS.2019.2909351\n" in citation
-    assert "title: Online algorithms for classification of urban objects in 3D point clouds\n" in citation
+    assert (
+        "title: Online algorithms for classification of urban objects in 3D point clouds\n"
+        in citation
+    )
 
 
 REPORTS = {"cli/evaluate.py", "jobs/objects/__init__.py"}
@@ -108,7 +124,11 @@ REPORTS = {"cli/evaluate.py", "jobs/objects/__init__.py"}
 
 def test_suffixes_of_formats_stay_in_their_room() -> None:
     """Tables of suffixes derive from the records of formats; names that are put together may end in one."""
-    known = {suffix for one in formats() for suffix in (*one.scans, *one.streams, *one.labels, *one.codes)}
+    known = {
+        suffix
+        for one in formats()
+        for suffix in (*one.scans, *one.streams, *one.labels, *one.codes)
+    }
     root = Path(prc_cli.__file__).parent
     named: list[str] = []
     for path in sorted(root.rglob("*.py")):
@@ -116,7 +136,12 @@ def test_suffixes_of_formats_stay_in_their_room() -> None:
         if where.startswith("formats/") or where in REPORTS:
             continue
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+        parts = {
+            id(part)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.JoinedStr)
+            for part in node.values
+        }
         named += [
             f"{where}:{node.lineno}: {node.value}"
             for node in ast.walk(tree)

@@ -15,7 +15,15 @@ from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
-from tests.profiler import JAKARTO_M, jakarto, jakarto_input, placed, scanner_positions, steps_apart, write_trajectory
+from tests.profiler import (
+    JAKARTO_M,
+    jakarto,
+    jakarto_input,
+    placed,
+    scanner_positions,
+    steps_apart,
+    write_trajectory,
+)
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
 
@@ -44,7 +52,9 @@ def test_oakland(
     classify(source, tmp_path / "urban.npy", load_config(preset="urban"))
     found = scores(evaluate(tmp_path / "urban.npy", source, "oakland"))
     assert gate_value(found, "f1.ground") > published_ground
-    classify(source, tmp_path / "sick.npy", load_config(ROOT / "sample_configs" / "sick_push_broom.toml"))
+    classify(
+        source, tmp_path / "sick.npy", load_config(ROOT / "sample_configs" / "sick_push_broom.toml")
+    )
     found = scores(evaluate(tmp_path / "sick.npy", source, "oakland"))
     assert gate_value(found, "f1.ground") > ground
     assert gate_value(found, "f1.vegetation") > vegetation
@@ -112,7 +122,9 @@ def test_airborne_strip(real_data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mls_not_in_time_order.las", "ign_tile_not_chronological.laz"])
-def test_unordered_files_are_refused_with_the_evidence(real_data: Path, tmp_path: Path, name: str) -> None:
+def test_unordered_files_are_refused_with_the_evidence(
+    real_data: Path, tmp_path: Path, name: str
+) -> None:
     source = real_data / "las" / name
     inputs = {"lines": "fixed", "points_per_line": 500, "range": "origin:0,0,0"}
     with pytest.raises(OrderError, match="gps_time decreases in [0-9.]+ % of") as caught:

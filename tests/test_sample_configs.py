@@ -91,7 +91,9 @@ def test_the_folder_inside_the_package_comes_first(tmp_path: Path) -> None:
 
 
 def test_the_wheel_and_the_source_archive_take_the_samples_in() -> None:
-    targets = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]
+    targets = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"][
+        "build"
+    ]["targets"]
     assert "sample_configs" in targets["wheel"]["only-include"]
     assert targets["wheel"]["sources"] == {"sample_configs": "prc_cli/sample_configs"}
     for name in targets["sdist"]["include"]:

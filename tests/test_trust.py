@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from benchmarks.trust import Case, Done, Trial, macro_f1, outcome_of, random_of, try_row
-from benchmarks.trust_cases import METHODS, QUICK_CASES, ROWS, Context, QuickCase, Told, plain, right_forms
+from benchmarks.trust_cases import (
+    METHODS,
+    QUICK_CASES,
+    ROWS,
+    Context,
+    QuickCase,
+    Told,
+    plain,
+    right_forms,
+)
 from benchmarks.trust_scans import FIRST_SEED, SEEDS_APART, Window, sources, toy
 from benchmarks.user import in_own_process
 
@@ -17,7 +26,9 @@ pytestmark = pytest.mark.slow
 
 MACRO = 0.4
 """Macro F1 that every method reaches on the small scans."""
-FORMS = [(name, i) for name, n in (("street", 5), ("push-broom", 2), ("forest", 2)) for i in range(n)]
+FORMS = [
+    (name, i) for name, n in (("street", 5), ("push-broom", 2), ("forest", 2)) for i in range(n)
+]
 
 
 @cache
@@ -36,13 +47,22 @@ def case_of(window: Window, method: str) -> Case:
     return Case("right", window.scan, 0, method, window.mapping, METHODS[method])
 
 
-@pytest.mark.parametrize("case", QUICK_CASES, ids=lambda case: f"{case.row}, {case.toy}, {case.method}")
-def test_what_is_wrong_is_not_silent_and_what_is_right_passes(case: QuickCase, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "case", QUICK_CASES, ids=lambda case: f"{case.row}, {case.toy}, {case.method}"
+)
+def test_what_is_wrong_is_not_silent_and_what_is_right_passes(
+    case: QuickCase, tmp_path: Path
+) -> None:
     row = next(row for row in ROWS if row.name == case.row)
     expected = right_f1(case.toy, case.method, tmp_path)
     assert expected > MACRO
     result = try_row(
-        Trial(tmp_path), row, window_of(case.toy), Context(tmp_path, case.method, random_of()), expected, seed=0
+        Trial(tmp_path),
+        row,
+        window_of(case.toy),
+        Context(tmp_path, case.method, random_of()),
+        expected,
+        seed=0,
     )
     assert result is not None
     assert result.outcome != "silent", result
@@ -50,7 +70,9 @@ def test_what_is_wrong_is_not_silent_and_what_is_right_passes(case: QuickCase, t
 
 
 @pytest.mark.parametrize(("name", "form"), FORMS)
-def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name: str, form: int, tmp_path: Path) -> None:
+def test_a_scan_rightly_told_is_neither_refused_nor_doubted(
+    name: str, form: int, tmp_path: Path
+) -> None:
     window = window_of(name)
     method = "fused-forest" if window.is_forest else "fused"
     told = right_forms(window)[form](window, Context(tmp_path, method, random_of()))
@@ -62,14 +84,28 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name: str, form: int
 @pytest.mark.parametrize(
     ("name", "method", "seed", "told"),
     [
-        ("trajectory a second late", "prc", 0, "input.trajectory_time_offset"),  # it was another unit of the ranges
+        (
+            "trajectory a second late",
+            "prc",
+            0,
+            "input.trajectory_time_offset",
+        ),  # it was another unit of the ranges
         ("radians named degrees", "fused", 0, "name them angle_rad"),
         ("radians named degrees", "fused", 1, "name them angle_rad"),
     ],
 )
-def test_what_is_wrong_is_named(name: str, method: str, seed: int, told: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_named(
+    name: str, method: str, seed: int, told: str, tmp_path: Path
+) -> None:
     row = next(row for row in ROWS if row.name == name)
-    result = try_row(Trial(tmp_path), row, window_of("street"), Context(tmp_path, method, random_of()), 0.9, seed=seed)
+    result = try_row(
+        Trial(tmp_path),
+        row,
+        window_of("street"),
+        Context(tmp_path, method, random_of()),
+        0.9,
+        seed=seed,
+    )
     assert result is not None
     assert told in result.said
     # another unit is named behind it, if at all
@@ -101,9 +137,13 @@ def test_what_becomes_of_a_case() -> None:
 
 
 def test_limits_are_never_chosen_on_scans_that_are_reported() -> None:
-    specs = {part: [each.spec for each in sources(part) if each.spec is not None] for part in FIRST_SEED}
+    specs = {
+        part: [each.spec for each in sources(part) if each.spec is not None] for part in FIRST_SEED
+    }
     for part, first in FIRST_SEED.items():
         assert all(first <= spec.seed < first + SEEDS_APART for spec in specs[part])
-    mounts = {part: {(spec.scanner, repr(spec.mount)) for spec in own} for part, own in specs.items()}
+    mounts = {
+        part: {(spec.scanner, repr(spec.mount)) for spec in own} for part, own in specs.items()
+    }
     shared = mounts["tuning"] & mounts["held-out"]
     assert {scanner for scanner, _ in shared} <= {"focus3d-120"}

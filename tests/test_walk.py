@@ -40,7 +40,9 @@ class Walk:
         """Run a command line; it must end with this exit code."""
         self.typed.append(command)
         result = runner().invoke(cli, shlex.split(command)[1:])
-        assert result.exit_code == code, f"{command}\n{result.output}\n{result.stderr}\n{result.exception!r}"
+        assert result.exit_code == code, (
+            f"{command}\n{result.output}\n{result.stderr}\n{result.exception!r}"
+        )
         self.said = result.output + result.stderr
         return self.said
 
@@ -77,7 +79,9 @@ def test_profiler_ply(here: Path, real_data: Path) -> None:
 
 @pytest.mark.data
 def test_laz_with_times_alone(here: Path, real_data: Path) -> None:
-    write_registered(sorted((real_data / "riegl").glob("*.ply"))[:2], here / "drive.laz", here / "path.csv")
+    write_registered(
+        sorted((real_data / "riegl").glob("*.ply"))[:2], here / "drive.laz", here / "path.csv"
+    )
     walk = Walk()
     walk.type("prc info drive.laz")
     assert walk.told("type").endswith("--range points")
@@ -106,12 +110,23 @@ def test_bag(here: Path, real_data: Path) -> None:
 
 
 def test_text_in_millimetres_with_decimal_commas(here: Path) -> None:
-    assert runner().invoke(cli, shlex.split("simulate street truth.csv --lines 48 --seed 3 -q")).exit_code == 0
+    assert (
+        runner()
+        .invoke(cli, shlex.split("simulate street truth.csv --lines 48 --seed 3 -q"))
+        .exit_code
+        == 0
+    )
     with (here / "truth.csv").open() as truth, (here / "drive.csv").open("w") as drive:
         drive.write("line;column;angle_deg;range_mm;time_s\n")
         for row in csv.DictReader(truth):
             range_mm = f"{1000 * float(row['range_m']):.1f}" if row["range_m"] else ""
-            cells = (row["line"], row["column"], f"{float(row['angle_deg']):.4f}", range_mm, row["time_s"])
+            cells = (
+                row["line"],
+                row["column"],
+                f"{float(row['angle_deg']):.4f}",
+                range_mm,
+                row["time_s"],
+            )
             drive.write(";".join(cells).replace(".", ",") + "\n")
     walk = Walk()
     walk.type("prc classify drive.csv labels.csv")
@@ -149,7 +164,17 @@ def test_kitti_frame(here: Path, real_data: Path) -> None:
 def write_registered(sources: list[Path], output: Path, positions: Path) -> None:
     """Write returns as a mapping system delivers them, without ranges, lines and angles; and where the scanner was."""
     columns: dict[str, list[np.ndarray]] = {}
-    names = ("time", "x", "y", "z", "x_origin", "y_origin", "z_origin", "return_number", "number_of_returns")
+    names = (
+        "time",
+        "x",
+        "y",
+        "z",
+        "x_origin",
+        "y_origin",
+        "z_origin",
+        "return_number",
+        "number_of_returns",
+    )
     for path in sources:
         source = open_source(path)
         assert source is not None
@@ -163,7 +188,10 @@ def write_registered(sources: list[Path], output: Path, positions: Path) -> None
     order = order[np.r_[True, np.any(np.diff(key) != 0, axis=0)]]
     table = {name: values[order] for name, values in table.items()}
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = [0.001] * 3, [float(np.floor(table[axis].min())) for axis in "xyz"]
+    header.scales, header.offsets = (
+        [0.001] * 3,
+        [float(np.floor(table[axis].min())) for axis in "xyz"],
+    )
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = table["x"], table["y"], table["z"]
     cloud.gps_time = table["time"]
@@ -172,7 +200,14 @@ def write_registered(sources: list[Path], output: Path, positions: Path) -> None
     cloud.write(output)
     time = np.arange(table["time"].min() - 0.01, table["time"].max() + 0.01, 0.01)
     place = [np.interp(time, table["time"], table[f"{axis}_origin"]) for axis in "xyz"]
-    np.savetxt(positions, np.column_stack([time, *place]), "%.4f", delimiter=",", header="time,x,y,z", comments="")
+    np.savetxt(
+        positions,
+        np.column_stack([time, *place]),
+        "%.4f",
+        delimiter=",",
+        header="time,x,y,z",
+        comments="",
+    )
 
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -184,10 +219,19 @@ def test_other_readers_find_codes_and_names(tmp_path: Path) -> None:
     summary = prc_cli.classify(tmp_path / "drive.npz", output, prc_cli.load_config(preset="fused"))
     cloud = laspy.read(output)
     assert cloud.header.point_format.id >= 6
-    codes = dict(zip(*(part.tolist() for part in np.unique(cloud.classification, return_counts=True)), strict=True))
-    told = {one.code: one.count for one in summary.record.classes if one.count and one.name != "missing"}
+    codes = dict(
+        zip(
+            *(part.tolist() for part in np.unique(cloud.classification, return_counts=True)),
+            strict=True,
+        )
+    )
+    told = {
+        one.code: one.count for one in summary.record.classes if one.count and one.name != "missing"
+    }
     assert codes == told
-    (record,) = [one for one in cloud.header.vlrs if (one.user_id, one.record_id) == ("LASF_Spec", 0)]
+    (record,) = [
+        one for one in cloud.header.vlrs if (one.user_id, one.record_id) == ("LASF_Spec", 0)
+    ]
     names = record.lookups
     assert {65: "car", 66: "curb", 69: "pole"}.items() <= names.items()
     # what goes on in PDAL: docs/workflow.md
@@ -207,7 +251,9 @@ def test_styles_of_viewers_hold_every_code() -> None:
 
 
 @pytest.mark.parametrize("crs", ["", "EPSG:32635"])
-def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(tmp_path: Path, crs: str) -> None:
+def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(
+    tmp_path: Path, crs: str
+) -> None:
     words = ["simulate", "street", str(tmp_path / "drive.laz"), "--lines", "2"]
     result = runner().invoke(cli, [*words, *(["--set", f"frame.crs={crs}"] if crs else [])])
     assert result.exit_code == 0

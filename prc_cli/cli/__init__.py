@@ -22,25 +22,59 @@ import click
 from prc_cli import __version__
 from prc_cli.cli.guard import REPEATED_S, begin
 from prc_cli.core.errors import PrcError, printable, printable_lines
-from prc_cli.core.files import drop_proofs, forget_placed, keep_proofs, left_words, remove_own, take_back
+from prc_cli.core.files import (
+    drop_proofs,
+    forget_placed,
+    keep_proofs,
+    left_words,
+    remove_own,
+    take_back,
+)
 from prc_cli.core.paths import begin_command
 from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
-    "info": ("prc_cli.cli.info:info", "Say what a file holds, whether it can be classified, and how."),
+    "demo": (
+        "prc_cli.cli.demo:demo",
+        "Simulate scans, classify them, evaluate them, draw them: no data needed.",
+    ),
+    "info": (
+        "prc_cli.cli.info:info",
+        "Say what a file holds, whether it can be classified, and how.",
+    ),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
-    "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "render": (
+        "prc_cli.cli.render:render",
+        "Draw a scan, its steps, its classes, differences, or the cloud.",
+    ),
     "explain": ("prc_cli.cli.explain:explain", "Say why a shot has its class, stage by stage."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
-    "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
-    "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
-    "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
+    "batch": (
+        "prc_cli.cli.batch:batch",
+        "Classify an archive of files; resumes, journals, many at a time.",
+    ),
+    "stream": (
+        "prc_cli.cli.stream:stream",
+        "Label a live stream: ranges on stdin, one class code a shot on stdout.",
+    ),
+    "calibrate": (
+        "prc_cli.cli.calibrate:calibrate",
+        "Measure the sensor and derive the parameters.",
+    ),
     "objects": ("prc_cli.cli.objects:objects", "List stems, poles, cars and curbs as they pass."),
-    "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
-    "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
+    "convert": (
+        "prc_cli.cli.convert:convert",
+        "Write a file in another format, and say what it cannot hold.",
+    ),
+    "transfer": (
+        "prc_cli.cli.transfer:transfer",
+        "Carry classes onto the registered points of the same drive.",
+    ),
     "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),
-    "simulate": ("prc_cli.cli.simulate:simulate", "Make a scan of a street or a forest whose classes are known."),
+    "simulate": (
+        "prc_cli.cli.simulate:simulate",
+        "Make a scan of a street or a forest whose classes are known.",
+    ),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
     "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
@@ -77,14 +111,18 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, Any, list[str]]:
         """Name the nearest command when one is unknown."""
         name = args[0] if args else ""
         if name and name not in COMMANDS and not name.startswith("-"):
             import difflib
 
             near = difflib.get_close_matches(name, COMMANDS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known commands: {', '.join(COMMANDS)}"
+            hint = (
+                f"did you mean {near[0]!r}?" if near else f"known commands: {', '.join(COMMANDS)}"
+            )
             ctx.fail(f"no such command {name!r}; {hint}")
         return super().resolve_command(ctx, args)
 
@@ -120,7 +158,9 @@ def main(args: list[str] | None = None) -> None:
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
     if args is None and "--debug" not in arguments and not sys.warnoptions:
-        warnings.simplefilter("ignore")  # of NumPy and Python, for programmers; tests run with them as errors
+        warnings.simplefilter(
+            "ignore"
+        )  # of NumPy and Python, for programmers; tests run with them as errors
     # escape names that the terminal cannot show instead of stopping
     if args is None and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -151,7 +191,9 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         failure = error
         message, code = printable(str(error)), error.exit_code
     except click.ClickException as error:
-        if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: its message is the whole help
+        if (
+            type(error).__name__ == "NoArgsIsHelpError"
+        ):  # click 8.2 and newer: its message is the whole help
             error.show()
             return error.exit_code
         failure = error
@@ -159,8 +201,14 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         said = _without_line_ends(error)
         if context is not None:
             # click ends its sentences with a full stop, some after a colon of their own
-            said = said.removesuffix(".") + (" " if said.endswith("?") else "; ") + f"see {context.command_path} --help"
-            if isinstance(error, click.MissingParameter) and isinstance(error.param, click.Argument):
+            said = (
+                said.removesuffix(".")
+                + (" " if said.endswith("?") else "; ")
+                + f"see {context.command_path} --help"
+            )
+            if isinstance(error, click.MissingParameter) and isinstance(
+                error.param, click.Argument
+            ):
                 said += f", expected {' '.join(context.command.collect_usage_pieces(context)[1:])}"
         message, code = printable(said), error.exit_code
     except MemoryError as error:
@@ -168,7 +216,10 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         message, code = f"not enough memory for this input and these parameters; {left_words()}", 1
     except ImportError as error:
         failure = error
-        message, code = printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
+        message, code = (
+            printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"),
+            1,
+        )
     except (click.Abort, KeyboardInterrupt) as error:
         failure = error
         take_back()

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from prc_cli.cli.options import add_options, complete_mapping, layers_from, output_options, stream_options
+from prc_cli.cli.options import (
+    add_options,
+    complete_mapping,
+    layers_from,
+    output_options,
+    stream_options,
+)
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import atomic_output, read_own, remove_stale
@@ -38,7 +44,11 @@ class BatchCommand(click.Group):
     """A command with arguments of its own whose first word may also be the name of one of its parts."""
 
     def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
     ) -> click.Context:
         """Go on with a part if the first word names one; a folder of that name is ``./status``."""
         if args and args[0] in self.commands:
@@ -62,7 +72,9 @@ class BatchCommand(click.Group):
     shell_complete = click.Command.shell_complete
 
 
-def _complete_archive(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+def _complete_archive(
+    context: click.Context, parameter: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
     parts = [CompletionItem(name) for name in batch.commands if name.startswith(incomplete)]
     return [*parts, CompletionItem(incomplete, type="dir")]
 
@@ -70,8 +82,18 @@ def _complete_archive(context: click.Context, parameter: click.Parameter, incomp
 _option = click.option
 
 _SELECTION = [
-    _option("--include", multiple=True, metavar="GLOB", help="Only inputs of such names, e.g. '2026/**/*.laz'."),
-    _option("--exclude", multiple=True, metavar="GLOB", help="Not those of such names, or in such folders."),
+    _option(
+        "--include",
+        multiple=True,
+        metavar="GLOB",
+        help="Only inputs of such names, e.g. '2026/**/*.laz'.",
+    ),
+    _option(
+        "--exclude",
+        multiple=True,
+        metavar="GLOB",
+        help="Not those of such names, or in such folders.",
+    ),
     _option(
         "--drive",
         "drives",
@@ -81,7 +103,10 @@ _SELECTION = [
         "'drive_*_??.laz', are the parts of one drive, in the order of these numbers: one stream, an output each.",
     ),
     _option(
-        "--since", type=READ_TEXT, metavar="WHEN", help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file."
+        "--since",
+        type=READ_TEXT,
+        metavar="WHEN",
+        help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file.",
     ),
     _option(
         "--limit",
@@ -93,44 +118,122 @@ _SELECTION = [
     _option("--only-failed", is_flag=True, help="Only files that failed or were cut off before."),
 ]
 _WORK = [
-    _option("--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time; default: one for every core."),
-    _option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads a file; default: cores / jobs."),
-    _option("--engine", type=click.Choice(["local", "dask"]), default="local", show_default=True,
-            help="Processes of this machine, or a Dask cluster."),
-    _option("--scheduler", metavar="ADDRESS",
-            help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786."),
-    _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
-            help="Try a file N times more in this run where the problem may pass."),
-    _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
-            "[default: keep-going]"),
-    _option("--stall", "stall_s", type=click.FloatRange(min=0, min_open=True), default=600.0, show_default=True,
-            metavar="SECONDS", help="Give up a file without progress for so long."),
-    _option("--memory-limit", "memory_limit", type=click.IntRange(min=1), metavar="MB",
-            help="Memory that a worker may take [MiB]."),
-]  # fmt: skip
+    _option(
+        "--jobs",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Files at a time; default: one for every core.",
+    ),
+    _option(
+        "--threads",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Threads a file; default: cores / jobs.",
+    ),
+    _option(
+        "--engine",
+        type=click.Choice(["local", "dask"]),
+        default="local",
+        show_default=True,
+        help="Processes of this machine, or a Dask cluster.",
+    ),
+    _option(
+        "--scheduler", metavar="ADDRESS", help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786."
+    ),
+    _option(
+        "--retry",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        metavar="N",
+        help="Try a file N times more in this run where the problem may pass.",
+    ),
+    _option(
+        "--fail-fast/--keep-going",
+        default=False,
+        help="Begin no file after the first failure, or go on.  [default: keep-going]",
+    ),
+    _option(
+        "--stall",
+        "stall_s",
+        type=click.FloatRange(min=0, min_open=True),
+        default=600.0,
+        show_default=True,
+        metavar="SECONDS",
+        help="Give up a file without progress for so long.",
+    ),
+    _option(
+        "--memory-limit",
+        "memory_limit",
+        type=click.IntRange(min=1),
+        metavar="MB",
+        help="Memory that a worker may take [MiB].",
+    ),
+]
 _OUTPUTS = [
-    _option("--to", default="same", show_default=True, metavar="FORMAT",
-            help="laz, las, npy, csv or parquet; same: LAS and LAZ stay what they are, of all else labels (.npy)."),
+    _option(
+        "--to",
+        default="same",
+        show_default=True,
+        metavar="FORMAT",
+        help="laz, las, npy, csv or parquet; same: LAS and LAZ stay what they are, of all else labels (.npy).",
+    ),
     _option("--overwrite", is_flag=True, help="Replace outputs that no run of prc batch wrote."),
-    _option("--adopt", is_flag=True, help="Take such outputs as done if their record says that they are the same."),
-    _option("--verify", is_flag=True, help="Compare the content of inputs and outputs, not only "
-            "size and time; prc batch --verify OUT only says which outputs are whole."),
-    _option("--keep-version", "keep_versions", multiple=True, metavar="VERSION",
-            help="Outputs that this older version of prc made are not made again."),
+    _option(
+        "--adopt",
+        is_flag=True,
+        help="Take such outputs as done if their record says that they are the same.",
+    ),
+    _option(
+        "--verify",
+        is_flag=True,
+        help="Compare the content of inputs and outputs, not only "
+        "size and time; prc batch --verify OUT only says which outputs are whole.",
+    ),
+    _option(
+        "--keep-version",
+        "keep_versions",
+        multiple=True,
+        metavar="VERSION",
+        help="Outputs that this older version of prc made are not made again.",
+    ),
     _option("--dry-run", is_flag=True, help="Only say what would be done, and what it would take."),
-]  # fmt: skip
+]
 _CHECKS = [
-    _option("--reference", type=READ, metavar="TREE",
-            help="Evaluate against this reference folder: files of the same name, any suffix."),
-    _option("--mapping", type=READ_TEXT, metavar="NAME|FILE.toml", shell_complete=complete_mapping,
-            help="Which codes mean which class, as prc evaluate.  [default: that of the method in the run records]"),
-    _option("--match", default="order", show_default=True, metavar="HOW",
-            help="How records find their partner: order, time, dimension:NAME or nearest."),
-    _option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",
-            help="Exit code 3 if a score of all files together is lower, e.g. recall.ground=0.95."),
-    _option("--drift/--no-drift", default=True, show_default=True,
-            help="Exit code 4 if the classes of a file are unlike those of earlier ones."),
-]  # fmt: skip
+    _option(
+        "--reference",
+        type=READ,
+        metavar="TREE",
+        help="Evaluate against this reference folder: files of the same name, any suffix.",
+    ),
+    _option(
+        "--mapping",
+        type=READ_TEXT,
+        metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
+        help="Which codes mean which class, as prc evaluate.  [default: that of the method in the run records]",
+    ),
+    _option(
+        "--match",
+        default="order",
+        show_default=True,
+        metavar="HOW",
+        help="How records find their partner: order, time, dimension:NAME or nearest.",
+    ),
+    _option(
+        "--fail-under",
+        "gates",
+        multiple=True,
+        metavar="SCORE.CLASS=VALUE",
+        help="Exit code 3 if a score of all files together is lower, e.g. recall.ground=0.95.",
+    ),
+    _option(
+        "--drift/--no-drift",
+        default=True,
+        show_default=True,
+        help="Exit code 4 if the classes of a file are unlike those of earlier ones.",
+    ),
+]
 _TELLING = [
     _option(
         "--log-json",
@@ -179,7 +282,11 @@ def batch(**options: Any) -> None:
 @batch.command()
 @click.argument("out", type=READ)
 @_option("--json", "as_json", is_flag=True, help="Print all of it as JSON on stdout.")
-@_option("--verify", is_flag=True, help="Also read every output and compare its hash; exit code 1 if one is not whole.")
+@_option(
+    "--verify",
+    is_flag=True,
+    help="Also read every output and compare its hash; exit code 1 if one is not whole.",
+)
 def status(out: Path, as_json: bool, verify: bool) -> None:
     """Say what is done, what is doubted, what failed and why, and who is at work in OUT.
 
@@ -209,8 +316,15 @@ def status(out: Path, as_json: bool, verify: bool) -> None:
 @batch.command()
 @click.argument("out", type=READ)
 @_option("--shard", metavar="I/N", help="Repeat the last run of this shard.")
-@_option("--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time, other than last time.")
-@_option("--retry", type=click.IntRange(min=0), metavar="N", help="Try a file N times more, other than last time.")
+@_option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time, other than last time."
+)
+@_option(
+    "--retry",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Try a file N times more, other than last time.",
+)
 @_option("--dry-run", is_flag=True, help="Only say what would be done.")
 @output_options
 def retry(out: Path, shard: str | None, **changes: Any) -> None:
@@ -251,16 +365,19 @@ def clean(out: Path, archive: Path | None, dry_run: bool, as_json: bool) -> None
     Examples:
       prc batch clean /classified --dry-run
       prc batch clean /classified --forget /archive
-    """  # fmt: skip
+    """
     from prc_cli.cli.batch_report import print_cleaned
     from prc_cli.jobs.batch.outputs import clean as clean_folder
 
     found = clean_folder(out, archive=archive, dry_run=dry_run)
     if as_json:
         table = {
-            "removed": [str(path) for path in found.files], "bytes": found.n_bytes,
-            "forgotten": list(found.forgotten), "kept": [str(path) for path in found.kept], "dry_run": dry_run,
-        }  # fmt: skip
+            "removed": [str(path) for path in found.files],
+            "bytes": found.n_bytes,
+            "forgotten": list(found.forgotten),
+            "kept": [str(path) for path in found.kept],
+            "dry_run": dry_run,
+        }
         click.echo(json.dumps(table, indent=1))
     else:
         print_cleaned(found, dry_run=dry_run)
@@ -305,13 +422,32 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
         raise click.UsageError(message)
     reference = None
     if options["reference"] is not None:
-        reference = ReferenceSettings(options["reference"], options["mapping"], options["match"], options["gates"])
+        reference = ReferenceSettings(
+            options["reference"], options["mapping"], options["match"], options["gates"]
+        )
         check_reference(reference)
     layers = layers_from(options)
     same = (
-        "archive", "out", "include", "exclude", "drives", "since", "limit", "only_failed", "jobs", "threads", "to",
-        "retry", "fail_fast", "overwrite", "adopt", "verify", "stall_s", "drift", "keep_versions",
-    )  # fmt: skip
+        "archive",
+        "out",
+        "include",
+        "exclude",
+        "drives",
+        "since",
+        "limit",
+        "only_failed",
+        "jobs",
+        "threads",
+        "to",
+        "retry",
+        "fail_fast",
+        "overwrite",
+        "adopt",
+        "verify",
+        "stall_s",
+        "drift",
+        "keep_versions",
+    )
     return BatchSettings(
         config=ConfigLayers(layers.path, layers.preset, layers.table, layers.files),
         shard=None if options["shard"] is None else Shard.parse(options["shard"]),
@@ -346,7 +482,9 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
         print_plan(plan, estimate, verbose=options["verbose"])
 
 
-def _run_and_tell(settings: BatchSettings, options: dict[str, Any], typed: Sequence[str]) -> BatchSummary:
+def _run_and_tell(
+    settings: BatchSettings, options: dict[str, Any], typed: Sequence[str]
+) -> BatchSummary:
     from prc_cli.cli.batch_report import Final, JsonLog, Teller, print_end, say
     from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
@@ -354,7 +492,9 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any], typed: Seque
     shows_bar = on_terminal and not quiet and not options["time_stamps"]
     log = None if options["log_json"] is None else JsonLog(options["log_json"])
     if log is not None:
-        log.start(settings.archive, settings.out, None if settings.shard is None else str(settings.shard))
+        log.start(
+            settings.archive, settings.out, None if settings.shard is None else str(settings.shard)
+        )
 
     def keep_command(event: RunEvent) -> None:
         if isinstance(event, Ready):  # the lock is held
@@ -365,7 +505,12 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any], typed: Seque
     code, problem = 1, ""
     try:
         with contextlib.ExitStack() as stack:
-            show = Teller(quiet=quiet, verbose=options["verbose"], stamps=options["time_stamps"], bar=shows_bar)
+            show = Teller(
+                quiet=quiet,
+                verbose=options["verbose"],
+                stamps=options["time_stamps"],
+                bar=shows_bar,
+            )
             stack.callback(show.close)
             final = Final(keep_command, show, *([] if log is None else [log]))
             stack.callback(final.close)
@@ -384,7 +529,11 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any], typed: Seque
         if log is not None:
             log.end(code, summary, problem)
     print_end(
-        summary, quiet=quiet, listed=not shows_bar, only_failed=settings.only_failed, trusting=not settings.verify
+        summary,
+        quiet=quiet,
+        listed=not shows_bar,
+        only_failed=settings.only_failed,
+        trusting=not settings.verify,
     )
     return summary
 
@@ -420,13 +569,29 @@ def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
         folder, typed = Path(table["folder"]), [str(word) for word in table["arguments"]]
         begin_command("batch")  # its options are those of the last run
         context = batch.make_context("prc batch", list(typed))
-        if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir() or context.command is not batch:
+        if (
+            table["schema"] != _COMMAND_SCHEMA
+            or not folder.is_dir()
+            or context.command is not batch
+        ):
             raise ValueError
     except FileNotFoundError:
-        raise ConfigError(str(path), "is not there, expected what the last run was asked for", hint) from None
+        raise ConfigError(
+            str(path), "is not there, expected what the last run was asked for", hint
+        ) from None
     except PermissionError as error:
         problem = f"could have been changed by others ({error.strerror}), expected a file of this user alone"
         raise ConfigError(str(path), problem, hint) from None
-    except (click.ClickException, click.exceptions.Exit, OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise ConfigError(str(path), "cannot be used, expected what the last run was asked for", hint) from None
+    except (
+        click.ClickException,
+        click.exceptions.Exit,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RecursionError,
+    ):
+        raise ConfigError(
+            str(path), "cannot be used, expected what the last run was asked for", hint
+        ) from None
     return folder, typed, context.params

@@ -25,7 +25,18 @@ from prc_cli.jobs.batch.outputs import Cleaned, Verified
 from prc_cli.jobs.batch.plan import Estimate, Plan
 from prc_cli.jobs.batch.report import BatchSummary, done_dict, failed_dict
 from prc_cli.jobs.batch.run import Again, Noted, Ready, RunEvent
-from prc_cli.jobs.batch.types import Alarm, Compared, Done, Doubted, Entry, Failed, Progress, Run, Started, doubts_of
+from prc_cli.jobs.batch.types import (
+    Alarm,
+    Compared,
+    Done,
+    Doubted,
+    Entry,
+    Failed,
+    Progress,
+    Run,
+    Started,
+    doubts_of,
+)
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""
@@ -142,7 +153,9 @@ class Final:
 
     def _tell(self, event: RunEvent) -> None:
         for listener in self._listeners:
-            with contextlib.suppress(OSError):  # a terminal or pipe that is gone must not stop the work
+            with contextlib.suppress(
+                OSError
+            ):  # a terminal or pipe that is gone must not stop the work
                 listener(event)
 
 
@@ -154,7 +167,9 @@ class Teller:
 
         self._quiet, self._verbose, self._stamps = quiet, verbose, stamps
         # empty files count a byte, so that an archive of them has an end
-        self._bar = tqdm(unit="B", unit_scale=True, leave=False, dynamic_ncols=True, disable=not bar)
+        self._bar = tqdm(
+            unit="B", unit_scale=True, leave=False, dynamic_ncols=True, disable=not bar
+        )
         self._has_bar = bar
         self._sizes: dict[str, int] = {}
         self._lines: dict[str, int] = {}
@@ -181,7 +196,9 @@ class Teller:
         elif isinstance(event, Alarm):
             self._say(f"alarm {event.name}: {event.sentence}")
         elif isinstance(event, Again) and not self._quiet:
-            self._say(f"again {event.name}: tried once more ({event.problem.kind}: {event.problem.problem})")
+            self._say(
+                f"again {event.name}: tried once more ({event.problem.kind}: {event.problem.problem})"
+            )
         elif isinstance(event, Noted) and not self._quiet:
             self._say(f"note: {event.text}")
         if self._has_bar:
@@ -217,8 +234,12 @@ class Teller:
 
     def _show(self) -> None:
         failed = f", {self._n_failed} failed" if self._n_failed else ""
-        at_work = "".join(f", {printable(name)[-40:]}: {n:,} lines" for name, n in [*self._lines.items()][:1])
-        self._bar.set_postfix_str(f"{self._n_ended}/{self._n_todo} files{failed}{at_work}", refresh=False)
+        at_work = "".join(
+            f", {printable(name)[-40:]}: {n:,} lines" for name, n in [*self._lines.items()][:1]
+        )
+        self._bar.set_postfix_str(
+            f"{self._n_ended}/{self._n_todo} files{failed}{at_work}", refresh=False
+        )
         self._bar.update(0)
 
     def _say(self, text: str) -> None:
@@ -237,7 +258,9 @@ def _check_log(path: Path) -> None:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise OutputError(str(path), f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise OutputError(
+            str(path), f"cannot be read ({error.strerror})", "check its permissions"
+        ) from error
     if not is_log:
         problem = "is no log of prc batch: found another kind of file, or one with two names"
         raise OutputError(str(path), problem, "name a new file for --log-json, or - for stdout")
@@ -256,16 +279,25 @@ class JsonLog:
     def start(self, archive: Path, out: Path, shard: str | None) -> None:
         """Write that a run begins."""
         self._who["shard"] = shard
-        self._write("run_start", schema=LOG_SCHEMA, archive=str(archive), out=str(out), version=__version__)
+        self._write(
+            "run_start", schema=LOG_SCHEMA, archive=str(archive), out=str(out), version=__version__
+        )
 
     def __call__(self, event: RunEvent) -> None:
         """Hear an event."""
         if isinstance(event, Ready):
             plan = event.plan
             self._write(
-                "plan", todo=len(plan.todo), bytes=plan.n_bytes, skipped=len(plan.done), adopted=len(plan.adopted),
-                refused=len(plan.refused), beyond_limit=plan.n_beyond_limit, jobs=event.jobs, threads=event.threads,
-            )  # fmt: skip
+                "plan",
+                todo=len(plan.todo),
+                bytes=plan.n_bytes,
+                skipped=len(plan.done),
+                adopted=len(plan.adopted),
+                refused=len(plan.refused),
+                beyond_limit=plan.n_beyond_limit,
+                jobs=event.jobs,
+                threads=event.threads,
+            )
         elif isinstance(event, Done):
             self._write("file_done", **done_dict(event))
         elif isinstance(event, Failed):
@@ -279,15 +311,29 @@ class JsonLog:
 
     def end(self, exit_code: int, summary: BatchSummary | None, error: str = "") -> None:
         """Write that a run has ended."""
-        counts = {} if summary is None else {
-            "run": summary.run, "found": summary.n_found, "skipped": summary.n_skipped, "done": len(summary.done),
-            "failed": len(summary.failed), "waiting": summary.n_waiting, "doubted": summary.n_doubted,
-            "alarms": len(summary.alarms), "shots": summary.n_shots, "seconds": round(summary.seconds, 3),
-        }  # fmt: skip
+        counts = (
+            {}
+            if summary is None
+            else {
+                "run": summary.run,
+                "found": summary.n_found,
+                "skipped": summary.n_skipped,
+                "done": len(summary.done),
+                "failed": len(summary.failed),
+                "waiting": summary.n_waiting,
+                "doubted": summary.n_doubted,
+                "alarms": len(summary.alarms),
+                "shots": summary.n_shots,
+                "seconds": round(summary.seconds, 3),
+            }
+        )
         self._write("run_end", exit_code=exit_code, error=error, **counts)
 
     def _write(self, event: str, **values: Any) -> None:
-        line = json.dumps({"time": _now(), "event": event, **self._who, **values}, allow_nan=False) + "\n"
+        line = (
+            json.dumps({"time": _now(), "event": event, **self._who, **values}, allow_nan=False)
+            + "\n"
+        )
         try:
             if self._path is None:
                 sys.stdout.write(line)
@@ -308,11 +354,18 @@ class JsonLog:
 # -- when a run has ended ---------------------------------------------------------------------------------------------
 
 
-TRUSTING = "files that were done before were judged by size and time; --verify compares their content"
+TRUSTING = (
+    "files that were done before were judged by size and time; --verify compares their content"
+)
 
 
 def print_end(
-    summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: bool = False, trusting: bool = False
+    summary: BatchSummary,
+    *,
+    quiet: bool,
+    listed: bool,
+    only_failed: bool = False,
+    trusting: bool = False,
 ) -> None:
     """Print what a run did; quiet: a line, and only if something is wrong; listed: failures stand above already.
 
@@ -320,9 +373,13 @@ def print_end(
     """
     trusting = trusting and not quiet and summary.n_skipped > 0
     is_wrong = summary.exit_code or summary.ended != "finished"
-    idle = not (summary.done or summary.failed or summary.standing or summary.n_waiting or summary.alarms)
+    idle = not (
+        summary.done or summary.failed or summary.standing or summary.n_waiting or summary.alarms
+    )
     if idle and summary.evaluation is None:
-        found = count_of(summary.n_found, "file") + (" is done" if summary.n_found == 1 else " are done")
+        found = count_of(summary.n_found, "file") + (
+            " is done" if summary.n_found == 1 else " are done"
+        )
         nothing = "no file failed or was cut off" if only_failed else "no files were found"
         if not quiet:
             say(f"nothing to do: {found if summary.n_found else nothing} ({summary.out})")
@@ -341,7 +398,9 @@ def print_end(
     if summary.evaluation is not None and not (quiet and summary.evaluation.passed):
         for gate in summary.evaluation.gates:
             value = "undefined" if gate.value != gate.value else f"{gate.value:.4f}"
-            say(f"{gate.name}: found {value}, demanded {gate.limit:.4f}: {'passed' if gate.passed else 'failed'}")
+            say(
+                f"{gate.name}: found {value}, demanded {gate.limit:.4f}: {'passed' if gate.passed else 'failed'}"
+            )
     if is_wrong or not quiet:
         say(_end_words(summary))
     if trusting:
@@ -349,11 +408,17 @@ def print_end(
 
 
 def _end_words(summary: BatchSummary) -> str:
-    told = _listed([
-        (len(summary.done), "done"), (summary.n_skipped, "skipped"), (len(summary.failed), "failed"),
-        (len(summary.standing), "failed before"), (summary.n_waiting, "left for another run"),
-        (summary.n_doubted, "doubted"), (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
-    ])  # fmt: skip
+    told = _listed(
+        [
+            (len(summary.done), "done"),
+            (summary.n_skipped, "skipped"),
+            (len(summary.failed), "failed"),
+            (len(summary.standing), "failed before"),
+            (summary.n_waiting, "left for another run"),
+            (summary.n_doubted, "doubted"),
+            (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
+        ]
+    )
     rate = summary.shots_per_s
     pace = "" if rate is None else f"; {summary.n_shots:,} shots, {rate / 1e6:.2g} million a second"
     how = "" if summary.ended == "finished" else f"{summary.ended}; "
@@ -364,9 +429,13 @@ def _print_classes(summary: BatchSummary) -> None:
     counts = dict(summary.labels)
     returned = sum(counts.values()) - counts.get("missing", 0)
     if returned:
-        table = table_of(f"classes of {count_of(len(summary.done), 'file')}", "class", "shots", "share")
+        table = table_of(
+            f"classes of {count_of(len(summary.done), 'file')}", "class", "shots", "share"
+        )
         for name, count in counts.items():
-            table.add_row(name, f"{count:,}", "" if name == "missing" else f"{count / returned:.1%}")
+            table.add_row(
+                name, f"{count:,}", "" if name == "missing" else f"{count / returned:.1%}"
+            )
         console().print(table)
 
 
@@ -375,7 +444,9 @@ def _print_doubts(summary: BatchSummary) -> None:
     counts = Counter(doubt.check for doubt in summary.doubts)
     if counts:
         told = ", ".join(f"{check} {count:,}" for check, count in counts.most_common())
-        say(f"{count_of(summary.n_doubted, 'file')} doubted ({told}); all are in summary.json and prc batch status")
+        say(
+            f"{count_of(summary.n_doubted, 'file')} doubted ({told}); all are in summary.json and prc batch status"
+        )
 
 
 def _print_compared(summary: BatchSummary) -> None:
@@ -386,16 +457,24 @@ def _print_compared(summary: BatchSummary) -> None:
     compared = [(item.name, scores(item.matrix)) for item in found.files if item.matrix is not None]
     if compared:
         pooled = scores(found.matrix)
-        names = [item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference]
+        names = [
+            item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference
+        ]
         table = table_of("recall against the reference", "file", "records", *names, "accuracy")
-        shown = compared if len(compared) <= SHOWN else sorted(compared, key=lambda item: item[1].accuracy)[:SHOWN]
+        shown = (
+            compared
+            if len(compared) <= SHOWN
+            else sorted(compared, key=lambda item: item[1].accuracy)[:SHOWN]
+        )
         for name, each in (*shown, ("all files", pooled)):
             recall = {item.name: item.recall for item in each.classes}
             cells = (percent(recall[key]) for key in names)
             table.add_row(printable(name), f"{each.n_scored:,}", *cells, percent(each.accuracy))
         results().print(table)
         if len(compared) > SHOWN:
-            tell(f"the {SHOWN} of {len(compared)} files with the lowest accuracy; all are in summary.json")
+            tell(
+                f"the {SHOWN} of {len(compared)} files with the lowest accuracy; all are in summary.json"
+            )
         table = table_of("all files", "class", *CLASS_SCORES)
         for item in pooled.classes:
             if item.name in names:
@@ -411,7 +490,12 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
     """Return a dry run as plain values."""
     return {
         "todo": [
-            {"name": item.task.name, "output": str(item.task.output), "reason": item.reason, "size": item.size}
+            {
+                "name": item.task.name,
+                "output": str(item.task.output),
+                "reason": item.reason,
+                "size": item.size,
+            }
             for item in plan.todo
         ],
         "bytes": plan.n_bytes,
@@ -422,10 +506,12 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
         "beyond_limit": plan.n_beyond_limit,
         "not_selected": plan.n_not_selected,
         "estimate": {
-            "seconds": estimate.seconds, "peak_mib": estimate.peak_mib, "sources": list(estimate.sources),
+            "seconds": estimate.seconds,
+            "peak_mib": estimate.peak_mib,
+            "sources": list(estimate.sources),
             "unknown": estimate.n_unknown,
         },
-    }  # fmt: skip
+    }
 
 
 def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
@@ -433,29 +519,51 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     shown = plan.todo if verbose else plan.todo[:SHOWN]
     for item in shown:
         name, output = item.task.name, item.task.output.name
-        tell(f"{item.reason:<15} {name}" + ("" if name.rpartition("/")[2] == output else f" -> {output}"))
+        tell(
+            f"{item.reason:<15} {name}"
+            + ("" if name.rpartition("/")[2] == output else f" -> {output}")
+        )
     if len(shown) < len(plan.todo):
         tell(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
     for refused in plan.refused:
         tell(f"{'refused':<15} {failed_words(refused)}")
     for left in plan.left_out:
         tell(f"{'left out':<15} {left.name}: {left.reason}")
-    told = _listed([
-        (len(plan.done), "done already"), (len(plan.adopted), "would be adopted"),
-        (plan.n_beyond_limit, "left for another run"), (plan.n_not_selected, "not selected"),
-    ])  # fmt: skip
-    tell(f"{count_of(len(plan.todo), 'file')} to do ({size_of(plan.n_bytes)})" + (f", {told}" if told else ""))
+    told = _listed(
+        [
+            (len(plan.done), "done already"),
+            (len(plan.adopted), "would be adopted"),
+            (plan.n_beyond_limit, "left for another run"),
+            (plan.n_not_selected, "not selected"),
+        ]
+    )
+    tell(
+        f"{count_of(len(plan.todo), 'file')} to do ({size_of(plan.n_bytes)})"
+        + (f", {told}" if told else "")
+    )
     if not plan.todo:
         return
     for source in estimate.sources:
         tell(source)
-    seconds = "an unknown time" if estimate.seconds is None else f"about {duration(estimate.seconds)}"
-    memory = "an unknown amount" if estimate.peak_mib is None else f"about {size_of(estimate.peak_mib * 2**20)}"
-    unknown = f", without {count_of(estimate.n_unknown, 'file')} of formats not seen yet" if estimate.n_unknown else ""
+    seconds = (
+        "an unknown time" if estimate.seconds is None else f"about {duration(estimate.seconds)}"
+    )
+    memory = (
+        "an unknown amount"
+        if estimate.peak_mib is None
+        else f"about {size_of(estimate.peak_mib * 2**20)}"
+    )
+    unknown = (
+        f", without {count_of(estimate.n_unknown, 'file')} of formats not seen yet"
+        if estimate.n_unknown
+        else ""
+    )
     tell(f"estimate: {seconds}, {memory} of memory{unknown}; nothing was written")
 
 
-def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]) -> dict[str, Any]:
+def status_dict(
+    entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]
+) -> dict[str, Any]:
     """Return the state of an output folder as plain values."""
     return {
         "at_work": [asdict(found.owner) for found in owners if found.alive],
@@ -468,7 +576,17 @@ def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[
 
 
 def _entry_dict(entry: Entry) -> dict[str, Any]:
-    same = ("name", "state", "config_sha256", "version", "run", "attempts", "started", "finished", "owner")
+    same = (
+        "name",
+        "state",
+        "config_sha256",
+        "version",
+        "run",
+        "attempts",
+        "started",
+        "finished",
+        "owner",
+    )
     table = {key: getattr(entry, key) for key in same}
     if isinstance(entry.outcome, Done):
         table["outcome"] = done_dict(entry.outcome)
@@ -477,23 +595,32 @@ def _entry_dict(entry: Entry) -> dict[str, Any]:
     return table
 
 
-def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]) -> None:
+def print_status(
+    out: Path, entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]
+) -> None:
     """Print the state of an output folder on stdout."""
     counts = Counter(entry.state for entry in entries)
     doubts = [doubt for entry in entries for doubt in doubts_of(entry)]
     at_work = {str(found.owner) for found in owners if found.alive}
     # what a dead owner left running was cut off
     n_running = sum(entry.state == "running" and entry.owner in at_work for entry in entries)
-    told = _listed([
-        (counts["done"], "done"), (counts["failed"], "failed"), (n_running, "running"),
-        (counts["running"] - n_running, "cut off"), (len({doubt.name for doubt in doubts}), "doubted"),
-    ])  # fmt: skip
+    told = _listed(
+        [
+            (counts["done"], "done"),
+            (counts["failed"], "failed"),
+            (n_running, "running"),
+            (counts["running"] - n_running, "cut off"),
+            (len({doubt.name for doubt in doubts}), "doubted"),
+        ]
+    )
     tell(f"{out}: {count_of(len(entries), 'file')}: {told}")
     for owner in sorted(at_work):
         tell(f"at work: {owner}")
     if not at_work:
         tell("no run is at work")
-    table = table_of("last runs", "begun (UTC)", "shard", "version", "exit code", "counts", n_words=5)
+    table = table_of(
+        "last runs", "begun (UTC)", "shard", "version", "exit code", "counts", n_words=5
+    )
     for run in runs[-5:]:
         ended = "at work" if run.owner in at_work else "cut off"
         code = ended if run.exit_code is None else str(run.exit_code)

@@ -42,29 +42,83 @@ from prc_cli.jobs.calibrate.reports import (
 from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
 _OPTIONS = [
-    click.option("-o", "--output", type=WRITTEN, metavar="CONFIG.toml",
-                 help="Write the calibrated configuration, every value with its reason."),
-    click.option("--plot", type=WRITTEN, metavar="FILE.svg",
-                 help="Draw the shares of supported shots and of background over the thresholds."),
+    click.option(
+        "-o",
+        "--output",
+        type=WRITTEN,
+        metavar="CONFIG.toml",
+        help="Write the calibrated configuration, every value with its reason.",
+    ),
+    click.option(
+        "--plot",
+        type=WRITTEN,
+        metavar="FILE.svg",
+        help="Draw the shares of supported shots and of background over the thresholds.",
+    ),
     click.option("--overwrite", is_flag=True, help="Replace existing outputs."),
-    click.option("--reference", type=READ, metavar="LABELS",
-                 help="Codes of the records of IN, in their order: search the parameters that agree best."),
-    click.option("--mapping", type=READ_TEXT, default="prc", show_default=True, metavar="NAME|FILE.toml",
-                 shell_complete=complete_mapping, help="Which codes mean which class."),
-    click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
-    click.option("--objective", default=MEAN_F1, show_default=True, metavar="SCORE",
-                 help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground."),
-    click.option("--training-share", type=float, default=0.6, show_default=True, metavar="SHARE",
-                 help="Share of the groups of lines that the search sees; the others give the honest figure."),
-    click.option("--budget", type=click.IntRange(2, 100_000), default=300, show_default=True,
-                 help="Sets of parameters tried at most."),
-    click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
-                 help="Draws the training lines."),
-    click.option("--keep", multiple=True, metavar="KEY",
-                 help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies."),
-    click.option("--max-shots", type=click.IntRange(min=1000), default=4_000_000, show_default=True,
-                 help="Shots kept in memory for the search; longer inputs are sampled."),
-]  # fmt: skip
+    click.option(
+        "--reference",
+        type=READ,
+        metavar="LABELS",
+        help="Codes of the records of IN, in their order: search the parameters that agree best.",
+    ),
+    click.option(
+        "--mapping",
+        type=READ_TEXT,
+        default="prc",
+        show_default=True,
+        metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
+        help="Which codes mean which class.",
+    ),
+    click.option(
+        "--reference-dimension",
+        metavar="NAME",
+        help="Column or dimension with the reference codes.",
+    ),
+    click.option(
+        "--objective",
+        default=MEAN_F1,
+        show_default=True,
+        metavar="SCORE",
+        help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.",
+    ),
+    click.option(
+        "--training-share",
+        type=float,
+        default=0.6,
+        show_default=True,
+        metavar="SHARE",
+        help="Share of the groups of lines that the search sees; the others give the honest figure.",
+    ),
+    click.option(
+        "--budget",
+        type=click.IntRange(2, 100_000),
+        default=300,
+        show_default=True,
+        help="Sets of parameters tried at most.",
+    ),
+    click.option(
+        "--seed",
+        type=click.IntRange(0, 2**63 - 1),
+        default=0,
+        show_default=True,
+        help="Draws the training lines.",
+    ),
+    click.option(
+        "--keep",
+        multiple=True,
+        metavar="KEY",
+        help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies.",
+    ),
+    click.option(
+        "--max-shots",
+        type=click.IntRange(min=1000),
+        default=4_000_000,
+        show_default=True,
+        help="Shots kept in memory for the search; longer inputs are sampled.",
+    ),
+]
 
 
 @click.command(cls=Sectioned)
@@ -74,9 +128,14 @@ _OPTIONS = [
 @window_options
 @add_options(*form_options("table", "json", "markdown"), QUIET_FORM)
 def calibrate(
-    source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, quiet: bool,
+    source: Path,
+    output: Path | None,
+    plot: Path | None,
+    overwrite: bool,
+    reference: Path | None,
+    quiet: bool,
     **options: Any,
-) -> None:  # fmt: skip
+) -> None:
     """Measure the sensor of IN and derive the parameters that follow from it.
 
     Noise, angular step, rounding and missing shots are measured on the stream itself; with a reference the parameters
@@ -109,7 +168,9 @@ def calibrate(
                 with atomic_output(target, overwrite=overwrite) as temporary:
                     temporary.write_text(text(found), encoding="utf-8")
     if form != "table":
-        click.echo(printable_lines((as_json(found) if form == "json" else as_markdown(found)).rstrip("\n")))
+        click.echo(
+            printable_lines((as_json(found) if form == "json" else as_markdown(found)).rstrip("\n"))
+        )
     elif not quiet:
         _print(found)
     if not quiet:
@@ -119,8 +180,15 @@ def calibrate(
 
 
 SEARCH_OPTIONS = (
-    "mapping", "reference_dimension", "objective", "training_share", "budget", "seed", "keep", "max_shots"
-)  # fmt: skip
+    "mapping",
+    "reference_dimension",
+    "objective",
+    "training_share",
+    "budget",
+    "seed",
+    "keep",
+    "max_shots",
+)
 """Options that say how the search is done, which there is none of without a reference."""
 
 

@@ -12,7 +12,13 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import after_classify
-from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import (
+    Sectioned,
+    config_from,
+    output_options,
+    stream_options,
+    window_options,
+)
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import (
     compiling_note,
@@ -55,12 +61,23 @@ FEW_SHOTS = 100
     show_default=True,
     help="Compiled loops; or the papers' methods in plain NumPy and SciPy: slow, one thread, the same labels.",
 )
-@click.option("--profile", is_flag=True, help="Print where the time went, on stderr, and with --json on stdout.")
+@click.option(
+    "--profile",
+    is_flag=True,
+    help="Print where the time went, on stderr, and with --json on stdout.",
+)
 @output_options
 def classify(
-    sources: tuple[Path, ...], output: Path, overwrite: bool, segment_ids: bool, engine: Engine,
-    as_json: bool, quiet: bool, verbose: bool, **options: Any,
-) -> None:  # fmt: skip
+    sources: tuple[Path, ...],
+    output: Path,
+    overwrite: bool,
+    segment_ids: bool,
+    engine: Engine,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **options: Any,
+) -> None:
     """Give every shot of IN its class and write OUT.
 
     OUT is .las or .laz (class codes; everything else stays as it is in IN), a bag where IN is one, or the labels
@@ -95,14 +112,20 @@ def classify(
     loaded = config_from(options)
     source = sources[0]
     with profiling() if wants_profile else nullcontext() as profile:
-        if source.is_file() and loaded.config.is_decided:  # otherwise refuse it without waiting for the compiler
+        if (
+            source.is_file() and loaded.config.is_decided
+        ):  # otherwise refuse it without waiting for the compiler
             with loading():
                 load_classifier(loaded, engine)
         start, loading_s = time.perf_counter(), 0.0
         with line_progress(source.name, quiet=quiet) as progress:
             common: dict[str, Any] = {
-                "overwrite": overwrite, "progress": progress, "threads": threads, "engine": engine, "loading": loading,
-            }  # fmt: skip
+                "overwrite": overwrite,
+                "progress": progress,
+                "threads": threads,
+                "engine": engine,
+                "loading": loading,
+            }
             summaries = _classify_all(sources, output, loaded, **common)
         seconds = time.perf_counter() - start - loading_s
     n_shots = sum(summary.counts.n_shots for summary in summaries)
@@ -110,7 +133,9 @@ def classify(
         results = [summary.as_dict() for summary in summaries]
         if profile is not None:
             results[0]["profile"] = profile_of(profile, n_shots, threads)
-        click.echo(json.dumps(results[0] if len(sources) == 1 else results, indent=2, sort_keys=True))
+        click.echo(
+            json.dumps(results[0] if len(sources) == 1 else results, indent=2, sort_keys=True)
+        )
     if not quiet:
         _print_summaries(summaries, seconds, verbose=verbose)
         for command in after_classify(source, summaries[0].output, options):
@@ -120,7 +145,9 @@ def classify(
     end_with(dict.fromkeys(doubt for summary in summaries for doubt in summary.doubts))
 
 
-def _classify_all(sources: tuple[Path, ...], output: Path, loaded: LoadedConfig, **common: Any) -> list[RunSummary]:
+def _classify_all(
+    sources: tuple[Path, ...], output: Path, loaded: LoadedConfig, **common: Any
+) -> list[RunSummary]:
     """Classify one file, or the files of one drive."""
     if len(sources) == 1:
         return [classify_file(sources[0], output, loaded, **common)]
@@ -139,7 +166,9 @@ def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose
     n_back = sum(summary.record.tally.n_time_steps_back for summary in summaries)
     if n_back:
         print_line(f"note: the time goes back {n_back:,} times: see prc info")
-    print_notices(dict.fromkeys(notice for summary in summaries for notice in summary.record.notices))
+    print_notices(
+        dict.fromkeys(notice for summary in summaries for notice in summary.record.notices)
+    )
     n_shots = sum(summary.counts.n_shots for summary in summaries)
     rate = f"{n_shots / seconds / 1e6 if seconds else 0.0:.2g} million shots a second"
     if n_shots < FEW_SHOTS:

@@ -27,7 +27,9 @@ def config() -> None:
 @config.command()
 @stream_options
 @click.option("--bare", is_flag=True, help="Without comments.")
-@click.option("--json", "as_json", is_flag=True, help="As JSON, with the source of every value that was set.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="As JSON, with the source of every value that was set."
+)
 def show(bare: bool, as_json: bool, **options: Any) -> None:
     """Print the effective configuration as TOML that can be used as a configuration file.
 
@@ -36,7 +38,9 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
     """
     loaded = config_from(options)
     if as_json:
-        click.echo(json.dumps({"config": loaded.config.to_table(), "sources": loaded.sources}, indent=2))
+        click.echo(
+            json.dumps({"config": loaded.config.to_table(), "sources": loaded.sources}, indent=2)
+        )
     else:
         click.echo(printable_lines(to_toml(loaded, comments=not bare)), nl=False)
 
@@ -68,7 +72,9 @@ def check(file: Path) -> None:
 
 
 @config.command()
-@click.option("--json", "as_json", is_flag=True, help="As JSON, with every value and the file of each preset.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="As JSON, with every value and the file of each preset."
+)
 def presets(as_json: bool) -> None:
     """List the presets and what each is for.
 
@@ -99,7 +105,9 @@ def presets(as_json: bool) -> None:
     click.echo("\nsample configurations, for --config:")
     for file, purpose in sample_summaries():
         click.echo(f"{file.name:{width}}  {purpose}")
-    click.echo("\nWithout a preset the input decides: prc info FILE says how, and prints the command to type.")
+    click.echo(
+        "\nWithout a preset the input decides: prc info FILE says how, and prints the command to type."
+    )
 
 
 @config.command()

@@ -9,9 +9,22 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import Sectioned, config_from, input_options, output_options, window_options
+from prc_cli.cli.options import (
+    Sectioned,
+    config_from,
+    input_options,
+    output_options,
+    window_options,
+)
 from prc_cli.cli.paths import WRITTEN, ScanPath
-from prc_cli.cli.report import NOT_KEPT, end_with, line_progress, print_assumptions, print_line, print_notices
+from prc_cli.cli.report import (
+    NOT_KEPT,
+    end_with,
+    line_progress,
+    print_assumptions,
+    print_line,
+    print_notices,
+)
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
@@ -24,7 +37,13 @@ from prc_cli.jobs.convert import convert as convert_file
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def convert(
-    source: Path, output: Path, overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any
+    source: Path,
+    output: Path,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **options: Any,
 ) -> None:
     """Write IN in another format, and say what OUT cannot hold.
 
@@ -57,6 +76,8 @@ def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool)
     print_notices([f"{NOT_KEPT}{loss}" for loss in summary.losses])
     print_notices(notice for notice in record.notices if not notice.startswith(NOT_KEPT))
     rate = summary.n_shots / seconds / 1e6 if seconds else 0.0
-    what = f"{summary.n_lines:,} lines of {record.points_per_line:,} shots" if summary.n_lines else ""
+    what = (
+        f"{summary.n_lines:,} lines of {record.points_per_line:,} shots" if summary.n_lines else ""
+    )
     what = what or f"{summary.n_shots:,} records"
     print_line(f"{summary.output}: {what} in {seconds:.1f} s ({rate:.2g} million a second)")

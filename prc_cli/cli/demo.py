@@ -19,7 +19,12 @@ from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.demo import MAIN, MORE, PARTS, DemoPart, run_demo
 from prc_cli.simulation.drive import load_simulator
 
-TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", "walk": "default, forest"}
+TITLES = {
+    "drive": "default",
+    "published": "prc",
+    "static": "sequential-angle",
+    "walk": "default, forest",
+}
 """Titles of the parts."""
 
 OTHERS = {
@@ -40,19 +45,40 @@ OPEN = {
 
 @click.command()
 @add_options(
-    click.option("--output", type=WRITTEN, default=Path("prc-demo"), show_default=True,
-                 help="Folder for the files."),
-    click.option("--lines", type=click.IntRange(100, 100_000), default=600, show_default=True,
-                 help="Scan lines of the drive."),
-    click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True,
-                 help="Another seed, another world."),
-)  # fmt: skip
+    click.option(
+        "--output",
+        type=WRITTEN,
+        default=Path("prc-demo"),
+        show_default=True,
+        help="Folder for the files.",
+    ),
+    click.option(
+        "--lines",
+        type=click.IntRange(100, 100_000),
+        default=600,
+        show_default=True,
+        help="Scan lines of the drive.",
+    ),
+    click.option(
+        "--seed",
+        type=click.IntRange(0, 2**63 - 1),
+        default=1,
+        show_default=True,
+        help="Another seed, another world.",
+    ),
+)
 @click.option("--all", "everything", is_flag=True, help="The other methods and scans as well.")
 @click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @QUIET
 def demo(
-    output: Path, lines: int, seed: int, everything: bool, overwrite: bool, json_wanted: bool, quiet: bool
+    output: Path,
+    lines: int,
+    seed: int,
+    everything: bool,
+    overwrite: bool,
+    json_wanted: bool,
+    quiet: bool,
 ) -> None:
     """Simulate a drive along a street, classify, evaluate and draw it; ends with what to open.
 
@@ -68,17 +94,23 @@ def demo(
         for name in chosen:  # a walk is known to be one only when it is looked at
             load_classifier(load_config(preset=PARTS[name].preset or "fused"))
     with line_progress("simulated scans", quiet=quiet) as progress:
-        result = run_demo(output, parts=chosen, seed=seed, lines=lines, overwrite=overwrite, progress=progress)
+        result = run_demo(
+            output, parts=chosen, seed=seed, lines=lines, overwrite=overwrite, progress=progress
+        )
     parts = {TITLES[name]: part for name, part in result.parts.items()}
     if json_wanted:
-        click.echo(json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2))
+        click.echo(
+            json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2)
+        )
     if quiet:
         return
     if parts:
         _print(result.parts, tables=not json_wanted)
     for what, name in OPEN.items():
         print_line(f"{what}: {output / name}")
-    print_line(f"labels, configurations and, with --all, the other scans and methods: {output / MORE}")
+    print_line(
+        f"labels, configurations and, with --all, the other scans and methods: {output / MORE}"
+    )
     print_line("your own file: prc info FILE prints the command to type")
 
 

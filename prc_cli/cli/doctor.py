@@ -22,7 +22,9 @@ BROKEN = 1
     metavar="FOLDER",
     help="Also ask a folder for outputs for what prc batch needs of it.",
 )
-@click.option("--no-run", is_flag=True, help="Without the small runs from end to end and by both engines.")
+@click.option(
+    "--no-run", is_flag=True, help="Without the small runs from end to end and by both engines."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print only what is not as it should be.")
 def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
@@ -37,7 +39,7 @@ def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
       prc doctor
       prc doctor --out /archive/classified
       prc doctor --json --no-run
-    """  # fmt: skip
+    """
     from prc_cli.jobs.doctor import examine
 
     found = []
@@ -47,14 +49,24 @@ def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
         if as_json or (quiet and check.status == "ok"):
             continue
         width = max(width, len(check.name), 16)
-        console_text = f"{check.status:<4}  {printable(check.name):<{width}}  {printable(check.found)}"
+        console_text = (
+            f"{check.status:<4}  {printable(check.name):<{width}}  {printable(check.found)}"
+        )
         results().print(console_text, soft_wrap=True)
         if check.hint:
             results().print(f"      {'':<{width}}  -> {printable(check.hint)}", soft_wrap=True)
-    counts = {status: sum(check.status == status for check in found) for status in ("ok", "warn", "bad")}
+    counts = {
+        status: sum(check.status == status for check in found) for status in ("ok", "warn", "bad")
+    }
     if as_json:
         checks = [
-            {"name": c.name, "status": c.status, "found": c.found, "hint": c.hint, "details": dict(c.details)}
+            {
+                "name": c.name,
+                "status": c.status,
+                "found": c.found,
+                "hint": c.hint,
+                "details": dict(c.details),
+            }
             for c in found
         ]
         click.echo(json.dumps({"counts": counts, "checks": checks}, indent=2))

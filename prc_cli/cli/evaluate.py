@@ -71,68 +71,189 @@ DEFAULTS = EvaluateOptions()
 Pictures = Sequence[tuple[str, bytes]]
 
 _OPTIONS = [
-    click.option("--mapping", type=READ_TEXT, metavar="NAME|FILE.toml", shell_complete=complete_mapping,
-                 help="Which codes mean which class: a preset (prc, street, asprs, terrascan, ...) or a file.  "
-                 "[default: that of the method in the run record beside PREDICTED, else prc]"),
-    click.option("--predicted-dimension", metavar="NAME", help="Column or dimension with the predicted codes."),
-    click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
-    click.option("--pair", "pairs", multiple=True, nargs=2, type=READ, metavar="PREDICTED REFERENCE",
-                 help="Another pair of files or folders, pooled into the same matrix."),
-    click.option("--match", default="order", show_default=True, metavar="HOW",
-                 help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length "
-                 "or order are matched by line and column, where both know them."),
-    click.option("--tolerance", "--max-distance", "tolerance", type=float, metavar="NUMBER",
-                 help="Largest difference of a pair: seconds (time), metres (nearest).  [default: 6e-7 s; metres from "
-                 "the spacing and the distance of both clouds]"),
-    click.option("--unmatched", type=click.Choice(["leave", "noise"]), default=DEFAULTS.unmatched, show_default=True,
-                 help="With nearest: predicted shots without partner are not scored, or are noise in the reference "
-                 "where it covers the ground (registered clouds mostly have their noise deleted)."),
-    click.option("--inside", type=READ_TEXT, metavar="X1,Y1,X2,Y2|FILE.geojson",
-                 help="With nearest: compare only shots inside."),
-    click.option("--height", metavar="LOW:HIGH",
-                 help="With nearest: score only shots this high above the reference's ground [m], e.g. 0:2."),
-    click.option("--trees", type=READ, metavar="FILE.csv",
-                 help="With nearest: shots inside these cylinders (x,y,radius[,height]) are stems in the reference."),
-    click.option("--third", type=READ, metavar="PATH",
-                 help="A third labelling, compared with both: by order or nearest."),
-    click.option("--third-mapping", type=READ_TEXT, metavar="NAME|FILE.toml", shell_complete=complete_mapping,
-                 help="Mapping whose [reference] lists the codes of the third.  [default: that of REFERENCE]"),
-    click.option("--allow-missing", is_flag=True,
-                 help="Leave out files of a folder that have no partner in the other."),
-    click.option("--pool", is_flag=True,
-                 help="Take all files of a side as one, whatever their names; not with order."),
-    click.option("--min-matched", type=click.FloatRange(0, 1), default=DEFAULTS.min_matched, show_default=True,
-                 help="Least share of the smaller side that must find a partner."),
-    click.option("--predicted-points", type=READ, metavar="PATH",
-                 help="The points that predicted labels alone belong to, record by record: the input of the run, or a "
-                 "folder."),
-    click.option("--reference-points", type=READ, metavar="PATH",
-                 help="The points that reference labels alone belong to, or their folder."),
+    click.option(
+        "--mapping",
+        type=READ_TEXT,
+        metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
+        help="Which codes mean which class: a preset (prc, street, asprs, terrascan, ...) or a file.  "
+        "[default: that of the method in the run record beside PREDICTED, else prc]",
+    ),
+    click.option(
+        "--predicted-dimension",
+        metavar="NAME",
+        help="Column or dimension with the predicted codes.",
+    ),
+    click.option(
+        "--reference-dimension",
+        metavar="NAME",
+        help="Column or dimension with the reference codes.",
+    ),
+    click.option(
+        "--pair",
+        "pairs",
+        multiple=True,
+        nargs=2,
+        type=READ,
+        metavar="PREDICTED REFERENCE",
+        help="Another pair of files or folders, pooled into the same matrix.",
+    ),
+    click.option(
+        "--match",
+        default="order",
+        show_default=True,
+        metavar="HOW",
+        help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length "
+        "or order are matched by line and column, where both know them.",
+    ),
+    click.option(
+        "--tolerance",
+        "--max-distance",
+        "tolerance",
+        type=float,
+        metavar="NUMBER",
+        help="Largest difference of a pair: seconds (time), metres (nearest).  [default: 6e-7 s; metres from "
+        "the spacing and the distance of both clouds]",
+    ),
+    click.option(
+        "--unmatched",
+        type=click.Choice(["leave", "noise"]),
+        default=DEFAULTS.unmatched,
+        show_default=True,
+        help="With nearest: predicted shots without partner are not scored, or are noise in the reference "
+        "where it covers the ground (registered clouds mostly have their noise deleted).",
+    ),
+    click.option(
+        "--inside",
+        type=READ_TEXT,
+        metavar="X1,Y1,X2,Y2|FILE.geojson",
+        help="With nearest: compare only shots inside.",
+    ),
+    click.option(
+        "--height",
+        metavar="LOW:HIGH",
+        help="With nearest: score only shots this high above the reference's ground [m], e.g. 0:2.",
+    ),
+    click.option(
+        "--trees",
+        type=READ,
+        metavar="FILE.csv",
+        help="With nearest: shots inside these cylinders (x,y,radius[,height]) are stems in the reference.",
+    ),
+    click.option(
+        "--third",
+        type=READ,
+        metavar="PATH",
+        help="A third labelling, compared with both: by order or nearest.",
+    ),
+    click.option(
+        "--third-mapping",
+        type=READ_TEXT,
+        metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
+        help="Mapping whose [reference] lists the codes of the third.  [default: that of REFERENCE]",
+    ),
+    click.option(
+        "--allow-missing",
+        is_flag=True,
+        help="Leave out files of a folder that have no partner in the other.",
+    ),
+    click.option(
+        "--pool",
+        is_flag=True,
+        help="Take all files of a side as one, whatever their names; not with order.",
+    ),
+    click.option(
+        "--min-matched",
+        type=click.FloatRange(0, 1),
+        default=DEFAULTS.min_matched,
+        show_default=True,
+        help="Least share of the smaller side that must find a partner.",
+    ),
+    click.option(
+        "--predicted-points",
+        type=READ,
+        metavar="PATH",
+        help="The points that predicted labels alone belong to, record by record: the input of the run, or a "
+        "folder.",
+    ),
+    click.option(
+        "--reference-points",
+        type=READ,
+        metavar="PATH",
+        help="The points that reference labels alone belong to, or their folder.",
+    ),
     *POSES,
-    click.option("--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
-    click.option("--by-lines", "split_lines", type=click.IntRange(min=1), metavar="N",
-                 help="Split into parts of N scan lines."),
+    click.option(
+        "--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."
+    ),
+    click.option(
+        "--by-lines",
+        "split_lines",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Split into parts of N scan lines.",
+    ),
     click.option("--by-scanner", "split_scanner", is_flag=True, help="Split by scanner."),
-    click.option("--by-confidence", "split_confidence", metavar="EDGES",
-                 help="Split by the confidence of the predictions [per cent], e.g. 50,80,90,95,99: how reliable it "
-                 "is."),
-    click.option("--min-confidence", type=click.IntRange(0, 100), metavar="PERCENT",
-                 help="Leave out predictions with less confidence."),
-    click.option("-M", "--points-per-line", type=click.IntRange(min=1),
-                 help="Shots in a scan line of a dense stream."),
-    click.option("--intervals", is_flag=True, help="Confidence intervals of all scores, by a block jackknife."),
-    click.option("--interval-lines", type=click.IntRange(min=1), default=DEFAULTS.interval_lines, show_default=True,
-                 help="Scan lines of a block that is left out as a whole."),
+    click.option(
+        "--by-confidence",
+        "split_confidence",
+        metavar="EDGES",
+        help="Split by the confidence of the predictions [per cent], e.g. 50,80,90,95,99: how reliable it "
+        "is.",
+    ),
+    click.option(
+        "--min-confidence",
+        type=click.IntRange(0, 100),
+        metavar="PERCENT",
+        help="Leave out predictions with less confidence.",
+    ),
+    click.option(
+        "-M",
+        "--points-per-line",
+        type=click.IntRange(min=1),
+        help="Shots in a scan line of a dense stream.",
+    ),
+    click.option(
+        "--intervals",
+        is_flag=True,
+        help="Confidence intervals of all scores, by a block jackknife.",
+    ),
+    click.option(
+        "--interval-lines",
+        type=click.IntRange(min=1),
+        default=DEFAULTS.interval_lines,
+        show_default=True,
+        help="Scan lines of a block that is left out as a whole.",
+    ),
     *form_options("table", "json", "csv", "markdown", "latex", "html"),
-    click.option("-o", "--output", "outputs", multiple=True, type=WRITTEN, metavar="FILE",
-                 help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times."),
+    click.option(
+        "-o",
+        "--output",
+        "outputs",
+        multiple=True,
+        type=WRITTEN,
+        metavar="FILE",
+        help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times.",
+    ),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
-    click.option("--picture", "pictures", type=READ_TEXT, multiple=True, metavar="[TITLE=]FILE.png",
-                 help="Put a picture into the HTML page; may be given several times."),
+    click.option(
+        "--picture",
+        "pictures",
+        type=READ_TEXT,
+        multiple=True,
+        metavar="[TITLE=]FILE.png",
+        help="Put a picture into the HTML page; may be given several times.",
+    ),
     QUIET_FORM,
-    click.option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",
-                 help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9."),
-]  # fmt: skip
+    click.option(
+        "--fail-under",
+        "gates",
+        multiple=True,
+        metavar="SCORE.CLASS=VALUE",
+        help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9.",
+    ),
+]
 
 
 @click.command(cls=Sectioned)
@@ -167,23 +288,42 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     mapping = load_mapping(name)
     demanded = [parse_gate(text, mapping) for text in options["gates"]]
     if options["outputs"]:
-        _check_outputs(options["outputs"], overwrite=options["overwrite"], inputs=tuple(files_of((*left, *right))))
-    page_wanted = form == "html" or any(path.suffix.lower() == ".html" for path in options["outputs"])
+        _check_outputs(
+            options["outputs"],
+            overwrite=options["overwrite"],
+            inputs=tuple(files_of((*left, *right))),
+        )
+    page_wanted = form == "html" or any(
+        path.suffix.lower() == ".html" for path in options["outputs"]
+    )
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(found.matrix), demanded)
-    if found.match.method == "order" and page_wanted and how.window is None:  # they show the first lines
+    if (
+        found.match.method == "order" and page_wanted and how.window is None
+    ):  # they show the first lines
         dimensions = how.predicted_dimension, how.reference_dimension
         points = how.predicted_points, how.reference_points
         pictures = (
             *class_pictures(
-                Path(found.predicted[0]), Path(found.reference[0]), mapping, how.points_per_line, dimensions, points
+                Path(found.predicted[0]),
+                Path(found.reference[0]),
+                mapping,
+                how.points_per_line,
+                dimensions,
+                points,
             ),
             *pictures,
         )
     if found.plan is not None:
-        pictures = (("From above: where predicted and third are right and wrong", found.plan), *pictures)
-    texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
+        pictures = (
+            ("From above: where predicted and third are right and wrong", found.plan),
+            *pictures,
+        )
+    texts = [
+        _text(FORMS[path.suffix.lower()], found, gates, mapping, pictures)
+        for path in options["outputs"]
+    ]
     with whole_set():
         for path, text in zip(options["outputs"], texts, strict=True):
             with atomic_output(path, overwrite=options["overwrite"]) as temporary:
@@ -194,17 +334,29 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         print_evaluation(found.matrix, scores(found.matrix), found.intervals)
         print_evaluation_details(found, gates)
     if why and not options["quiet"]:
-        console().print(f"mapping: {name} ({why}); --mapping names another", markup=False, soft_wrap=True)
+        console().print(
+            f"mapping: {name} ({why}); --mapping names another", markup=False, soft_wrap=True
+        )
     refuse_failed(gates)
     if doubts(found):
         raise SystemExit(LOOK)
 
 
-def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
+def _text(
+    form: str,
+    found: Evaluation,
+    gates: Sequence[GateResult],
+    mapping: ClassMapping,
+    pictures: Pictures,
+) -> str:
     """Return the result in one of the report formats."""
     if form == "html":
         return as_html(
-            found, gates, mapping=mapping, pictures=pictures, origin=origin([Path(name) for name in found.predicted])
+            found,
+            gates,
+            mapping=mapping,
+            pictures=pictures,
+            origin=origin([Path(name) for name in found.predicted]),
         )
     if form in ("csv", "latex"):
         return as_csv(found) if form == "csv" else as_latex(found)
@@ -213,7 +365,9 @@ def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: Cl
 
 def _how(options: dict[str, Any]) -> EvaluateOptions:
     """Return the options of the comparison; those of the command have its names."""
-    own = {item.name: options[item.name] for item in fields(EvaluateOptions) if item.name in options}
+    own = {
+        item.name: options[item.name] for item in fields(EvaluateOptions) if item.name in options
+    }
     read = {
         "split_range_m": _edges(options["split_range_m"]),
         "split_confidence": _per_cents(options["split_confidence"]),
@@ -231,12 +385,15 @@ def _heights(text: str | None) -> tuple[float, float] | None:
     words = text.split(":")
     try:
         low, high = (
-            float(word) if word.strip() else end for word, end in zip(words, (-math.inf, math.inf), strict=True)
+            float(word) if word.strip() else end
+            for word, end in zip(words, (-math.inf, math.inf), strict=True)
         )
     except ValueError:
         low = high = math.nan
     if not low < high:
-        raise ConfigError("--height", f"found {text!r}, expected heights above ground in metres, such as 0:2")
+        raise ConfigError(
+            "--height", f"found {text!r}, expected heights above ground in metres, such as 0:2"
+        )
     return low, high
 
 
@@ -245,7 +402,10 @@ _WINDOWS = ("only_lines", "only_time", "first")
 
 def _window(options: dict[str, Any]) -> Window | None:
     """Return the part that is scored."""
-    given = {f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"] for name in _WINDOWS}
+    given = {
+        f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"]
+        for name in _WINDOWS
+    }
     try:
         return parse_window(*given.values())
     except ValueError as error:
@@ -275,7 +435,9 @@ def _per_cents(text: str | None) -> tuple[int, ...]:
     words = [word.strip() for word in text.split(",")]
     edges = tuple(int(word) for word in words if word.isdecimal() and len(word) < 4)
     if len(edges) < len(words) or any(low >= high for low, high in pairwise((-1, *edges, 101))):
-        problem = f"found {text!r}, expected whole per cents that rise, 0 to 100, such as 50,80,90,95,99"
+        problem = (
+            f"found {text!r}, expected whole per cents that rise, 0 to 100, such as 50,80,90,95,99"
+        )
         raise ConfigError("--by-confidence", problem)
     return edges
 
@@ -292,7 +454,11 @@ def _check_outputs(outputs: Sequence[Path], *, overwrite: bool, inputs: tuple[Pa
 def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
     """Read pictures for the page."""
     if texts and not wanted:
-        raise ConfigError("--picture", "pictures have their place in the HTML page alone", "add --output report.html")
+        raise ConfigError(
+            "--picture",
+            "pictures have their place in the HTML page alone",
+            "add --output report.html",
+        )
     pictures = []
     for text in texts:
         # a file name may contain the separator itself
@@ -310,16 +476,27 @@ def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
     return pictures
 
 
-def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> None:
+def print_evaluation(
+    matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
+) -> None:
     """Print a confusion matrix with row shares, and the scores, on stdout."""
     shown = matrix.trimmed()
     rows = [
-        (name, *(f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True)))
-        for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True)
+        (
+            name,
+            *(f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True)),
+        )
+        for name, counts, shares in zip(
+            shown.reference_names, shown.counts, shown.row_shares(), strict=True
+        )
     ]
     title = "reference in rows, predicted in columns: records (share of the row)"
     _print(title, ("reference", *shown.predicted_names), rows)
-    _print("scores", ("class", *CLASS_SCORES), [score_row(item, intervals) for item in scores(shown).classes])
+    _print(
+        "scores",
+        ("class", *CLASS_SCORES),
+        [score_row(item, intervals) for item in scores(shown).classes],
+    )
     counts = f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}"
     results().print(f"{counts}: {overall_line(found, intervals)}")
 
@@ -336,14 +513,18 @@ def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> 
         header, rows = split_table(parts, found.matrix.trimmed())
         _print(f"by {split}", header, rows[:MAX_PARTS])
         if len(rows) > MAX_PARTS:
-            results().print(f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them")
+            results().print(
+                f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them"
+            )
     if found.three is not None:
         _print("three labellings", *found.three.table())
         for sentence in found.three.sentences():
             results().print(sentence)
     for gate in gates:
         name, limit, value = gate_cells(gate)
-        results().print(f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}")
+        results().print(
+            f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}"
+        )
     results().print(match_line(found.match))
     for note in (*found.match.notes, *doubts(found)):
         results().print(note)

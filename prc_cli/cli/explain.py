@@ -19,12 +19,18 @@ from prc_cli.jobs.explain import explain as explain_shot
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.option("--at", "place", required=True, metavar="LINE,COLUMN", help="The shot, both counted from 0.")
-@click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
+@click.option(
+    "--at", "place", required=True, metavar="LINE,COLUMN", help="The shot, both counted from 0."
+)
+@click.option(
+    "--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]"
+)
 @stream_options
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 @QUIET
-def explain(source: Path, place: str, station: int | None, as_json: bool, quiet: bool, **options: Any) -> None:
+def explain(
+    source: Path, place: str, station: int | None, as_json: bool, quiet: bool, **options: Any
+) -> None:
     """Say why a shot of IN has its class: the rule that decided, its limits, and what the stages measured.
 
     IN is classified from its start to the block of the shot, as prc classify does, so that the class is the one that
@@ -39,9 +45,14 @@ def explain(source: Path, place: str, station: int | None, as_json: bool, quiet:
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
         found = explain_shot(
-            source, line, column, loaded, scanner=station, progress=progress,
+            source,
+            line,
+            column,
+            loaded,
+            scanner=station,
+            progress=progress,
             loading=lambda: compiling_note(quiet=quiet),
-        )  # fmt: skip
+        )
     if as_json:
         click.echo(json.dumps(found.as_dict(), indent=2))
     elif not quiet:
@@ -51,13 +62,17 @@ def explain(source: Path, place: str, station: int | None, as_json: bool, quiet:
 def _place(text: str) -> tuple[int, int]:
     line, _, column = text.partition(",")
     if not (line.strip().isdecimal() and column.strip().isdecimal()):
-        raise ConfigError("--at", f"found {text!r}, expected LINE,COLUMN, both from 0, such as 1200,537")
+        raise ConfigError(
+            "--at", f"found {text!r}, expected LINE,COLUMN, both from 0, such as 1200,537"
+        )
     return int(line), int(column)
 
 
 def _print(found: Explanation) -> None:
     code = f"{found.label.name.lower()}, code {found.code}"
-    results().print(f"{found.path}: line {found.line:,}, column {found.column:,}: {code}", soft_wrap=True)
+    results().print(
+        f"{found.path}: line {found.line:,}, column {found.column:,}: {code}", soft_wrap=True
+    )
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(overflow="fold")
     table.add_column(overflow="fold")
@@ -73,7 +88,9 @@ def _print(found: Explanation) -> None:
     facts += [] if found.beam_deg is None else [f"{found.beam_deg:.2f} deg from straight down"]
     facts += [f"scanner {found.scanner}"] if found.scanner else []
     results().print(", ".join(facts), soft_wrap=True)
-    chosen = "" if found.chosen is None else f" (--preset {found.chosen.preset}): {found.chosen.why}"
+    chosen = (
+        "" if found.chosen is None else f" (--preset {found.chosen.preset}): {found.chosen.why}"
+    )
     results().print(f"method: {found.method}{chosen}", soft_wrap=True)
 
 
@@ -81,4 +98,6 @@ def _told(value: Any) -> str:
     """Return a measured value for people."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return "not known" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+    return (
+        "not known" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+    )

@@ -37,7 +37,18 @@ REPEATED_S = 0.3
 """Two signals of a kind within so long are one: systemd and ``timeout`` send two [s]."""
 _PASSED = ("SIGINT", "SIGTERM", "SIGHUP")
 _PR_SET_PDEATHSIG = 1
-_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGKILL", "SIGSYS", "SIGTRAP", "SIGXCPU", "SIGXFSZ")
+_CRASHES = (
+    "SIGSEGV",
+    "SIGABRT",
+    "SIGBUS",
+    "SIGFPE",
+    "SIGILL",
+    "SIGKILL",
+    "SIGSYS",
+    "SIGTRAP",
+    "SIGXCPU",
+    "SIGXFSZ",
+)
 
 
 def begin(arguments: list[str], commands: frozenset[str]) -> bool:
@@ -52,7 +63,11 @@ def begin(arguments: list[str], commands: frozenset[str]) -> bool:
     except OSError:  # an old kernel
         return False
     # what is ignored, as by nohup, stays ignored
-    passed = {number for text in _PASSED if signal.getsignal(number := signal.Signals[text]) != signal.SIG_IGN}
+    passed = {
+        number
+        for text in _PASSED
+        if signal.getsignal(number := signal.Signals[text]) != signal.SIG_IGN
+    }
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*passed, signal.SIGCHLD})
     parent, watched = os.getpid(), True
@@ -96,7 +111,9 @@ def _keep_for_parent(printed: int, notes: int) -> None:
     sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, "backslashreplace", write_through=True)
 
 
-def _wait(child: int, passed: set[signal.Signals], patience_s: float) -> tuple[int, list[int], bool]:
+def _wait(
+    child: int, passed: set[signal.Signals], patience_s: float
+) -> tuple[int, list[int], bool]:
     """Wait for the child, pass signals on, kill it at the second; return status, signals, whether it was killed.
 
     A signal from the terminal reaches the child by itself, one that a process sent to this one alone does not. The
@@ -122,14 +139,18 @@ def _wait(child: int, passed: set[signal.Signals], patience_s: float) -> tuple[i
             os.kill(child, found.si_signo)
 
 
-def _exit_code(status: int, sent: list[int], killed: bool, arguments: list[str], printed: int, notes: int) -> int:
+def _exit_code(
+    status: int, sent: list[int], killed: bool, arguments: list[str], printed: int, notes: int
+) -> int:
     """Return the exit code for the status of the child; tell of a crash and clean up after it."""
     said = _read(printed)
     if "--debug" in arguments and said:
         _print(said.decode("utf-8", "replace"))
     if not os.WIFSIGNALED(status):
         for note in _read(notes).split(b"\0"):
-            if note.startswith(b"!"):  # the last act of a run: until now it can be told from one that was killed
+            if note.startswith(
+                b"!"
+            ):  # the last act of a run: until now it can be told from one that was killed
                 with contextlib.suppress(OSError):
                     os.unlink(note[1:])  # noqa: PTH108 - pathlib takes as long to load as all of this
         return os.WEXITSTATUS(status)
@@ -152,9 +173,14 @@ def _exit_code(status: int, sent: list[int], killed: bool, arguments: list[str],
 
 def _message(number: int, name: str, arguments: list[str], said: bytes, left: str) -> str:
     named = [word for word in arguments[1:] if Path(word).is_file()]
-    where = ", ".join(named[:MOST_NAMED]) + (f" and {len(named) - MOST_NAMED} more" * (len(named) > MOST_NAMED))
+    where = ", ".join(named[:MOST_NAMED]) + (
+        f" and {len(named) - MOST_NAMED} more" * (len(named) > MOST_NAMED)
+    )
     last = " ".join(said[-LAST_PRINTED:].decode("utf-8", "replace").split())
-    problem = f"the process that read it was ended by signal {number} ({name})" + f"; it said: {last}" * bool(last)
+    problem = (
+        f"the process that read it was ended by signal {number} ({name})"
+        + f"; it said: {last}" * bool(last)
+    )
     hint = "the file is damaged or made to do this: copy it again, or ask where it comes from"
     if number == signal.SIGKILL:
         hint = "the system kills so when memory is short: fewer --threads or --jobs, or more memory"
@@ -186,7 +212,11 @@ def _clean_up(notes: bytes) -> str:
     placed = [Path(os.fsdecode(name[1:])) for name in names if name.startswith(b"+")]
     folders = [Path(os.fsdecode(name)) for name in names if name.endswith(b"/")]
     beside = [Path(os.fsdecode(name[1:])) for name in names if name.startswith(b"?")]
-    outputs = [Path(os.fsdecode(name)) for name in names if name.startswith(b"/") and not name.endswith(b"/")]
+    outputs = [
+        Path(os.fsdecode(name))
+        for name in names
+        if name.startswith(b"/") and not name.endswith(b"/")
+    ]
     outputs = [path for path in outputs if path not in beside]
     for folder in folders:
         shutil.rmtree(folder, ignore_errors=True)

@@ -30,7 +30,9 @@ from prc_cli.streams.evidence.table import check_table
 
 @click.command(cls=Sectioned)
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=ScanPath())
-@click.option("--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs.")
+@click.option(
+    "--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs."
+)
 @stream_options
 @click.option(
     "--draft",
@@ -51,12 +53,23 @@ from prc_cli.streams.evidence.table import check_table
     help="Hold --range trajectory:FILE against the path found from the points: clock, lever arm, coordinates.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing draft or path.")
-@click.option("--checks", is_flag=True, help="List every check, with what it found and what it expects.")
+@click.option(
+    "--checks", is_flag=True, help="List every check, with what it found and what it expects."
+)
 @output_options
 def info(
-    files: tuple[Path, ...], deep: bool, draft: Path | None, path_output: Path | None, check_path: bool,
-    overwrite: bool, checks: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
-) -> None:  # fmt: skip
+    files: tuple[Path, ...],
+    deep: bool,
+    draft: Path | None,
+    path_output: Path | None,
+    check_path: bool,
+    overwrite: bool,
+    checks: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **options: Any,
+) -> None:
     """Say whether FILE can be classified, what to type, and what it holds.
 
     The same options as for classify say how lines, columns and ranges are found. --verbose tells all that is known.
@@ -79,7 +92,9 @@ def info(
         try:
             inspection = inspect(path, loaded, deep=deep, checks_path=check_path)
             if path_output is not None:
-                written, doubted = _written_path(inspection, path_output, loaded, overwrite=overwrite)
+                written, doubted = _written_path(
+                    inspection, path_output, loaded, overwrite=overwrite
+                )
                 code = max(code, print_doubts(doubted))
         except PrcError as error:
             click.echo(f"error: {printable(str(error))}", err=True)
@@ -100,7 +115,12 @@ def info(
 
 
 def _prepare_path(
-    files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, is_checked: bool, overwrite: bool
+    files: tuple[Path, ...],
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    is_checked: bool,
+    overwrite: bool,
 ) -> None:
     if len(files) != 1:
         message = "--path takes one file"
@@ -115,11 +135,15 @@ def _written_path(
     inspection: Inspection, output: Path, loaded: LoadedConfig, *, overwrite: bool
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     if inspection.drive is None:
-        raise InputError(inspection.path, inspection.problem or "no path was found", inspection.hint)
+        raise InputError(
+            inspection.path, inspection.problem or "no path was found", inspection.hint
+        )
     return save_path(output, inspection.drive, loaded, Path(inspection.path), overwrite=overwrite)
 
 
-def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, overwrite: bool) -> LoadedConfig:
+def _drafted(
+    files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, overwrite: bool
+) -> LoadedConfig:
     """Write the draft of one file; return the configuration with it."""
     if len(files) != 1 or loaded.files:
         message = "--draft takes one file, and no --config or --layout"
@@ -158,16 +182,41 @@ def _print(inspection: Inspection, command: str, *, checks: bool, verbose: bool)
 LISTED = ("bag", "packets")
 """Formats whose topics or scanners are always shown."""
 ASPRS = {
-    0: "never classified", 1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation",
-    5: "high vegetation", 6: "building", 7: "low noise", 8: "model key point", 9: "water", 10: "rail",
-    11: "road surface", 12: "overlap", 13: "wire guard", 14: "wire", 15: "tower", 16: "wire connector",
-    17: "bridge deck", 18: "high noise", 19: "overhead structure", 20: "ignored ground", 21: "snow",
+    0: "never classified",
+    1: "unclassified",
+    2: "ground",
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    7: "low noise",
+    8: "model key point",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    12: "overlap",
+    13: "wire guard",
+    14: "wire",
+    15: "tower",
+    16: "wire connector",
+    17: "bridge deck",
+    18: "high noise",
+    19: "overhead structure",
+    20: "ignored ground",
+    21: "snow",
     22: "temporal exclusion",
-}  # fmt: skip
+}
 """Names of the standard codes (ASPRS, LAS 1.4 R15, table 17); codes from 64 on mean what the file's maker says."""
 MOST_SHOWN = 8
 """Classes, returns and point sources that are printed; ``--verbose`` and ``--json`` have them all."""
-FLAGS = ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line")
+FLAGS = (
+    "synthetic",
+    "key_point",
+    "withheld",
+    "overlap",
+    "scan_direction_flag",
+    "edge_of_flight_line",
+)
 """Dimensions of every LAS file that tell nothing of a scan."""
 MOST_NAME, LEAST_WIDTH = 24, 40
 """Columns of the screen for the name of a fact, at most, and for the fact, at least."""
@@ -180,12 +229,16 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
     mends = [inspection.mend] if inspection.mend else list(inspection.missing)
     if not mends and inspection.problem:
         against = [one for one in doubts if one.verdict is Verdict.AGAINST]
-        if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
+        if not all(one.option for one in against) or inspection.problem not in {
+            one.problem for one in against
+        }:
             return ""
     mends = mends or list(dict.fromkeys(one.option for one in doubts if one.option))
     words = ["prc", "classify", typed(inspection.path), typed(output_for(Path(inspection.path)))]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
-    return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)
+    return shlex.join([*words, *given_words(options, mended)]) + "".join(
+        f" {mend}" for mend in mends
+    )
 
 
 def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
@@ -228,14 +281,23 @@ def _path_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, 
         name = f"pass {number}" if len(drive.figures) > 1 else "path"
         head = f"scanner {one.scanner}, " if len(drive.heads) > 1 else ""
         height = "" if math.isnan(one.height_m) else f", {one.height_m:.2f} m above the ground"
-        yield name, f"{head}{one.length_m:.1f} m in {one.duration_s:.1f} s, {one.speed_m_s:.2f} m/s (median){height}"
+        yield (
+            name,
+            f"{head}{one.length_m:.1f} m in {one.duration_s:.1f} s, {one.speed_m_s:.2f} m/s (median){height}",
+        )
         turns = "" if one.turns_hz == one.lines_hz else f"{one.turns_hz:.6g} turns and "
         rates = f"{turns}{one.lines_hz:.6g} lines a second, {one.shots_hz:,.0f} shots a second"
-        yield "rotation", f"{rates}, M = {one.points_per_line:,}; the scan plane leans by {one.tilt_deg:.1f} deg"
+        yield (
+            "rotation",
+            f"{rates}, M = {one.points_per_line:,}; the scan plane leans by {one.tilt_deg:.1f} deg",
+        )
         fit = f"points lie {1e3 * one.residual_m:.1f} mm off their beams (median), {one.share_on_beam:.0%} on a beam"
         certain = f"stations are certain to {1e3 * one.sigma_m:.1f} mm (median)"
         bridged = f"{one.share_bridged:.0%} of the lines stand on their neighbours"
-        yield "fit", f"{fit}; {certain}, {bridged}; {one.share_holes:.1%} of the cells amid surfaces are empty"
+        yield (
+            "fit",
+            f"{fit}; {certain}, {bridged}; {one.share_holes:.1%} of the cells amid surfaces are empty",
+        )
     left = len(drive.figures) - MOST_SHOWN
     if left > 0 and not verbose:
         yield "passes", f"and {left} more"
@@ -253,12 +315,21 @@ def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, 
         fine = sum(one.verdict is Verdict.FINE for one in found.values())
         accepted = [one.check for one in found.values() if one.is_accepted]
         if found:
-            yield "checks", f"{fine} fine" + (f", accepted: {', '.join(accepted)}" if accepted else "") + LIST_THEM
+            yield (
+                "checks",
+                f"{fine} fine"
+                + (f", accepted: {', '.join(accepted)}" if accepted else "")
+                + LIST_THEM,
+            )
         return
     for check in check_table():
         one = found.get(check.name)
         if one is None:
-            asked = "asked of the labels, by prc classify" if check.name in LABEL_CHECKS else "not asked of this input"
+            asked = (
+                "asked of the labels, by prc classify"
+                if check.name in LABEL_CHECKS
+                else "not asked of this input"
+            )
             yield f"check: {check.name}", f"{asked}. {check.limit}"
             continue
         verdict = "accepted" if one.is_accepted else one.verdict.name.lower()
@@ -276,21 +347,42 @@ def _some(words: Sequence[str], *, verbose: bool) -> list[str]:
 def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, str]]:
     """Tell what the records hold, as surveyors know it from lasinfo."""
     if contents.bounds_m:
-        spans = ", ".join(f"{axis} {low:,.2f} to {high:,.2f}" for axis, (low, high) in contents.bounds_m.items())
-        where = {True: ": registered", False: ": may be relative to the scanner", None: ""}[contents.is_registered]
+        spans = ", ".join(
+            f"{axis} {low:,.2f} to {high:,.2f}" for axis, (low, high) in contents.bounds_m.items()
+        )
+        where = {True: ": registered", False: ": may be relative to the scanner", None: ""}[
+            contents.is_registered
+        ]
         yield "bounds", f"{spans} m{where}"
     if contents.time_s is not None:
         first, last = contents.time_s
         yield "times", f"{first:,.6f} to {last:,.6f} s: {last - first:,.3f} s"
     names = ASPRS | contents.class_names
     for name, counts in (
-        ("classes", {f"{code} {names.get(code, '')}".strip(): n for code, n in sorted(contents.classes.items())}),
-        ("returns", dict(sorted(contents.returns.items(), key=lambda item: [float(n) for n in item[0].split(" of ")]))),
+        (
+            "classes",
+            {
+                f"{code} {names.get(code, '')}".strip(): n
+                for code, n in sorted(contents.classes.items())
+            },
+        ),
+        (
+            "returns",
+            dict(
+                sorted(
+                    contents.returns.items(),
+                    key=lambda item: [float(n) for n in item[0].split(" of ")],
+                )
+            ),
+        ),
         ("point sources", {str(code): n for code, n in sorted(contents.sources.items())}),
     ):
         # one return a shot, and one source, are what everybody expects
         if counts and (verbose or name == "classes" or len(counts) > 1):
-            yield name, ", ".join(_some([f"{what}: {n:,}" for what, n in counts.items()], verbose=verbose))
+            yield (
+                name,
+                ", ".join(_some([f"{what}: {n:,}" for what, n in counts.items()], verbose=verbose)),
+            )
 
 
 def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
@@ -298,7 +390,10 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
     if facts is not None:
         rate = "" if facts.line_hz is None else f", {facts.line_hz:.6g} lines a second"
         missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({_share(facts.n_missing, facts.n_shots)})"
-        yield "scan lines", f"{facts.n_lines:,} of {inspection.points_per_line:,} shots{rate}; {missing}"
+        yield (
+            "scan lines",
+            f"{facts.n_lines:,} of {inspection.points_per_line:,} shots{rate}; {missing}",
+        )
         if len(facts.scanners) > 1:
             yield "scanners", ", ".join(map(str, facts.scanners))
         if facts.range_m is not None:
@@ -312,7 +407,9 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
         is_used = facts is None or period.points_per_line == inspection.points_per_line
         used = "" if is_used else f"; not used: the lines have {inspection.points_per_line:,} shots"
         yield "M estimated", f"{estimate} ({period.reason}){used}"
-    if rates is not None and (verbose or facts is None):  # where lines were told, a note says what does not fit them
+    if rates is not None and (
+        verbose or facts is None
+    ):  # where lines were told, a note says what does not fit them
         found = f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, M = {rates.points_per_line:,}"
         begins = f"a line begins at {rates.time_origin_s!r} s, in the middle of what rarely returns"
         yield "rates", f"{found}, from the times ({rates.share:.0%} return); {begins}"

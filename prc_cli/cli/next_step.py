@@ -32,7 +32,9 @@ def output_for(source: Path) -> Path:
     """
     folder = source.parent
     if scan_file(folder) == source:  # a file in it would be taken for a part of the recording
-        return (folder / ".." if folder.name in ("", "..") else folder.parent) / f"{folder.resolve().name}_labels.npy"
+        return (
+            folder / ".." if folder.name in ("", "..") else folder.parent
+        ) / f"{folder.resolve().name}_labels.npy"
     end = f"_classified{suffix_of(source)}" if is_cloud(source) else "_labels.npy"
     return source.with_name(_stem(source) + end)
 

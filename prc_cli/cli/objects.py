@@ -9,25 +9,52 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import (
+    Sectioned,
+    config_from,
+    output_options,
+    stream_options,
+    window_options,
+)
 from prc_cli.cli.paths import WRITTEN, ScanPath
-from prc_cli.cli.report import compiling_note, end_with, line_progress, print_line, print_notices, print_taken
+from prc_cli.cli.report import (
+    compiling_note,
+    end_with,
+    line_progress,
+    print_line,
+    print_notices,
+    print_taken,
+)
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import COLUMNS, KINDS, Thing, find_objects, plain
 
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.option("-o", "--output", type=WRITTEN, metavar="OUT", help="A .csv, .geojson or .parquet file.")
-@click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Only these; repeat for several.")
+@click.option(
+    "-o", "--output", type=WRITTEN, metavar="OUT", help="A .csv, .geojson or .parquet file."
+)
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    type=click.Choice(KINDS),
+    help="Only these; repeat for several.",
+)
 @stream_options
 @window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def objects(
-    source: Path, output: Path | None, kinds: tuple[str, ...], overwrite: bool,
-    as_json: bool, quiet: bool, verbose: bool, **options: Any,
-) -> None:  # fmt: skip
+    source: Path,
+    output: Path | None,
+    kinds: tuple[str, ...],
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **options: Any,
+) -> None:
     """List the stems, poles, cars and curbs of IN as they pass.
 
     Where IN has such classes and no method is named, they are taken; else IN is classified on the way. Shots of such a
@@ -61,7 +88,9 @@ def objects(
             click.echo(",".join("" if value is None else str(value) for value in values.values()))
 
     with line_progress(source.name, quiet=quiet) as progress:
-        summary = find_objects(source, output, loaded, kinds=kinds, each=show, overwrite=overwrite, progress=progress)
+        summary = find_objects(
+            source, output, loaded, kinds=kinds, each=show, overwrite=overwrite, progress=progress
+        )
     head()
     if not quiet:
         print_taken(summary.record, verbose=verbose)

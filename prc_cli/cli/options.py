@@ -28,10 +28,15 @@ def complete_mapping(ctx: click.Context, parameter: click.Parameter, incomplete:
     """Return the presets of class mappings, and TOML files."""
     from prc_cli.evaluation.mapping import preset_names
 
-    return [*(name for name in preset_names() if name.startswith(incomplete)), *_toml_files(incomplete)]
+    return [
+        *(name for name in preset_names() if name.startswith(incomplete)),
+        *_toml_files(incomplete),
+    ]
 
 
-def complete_assignment(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+def complete_assignment(
+    ctx: click.Context, parameter: click.Parameter, incomplete: str
+) -> list[str]:
     """Return ``KEY=`` of every key of the configuration; behind the ``=`` the words that it may be."""
     key, equals, value = incomplete.partition("=")
     kinds = dict(_keys())
@@ -71,10 +76,16 @@ def _toml_files(incomplete: str) -> list[str]:
     """Return folders and TOML files that begin so."""
     folder = Path(incomplete) if incomplete.endswith("/") else Path(incomplete).parent
     try:
-        found = [path for path in sorted(folder.iterdir()) if path.suffix == ".toml" or path.is_dir()]
+        found = [
+            path for path in sorted(folder.iterdir()) if path.suffix == ".toml" or path.is_dir()
+        ]
     except OSError:
         return []
-    shown = [f"{path}/" if path.is_dir() else str(path) for path in found if not path.name.startswith(".")]
+    shown = [
+        f"{path}/" if path.is_dir() else str(path)
+        for path in found
+        if not path.name.startswith(".")
+    ]
     return [name for name in shown if name.startswith(incomplete)]
 
 
@@ -101,59 +112,212 @@ class SharedOption(NamedTuple):
         return named[0] if named else max(self.declared, key=len).strip("-").replace("-", "_")
 
 
-def _option(group: str, section: str, flag: str, *declared: str, key: str = "", **attributes: Any) -> SharedOption:
+def _option(
+    group: str, section: str, flag: str, *declared: str, key: str = "", **attributes: Any
+) -> SharedOption:
     return SharedOption(group, section, flag, key, (flag, *declared), attributes)
 
 
 SHARED = (
-    _option("method", "Method", "--method", key="method", type=click.Choice(METHODS),
-            help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
-    _option("method", "Method", "--preset", type=click.Choice(list(PRESETS)),
-            help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
-            "fused, fused-forest: both combined; rings: spinning scanners. Default: what labels IN best."),
-    _option("input", "Method", "--config", "config_file", type=READ, metavar="FILE.toml",
-            help="Configuration, or the name of a sample: prc config presets lists them."),
-    _option("input", "Method", "--set", "assignments", type=READ_TEXT, multiple=True, metavar="KEY=VALUE",
-            shell_complete=complete_assignment, help="Any key, e.g. prc.support.zeta_p=0.1."),
-    _option("input", "Input", "--layout", "layout_file", type=READ, metavar="FILE.toml",
-            help="Record layout of a raw dump or a text file."),
-    _option("input", "Input", "--lines", key="input.lines",
-            help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings."),
-    _option("input", "Input", "--columns", key="input.columns", help="dimension:NAME, angle, time:HZ or order."),
-    _option("input", "Input", "--range", "range_", key="input.range", type=READ_TEXT,
-            help="dimension:NAME, points (registered cloud with times), trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
-    _option("input", "Input", "--scanner", key="input.scanner",
-            help="none, scanner_channel, point_source_id or user_data."),
-    _option("input", "Input", "--topic", key="input.topic",
-            help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas."),
-    _option("input", "Input", "--metadata", key="input.metadata", type=READ_TEXT, metavar="FILE.json",
-            help="Captures: metadata of an Ouster sensor."),
-    _option("input", "Input", "--return", "return_", key="input.return", help="strongest, first or last."),
-    _option("input", "Input", "-M", "--points-per-line", "points_per_line", key="input.points_per_line",
-            type=click.IntRange(min=1), help="Shots in a scan line."),
-    _option("input", "Input", "--max-range", key="input.max_range", type=float, metavar="METRES",
-            help="Ranges beyond are missing."),
-    _option("input", "Input", "--accept-doubt", "accept_doubts", key="input.accept_doubts", multiple=True,
-            metavar="NAME", type=click.Choice(CHECK_NAMES),
-            help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several."),
-    _option("input", "Input", "--trust-order", is_flag=True, help="Take the order of the records as it is."),
-    _option("sort", "Input", "--sort-by-time", is_flag=True, help="Sort the records by time first."),
-    _option("window", "Input", "--only-lines", "window_lines", key="input.only_lines", metavar="A:B",
-            help="Take lines A to B - 1 alone, from 0."),
-    _option("window", "Input", "--only-time", "window_time", key="input.only_time", metavar="A:B",
-            help="Take the lines of these times alone [s]; +A:+B = since the first one."),
-    _option("window", "Input", "--first", "window_first", key="input.first", metavar="LENGTH",
-            help="Take the first 30s, 2min or 500lines alone."),
-    _option("output", "Run", "--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
-    _option("output", "Run", "-q", "--quiet", is_flag=True,
-            help="Print nothing but errors and warnings (and --json)."),
-    _option("output", "Run", "-v", "--verbose", is_flag=True, help="Print every assumption and count."),
-)  # fmt: skip
+    _option(
+        "method",
+        "Method",
+        "--method",
+        key="method",
+        type=click.Choice(METHODS),
+        help="Classifier; default: what the preset or the configuration says, else what labels IN best.",
+    ),
+    _option(
+        "method",
+        "Method",
+        "--preset",
+        type=click.Choice(list(PRESETS)),
+        help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
+        "fused, fused-forest: both combined; rings: spinning scanners. Default: what labels IN best.",
+    ),
+    _option(
+        "input",
+        "Method",
+        "--config",
+        "config_file",
+        type=READ,
+        metavar="FILE.toml",
+        help="Configuration, or the name of a sample: prc config presets lists them.",
+    ),
+    _option(
+        "input",
+        "Method",
+        "--set",
+        "assignments",
+        type=READ_TEXT,
+        multiple=True,
+        metavar="KEY=VALUE",
+        shell_complete=complete_assignment,
+        help="Any key, e.g. prc.support.zeta_p=0.1.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--layout",
+        "layout_file",
+        type=READ,
+        metavar="FILE.toml",
+        help="Record layout of a raw dump or a text file.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--lines",
+        key="input.lines",
+        help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--columns",
+        key="input.columns",
+        help="dimension:NAME, angle, time:HZ or order.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--range",
+        "range_",
+        key="input.range",
+        type=READ_TEXT,
+        help="dimension:NAME, points (registered cloud with times), trajectory:FILE, origin:X,Y,Z or sensor-xyz.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--scanner",
+        key="input.scanner",
+        help="none, scanner_channel, point_source_id or user_data.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--topic",
+        key="input.topic",
+        help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--metadata",
+        key="input.metadata",
+        type=READ_TEXT,
+        metavar="FILE.json",
+        help="Captures: metadata of an Ouster sensor.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--return",
+        "return_",
+        key="input.return",
+        help="strongest, first or last.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "-M",
+        "--points-per-line",
+        "points_per_line",
+        key="input.points_per_line",
+        type=click.IntRange(min=1),
+        help="Shots in a scan line.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--max-range",
+        key="input.max_range",
+        type=float,
+        metavar="METRES",
+        help="Ranges beyond are missing.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--accept-doubt",
+        "accept_doubts",
+        key="input.accept_doubts",
+        multiple=True,
+        metavar="NAME",
+        type=click.Choice(CHECK_NAMES),
+        help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several.",
+    ),
+    _option(
+        "input",
+        "Input",
+        "--trust-order",
+        is_flag=True,
+        help="Take the order of the records as it is.",
+    ),
+    _option(
+        "sort", "Input", "--sort-by-time", is_flag=True, help="Sort the records by time first."
+    ),
+    _option(
+        "window",
+        "Input",
+        "--only-lines",
+        "window_lines",
+        key="input.only_lines",
+        metavar="A:B",
+        help="Take lines A to B - 1 alone, from 0.",
+    ),
+    _option(
+        "window",
+        "Input",
+        "--only-time",
+        "window_time",
+        key="input.only_time",
+        metavar="A:B",
+        help="Take the lines of these times alone [s]; +A:+B = since the first one.",
+    ),
+    _option(
+        "window",
+        "Input",
+        "--first",
+        "window_first",
+        key="input.first",
+        metavar="LENGTH",
+        help="Take the first 30s, 2min or 500lines alone.",
+    ),
+    _option(
+        "output",
+        "Run",
+        "--json",
+        "as_json",
+        is_flag=True,
+        help="Print the result as JSON on stdout.",
+    ),
+    _option(
+        "output",
+        "Run",
+        "-q",
+        "--quiet",
+        is_flag=True,
+        help="Print nothing but errors and warnings (and --json).",
+    ),
+    _option(
+        "output", "Run", "-v", "--verbose", is_flag=True, help="Print every assumption and count."
+    ),
+)
 
 _OWN_SECTIONS = {
-    "engine": "Method", "deep": "Input", "output": "Output", "outputs": "Output", "overwrite": "Output",
-    "segment_ids": "Output", "labels": "Output", "draft": "Output", "threads": "Run", "profile": "Run",
-}  # fmt: skip
+    "engine": "Method",
+    "deep": "Input",
+    "output": "Output",
+    "outputs": "Output",
+    "overwrite": "Output",
+    "segment_ids": "Output",
+    "labels": "Output",
+    "draft": "Output",
+    "threads": "Run",
+    "profile": "Run",
+}
 """Sections of options that one command has; all others stand under "Options", before all sections."""
 _SECTIONS = {option.parameter: option.section for option in SHARED} | _OWN_SECTIONS
 
@@ -163,12 +327,16 @@ class Sectioned(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, section by section; a command that classifies nothing keeps one list."""
-        rows: dict[str, list[tuple[str, str]]] = {name: [] for name in ("Options", "Method", "Input", "Output", "Run")}
+        rows: dict[str, list[tuple[str, str]]] = {
+            name: [] for name in ("Options", "Method", "Input", "Output", "Run")
+        }
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
             if record is not None:
                 is_help = "--help" in parameter.opts
-                rows["Run" if is_help else _SECTIONS.get(parameter.name or "", "Options")].append(record)
+                rows["Run" if is_help else _SECTIONS.get(parameter.name or "", "Options")].append(
+                    record
+                )
         if not rows["Method"]:
             super().format_options(ctx, formatter)
             return
@@ -207,14 +375,22 @@ output_options = _groups("output")
 def form_options(*forms: str) -> list[Callable[[Any], Any]]:
     """Return ``--format`` and ``--json``, for commands that print their result in one of several forms."""
     return [
-        click.option("--format", "form", type=click.Choice(forms), help="How the result is printed.  [default: table]"),
+        click.option(
+            "--format",
+            "form",
+            type=click.Choice(forms),
+            help="How the result is printed.  [default: table]",
+        ),
         click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
     ]
 
 
 QUIET = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 QUIET_FORM = click.option(
-    "-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for)."
+    "-q",
+    "--quiet",
+    is_flag=True,
+    help="Print nothing but errors (and what --json or --format asks for).",
 )
 
 
@@ -228,13 +404,20 @@ def form_of(options: Mapping[str, Any]) -> str:
 
 
 POSES = (
-    click.option("--trajectory", type=READ, metavar="FILE",
-                 help="With nearest: poses that give the shots of a raw drive coordinates, from ranges, scan angles "
-                 "and times. CSV with roll, pitch, yaw; TUM; SBET; a bag."),
-    click.option("--mount", metavar="ROLL,PITCH,YAW[,X,Y,Z]",
-                 help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up]; a scan "
-                 "plane whose lower part points back has a pitch above 0.  [default: level, 0,0,0]"),
-)  # fmt: skip
+    click.option(
+        "--trajectory",
+        type=READ,
+        metavar="FILE",
+        help="With nearest: poses that give the shots of a raw drive coordinates, from ranges, scan angles "
+        "and times. CSV with roll, pitch, yaw; TUM; SBET; a bag.",
+    ),
+    click.option(
+        "--mount",
+        metavar="ROLL,PITCH,YAW[,X,Y,Z]",
+        help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up]; a scan "
+        "plane whose lower part points back has a pitch above 0.  [default: level, 0,0,0]",
+    ),
+)
 """Options that give raw shots coordinates."""
 
 
@@ -287,7 +470,11 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     if layout_file is not None:
         table = layout_in(layout_file := or_sample(layout_file))
     method, preset = options.get("method"), options.get("preset")
-    if method is not None and preset is not None and (other := load_config(preset=preset).config.method) != method:
+    if (
+        method is not None
+        and preset is not None
+        and (other := load_config(preset=preset).config.method) != method
+    ):
         message = f"--preset {preset} is for --method {other}, not {method}"
         raise click.UsageError(message)
     keys = {option.parameter: option.key for option in SHARED if option.key}
@@ -295,7 +482,9 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     if sort_by_time or trust_order:
         table = merge(table, {"input": {"order": "sort-time" if sort_by_time else "trust"}})
     path: Path | None = options["config_file"]
-    return Layers(path and or_sample(path), preset, table, () if layout_file is None else (layout_file,))
+    return Layers(
+        path and or_sample(path), preset, table, () if layout_file is None else (layout_file,)
+    )
 
 
 def layout_in(path: Path) -> dict[str, Any]:
@@ -304,7 +493,9 @@ def layout_in(path: Path) -> dict[str, Any]:
     return {"layout": content.get("layout", content)}
 
 
-def table_from(assignments: Iterable[str], options: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, Any]:
+def table_from(
+    assignments: Iterable[str], options: Mapping[str, Any], keys: Mapping[str, str]
+) -> dict[str, Any]:
     """Return the nested table of ``--set`` and of options that stand for keys; these win.
 
     Examples
@@ -327,4 +518,6 @@ def numbers(text: str | None, option: str) -> tuple[float, ...]:
     try:
         return tuple(float(word) for word in text.split(",")) if text else ()
     except ValueError:
-        raise ConfigError(option, f"found {text!r}, expected numbers with commas, such as 0,25,0") from None
+        raise ConfigError(
+            option, f"found {text!r}, expected numbers with commas, such as 0,25,0"
+        ) from None

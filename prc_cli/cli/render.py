@@ -27,12 +27,22 @@ from prc_cli.jobs.render import render as render_file
     metavar="FILE.html",
     help="Instead of OUT: cloud and range image to turn, zoom and click, in one page.",
 )
-@click.option("--steps", metavar="A,B,...", help="Pictures, e.g. range,support,classes; default: those that suit.")
+@click.option(
+    "--steps",
+    metavar="A,B,...",
+    help="Pictures, e.g. range,support,classes; default: those that suit.",
+)
 @click.option("--block", type=int, metavar="N", help="One block of prc, from 0.")
 @click.option("--only-lines", metavar="A:B", help="Lines A to B - 1, from 0.")
-@click.option("--figure1", is_flag=True, help="The steps of one block as in Lehtola et al. (2019), Fig. 1.")
-@click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
-@click.option("--labels", type=READ, metavar="FILE", help="Draw these classes instead of classifying.")
+@click.option(
+    "--figure1", is_flag=True, help="The steps of one block as in Lehtola et al. (2019), Fig. 1."
+)
+@click.option(
+    "--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]"
+)
+@click.option(
+    "--labels", type=READ, metavar="FILE", help="Draw these classes instead of classifying."
+)
 @click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
 @click.option("--reference", type=READ, metavar="FILE", help="Classes to compare with.")
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
@@ -60,10 +70,18 @@ from prc_cli.jobs.render import render as render_file
 @click.option("--hide", metavar="CLASS,...", help="Classes that are not drawn, e.g. noise.")
 @click.option("--colour", type=click.Choice(COLOURS), help="What points are coloured by.")
 @click.option(
-    "--width", type=click.IntRange(200, 20_000), default=2200, show_default=True, help="Widest picture [pixels]."
+    "--width",
+    type=click.IntRange(200, 20_000),
+    default=2200,
+    show_default=True,
+    help="Widest picture [pixels].",
 )
 @click.option(
-    "--height", type=click.IntRange(200, 60_000), default=6000, show_default=True, help="Highest page [pixels]."
+    "--height",
+    type=click.IntRange(200, 60_000),
+    default=6000,
+    show_default=True,
+    help="Highest page [pixels].",
 )
 @click.option(
     "--pages",
@@ -90,7 +108,14 @@ from prc_cli.jobs.render import render as render_file
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def render(
-    source: Path, output: Path | None, *, html: Path | None, overwrite: bool, as_json: bool, quiet: bool, **options: Any
+    source: Path,
+    output: Path | None,
+    *,
+    html: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Draw IN into OUT, a .png or a single .html, or into a page to look around in (--html).
 
@@ -105,20 +130,32 @@ def render(
       prc render drive.laz figure1.html --preset urban --figure1
       prc render drive.laz differences.png --labels out.laz --reference car.laz --steps classes,reference,difference
       prc render out.laz cloud.png --view perspective --from 215,30
-    """  # fmt: skip
+    """
     chosen = _render_options(options)
     if (output is None) == (html is None):
-        problem = "expected one output, found none" if html is None else "given together with OUT, expected one of them"
-        raise ConfigError("OUT" if html is None else "--html", problem, "give OUT.png, OUT.html or --html PAGE.html")
+        problem = (
+            "expected one output, found none"
+            if html is None
+            else "given together with OUT, expected one of them"
+        )
+        raise ConfigError(
+            "OUT" if html is None else "--html",
+            problem,
+            "give OUT.png, OUT.html or --html PAGE.html",
+        )
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
         if output is not None:
-            result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
+            result = render_file(
+                source, output, loaded, chosen, overwrite=overwrite, progress=progress
+            )
         elif html is not None:
             # loaded where it is needed, which keeps the start of pictures short
             from prc_cli.jobs.render.viewer import render_viewer
 
-            result = render_viewer(source, html, loaded, chosen, overwrite=overwrite, progress=progress)
+            result = render_viewer(
+                source, html, loaded, chosen, overwrite=overwrite, progress=progress
+            )
     if as_json:
         click.echo(json.dumps(_as_dict(result), indent=2))
     if not quiet:
@@ -130,9 +167,21 @@ def render(
 
 
 _AS_GIVEN = (
-    "view", "block", "figure1", "station", "labels", "labels_dimension", "reference", "reference_dimension", "mapping",
-    "colour", "width", "height", "pages", "shots",
-)  # fmt: skip
+    "view",
+    "block",
+    "figure1",
+    "station",
+    "labels",
+    "labels_dimension",
+    "reference",
+    "reference_dimension",
+    "mapping",
+    "colour",
+    "width",
+    "height",
+    "pages",
+    "shots",
+)
 """Options of the command that :class:`RenderOptions` has under the same name."""
 
 
@@ -162,7 +211,9 @@ def _names(text: str) -> tuple[str, ...]:
 def _span(text: str) -> tuple[int, int]:
     first, _, stop = text.partition(":")
     if not (first.strip().isdecimal() and stop.strip().isdecimal()):
-        raise ConfigError("--only-lines", f"found {text!r}, expected A:B, two line numbers such as 200:300")
+        raise ConfigError(
+            "--only-lines", f"found {text!r}, expected A:B, two line numbers such as 200:300"
+        )
     return int(first), int(stop)
 
 

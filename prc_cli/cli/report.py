@@ -63,7 +63,9 @@ COMPILING_S = 2.0
 @contextlib.contextmanager
 def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
     """Show a note if loading the classifier, or the simulator, takes long."""
-    text = f"loading the {what}; after installation it is compiled, once, which takes up to a minute"
+    text = (
+        f"loading the {what}; after installation it is compiled, once, which takes up to a minute"
+    )
     timer = threading.Timer(COMPILING_S, lambda: console().print(text, soft_wrap=True))
     timer.daemon = True
     if not quiet:
@@ -95,7 +97,9 @@ class LineBar:
 
     def __call__(self, n_lines: int) -> None:
         """Move on by some lines."""
-        self._bar.total = None if self._share <= 0 else max(round((self._bar.n + n_lines) / self._share), 1)
+        self._bar.total = (
+            None if self._share <= 0 else max(round((self._bar.n + n_lines) / self._share), 1)
+        )
         self._bar.update(n_lines)
 
     def reached(self, share: float) -> None:
@@ -120,7 +124,9 @@ def end_with(doubts: Iterable[Finding]) -> None:
         raise SystemExit(code)
 
 
-def table_of(title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any) -> Table:
+def table_of(
+    title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any
+) -> Table:
     """Return a table whose first columns hold words, the others numbers; narrow ones fold, none is cut."""
     table = Table(title=title)
     column.setdefault("overflow", "fold")

@@ -11,7 +11,15 @@ import click
 
 from prc_cli.cli.options import add_options, output_options, table_from
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
-from prc_cli.cli.report import compiling_note, console, line_progress, print_line, print_notices, results, table_of
+from prc_cli.cli.report import (
+    compiling_note,
+    console,
+    line_progress,
+    print_line,
+    print_notices,
+    results,
+    table_of,
+)
 from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import printable_lines
@@ -26,40 +34,100 @@ _option = click.option
 
 _OUTPUT = [
     click.argument("output", type=WRITTEN, metavar="OUT"),
-    _option("--labels", type=WRITTEN, metavar="FILE.npy",
-            help="Reference class of every record; written by itself where OUT cannot hold it."),
-]  # fmt: skip
+    _option(
+        "--labels",
+        type=WRITTEN,
+        metavar="FILE.npy",
+        help="Reference class of every record; written by itself where OUT cannot hold it.",
+    ),
+]
 _FOREST = [
     _option("--stems", type=WRITTEN, metavar="FILE.csv", help="Also list the trees by the way."),
-    _option("--reference", type=click.Choice(["truth", "cylinders"]), default="truth", show_default=True,
-            help="What was hit; or cylinders around stems, ground by height, noise elsewhere."),
-]  # fmt: skip
+    _option(
+        "--reference",
+        type=click.Choice(["truth", "cylinders"]),
+        default="truth",
+        show_default=True,
+        help="What was hit; or cylinders around stems, ground by height, noise elsewhere.",
+    ),
+]
 _PLACE = [
-    _option("--seed", type=click.IntRange(0, 2**63 - 1), help="Another seed, another world.  [default: 1]"),
+    _option(
+        "--seed",
+        type=click.IntRange(0, 2**63 - 1),
+        help="Another seed, another world.  [default: 1]",
+    ),
     _option("--lines", type=click.IntRange(min=1), help="Scan lines, instead of a length."),
-    _option("--sight", type=click.FloatRange(min=1), metavar="METRES", help="Nothing farther is simulated."),
+    _option(
+        "--sight",
+        type=click.FloatRange(min=1),
+        metavar="METRES",
+        help="Nothing farther is simulated.",
+    ),
 ]
 _LENGTH = [
-    _option("--length", type=click.FloatRange(min=0, min_open=True), metavar="METRES",
-            help="Way of the platform; default 300 in streets, 100 in forests."),
-    _option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Instead of a length."),
-    _option("--speed", type=click.FloatRange(min=0, min_open=True), metavar="M/S", help="Cruising speed."),
-    _option("--mount-slant", type=float, metavar="DEGREES", help="Tilt of the scan plane, its lower part backwards."),
-    _option("--mount-heading", type=float, metavar="DEGREES", help="Turn of the scan plane to the left."),
-    _option("--trajectory", type=WRITTEN, metavar="FILE",
-            help="Also write where the scanner was: .csv, or .sbet."),
-    _option("--frames", type=WRITTEN, metavar="FOLDER",
-            help="Spinning scanners: also write every turn as a frame of KITTI, with classes, poses and times."),
-]  # fmt: skip
+    _option(
+        "--length",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="METRES",
+        help="Way of the platform; default 300 in streets, 100 in forests.",
+    ),
+    _option(
+        "--duration",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="SECONDS",
+        help="Instead of a length.",
+    ),
+    _option(
+        "--speed",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="M/S",
+        help="Cruising speed.",
+    ),
+    _option(
+        "--mount-slant",
+        type=float,
+        metavar="DEGREES",
+        help="Tilt of the scan plane, its lower part backwards.",
+    ),
+    _option(
+        "--mount-heading", type=float, metavar="DEGREES", help="Turn of the scan plane to the left."
+    ),
+    _option(
+        "--trajectory",
+        type=WRITTEN,
+        metavar="FILE",
+        help="Also write where the scanner was: .csv, or .sbet.",
+    ),
+    _option(
+        "--frames",
+        type=WRITTEN,
+        metavar="FOLDER",
+        help="Spinning scanners: also write every turn as a frame of KITTI, with classes, poses and times.",
+    ),
+]
 _PARAMETERS = [
-    _option("--noise", type=click.FloatRange(min=0), metavar="METRES", help="Range noise close by."),
-    _option("--config", "config_file", type=READ, metavar="FILE.toml",
-            help="Parameters, in tables [scene], [scanner] and [trajectory] or [station]."),
-    _option("--set", "assignments", type=READ_TEXT, multiple=True, metavar="KEY=VALUE",
-            help="Any of them, e.g. scene.trees=0.9."),
+    _option(
+        "--noise", type=click.FloatRange(min=0), metavar="METRES", help="Range noise close by."
+    ),
+    _option(
+        "--config",
+        "config_file",
+        type=READ,
+        metavar="FILE.toml",
+        help="Parameters, in tables [scene], [scanner] and [trajectory] or [station].",
+    ),
+    _option(
+        "--set",
+        "assignments",
+        type=READ_TEXT,
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Any of them, e.g. scene.trees=0.9.",
+    ),
     _option("--threads", type=click.IntRange(min=1), help="Threads; they do not change a byte."),
     _option("--overwrite", is_flag=True, help="Replace existing outputs."),
-]  # fmt: skip
+]
 
 
 _SCENE_HELP: dict[Kind, str] = {
@@ -73,7 +141,9 @@ def _presets(kind: Kind) -> list[Any]:
     static = kind == "street-scan"
     scanners = [name for name, scanner in SCANNERS.items() if scanner.is_static == static]
     return [
-        _option("--scanner", type=click.Choice(scanners), help="Preset; see prc simulate scanners."),
+        _option(
+            "--scanner", type=click.Choice(scanners), help="Preset; see prc simulate scanners."
+        ),
         _option("--scene", type=click.Choice(list(SCENES[kind])), help=_SCENE_HELP[kind]),
     ]
 
@@ -154,19 +224,28 @@ def scanners(as_json: bool) -> None:
     Example: prc simulate scanners --json
     """
     if as_json:
-        click.echo(json.dumps({name: scanner.model_dump() for name, scanner in SCANNERS.items()}, indent=2))
+        click.echo(
+            json.dumps({name: scanner.model_dump() for name, scanner in SCANNERS.items()}, indent=2)
+        )
         return
-    table = table_of("scanners", "name", "lines/s", "shots a line", "field", "range", "noise", "returns")
+    table = table_of(
+        "scanners", "name", "lines/s", "shots a line", "field", "range", "noise", "returns"
+    )
     table.columns[0].no_wrap = True  # the names are typed
     table.add_column("kind", overflow="fold")
     for name, scanner in SCANNERS.items():
         kind = "static" if scanner.is_static else f"profiler, slant {scanner.slant_deg:g}°"
         kind = "spinning" if scanner.spins else kind
         table.add_row(
-            name, f"{scanner.line_hz:.4g}", f"{scanner.points_per_line:,}", f"{scanner.field_deg:g}°",
-            f"{scanner.max_range_m:g} m", f"{1000 * scanner.noise_m:g} mm", str(scanner.max_returns),
+            name,
+            f"{scanner.line_hz:.4g}",
+            f"{scanner.points_per_line:,}",
+            f"{scanner.field_deg:g}°",
+            f"{scanner.max_range_m:g} m",
+            f"{1000 * scanner.noise_m:g} mm",
+            str(scanner.max_returns),
             f"{kind}, {'phase' if scanner.principle == 'cw' else 'pulse'}",
-        )  # fmt: skip
+        )
     results().print(table)
 
 
@@ -174,10 +253,17 @@ def scanners(as_json: bool) -> None:
 @click.argument("kind", type=click.Choice(KINDS))
 @click.option("--config", "config_file", type=READ, metavar="FILE.toml", help="Parameters.")
 @click.option(
-    "--set", "assignments", type=READ_TEXT, multiple=True, metavar="KEY=VALUE", help="Any of them; scanner.name=NAME."
+    "--set",
+    "assignments",
+    type=READ_TEXT,
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Any of them; scanner.name=NAME.",
 )
 @click.option("--bare", is_flag=True, help="Without comments.")
-def parameters(kind: Kind, config_file: Path | None, assignments: tuple[str, ...], bare: bool) -> None:
+def parameters(
+    kind: Kind, config_file: Path | None, assignments: tuple[str, ...], bare: bool
+) -> None:
     """Print every parameter of a KIND of simulation as TOML that --config reads.
 
     \b
@@ -210,18 +296,28 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
     if len(extents) > 1:
         message = f"--{extents[0]} and --{extents[1]} contradict each other"
         raise click.UsageError(message)
-    settings = load_settings(kind, options["config_file"], table_from(options["assignments"], options, _KEYS))
+    settings = load_settings(
+        kind, options["config_file"], table_from(options["assignments"], options, _KEYS)
+    )
     output, quiet = options["output"], options["quiet"]
-    beside = Beside(options.get("trajectory"), options["labels"], options.get("stems"), options.get("frames"))
+    beside = Beside(
+        options.get("trajectory"), options["labels"], options.get("stems"), options.get("frames")
+    )
     check_simulation(kind, output, settings.scanner, beside, overwrite=options["overwrite"])
     with compiling_note(quiet=quiet, what="simulator"):
         load_simulator()
     start = time.perf_counter()
     with line_progress(output.name, quiet=quiet) as progress:
         summary = simulate_file(
-            kind, output, settings, beside=beside, reference=options.get("reference", "truth"),
-            threads=options["threads"], overwrite=options["overwrite"], progress=progress,
-        )  # fmt: skip
+            kind,
+            output,
+            settings,
+            beside=beside,
+            reference=options.get("reference", "truth"),
+            threads=options["threads"],
+            overwrite=options["overwrite"],
+            progress=progress,
+        )
     if options["as_json"]:
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:

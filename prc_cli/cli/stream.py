@@ -11,7 +11,14 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import Sectioned, config_from, live_options, output_options
-from prc_cli.cli.report import LOOK, compiling_note, print_assumptions, print_choice, print_doubts, print_line
+from prc_cli.cli.report import (
+    LOOK,
+    compiling_note,
+    print_assumptions,
+    print_choice,
+    print_doubts,
+    print_line,
+)
 from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding
@@ -40,7 +47,7 @@ from prc_cli.jobs.stream import stream as label_stream
 @output_options
 def stream(
     line_hz: float | None, every: float, as_json: bool, quiet: bool, verbose: bool, **options: Any
-) -> None:  # fmt: skip
+) -> None:
     """Label a live stream: ranges in on stdin, one byte a shot out on stdout.
 
     Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
@@ -55,7 +62,10 @@ def stream(
       scanner | prc stream --preset urban -M 2154 > labels.bin
       cat drive.bin | prc stream --layout profiler.toml | logger
     """
-    for name, file, own in (("stdin", sys.stdin, sys.__stdin__), ("stdout", sys.stdout, sys.__stdout__)):
+    for name, file, own in (
+        ("stdin", sys.stdin, sys.__stdin__),
+        ("stdout", sys.stdout, sys.__stdout__),
+    ):
         if own is None:
             message = f"{name} is closed, expected a pipe or a file"
             raise click.UsageError(message)
@@ -71,9 +81,15 @@ def stream(
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
     summary = label_stream(
-        source, sink, loaded, report=report, doubted=_tell_json if as_json else _tell,
-        chosen=_choice_json if as_json else lambda choice: None if quiet else print_choice(choice.assumption),
-    )  # fmt: skip
+        source,
+        sink,
+        loaded,
+        report=report,
+        doubted=_tell_json if as_json else _tell,
+        chosen=_choice_json
+        if as_json
+        else lambda choice: None if quiet else print_choice(choice.assumption),
+    )
     if as_json:
         labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
         doubts = [doubt.as_dict() for doubt in summary.doubts]
@@ -97,7 +113,10 @@ def _tell_json(doubt: Finding) -> None:
 
 def _choice_json(choice: MethodChoice) -> None:
     click.echo(
-        json.dumps({"method": choice.method, "preset": choice.preset, "why": choice.why}, sort_keys=True), err=True
+        json.dumps(
+            {"method": choice.method, "preset": choice.preset, "why": choice.why}, sort_keys=True
+        ),
+        err=True,
     )
 
 
@@ -121,13 +140,13 @@ class _Reporter:
 def _sentence(rate: Rate, line_hz: float | None) -> str:
     """Return the rate for people."""
     shots = rate.n_shots / rate.seconds / 1e6 if rate.seconds else 0.0
-    text = (
-        f"{rate.n_lines:,} lines, {rate.n_shots:,} shots in {rate.seconds:.1f} s ({shots:.3g} million shots a second)"
-    )
+    text = f"{rate.n_lines:,} lines, {rate.n_shots:,} shots in {rate.seconds:.1f} s ({shots:.3g} million shots a second)"
     factor = rate.real_time(line_hz)
     if factor is not None:
         text += f", {factor:.3g} x real time"
-    return f"{text}; labels left at most {1e3 * rate.latency_s:.1f} ms after the last shot they needed"
+    return (
+        f"{text}; labels left at most {1e3 * rate.latency_s:.1f} ms after the last shot they needed"
+    )
 
 
 def _as_dict(rate: Rate, line_hz: float | None) -> dict[str, object]:

@@ -12,7 +12,15 @@ import click
 from prc_cli.cli import report
 from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options
 from prc_cli.cli.paths import READ, WRITTEN, ScanPath
-from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, print_notices, results, table_of
+from prc_cli.cli.report import (
+    console,
+    line_progress,
+    print_assumptions,
+    print_line,
+    print_notices,
+    results,
+    table_of,
+)
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
 
@@ -21,15 +29,26 @@ from prc_cli.jobs.thin import thin as thin_file
 @click.argument("source", metavar="IN", type=ScanPath())
 @click.argument("output", metavar="OUT", type=WRITTEN)
 @click.option(
-    "--keep", multiple=True, metavar="CLASS=FRACTION,...", help="Keep a share, by line and column: ground=1/4."
+    "--keep",
+    multiple=True,
+    metavar="CLASS=FRACTION,...",
+    help="Keep a share, by line and column: ground=1/4.",
 )
 @click.option(
-    "--spacing", multiple=True, metavar="CLASS=METRES,...", help="Keep shots so far apart in a line: ground=0.1."
+    "--spacing",
+    multiple=True,
+    metavar="CLASS=METRES,...",
+    help="Keep shots so far apart in a line: ground=0.1.",
 )
 @click.option(
-    "--drop", multiple=True, metavar="CLASS,...", help="Keep nothing of a class (noise: always, unless kept)."
+    "--drop",
+    multiple=True,
+    metavar="CLASS,...",
+    help="Keep nothing of a class (noise: always, unless kept).",
 )
-@click.option("--keep-only", multiple=True, metavar="CLASS,...", help="Keep these classes and nothing else.")
+@click.option(
+    "--keep-only", multiple=True, metavar="CLASS,...", help="Keep these classes and nothing else."
+)
 @click.option(
     "--labels",
     type=READ,
@@ -42,17 +61,30 @@ from prc_cli.jobs.thin import thin as thin_file
     metavar="PERCENT",
     help="Also drop returns whose label has less confidence.",
 )
-@click.option("--keep-empty", is_flag=True, help="In .ply, .pcd, .bin: the whole grid, not the returns alone.")
 @click.option(
-    "--every-frame", is_flag=True, help="Folders: number the frames 000000, 000001, ... instead of keeping their names."
+    "--keep-empty", is_flag=True, help="In .ply, .pcd, .bin: the whole grid, not the returns alone."
+)
+@click.option(
+    "--every-frame",
+    is_flag=True,
+    help="Folders: number the frames 000000, 000001, ... instead of keeping their names.",
 )
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def thin(
-    source: Path, output: Path, labels: Path | None, min_confidence: int | None, keep_empty: bool, every_frame: bool,
-    overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
-) -> None:  # fmt: skip
+    source: Path,
+    output: Path,
+    labels: Path | None,
+    min_confidence: int | None,
+    keep_empty: bool,
+    every_frame: bool,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **options: Any,
+) -> None:
     """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
 
     Classes are those of IN or of --labels. Where IN has none, or with --preset, --method or --config, it is classified
@@ -68,7 +100,9 @@ def thin(
       prc thin drive.csv.gz drive_thin.npz --labels labels.npy --keep building=0.5
       prc thin velodyne/ still/ --keep-only ground,building,pole
     """
-    keep, spacing, drop, keep_only = (options.pop(name) for name in ("keep", "spacing", "drop", "keep_only"))
+    keep, spacing, drop, keep_only = (
+        options.pop(name) for name in ("keep", "spacing", "drop", "keep_only")
+    )
     loaded = config_from(options)
     rules = parse_rules(keep, spacing, drop, loaded.config.classes, keep_only=keep_only)
     classify = any(options[name] is not None for name in ("preset", "method", "config_file"))
@@ -76,10 +110,17 @@ def thin(
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
         summary = thin_file(
-            source, output, rules, loaded,
-            labels=chosen, min_confidence=min_confidence, keep_empty=keep_empty, every_frame=every_frame,
-            overwrite=overwrite, progress=progress,
-        )  # fmt: skip
+            source,
+            output,
+            rules,
+            loaded,
+            labels=chosen,
+            min_confidence=min_confidence,
+            keep_empty=keep_empty,
+            every_frame=every_frame,
+            overwrite=overwrite,
+            progress=progress,
+        )
     if as_json:
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:
@@ -88,7 +129,9 @@ def thin(
         raise SystemExit(code)
 
 
-def _print_summary(summary: ThinningSummary, seconds: float, *, verbose: bool, as_json: bool) -> None:
+def _print_summary(
+    summary: ThinningSummary, seconds: float, *, verbose: bool, as_json: bool
+) -> None:
     headings = ("class", "code", "input", "kept", "dropped", "bytes saved")
     table = table_of(f"{summary.record.input.name}: returns kept", *headings)
     for item in summary.classes:

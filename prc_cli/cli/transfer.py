@@ -19,32 +19,77 @@ from prc_cli.jobs.transfer import transfer as transfer_files
 from prc_cli.jobs.transfer.options import TransferOptions
 
 _OPTIONS = [
-    click.option("--points", type=READ, metavar="RAW",
-                 help="Input that LABELS belong to, record by record, where they have no times of their own."),
-    click.option("--layout", "layout_file", type=READ, metavar="FILE.toml",
-                 help="Record layout of RAW."),
+    click.option(
+        "--points",
+        type=READ,
+        metavar="RAW",
+        help="Input that LABELS belong to, record by record, where they have no times of their own.",
+    ),
+    click.option(
+        "--layout", "layout_file", type=READ, metavar="FILE.toml", help="Record layout of RAW."
+    ),
     *POSES,
-    click.option("--match", default="time", show_default=True, metavar="HOW",
-                 help="How points find their label: time (and return number), order (the same on both sides), "
-                 "record:NAME (a dimension of REGISTERED with the index of the raw record), dimension:NAME (an integer "
-                 "dimension of both), or nearest (in space)."),
-    click.option("--tolerance", "--max-distance", "tolerance_s", type=float, default=0.0, metavar="NUMBER",
-                 help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres "
-                 "from the spacing and the distance of both clouds]"),
-    click.option("--time-offset", "time_offset_s", type=float, default=0.0, metavar="SECONDS",
-                 help="Added to the times of LABELS, e.g. from seconds of week to adjusted standard GPS time."),
-    click.option("--ignore-return", is_flag=True, help="Match by the time alone, not by the return number."),
-    click.option("--same", multiple=True, metavar="NAME",
-                 help="Integer dimension that must be equal too, e.g. scanner_channel."),
-    click.option("--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes."),
-    click.option("--carry", multiple=True, metavar="NAME",
-                 help="Extra dimension of LABELS that goes along: segment_id, surface, ..."),
-    click.option("--min-confidence", type=click.IntRange(0, 100), metavar="PERCENT",
-                 help="Transfer no label with less confidence; such points keep their class."),
-    click.option("--min-matched", type=float, default=0.5, show_default=True, metavar="SHARE",
-                 help="Refuse when a smaller share of the smaller side finds a partner."),
+    click.option(
+        "--match",
+        default="time",
+        show_default=True,
+        metavar="HOW",
+        help="How points find their label: time (and return number), order (the same on both sides), "
+        "record:NAME (a dimension of REGISTERED with the index of the raw record), dimension:NAME (an integer "
+        "dimension of both), or nearest (in space).",
+    ),
+    click.option(
+        "--tolerance",
+        "--max-distance",
+        "tolerance_s",
+        type=float,
+        default=0.0,
+        metavar="NUMBER",
+        help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres "
+        "from the spacing and the distance of both clouds]",
+    ),
+    click.option(
+        "--time-offset",
+        "time_offset_s",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="Added to the times of LABELS, e.g. from seconds of week to adjusted standard GPS time.",
+    ),
+    click.option(
+        "--ignore-return", is_flag=True, help="Match by the time alone, not by the return number."
+    ),
+    click.option(
+        "--same",
+        multiple=True,
+        metavar="NAME",
+        help="Integer dimension that must be equal too, e.g. scanner_channel.",
+    ),
+    click.option(
+        "--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes."
+    ),
+    click.option(
+        "--carry",
+        multiple=True,
+        metavar="NAME",
+        help="Extra dimension of LABELS that goes along: segment_id, surface, ...",
+    ),
+    click.option(
+        "--min-confidence",
+        type=click.IntRange(0, 100),
+        metavar="PERCENT",
+        help="Transfer no label with less confidence; such points keep their class.",
+    ),
+    click.option(
+        "--min-matched",
+        type=float,
+        default=0.5,
+        show_default=True,
+        metavar="SHARE",
+        help="Refuse when a smaller share of the smaller side finds a partner.",
+    ),
     click.option("--overwrite", is_flag=True, help="Replace an existing output."),
-]  # fmt: skip
+]
 
 
 @click.command(cls=Sectioned)
@@ -54,9 +99,17 @@ _OPTIONS = [
 @add_options(*_OPTIONS)
 @output_options
 def transfer(
-    labels: Path, registered: Path, output: Path, points: Path | None, layout_file: Path | None, overwrite: bool,
-    as_json: bool, quiet: bool, verbose: bool, **matching: Any,
-) -> None:  # fmt: skip
+    labels: Path,
+    registered: Path,
+    output: Path,
+    points: Path | None,
+    layout_file: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **matching: Any,
+) -> None:
     """Write REGISTERED again as OUT, with the classes of LABELS.
 
     LABELS is a classified .las or .laz, or labels alone (.npy, .csv, .parquet) with the raw input they belong to
@@ -70,10 +123,19 @@ def transfer(
     """
     options = TransferOptions(**{**matching, "mount": numbers(matching["mount"], "--mount")})
     start = time.perf_counter()
-    layout = None if layout_file is None else load_config(options=layout_in(layout_file)).config.layout
+    layout = (
+        None if layout_file is None else load_config(options=layout_in(layout_file)).config.layout
+    )
     with line_progress(registered.name, quiet=quiet, unit="points") as progress:
         summary = transfer_files(
-            labels, registered, output, options, points=points, layout=layout, overwrite=overwrite, progress=progress
+            labels,
+            registered,
+            output,
+            options,
+            points=points,
+            layout=layout,
+            overwrite=overwrite,
+            progress=progress,
         )
     if as_json:
         click.echo(json.dumps(summary.record.as_dict(), indent=2, sort_keys=True))
@@ -84,9 +146,12 @@ def transfer(
 def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -> None:
     counts, record = summary.counts, summary.record
     rows = [
-        (item.name, str(item.code), f"{item.count:,}", f"{item.count / counts.n_points:.1%}") for item in record.classes
+        (item.name, str(item.code), f"{item.count:,}", f"{item.count / counts.n_points:.1%}")
+        for item in record.classes
     ]
-    console().print(table_of(f"{summary.output.name}: classes", "class", "code", "points", "share", rows=rows))
+    console().print(
+        table_of(f"{summary.output.name}: classes", "class", "code", "points", "share", rows=rows)
+    )
     matched = _share(counts.n_matched, counts.n_points)
     print_line(f"points matched: {matched}, {counts.n_changed:,} changed their class")
     print_line(f"points not matched, class kept: {counts.n_points - counts.n_matched:,}")
@@ -96,7 +161,9 @@ def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -
     for notice in record.notices:
         print_line(f"note: {notice}")
     rate = counts.n_points / seconds / 1e6 if seconds else 0.0
-    print_line(f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million points a second)")
+    print_line(
+        f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million points a second)"
+    )
 
 
 def _share(part: int, whole: int) -> str:

@@ -49,8 +49,12 @@ def regroup(
     for scanner in sorted(buffers):
         buffer = buffers[scanner]
         width = buffer.parts[0].points_per_line
-        n_lines = lines_per_block if lines_per_block is not None else max(1, shots_per_block // width)
-        yield from _rest(buffer, n_lines, look_ahead_lines(width) if look_ahead is None else look_ahead)
+        n_lines = (
+            lines_per_block if lines_per_block is not None else max(1, shots_per_block // width)
+        )
+        yield from _rest(
+            buffer, n_lines, look_ahead_lines(width) if look_ahead is None else look_ahead
+        )
 
 
 def _too_wide(points_per_line: int, lines_per_block: int) -> InputError:
@@ -116,7 +120,9 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
         return parts[0]
     first_lines = np.cumsum([0] + [part.n_lines for part in parts[:-1]])
     extra = ExtraReturns(
-        np.concatenate([part.extra.line + np.int32(n) for part, n in zip(parts, first_lines, strict=True)]),
+        np.concatenate(
+            [part.extra.line + np.int32(n) for part, n in zip(parts, first_lines, strict=True)]
+        ),
         np.concatenate([part.extra.column for part in parts]),
         np.concatenate([part.extra.range_m for part in parts]),
         np.concatenate([part.extra.record for part in parts]),
@@ -129,7 +135,9 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
         parts[0],
         range_m=np.concatenate([part.range_m for part in parts]),
         # None means dense; one part with explicit indices makes all of them explicit
-        record=None if all(part.record is None for part in parts) else np.concatenate([p.records() for p in parts]),
+        record=None
+        if all(part.record is None for part in parts)
+        else np.concatenate([p.records() for p in parts]),
         time_s=_join_field([part.time_s for part in parts]),
         xyz_m=_join_field([part.xyz_m for part in parts]),
         intensity=_join_field([part.intensity for part in parts]),

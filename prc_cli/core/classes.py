@@ -212,13 +212,17 @@ class ClassCodes(Params):
     noise: int = Field(7, ge=0, le=255, description="unsupported shots")
     ground: int = Field(2, ge=0, le=255, description="ground")
     building: int = Field(6, ge=0, le=255, description="other smooth surfaces in towns")
-    vegetation: int = Field(5, ge=0, le=255, description="non-smooth surfaces; other vegetation in forest")
+    vegetation: int = Field(
+        5, ge=0, le=255, description="non-smooth surfaces; other vegetation in forest"
+    )
     stem: int = Field(64, ge=0, le=255, description="smooth surfaces in forest")
     car: int = Field(65, ge=0, le=255, description="cars (sequential-angle, fused)")
     curb: int = Field(66, ge=0, le=255, description="curbs (sequential-angle, fused)")
     vertical: int = Field(67, ge=0, le=255, description="vertical surfaces (sequential-angle)")
     horizontal: int = Field(68, ge=0, le=255, description="horizontal surfaces (sequential-angle)")
-    pole: int = Field(69, ge=0, le=255, description="poles, lamps, signs and other street furniture (fused)")
+    pole: int = Field(
+        69, ge=0, le=255, description="poles, lamps, signs and other street furniture (fused)"
+    )
 
     def code(self, label: Label) -> int:
         """Return the class code of one label.
@@ -253,7 +257,9 @@ class ClassCodes(Params):
         names: dict[int, str] = {}
         for label in Label:
             code = self.code(label)
-            names[code] = f"{names[code]}/{label.name.lower()}" if code in names else label.name.lower()
+            names[code] = (
+                f"{names[code]}/{label.name.lower()}" if code in names else label.name.lower()
+            )
         return names
 
 
@@ -281,4 +287,6 @@ def recode(values: U8, table: U8) -> U8:
     """Look up every value in a table: ``table[values]`` in half the time."""
     if not values.size:
         return np.empty(values.shape, np.uint8)
-    return np.frombuffer(bytearray(values.tobytes()).translate(table.tobytes()), np.uint8).reshape(values.shape)
+    return np.frombuffer(bytearray(values.tobytes()).translate(table.tobytes()), np.uint8).reshape(
+        values.shape
+    )

@@ -23,7 +23,9 @@ from prc_cli.core.files import read_small
 class Params(BaseModel):
     """Base of every parameter table: immutable, unknown keys and values out of bounds are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
+    )
 
     @classmethod
     def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
@@ -32,7 +34,9 @@ class Params(BaseModel):
 
     def __repr__(self) -> str:
         """Return the values that are not the defaults, in a line."""
-        told = ", ".join(f"{key}={value!r}" for key, value in flatten(self.model_dump(exclude_defaults=True)))
+        told = ", ".join(
+            f"{key}={value!r}" for key, value in flatten(self.model_dump(exclude_defaults=True))
+        )
         return f"{type(self).__name__}({told if len(told) <= LONGEST else f'{told[:LONGEST]}...'})"
 
 
@@ -56,7 +60,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raw = read_small(path, MAX_TOML_BYTES)
         text = raw.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")  # any line end
     except OSError as error:
-        raise ConfigError(str(path), f"cannot be read ({error.strerror})", "check the name of the file") from error
+        raise ConfigError(
+            str(path), f"cannot be read ({error.strerror})", "check the name of the file"
+        ) from error
     except UnicodeDecodeError as error:
         problem = f"byte {error.start} is not UTF-8, expected a TOML text file"
         raise ConfigError(str(path), problem) from error
@@ -67,7 +73,9 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Parse TOML from an untrusted source."""
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
-        raise ConfigError(where, f"line {line}: a key of more than {MAX_DEPTH} parts, expected a few")
+        raise ConfigError(
+            where, f"line {line}: a key of more than {MAX_DEPTH} parts, expected a few"
+        )
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -120,16 +128,30 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
     key = ".".join(location)
     if issue["type"] == "extra_forbidden":
         if constants := model.constants(location, issue["input"]):
-            values = ", ".join(f"{name} = {str(value).lower()}" for name, value in constants.items())
-            hint = f"leave it out; it is {values}" if len(constants) == 1 else f"leave them out: {values}"
+            values = ", ".join(
+                f"{name} = {str(value).lower()}" for name, value in constants.items()
+            )
+            hint = (
+                f"leave it out; it is {values}"
+                if len(constants) == 1
+                else f"leave them out: {values}"
+            )
             return ConfigError(where, f"{key} is a constant now, expected no such key", hint)
         known = sorted(_keys_at(model, location[:-1]))
         near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
         return ConfigError(where, f"unknown key {key!r}", hint)
-    expected = _EXPECTED.get(issue["type"], issue["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+    expected = (
+        _EXPECTED.get(issue["type"], issue["msg"])
+        .removeprefix("Value error, ")
+        .removeprefix("Input should be ")
+    )
     # the input of a check over several keys is a whole table: its own message says what was found
-    told = issue["type"] == "missing" or isinstance(issue["input"], Mapping | BaseModel) or "found " in expected
+    told = (
+        issue["type"] == "missing"
+        or isinstance(issue["input"], Mapping | BaseModel)
+        or "found " in expected
+    )
     found = "" if told else f"found {issue['input']!r}, "
     more = f" (and {len(issues) - 1} more)" if len(issues) > 1 else ""
     hint = "see `prc config schema` for every key, its bounds and its unit"

@@ -97,6 +97,8 @@ def printable_lines(text: str) -> str:
 def _shown(character: str) -> str:
     if character.isprintable():
         return character
-    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8, in Python's encoding of file names
+    if (
+        "\udc80" <= character <= "\udcff"
+    ):  # a byte that is not UTF-8, in Python's encoding of file names
         return f"\\x{ord(character) - 0xDC00:02x}"
     return ascii(character)[1:-1]

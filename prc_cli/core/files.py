@@ -30,7 +30,8 @@ from prc_cli.core.paths import is_one_file, refuse_read, run_key
 from prc_cli.core.process import held
 
 _TEMPORARY = re.compile(
-    r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-(?P<run>[0-9a-f]{8})?[0-9a-f]{8}\.part", re.DOTALL
+    r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-(?P<run>[0-9a-f]{8})?[0-9a-f]{8}\.part",
+    re.DOTALL,
 )
 """Names that :func:`temporary_name` gives; ``run`` names the command and its inputs."""
 NAME_BYTES = 255
@@ -41,7 +42,9 @@ CLOCK_S = 300.0
 """The clocks of this machine and of a file server differ by less: Kerberos demands it [s]."""
 _Finished: TypeAlias = tuple[Path, Path, bool]
 """Temporary name, name, and whether a file of this name is replaced."""
-_NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL})
+_NO_LINKS = frozenset(
+    {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
+)
 """What systems answer where a file system has no hard links."""
 
 
@@ -59,7 +62,9 @@ def open_to_read(path: Path) -> Iterator[IO[bytes]]:
 
 def _open_regular(path: Path) -> IO[bytes]:
     """Open a regular file and nothing else: a pipe would stop the run, a device never end."""
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    descriptor = os.open(
+        path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    )
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, "is no regular file", str(path))
@@ -120,7 +125,9 @@ def _who_may_change(status: os.stat_result, *, may_add: bool = False) -> str:
     if status.st_uid not in (os.getuid(), 0):
         return f"it belongs to user {status.st_uid}"
     mode = stat.S_IMODE(status.st_mode)
-    if stat.S_ISLNK(status.st_mode) or (may_add and mode & stat.S_ISVTX):  # the mode of a link means nothing
+    if stat.S_ISLNK(status.st_mode) or (
+        may_add and mode & stat.S_ISVTX
+    ):  # the mode of a link means nothing
         return ""
     is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
     return f"its mode is {mode:o}" if is_open else ""
@@ -160,19 +167,29 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
     n_bytes = len(os.fsencode(path.name))
     if n_bytes > NAME_BYTES:
         problem = f"a name of {n_bytes} bytes, expected at most {NAME_BYTES}"
-        raise OutputError(str(path), problem, "choose a shorter one; its record has .prc.json at the end")
+        raise OutputError(
+            str(path), problem, "choose a shorter one; its record has .prc.json at the end"
+        )
     _refuse_inputs(path, inputs)
     if path.is_dir():
         raise OutputError(str(path), "is a folder, expected a file name", "name the file inside it")
     if path.exists() and not path.is_file():
-        raise OutputError(str(path), "is a pipe or a device, expected the name of a file", "choose another name")
+        raise OutputError(
+            str(path), "is a pipe or a device, expected the name of a file", "choose another name"
+        )
     if path.exists() and not overwrite:
-        raise OutputExistsError(str(path), _exists_words(path), "choose another name or add --overwrite")
+        raise OutputExistsError(
+            str(path), _exists_words(path), "choose another name or add --overwrite"
+        )
     folder = path.parent
     if not folder.is_dir():
-        raise OutputError(str(folder), "output folder does not exist", f"create it: mkdir -p {folder}")
+        raise OutputError(
+            str(folder), "output folder does not exist", f"create it: mkdir -p {folder}"
+        )
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputError(str(folder), "output folder is not writable", "change its permissions or choose another")
+        raise OutputError(
+            str(folder), "output folder is not writable", "change its permissions or choose another"
+        )
 
 
 def _refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
@@ -185,13 +202,20 @@ def _refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
 
 def _exists_words(path: Path) -> str:
     is_left = any(is_same(part, path) for part in _dead_parts(path))
-    return "exists already, left by a killed run of another command or input" if is_left else "exists already"
+    return (
+        "exists already, left by a killed run of another command or input"
+        if is_left
+        else "exists already"
+    )
 
 
 def prepare_outputs(
-    *paths: Path, overwrite: bool, inputs: tuple[Path, ...] = (), folders: tuple[Path, ...] = (),
+    *paths: Path,
+    overwrite: bool,
+    inputs: tuple[Path, ...] = (),
+    folders: tuple[Path, ...] = (),
     beside: tuple[Path, ...] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Refuse the outputs of a run before any work is done, and remove what dead runs left of them.
 
     They get their names in this order: folders, which must not be there, the paths, and files ``beside`` that the run
@@ -208,7 +232,9 @@ def prepare_outputs(
     remove_unfinished(*members, key=key, beside=beside)
     for folder in folders:
         if os.path.lexists(folder):
-            raise OutputExistsError(str(folder), "exists already", "choose another name for the folder")
+            raise OutputExistsError(
+                str(folder), "exists already", "choose another name for the folder"
+            )
     for path in paths:
         check_output(path, overwrite=overwrite, inputs=inputs)
     for path in members:
@@ -227,7 +253,9 @@ _PENDING: ContextVar[list[_Finished] | None] = ContextVar("pending", default=Non
 def check_unchanged(source: Path, before: tuple[int, ...]) -> None:
     """Refuse an input that changed while it was read; ``before`` is its :func:`file_state`."""
     if file_state(source) != before:
-        raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
+        raise InputError(
+            str(source), "changed while it was read", "run again when the copy is complete"
+        )
 
 
 def make_folder(folder: Path) -> None:
@@ -236,7 +264,9 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         problem = f"cannot be made ({error.strerror or error})"
-        raise OutputError(str(folder), problem, "check the output folder and its permissions") from error
+        raise OutputError(
+            str(folder), problem, "check the output folder and its permissions"
+        ) from error
 
 
 def temporary_name(path: Path) -> Path:
@@ -398,7 +428,10 @@ def _is_running(process: int) -> bool:
         return True
     # a dead one is answered for until its parent asks for its end, which first processes of containers never do
     with contextlib.suppress(OSError, IndexError):
-        return Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
+        return Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (
+            b"Z",
+            b"X",
+        )
     return True
 
 
@@ -406,7 +439,9 @@ def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
     """Tell whether a process began some seconds after a file was last written: numbers are given again."""
     try:
         ticks = int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[19])
-        runs_s = float(Path("/proc/uptime").read_text().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
+        runs_s = float(Path("/proc/uptime").read_text().split()[0]) - ticks / os.sysconf(
+            "SC_CLK_TCK"
+        )
         return time.time() - path.lstat().st_mtime > runs_s + by_s
     except (OSError, ValueError, IndexError):
         return False
@@ -600,10 +635,14 @@ def _link(temporary: Path, path: Path) -> None:
         else:
             os.link(temporary, path)
     except FileExistsError as error:
-        if is_same(temporary, path):  # the answer of a file server was lost, and the request repeated
+        if is_same(
+            temporary, path
+        ):  # the answer of a file server was lost, and the request repeated
             return
         problem = "appeared while it was being written, and was not replaced"
-        raise OutputExistsError(str(path), problem, "choose another name or add --overwrite") from error
+        raise OutputExistsError(
+            str(path), problem, "choose another name or add --overwrite"
+        ) from error
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise
@@ -619,7 +658,9 @@ def output_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             free = "free space on the disk or choose another output folder"
-            raise OutputError(str(path), "the disk is full; nothing was written under this name", free) from error
+            raise OutputError(
+                str(path), "the disk is full; nothing was written under this name", free
+            ) from error
         if error.errno == errno.EFBIG:
             problem = "the system's limit for the size of a file is too small; nothing was written under this name"
             raise OutputError(str(path), problem, "raise it: ulimit -f unlimited") from error

@@ -15,14 +15,50 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
-    "thinned", "path", "trajectory",
-    "ranges", "rounding", "missing-code", "shot-order", "few-lines", "line-length", "columns-along", "line-order",
-    "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "unread", "other-readers",
-    "dropouts", "range-noise", "units", "coordinates", "angle-step", "down", "method", "ground-below", "ground-lean",
-    "below-ground", "noise-share", "indoors", "few-rings", "classes-along",
-)  # fmt: skip
+    "thinned",
+    "path",
+    "trajectory",
+    "ranges",
+    "rounding",
+    "missing-code",
+    "shot-order",
+    "few-lines",
+    "line-length",
+    "columns-along",
+    "line-order",
+    "standing",
+    "repeated-lines",
+    "times",
+    "collisions",
+    "unplaced",
+    "left-out",
+    "returns",
+    "unread",
+    "other-readers",
+    "dropouts",
+    "range-noise",
+    "units",
+    "coordinates",
+    "angle-step",
+    "down",
+    "method",
+    "ground-below",
+    "ground-lean",
+    "below-ground",
+    "noise-share",
+    "indoors",
+    "few-rings",
+    "classes-along",
+)
 """Names of all checks, in the order in which they are reported."""
-LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along")
+LABEL_CHECKS = (
+    "ground-below",
+    "ground-lean",
+    "below-ground",
+    "noise-share",
+    "indoors",
+    "classes-along",
+)
 """Checks that need the labels; methods that know no angles answer only some of them."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")
 """Checks that ``--trust-order`` accepts."""
@@ -109,14 +145,17 @@ def doubt_of(notice: str) -> tuple[str, str] | None:
 
 def accepted_doubt_of(notice: str) -> str | None:
     """Return the check of a doubt in a run record that the user accepted; None for any other notice."""
-    return notice.removeprefix(_ACCEPTED).partition(":")[0] if notice.startswith(_ACCEPTED) else None
+    return (
+        notice.removeprefix(_ACCEPTED).partition(":")[0] if notice.startswith(_ACCEPTED) else None
+    )
 
 
 def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:
     """Mark the findings that the user accepts by name; those that are fine are left as they are."""
     known = set(names)
     return tuple(
-        replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one for one in findings
+        replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one
+        for one in findings
     )
 
 

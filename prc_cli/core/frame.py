@@ -14,7 +14,11 @@ from prc_cli.core.types import F32, F64
 class SensorFrame:
     """The frame of a scanner, whose rings are cones around z with their apex at the origin."""
 
-    turn: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    turn: tuple[tuple[float, float, float], ...] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     """Its axes in the frame of the coordinates, one a row."""
     apex_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where the scanner is in the frame of the coordinates [m]."""
@@ -45,7 +49,9 @@ class SensorFrame:
         if any(self.apex_m):
             told.append(f"the scanner is at {', '.join(f'{one:.2f}' for one in self.apex_m)}")
         if self.lean_deg >= 0.05:
-            told.append(f"{'its' if told else 'the scanner' + chr(39) + 's'} axis leans by {self.lean_deg:.1f} deg")
+            told.append(
+                f"{'its' if told else 'the scanner' + chr(39) + 's'} axis leans by {self.lean_deg:.1f} deg"
+            )
         return " and ".join(told)
 
 

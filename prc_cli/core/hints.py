@@ -21,7 +21,9 @@ _OPTIONS = {
     "-M": "points_per_line",
 }
 """Options of the command line, and their keys of ``[input]``."""
-_NAMED = re.compile(r"(?<![\w-])(--range trajectory|--[a-z-]+|-M)(?![\w-])|\binput\.([a-z_]+)|\b(layout)\b")
+_NAMED = re.compile(
+    r"(?<![\w-])(--range trajectory|--[a-z-]+|-M)(?![\w-])|\binput\.([a-z_]+)|\b(layout)\b"
+)
 _PARTS = re.compile(r"(?:; |, or )(?:else )?")
 
 
@@ -31,7 +33,9 @@ def named_keys(text: str) -> frozenset[str]:
     >>> sorted(named_keys("check --lines and -M, or --set input.nadir=DEG"))
     ['lines', 'nadir', 'points_per_line']
     """
-    named = (_OPTIONS.get(option, "") or key or layout for option, key, layout in _NAMED.findall(text))
+    named = (
+        _OPTIONS.get(option, "") or key or layout for option, key, layout in _NAMED.findall(text)
+    )
     return frozenset(key for key in named if key)
 
 

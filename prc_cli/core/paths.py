@@ -73,7 +73,10 @@ def is_one_file(first: Path, second: Path) -> bool:
 
 
 def _is_inside(path: Path, folder: Path) -> bool:
-    return os.path.lexists(path) and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
+    return (
+        os.path.lexists(path)
+        and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
+    )
 
 
 def _compare(output: Path, source: Path, suffixes: Collection[str]) -> None:

@@ -53,7 +53,9 @@ def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
     """Hide modules while a package is loaded; unneeded ones in the command's own process alone."""
     modules: dict[str, Any] = sys.modules
     with _HIDING:
-        hidden = always + tuple(name for name in unneeded if is_own_process() and name not in modules)
+        hidden = always + tuple(
+            name for name in unneeded if is_own_process() and name not in modules
+        )
         before = {name: modules[name] for name in hidden if name in modules}
         modules.update(dict.fromkeys(hidden))
         try:

@@ -75,7 +75,11 @@ class Profile:
                 stack[-1][1] += cpu
             with self._lock:
                 before = self._times.get(name, (0.0, 0.0, 0))
-                self._times[name] = before[0] + wall - within[0], before[1] + cpu - within[1], before[2] + 1
+                self._times[name] = (
+                    before[0] + wall - within[0],
+                    before[1] + cpu - within[1],
+                    before[2] + 1,
+                )
 
     def end(self) -> None:
         """Stop the clock."""

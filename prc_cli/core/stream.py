@@ -71,7 +71,9 @@ class StreamInfo(Brief):
 
     def down(self, scanner: int) -> tuple[float | None, float]:
         """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
-        return self.downs.get(scanner, (None, 1.0)) if self.downs else (self.down_rad, self.cos_tilt)
+        return (
+            self.downs.get(scanner, (None, 1.0)) if self.downs else (self.down_rad, self.cos_tilt)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,11 @@ class ReadTally:
         # most are empty, and tallies are added a dozen times per chunk
         if other == _NO_TALLY:
             return self
-        return other if self == _NO_TALLY else ReadTally(*map(add, _counts_of(self), _counts_of(other)))
+        return (
+            other
+            if self == _NO_TALLY
+            else ReadTally(*map(add, _counts_of(self), _counts_of(other)))
+        )
 
     def counts(self, *, everything: bool = False) -> Iterator[tuple[str, int]]:
         """Yield the counts but that of the records, with descriptions; zero counts only with ``everything``."""
@@ -130,7 +136,12 @@ class ExtraReturns(Brief):
     @classmethod
     def none(cls) -> ExtraReturns:
         """No further returns."""
-        return cls(np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.int64))
+        return cls(
+            np.empty(0, np.int32),
+            np.empty(0, np.int32),
+            np.empty(0, np.float32),
+            np.empty(0, np.int64),
+        )
 
     def __len__(self) -> int:
         return len(self.line)
@@ -187,7 +198,9 @@ class ScanBlock(Brief):
         if self.record is not None:
             return self.record
         first = self.first_line * self.points_per_line
-        return np.arange(first, first + self.range_m.size, dtype=np.int64).reshape(self.range_m.shape)
+        return np.arange(first, first + self.range_m.size, dtype=np.int64).reshape(
+            self.range_m.shape
+        )
 
 
 def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:

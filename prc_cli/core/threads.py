@@ -47,7 +47,9 @@ def _quota(folder: Path) -> float | None:
         share, period = (folder / "cpu.max").read_text(encoding="ascii").split()
     except (OSError, ValueError):
         try:
-            share, period = ((folder / "cpu" / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period"))
+            share, period = (
+                (folder / "cpu" / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period")
+            )
         except OSError:
             return None
     try:
@@ -67,12 +69,16 @@ def ordered(
             for item in source:
                 yield function(item)
         else:
-            yield from _in_threads(function, source, threads, max(1, 2 * threads if ahead is None else ahead))
+            yield from _in_threads(
+                function, source, threads, max(1, 2 * threads if ahead is None else ahead)
+            )
     finally:
         close_items(source)
 
 
-def _in_threads(function: Callable[[_A], _B], items: Iterator[_A], threads: int, ahead: int) -> Iterator[_B]:
+def _in_threads(
+    function: Callable[[_A], _B], items: Iterator[_A], threads: int, ahead: int
+) -> Iterator[_B]:
     pending: deque[Future[_B]] = deque()
     error: Exception | None = None
     more = True
@@ -200,7 +206,9 @@ class _Channel(Generic[_A]):
             raise self._error
 
 
-def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIENCE_S) -> Iterator[_A]:
+def read_ahead(
+    items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIENCE_S
+) -> Iterator[_A]:
     """Run an iterator in its own thread, a few items ahead of the consumer."""
     channel: _Channel[_A] = _Channel(depth)
 
@@ -218,7 +226,9 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
         channel.end(error)
 
     # a daemon: a read from a pipe that never comes back must not keep the program from ending
-    thread = threading.Thread(target=copy_context().run, args=(run,), name="read-ahead", daemon=True)
+    thread = threading.Thread(
+        target=copy_context().run, args=(run,), name="read-ahead", daemon=True
+    )
     thread.start()
     try:
         yield from channel
@@ -273,7 +283,12 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
     def __enter__(self) -> write_behind[_A]:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         if kind is None:
             self.close()
         else:

@@ -48,12 +48,19 @@ class ConfusionMatrix(Brief):
     def n_right(self) -> int:
         """Number of records whose classes have one name on both sides."""
         places = {name: column for column, name in enumerate(self.predicted_names)}
-        right = (self.counts[row, places[name]] for row, name in enumerate(self.reference_names) if name in places)
+        right = (
+            self.counts[row, places[name]]
+            for row, name in enumerate(self.reference_names)
+            if name in places
+        )
         return int(sum(right))
 
     def __add__(self, other: ConfusionMatrix) -> ConfusionMatrix:
         """Add the counts of two matrices of the same classes."""
-        names, others = (self.reference_names, self.predicted_names), (other.reference_names, other.predicted_names)
+        names, others = (
+            (self.reference_names, self.predicted_names),
+            (other.reference_names, other.predicted_names),
+        )
         if names != others:
             problem = f"found the classes {others}, expected {names}"
             where = "confusion matrix"
@@ -73,8 +80,12 @@ class ConfusionMatrix(Brief):
         rows = dict(zip(self.reference_names, self.counts.sum(axis=1), strict=True))
         columns = dict(zip(self.predicted_names, self.counts.sum(axis=0), strict=True))
         # a class used by either side keeps its row and its column: an empty one is informative
-        keep_row = np.array([bool(count) or _used(columns, name) for name, count in rows.items()], dtype=bool)
-        keep_column = np.array([bool(count) or _used(rows, name) for name, count in columns.items()], dtype=bool)
+        keep_row = np.array(
+            [bool(count) or _used(columns, name) for name, count in rows.items()], dtype=bool
+        )
+        keep_column = np.array(
+            [bool(count) or _used(rows, name) for name, count in columns.items()], dtype=bool
+        )
         return ConfusionMatrix(
             tuple(np.array(self.reference_names, dtype=object)[keep_row]),
             tuple(np.array(self.predicted_names, dtype=object)[keep_column]),
@@ -109,11 +120,11 @@ def refuse_poor_match(
 ) -> None:
     """Refuse two inputs that cannot be matched by order."""
     if n_predicted != n_reference:
-        problem = (
-            f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"
-        )
+        problem = f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"
         usual = "give two label files of the same stream (LAS holds no shots without return); labels of a part of it: "
-        usual += "--match time, or label the whole and give --only-lines, --only-time or --first here"
+        usual += (
+            "--match time, or label the whole and give --only-lines, --only-time or --first here"
+        )
         raise InputError(predicted_name, problem, hint or usual)
 
 
@@ -160,13 +171,17 @@ class GroupedCounts:
         n_cells = self._counts.shape[1]
         low, span = int(groups.min()), int(groups.max()) - int(groups.min()) + 1
         if span * n_cells <= 4 * len(groups) + (1 << 16):
-            found = np.bincount((groups - low) * n_cells + cells, minlength=span * n_cells).reshape(span, n_cells)
+            found = np.bincount((groups - low) * n_cells + cells, minlength=span * n_cells).reshape(
+                span, n_cells
+            )
             present = np.flatnonzero(found.any(axis=1))
             self._add(present + low, found[present])
             return
         names, index = np.unique(groups, return_inverse=True)
         self._check(len(names))
-        found = np.bincount(index * n_cells + cells, minlength=len(names) * n_cells).reshape(len(names), n_cells)
+        found = np.bincount(index * n_cells + cells, minlength=len(names) * n_cells).reshape(
+            len(names), n_cells
+        )
         self._add(names, found)
 
     def _add(self, groups: I64, counts: I64) -> None:
@@ -195,14 +210,18 @@ class GroupedCounts:
     def _check(self, n_groups: int) -> None:
         most = MAX_BYTES // (8 * self._counts.shape[1])
         if n_groups > most:
-            raise ConfigError(self._what, f"more than {most} groups of pairs", "make the groups larger")
+            raise ConfigError(
+                self._what, f"more than {most} groups of pairs", "make the groups larger"
+            )
 
     def matrix(self, group: int) -> ConfusionMatrix:
         """Return the matrix of one group, empty if it has no pairs."""
         row = self._row.get(group)
         counts = np.zeros(self._counts.shape[1], np.int64) if row is None else self._counts[row]
         rows, columns = self._names
-        return ConfusionMatrix(rows, columns, counts[:-1].reshape(len(rows), len(columns)).copy(), int(counts[-1]))
+        return ConfusionMatrix(
+            rows, columns, counts[:-1].reshape(len(rows), len(columns)).copy(), int(counts[-1])
+        )
 
     def scored(self) -> I64:
         """Return the counts of all groups with scored pairs, (groups, rows, columns), by ascending group."""
@@ -223,7 +242,9 @@ def check_edges(edges: Sequence[float]) -> F64:
     found = np.asarray(edges, np.float64)
     if not np.isfinite(found).all() or (found < 0).any() or (np.diff(found) <= 0).any():
         shown = ", ".join(f"{edge:g}" for edge in edges)
-        raise ConfigError("split by range", f"found the edges {shown}, expected ascending ranges of 0 m and above")
+        raise ConfigError(
+            "split by range", f"found the edges {shown}, expected ascending ranges of 0 m and above"
+        )
     return found
 
 

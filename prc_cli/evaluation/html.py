@@ -30,9 +30,24 @@ from prc_cli.evaluation.reports import (
     percent,
     split_table,
 )
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Evaluation, GateResult, SplitPart, figure, scores
+from prc_cli.evaluation.scores import (
+    CLASS_SCORES,
+    OVERALL_SCORES,
+    Evaluation,
+    GateResult,
+    SplitPart,
+    figure,
+    scores,
+)
 
-_MORE_COLOURS = ((51, 34, 136), (136, 34, 85), (68, 170, 153), (153, 153, 51), (170, 68, 153), (221, 204, 119))
+_MORE_COLOURS = (
+    (51, 34, 136),
+    (136, 34, 85),
+    (68, 170, 153),
+    (153, 153, 51),
+    (170, 68, 153),
+    (221, 204, 119),
+)
 """Colours of other classes (Paul Tol's muted scheme)."""
 _OTHER_COLOUR = (108, 108, 108)
 
@@ -104,12 +119,16 @@ def line_chart(
         runs = _runs(points, breaks)
         paths = [" ".join(f"{x:.1f},{y:.1f}" for x, y in run) for run in runs if len(run) > 1]
         parts.append(f'<g class="curve" style="--class:{colour}">')
-        parts += [f'<polyline class="rim" points="{path}"/><polyline points="{path}"/>' for path in paths]
+        parts += [
+            f'<polyline class="rim" points="{path}"/><polyline points="{path}"/>' for path in paths
+        ]
         alone = {run[0] for run in runs if len(run) == 1}
         for (x, y), name, value in zip(points, names, curve.values, strict=True):
             if not math.isnan(y) and (n <= _MAX_MARKS or (x, y) in alone):
                 tip = escape(f"{curve.name}, {name}: {value:.3f}")
-                parts.append(f"<g><title>{tip}</title>{mark(curve.place, x, y, 3.6 if n <= 30 else 2.2)}</g>")
+                parts.append(
+                    f"<g><title>{tip}</title>{mark(curve.place, x, y, 3.6 if n <= 30 else 2.2)}</g>"
+                )
         parts.append("</g>")
     parts.append("</svg>")
     return "".join(parts)
@@ -119,8 +138,12 @@ def _grid() -> list[str]:
     lines = []
     for tenths in range(0, 11, 2):
         y = _y(tenths / 10)
-        lines.append(f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        lines.append(f'<text x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{tenths / 10:.1f}</text>')
+        lines.append(
+            f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        )
+        lines.append(
+            f'<text x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{tenths / 10:.1f}</text>'
+        )
     return lines
 
 
@@ -133,7 +156,9 @@ def _bars(names: Sequence[str], counts: Sequence[int]) -> list[str]:
     for i, (name, count) in enumerate(zip(names, counts, strict=True)):
         height = _BAR_HEIGHT * count / most
         shape = f'x="{_x(i, n) - width / 2:.1f}" y="{base - height:.1f}" width="{width:.1f}" height="{height:.1f}"'
-        bars.append(f'<rect class="bar" {shape}><title>{escape(name)}: {count:,} records</title></rect>')
+        bars.append(
+            f'<rect class="bar" {shape}><title>{escape(name)}: {count:,} records</title></rect>'
+        )
     bars.append(f'<line class="axis" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{base}" y2="{base}"/>')
     return bars
 
@@ -144,7 +169,9 @@ def _tick_labels(ticks: Sequence[str], axis: str) -> list[str]:
     widest = max((len(tick) for tick in ticks), default=1) * _LETTER + 8
     every = max(1, math.ceil(widest / step))
     # a round number of parts between labels reads better than 7
-    every = next((number for number in (1, 2, 5, 10, 20, 50, 100, 200, 500) if number >= every), every)
+    every = next(
+        (number for number in (1, 2, 5, 10, 20, 50, 100, 200, 500) if number >= every), every
+    )
     labels = [
         f'<text x="{_x(i, n):.1f}" y="{y}" text-anchor="middle">{escape(tick)}</text>'
         for i, tick in enumerate(ticks)
@@ -160,10 +187,14 @@ def _tick_labels(ticks: Sequence[str], axis: str) -> list[str]:
 def _break_lines(breaks: Collection[int], n: int) -> list[str]:
     bottom = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT
     places = [(_x(i - 1, n) + _x(i, n)) / 2 for i in sorted(breaks)]
-    return [f'<line class="break" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>' for x in places]
+    return [
+        f'<line class="break" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>' for x in places
+    ]
 
 
-def _runs(points: Sequence[tuple[float, float]], breaks: Collection[int]) -> list[list[tuple[float, float]]]:
+def _runs(
+    points: Sequence[tuple[float, float]], breaks: Collection[int]
+) -> list[list[tuple[float, float]]]:
     """Return the points in runs to be joined by lines, split at undefined points and breaks."""
     runs: list[list[tuple[float, float]]] = [[]]
     for i, point in enumerate(points):
@@ -202,7 +233,11 @@ _WORDS = {
 _VIEWS = (
     ("counts", "Counts", "records, coloured by their share of the row"),
     ("rows", "Share of reference", "what became of a reference class; recall where both agree"),
-    ("columns", "Share of predicted", "what a predicted class is made of; precision where both agree"),
+    (
+        "columns",
+        "Share of predicted",
+        "what a predicted class is made of; precision where both agree",
+    ),
 )
 
 
@@ -237,13 +272,19 @@ def as_html(
         "views": [_view(shown, *view) for view in _VIEWS],
         "column_sums": shown.counts.sum(axis=0).tolist(),
         "largest": _largest(shown),
-        "pictures": [(name, base64.b64encode(content).decode("ascii")) for name, content in pictures],
+        "pictures": [
+            (name, base64.b64encode(content).decode("ascii")) for name, content in pictures
+        ],
         "mapping": mapping,
-        "mapped_names": () if mapping is None else tuple(dict.fromkeys((*mapping.reference, *mapping.predicted))),
+        "mapped_names": ()
+        if mapping is None
+        else tuple(dict.fromkeys((*mapping.reference, *mapping.predicted))),
         # "<" is escaped, so that user text cannot end the element
         "data": json.dumps(as_dict(found, gates), allow_nan=False).replace("<", "\\u003c"),
         **(
-            _of_evaluation(evaluation, shown) if evaluation is not None else {"doubts": (), "splits": (), "three": None}
+            _of_evaluation(evaluation, shown)
+            if evaluation is not None
+            else {"doubts": (), "splits": (), "three": None}
         ),
     }
     filters: dict[str, Callable[..., Any]] = {
@@ -268,7 +309,9 @@ def _gates_line(gates: Sequence[GateResult]) -> str:
     n_failed = sum(not gate.passed for gate in gates)
     if len(gates) == 1:
         return "the gate failed" if n_failed else "the gate passed"
-    return f"{n_failed} of {len(gates)} gates failed" if n_failed else f"all {len(gates)} gates passed"
+    return (
+        f"{n_failed} of {len(gates)} gates failed" if n_failed else f"all {len(gates)} gates passed"
+    )
 
 
 def _view(shown: ConfusionMatrix, key: str, name: str, words: str) -> dict[str, Any]:
@@ -276,17 +319,23 @@ def _view(shown: ConfusionMatrix, key: str, name: str, words: str) -> dict[str, 
     shares = (shown.column_shares() if key == "columns" else shown.row_shares()).tolist()
     agreeing = set(shown.scored_names)
     rows = []
-    for row_name, counts, row in zip(shown.reference_names, shown.counts.tolist(), shares, strict=True):
+    for row_name, counts, row in zip(
+        shown.reference_names, shown.counts.tolist(), shares, strict=True
+    ):
         cells = []
         for other, count, share in zip(shown.predicted_names, counts, row, strict=True):
             colour = 0.0 if math.isnan(share) else share
             kind = "agree" if other == row_name and row_name in agreeing else "differ"
             texts = f"{count:,}", percent(share)
             main, small = texts if key == "counts" else texts[::-1]
-            cells.append({
-                "kind": f"{kind} deep" if colour > _DEEP else kind, "share": f"{colour:.4f}", "main": main,
-                "small": small,
-            })  # fmt: skip
+            cells.append(
+                {
+                    "kind": f"{kind} deep" if colour > _DEEP else kind,
+                    "share": f"{colour:.4f}",
+                    "main": main,
+                    "small": small,
+                }
+            )
         rows.append({"name": row_name, "cells": cells, "total": sum(counts)})
     return {"key": key, "name": name, "words": words, "rows": rows}
 
@@ -305,7 +354,9 @@ def _largest(shown: ConfusionMatrix) -> list[tuple[int, str, str]]:
 def _of_evaluation(found: Evaluation, shown: ConfusionMatrix) -> dict[str, Any]:
     """Return the values that only an evaluation has, not a matrix alone."""
     match = found.match
-    n_reference_matched = match.n_matched if match.n_reference_matched is None else match.n_reference_matched
+    n_reference_matched = (
+        match.n_matched if match.n_reference_matched is None else match.n_reference_matched
+    )
     return {
         "doubts": doubts(found),
         "splits": [_split(split, parts, shown) for split, parts in found.splits.items()],
@@ -342,10 +393,13 @@ def _charts(
     found = [{item.name: item for item in scores(part.matrix).classes} for part in parts]
     counts = [part.matrix.n_scored for part in parts]
     # short, since the axis title gives the rest
-    ticks = [f"{part.low:g}" if split == "lines" else part.name.removesuffix(" m") for part in parts]
+    ticks = [
+        f"{part.low:g}" if split == "lines" else part.name.removesuffix(" m") for part in parts
+    ]
     for score in ("recall", "precision"):
         curves = [
-            Curve(name, tuple(getattr(part[name], score) for part in found), place) for name, place in places.items()
+            Curve(name, tuple(getattr(part[name], score) for part in found), place)
+            for name, place in places.items()
         ]
         axis = _AXES.get(split, split)
         names = [part.name for part in parts]

@@ -6,7 +6,15 @@ import math
 from collections.abc import Iterator, Sequence
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.reports import NO_INTERVALS, Found, match_line, matrix_of, overall_line, score_row, split_table
+from prc_cli.evaluation.reports import (
+    NO_INTERVALS,
+    Found,
+    match_line,
+    matrix_of,
+    overall_line,
+    score_row,
+    split_table,
+)
 from prc_cli.evaluation.scores import CLASS_SCORES, Evaluation, scores
 
 _SPECIAL = {
@@ -45,7 +53,9 @@ def as_latex(found: Found) -> str:
 
 def escape(text: str) -> str:
     """Return text of users so that LaTeX prints it as it is, on one line."""
-    return "".join(_SPECIAL.get(character, character if character.isprintable() else " ") for character in text)
+    return "".join(
+        _SPECIAL.get(character, character if character.isprintable() else " ") for character in text
+    )
 
 
 def _counts(shown: ConfusionMatrix, source: str) -> str:
@@ -56,7 +66,13 @@ def _counts(shown: ConfusionMatrix, source: str) -> str:
         for name, counts in zip(shown.reference_names, shown.counts.tolist(), strict=True)
     ]
     sums = shown.counts.sum(axis=0).tolist()
-    return _table(caption, "counts", header, rows, ["Sum", *(_count(value) for value in sums), _count(sum(sums))])
+    return _table(
+        caption,
+        "counts",
+        header,
+        rows,
+        ["Sum", *(_count(value) for value in sums), _count(sum(sums))],
+    )
 
 
 def _row_shares(shown: ConfusionMatrix) -> str:
@@ -91,7 +107,9 @@ def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
         for score in ("recall", "precision"):
             places = [i for i, title in enumerate(header) if title.startswith(f"{score} ")]
             names = [escape(header[i].removeprefix(f"{score} ")) for i in places]
-            lines = [[escape(row[0]), _count(int(row[1])), *(row[i] for i in places)] for row in rows]
+            lines = [
+                [escape(row[0]), _count(int(row[1])), *(row[i] for i in places)] for row in rows
+            ]
             caption = f"{score.capitalize()} by {escape(split)}."
             yield _table(caption, f"{score}-{number}", ["Part", "Records", *names], lines)
 
@@ -108,7 +126,11 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _table(
-    caption: str, label: str, header: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str] = ()
+    caption: str,
+    label: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    last: Sequence[str] = (),
 ) -> str:
     lines = [
         r"\begin{table}",

@@ -47,15 +47,25 @@ class ClassMapping(Params):
     """
 
     unlisted: Literal["error", "other", "ignore"] = Field(
-        "error", description="codes that stand in no list: refuse the file, count them as other, or do not score them"
+        "error",
+        description="codes that stand in no list: refuse the file, count them as other, or do not score them",
     )
-    ignore: Codes = Field((), description="codes of either side that are not scored, for example 0 = missing")
-    ignore_reference: Codes = Field((), description="codes of the reference alone that are not scored")
+    ignore: Codes = Field(
+        (), description="codes of either side that are not scored, for example 0 = missing"
+    )
+    ignore_reference: Codes = Field(
+        (), description="codes of the reference alone that are not scored"
+    )
     coarser: dict[ClassName, ClassName] = Field(
-        {}, description="predicted class = the predicted class it counts as where the reference never has it"
+        {},
+        description="predicted class = the predicted class it counts as where the reference never has it",
     )
-    predicted: dict[ClassName, Codes] = Field(description="class name = list of predicted codes, or ranges 'a-b'")
-    reference: dict[ClassName, Codes] = Field(description="class name = list of reference codes, or ranges 'a-b'")
+    predicted: dict[ClassName, Codes] = Field(
+        description="class name = list of predicted codes, or ranges 'a-b'"
+    )
+    reference: dict[ClassName, Codes] = Field(
+        description="class name = list of reference codes, or ranges 'a-b'"
+    )
 
     @field_validator("ignore", "ignore_reference")
     @classmethod
@@ -137,10 +147,19 @@ class ClassMapping(Params):
             classes = preset._search(known, side)
             names = preset.names(side)
             # user codes are "other" in a list of another kind of data: a mapping that scores nothing does not fit
-            useful = OTHER not in names or 2 * np.count_nonzero(classes == names.index(OTHER)) <= classes.size
-            if useful and (classes != _UNLISTED).all() and (preset._search(kept, other) != _UNLISTED).all():
+            useful = (
+                OTHER not in names
+                or 2 * np.count_nonzero(classes == names.index(OTHER)) <= classes.size
+            )
+            if (
+                useful
+                and (classes != _UNLISTED).all()
+                and (preset._search(kept, other) != _UNLISTED).all()
+            ):
                 apart = len({*preset.names(side)} ^ {*self.names(side)})
-                width = sum(high - low for low, high, _ in (*preset._spans(side), *preset._spans(other)))
+                width = sum(
+                    high - low for low, high, _ in (*preset._spans(side), *preset._spans(other))
+                )
                 found.append((apart, width, name))
         return [name for *_, name in sorted(found)]
 
@@ -148,7 +167,10 @@ class ClassMapping(Params):
     def _tables(self) -> dict[Side, I64]:
         """Class index of every code below 65536, by side, for fast lookup."""
         every = np.arange(_TABLE_SIZE, dtype=np.int64)
-        return {"predicted": self._search(every, "predicted"), "reference": self._search(every, "reference")}
+        return {
+            "predicted": self._search(every, "predicted"),
+            "reference": self._search(every, "reference"),
+        }
 
     def _search(self, codes: I64, side: Side) -> I64:
         names = self.names(side)
@@ -156,8 +178,15 @@ class ClassMapping(Params):
         low = np.array([span[0] for span in spans], dtype=np.int64)
         high = np.array([span[1] for span in spans], dtype=np.int64)
         ignored = {"ignore", "ignore_reference"}
-        index = np.array([IGNORED if name in ignored else names.index(name) for *_, name in spans], dtype=np.int64)
-        rest = {"error": _UNLISTED, "ignore": IGNORED, "other": names.index(OTHER) if OTHER in names else _UNLISTED}
+        index = np.array(
+            [IGNORED if name in ignored else names.index(name) for *_, name in spans],
+            dtype=np.int64,
+        )
+        rest = {
+            "error": _UNLISTED,
+            "ignore": IGNORED,
+            "other": names.index(OTHER) if OTHER in names else _UNLISTED,
+        }
         place = np.searchsorted(low, codes, side="right") - 1
         listed = (place >= 0) & (codes <= high[place])
         found = np.where(listed, index[place], rest[self.unlisted])
@@ -185,7 +214,9 @@ class UnlistedError(InputError):
     side: Side
 
     @classmethod
-    def of(cls, mapping: ClassMapping, side: Side, chunks: Iterable[NDArray[np.integer]]) -> UnlistedError:
+    def of(
+        cls, mapping: ClassMapping, side: Side, chunks: Iterable[NDArray[np.integer]]
+    ) -> UnlistedError:
         """Name the codes that are not listed and how often they are found."""
         every: Counter[int] = Counter()
         for codes in chunks:
@@ -201,7 +232,11 @@ class UnlistedError(InputError):
         fitting = mapping.fitting(found, side)
         if fitting:
             hint = f"a mapping that lists them: {' or '.join(fitting)} (--mapping NAME); or {hint}"
-        if side == "reference" and found.max(initial=0) <= LAST_TRAINING_ID and len(found) >= LEAST_TRAINING_IDS:
+        if (
+            side == "reference"
+            and found.max(initial=0) <= LAST_TRAINING_ID
+            and len(found) >= LEAST_TRAINING_IDS
+        ):
             hint = f"if they are the training ids of SemanticKITTI: --mapping {TRAINING}; or {hint}"
         error = cls(f"{side} codes", problem, hint)
         error.mapping, error.side = mapping, side
@@ -227,7 +262,11 @@ def load_mapping(source: str | Path) -> ClassMapping:
     name = str(source)
     known = preset_names()
     if name in known:
-        return build(ClassMapping, read_toml(samples_folder() / "classes" / f"{name}.toml"), f"class mapping {name}")
+        return build(
+            ClassMapping,
+            read_toml(samples_folder() / "classes" / f"{name}.toml"),
+            f"class mapping {name}",
+        )
     if Path(name).suffix != ".toml":
         problem = f"found {name!r}, expected a .toml file or one of: {', '.join(known)}"
         where = "class mapping"

@@ -53,7 +53,8 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
             "mapping": found.mapping,
             "match": asdict(found.match) | {"notes": list(found.match.notes)},
             "intervals": {
-                name: {"low": _defined(item.low), "high": _defined(item.high)} for name, item in found.intervals.items()
+                name: {"low": _defined(item.low), "high": _defined(item.high)}
+                for name, item in found.intervals.items()
             },
             "interval_method": found.interval_method,
             "doubts": list(doubts(found)),
@@ -85,7 +86,9 @@ def as_csv(found: Found) -> str:
     follow as the same rows again; then the first two columns are ``split`` and ``part``, empty for the whole.
     """
     matrix = matrix_of(found)
-    intervals, splits = (found.intervals, found.splits) if isinstance(found, Evaluation) else (NO_INTERVALS, {})
+    intervals, splits = (
+        (found.intervals, found.splits) if isinstance(found, Evaluation) else (NO_INTERVALS, {})
+    )
     bounds = [*CLASS_SCORES, *OVERALL_SCORES[1:]] if intervals else []
     columns = [f"predicted {name}" for name in matrix.predicted_names]
     limits = [f"{name}_{end}" for name in bounds for end in ("low", "high")]
@@ -100,7 +103,9 @@ def as_csv(found: Found) -> str:
     writer.writerows(["", "", *row] for row in _csv_rows(matrix, intervals, bounds))
     for split, parts in splits.items():
         for part in parts:
-            writer.writerows([split, part.name, *row] for row in _csv_rows(part.matrix, NO_INTERVALS, bounds))
+            writer.writerows(
+                [split, part.name, *row] for row in _csv_rows(part.matrix, NO_INTERVALS, bounds)
+            )
     return text.getvalue()
 
 
@@ -110,7 +115,11 @@ def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
     intervals = found.intervals if isinstance(found, Evaluation) else NO_INTERVALS
     result = scores(shown)
     matrix_rows = [
-        [name, *(f"{count} ({percent(share)})" for count, share in zip(counts, shares, strict=True)), str(sum(counts))]
+        [
+            name,
+            *(f"{count} ({percent(share)})" for count, share in zip(counts, shares, strict=True)),
+            str(sum(counts)),
+        ]
         for name, counts, shares in zip(
             shown.reference_names, shown.counts.tolist(), shown.row_shares().tolist(), strict=True
         )
@@ -134,7 +143,9 @@ def matrix_of(found: Found) -> ConfusionMatrix:
     return found.matrix if isinstance(found, Evaluation) else found
 
 
-def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS, dash: str = "-") -> str:
+def overall_line(
+    found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS, dash: str = "-"
+) -> str:
     """Return the overall scores as part of a sentence.
 
     >>> import numpy as np
@@ -157,7 +168,9 @@ def match_line(match: MatchReport) -> str:
     within = "" if match.tolerance is None else f" within {match.tolerance:g}{unit}"
     counts = f"{match.n_predicted:,} predicted and {match.n_reference:,} reference records"
     again = match.n_reference_matched
-    several = "" if again in (None, match.n_matched) else f"; {again:,} reference records are in pairs"
+    several = (
+        "" if again in (None, match.n_matched) else f"; {again:,} reference records are in pairs"
+    )
     return f"Matched by {match.method}{within}: {match.n_matched:,} pairs of {counts}{several}."
 
 
@@ -176,7 +189,9 @@ def doubts(found: Evaluation) -> tuple[str, ...]:
     return (f"{told}: check that both sides are in the same order, and the class mapping.",)
 
 
-def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[list[str], list[list[str]]]:
+def split_table(
+    parts: Sequence[SplitPart], shown: ConfusionMatrix
+) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of a split: part, scored records, accuracy, recall and precision of every class."""
     names = shown.scored_names
     header = [
@@ -189,7 +204,11 @@ def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[lis
     for part in parts:
         found = scores(part.matrix)
         by_name = {item.name: item for item in found.classes}
-        cells = [figure(value) for name in names for value in (by_name[name].recall, by_name[name].precision)]
+        cells = [
+            figure(value)
+            for name in names
+            for value in (by_name[name].recall, by_name[name].precision)
+        ]
         rows.append([part.name, str(found.n_scored), figure(found.accuracy), *cells])
     return header, rows
 
@@ -197,7 +216,13 @@ def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[lis
 def gate_dicts(gates: Iterable[GateResult]) -> list[dict[str, Any]]:
     """Return gates as plain values; an undefined score is None."""
     return [
-        {"name": gate.name, "limit": gate.limit, "value": _defined(gate.value), "passed": gate.passed} for gate in gates
+        {
+            "name": gate.name,
+            "limit": gate.limit,
+            "value": _defined(gate.value),
+            "passed": gate.passed,
+        }
+        for gate in gates
     ]
 
 
@@ -245,12 +270,17 @@ def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
 
 
 def _three_dict(found: ThreeWay) -> dict[str, Any]:
-    matrices = {"predicted": found.predicted, "third": found.other, "predicted_against_third": found.between}
+    matrices = {
+        "predicted": found.predicted,
+        "third": found.other,
+        "predicted_against_third": found.between,
+    }
     return {
         "file": found.third,
         "states": found.states(),
         "both_wrong_alike": [
-            {"records": n, "reference": name, "both": other} for n, name, other in found.largest_errors(most=100)
+            {"records": n, "reference": name, "both": other}
+            for n, name, other in found.largest_errors(most=100)
         ],
         **{name: _matrix_dict(matrix) for name, matrix in matrices.items()},
     }
@@ -271,13 +301,26 @@ def _csv_rows(
     overall = [_cell(getattr(found, name)) for name in OVERALL_SCORES]
     sums = matrix.counts.sum(axis=0).tolist()
     totals = (found.n_scored, found.n_scored, agreed)
-    yield ["(overall)", *totals, *[""] * 4, *overall, found.n_ignored, *_limits(intervals, bounds), *sums]
+    yield [
+        "(overall)",
+        *totals,
+        *[""] * 4,
+        *overall,
+        found.n_ignored,
+        *_limits(intervals, bounds),
+        *sums,
+    ]
 
 
 def _limits(intervals: Mapping[str, Interval], names: Iterable[str]) -> list[str]:
     """Return low and high of every name; empty where there is no interval."""
     undefined = Interval(math.nan, math.nan)
-    return [_cell(end) for name in names for item in (intervals.get(name, undefined),) for end in (item.low, item.high)]
+    return [
+        _cell(end)
+        for name in names
+        for item in (intervals.get(name, undefined),)
+        for end in (item.low, item.high)
+    ]
 
 
 def _evaluation_blocks(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
@@ -309,12 +352,22 @@ def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a Markdown table, first column left-aligned, numbers right-aligned, padded for reading as plain text."""
-    header, rows = [_plain(cell) for cell in header], [[_plain(cell) for cell in row] for row in rows]
+    header, rows = (
+        [_plain(cell) for cell in header],
+        [[_plain(cell) for cell in row] for row in rows],
+    )
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]
     pad = [(cell_width, "<" if i == 0 else ">") for i, cell_width in enumerate(widths)]
-    lines = [" | ".join(f"{cell:{side}{width}}" for cell, (width, side) in zip(r, pad, strict=True)) for r in rows]
-    head = " | ".join(f"{cell:{side}{width}}" for cell, (width, side) in zip(header, pad, strict=True))
-    rule = " | ".join("-" * width if side == "<" else "-" * (width - 1) + ":" for width, side in pad)
+    lines = [
+        " | ".join(f"{cell:{side}{width}}" for cell, (width, side) in zip(r, pad, strict=True))
+        for r in rows
+    ]
+    head = " | ".join(
+        f"{cell:{side}{width}}" for cell, (width, side) in zip(header, pad, strict=True)
+    )
+    rule = " | ".join(
+        "-" * width if side == "<" else "-" * (width - 1) + ":" for width, side in pad
+    )
     return "\n".join(f"| {line} |" for line in (head, rule, *lines))
 
 
@@ -324,7 +377,9 @@ def _plain(text: str) -> str:
     >>> _plain("a_b|c\n.npy")
     'a\\_b\\|c .npy'
     """
-    return _SPECIAL.sub(r"\\\1", "".join(character if character.isprintable() else " " for character in text))
+    return _SPECIAL.sub(
+        r"\\\1", "".join(character if character.isprintable() else " " for character in text)
+    )
 
 
 def _defined(value: float) -> float | None:

@@ -77,7 +77,9 @@ def scores(matrix: ConfusionMatrix) -> Scores:
     classes = tuple(
         _class_scores(name, rows.get(name, 0), columns.get(name, 0), _agreed(matrix, name), total)
         if name in shared
-        else ClassScores(name, rows.get(name, 0), columns.get(name, 0), 0, *[math.nan] * len(CLASS_SCORES))
+        else ClassScores(
+            name, rows.get(name, 0), columns.get(name, 0), 0, *[math.nan] * len(CLASS_SCORES)
+        )
         for name in names
     )
     recalls = [item.recall for item in classes if not math.isnan(item.recall)]
@@ -114,7 +116,9 @@ def gate_value(found: Scores, name: str) -> float:
     raise ConfigError(where, problem)
 
 
-def _class_scores(name: str, n_reference: int, n_predicted: int, n_agreed: int, total: int) -> ClassScores:
+def _class_scores(
+    name: str, n_reference: int, n_predicted: int, n_agreed: int, total: int
+) -> ClassScores:
     either = n_reference + n_predicted - n_agreed
     return ClassScores(
         name,
@@ -130,7 +134,9 @@ def _class_scores(name: str, n_reference: int, n_predicted: int, n_agreed: int, 
 
 
 def _agreed(matrix: ConfusionMatrix, name: str) -> int:
-    return int(matrix.counts[matrix.reference_names.index(name), matrix.predicted_names.index(name)])
+    return int(
+        matrix.counts[matrix.reference_names.index(name), matrix.predicted_names.index(name)]
+    )
 
 
 def _ratio(part: float, whole: float) -> float:
@@ -144,11 +150,15 @@ FEW_BLOCKS = 20
 _AT_ONCE = 1 << 22
 
 
-def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]) -> dict[str, Interval]:
+def block_intervals(
+    blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]
+) -> dict[str, Interval]:
     """Compute intervals of all scores by block jackknife (Kuensch 1989): shots beside each other err together."""
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
-        raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")
+        raise InputError(
+            "intervals", problem, "make the blocks shorter with --interval-lines, or give -M"
+        )
     total = blocks.sum(axis=0)
     centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
     found = _jackknife(blocks, total, names, centre)
@@ -160,7 +170,10 @@ def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]])
 
 
 def _jackknife(
-    blocks: I64, total: I64, names: tuple[tuple[str, ...], tuple[str, ...]], centre: dict[str, float]
+    blocks: I64,
+    total: I64,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    centre: dict[str, float],
 ) -> dict[str, tuple[float, float]]:
     from scipy.special import stdtrit
 
@@ -261,8 +274,12 @@ def refuse_failed(results: Iterable[GateResult]) -> None:
     """Raise if any gate failed, naming all failed ones."""
     failed = [item for item in results if not item.passed]
     if failed:
-        told = [f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed]
-        more = "; ".join(f"{item.name}: {text}" for item, text in zip(failed[1:], told[1:], strict=True))
+        told = [
+            f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed
+        ]
+        more = "; ".join(
+            f"{item.name}: {text}" for item, text in zip(failed[1:], told[1:], strict=True)
+        )
         raise GateError(failed[0].name, told[0], more)
 
 
@@ -340,7 +357,13 @@ class Evaluation(Brief):
     """PNG picture from above of where predicted and third are right and wrong."""
 
 
-STATES = ("both right", "only predicted right", "only third right", "both wrong, alike", "both wrong, differently")
+STATES = (
+    "both right",
+    "only predicted right",
+    "only third right",
+    "both wrong, alike",
+    "both wrong, differently",
+)
 """What two labellings of a shot can be beside the reference."""
 NO_STATE = len(STATES)
 NOISE, LOST = "noise", -2
@@ -385,9 +408,14 @@ class ThreeWay(Brief):
         """Return how often either is right, and where both agree and are wrong."""
         n, states = max(int(self.counts.sum()), 1), self.states()
         shares = ", ".join(f"{name} {count:,} ({count / n:.1%})" for name, count in states.items())
-        errors = [f"{count:,} of {name} called {other}" for count, name, other in self.largest_errors()]
+        errors = [
+            f"{count:,} of {name} called {other}" for count, name, other in self.largest_errors()
+        ]
         more = (f"Where both agree and are wrong: {'; '.join(errors)}.",) if errors else ()
-        return (f"Third labelling {self.third}, {n:,} shots that all three classify: {shares}.", *more)
+        return (
+            f"Third labelling {self.third}, {n:,} shots that all three classify: {shares}.",
+            *more,
+        )
 
     def largest_errors(self, most: int = 6) -> list[tuple[int, str, str]]:
         """Return where both agree and are wrong: shots, reference class, the class that both give."""
@@ -402,11 +430,20 @@ class ThreeWay(Brief):
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return header and a row a class: scores of predicted and of third against the reference, and of both."""
         matrices = {"predicted": self.predicted, "third": self.other}
-        by_name = {title: {item.name: item for item in scores(matrix).classes} for title, matrix in matrices.items()}
+        by_name = {
+            title: {item.name: item for item in scores(matrix).classes}
+            for title, matrix in matrices.items()
+        }
         agreement = {item.name: item.f1 for item in scores(self.between).classes}
-        header = ["class", "shots", *(f"{title} {name}" for title in matrices for name in TABLE_SCORES)]
+        header = [
+            "class",
+            "shots",
+            *(f"{title} {name}" for title in matrices for name in TABLE_SCORES),
+        ]
         rows: list[list[str]] = []
-        for name, n in zip(self.reference_names, self.counts.sum(axis=(1, 2)).tolist(), strict=True):
+        for name, n in zip(
+            self.reference_names, self.counts.sum(axis=(1, 2)).tolist(), strict=True
+        ):
             items = [found[name] for found in by_name.values()]
             values = [getattr(item, score) for item in items for score in TABLE_SCORES]
             if n or any(item.n_predicted for item in items):
@@ -414,7 +451,9 @@ class ThreeWay(Brief):
         return [*header, "predicted and third f1"], rows
 
 
-def state_table(reference: tuple[str, ...], predicted: tuple[str, ...], third: tuple[str, ...]) -> U8:
+def state_table(
+    reference: tuple[str, ...], predicted: tuple[str, ...], third: tuple[str, ...]
+) -> U8:
     """Return the index in :data:`STATES` of every triple of classes, (reference, predicted, third)."""
     p = np.array([[name == other for other in predicted] for name in reference])[:, :, None]
     t = np.array([[name == other for other in third] for name in reference])[:, None, :]
@@ -427,7 +466,11 @@ class ThreeCounts:
 
     def __init__(self, mapping: ClassMapping, third: ClassMapping) -> None:
         self._mapping, self._third = mapping, third
-        self._names = mapping.names("reference"), mapping.names("predicted"), third.names("reference")
+        self._names = (
+            mapping.names("reference"),
+            mapping.names("predicted"),
+            third.names("reference"),
+        )
         self._counts = np.zeros([len(names) for names in self._names], np.int64)
         self._states = state_table(*self._names)
 

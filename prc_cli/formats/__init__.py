@@ -48,19 +48,27 @@ def check_input(path: Path) -> str:
         raise InputError(str(path), problem, "write the stream to a file first")
     if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
-        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", _not_a_scan(path))
+        raise InputError(
+            str(path), f"{found}, expected one of: {' '.join(known)}", _not_a_scan(path)
+        )
     if not path.exists():
         raise InputError(str(path), "no such file", "check the name and that the disk is mounted")
     try:
         with path.open("rb") as handle:
             empty = not handle.read(1)
     except OSError as error:
-        raise InputError(str(path), f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise InputError(
+            str(path), f"cannot be read ({error.strerror})", "check its permissions"
+        ) from error
     if _is_hollow(path):
         problem = f"has {path.stat().st_size:,} bytes, of which nearly none are on the disk"
         raise InputError(str(path), problem, "its copy never ended: copy it from the archive again")
     if empty:
-        raise InputError(str(path), "the file is empty (0 bytes), expected scan data", "copy it from the archive again")
+        raise InputError(
+            str(path),
+            "the file is empty (0 bytes), expected scan data",
+            "copy it from the archive again",
+        )
     return suffix
 
 
@@ -84,13 +92,21 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
         more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
         return f"name the file in this bag: {bags[0]}{more}"
     scans = _files_with(path, known)
-    return f"name a file in it, for example {scans[0]}" if scans else "name a file; this folder itself has no scan"
+    return (
+        f"name a file in it, for example {scans[0]}"
+        if scans
+        else "name a file; this folder itself has no scan"
+    )
 
 
 def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Return the files of a folder with such suffixes, by name; none where it cannot be read."""
     try:
-        return [each for each in sorted(folder.iterdir()) if suffix_of(each) in suffixes and each.is_file()]
+        return [
+            each
+            for each in sorted(folder.iterdir())
+            if suffix_of(each) in suffixes and each.is_file()
+        ]
     except OSError:
         return []
 
@@ -102,7 +118,11 @@ def _not_a_scan(path: Path) -> str:
         if bags:
             return f"this describes a bag: name the file beside it, {bags[0]}"
     if path.suffix.lower() == ".json":
-        captures = [path.with_suffix(suffix) for suffix in (".pcap", ".pcapng") if path.with_suffix(suffix).is_file()]
+        captures = [
+            path.with_suffix(suffix)
+            for suffix in (".pcap", ".pcapng")
+            if path.with_suffix(suffix).is_file()
+        ]
         if captures:
             return f"this describes a scanner: name the capture beside it, {captures[0]}"
     return hint_of(path) or "rename the file or convert it"

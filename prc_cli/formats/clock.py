@@ -149,7 +149,11 @@ class ClockSource(DerivedSource):
         for chunk in self.source.chunks(names):
             time_s = np.asarray(chunk.values["time"], np.float64)
             counted = unwrapped.put(time_s * factor if factor != 1.0 else time_s)
-            yield chunk if counted is time_s else replace(chunk, values={**chunk.values, "time": counted})
+            yield (
+                chunk
+                if counted is time_s
+                else replace(chunk, values={**chunk.values, "time": counted})
+            )
 
 
 def with_clock(source: RecordSource, time_unit: str = "auto") -> RecordSource:

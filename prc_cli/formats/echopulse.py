@@ -31,8 +31,12 @@ CHUNK_PULSES = 1 << 17
 """Shots decoded at a time."""
 MAX_ECHOES = 255
 """Most returns of a shot: chunks are bounded by it."""
-_NAME = re.compile(r"(?P<part>pulse|echo)-(?P<type>(?:u?int|float)(?:8|16|32|64))-(?P<name>[A-Za-z0-9_]+)\.bin")
-_TIME = re.compile(r"\s*(?P<n>\d{1,16}) entries (?P<start>\S{1,40}) \+ (?P<step>\S{1,40}) pulse_index\s*")
+_NAME = re.compile(
+    r"(?P<part>pulse|echo)-(?P<type>(?:u?int|float)(?:8|16|32|64))-(?P<name>[A-Za-z0-9_]+)\.bin"
+)
+_TIME = re.compile(
+    r"\s*(?P<n>\d{1,16}) entries (?P<start>\S{1,40}) \+ (?P<step>\S{1,40}) pulse_index\s*"
+)
 _MAX_TIME_BYTES = 4096
 _STANDARD = {"theta": "angle", "amplitude": "intensity"}
 _MADE = ("return_number", "number_of_returns", "pulse")
@@ -75,7 +79,11 @@ class _Array:
         found = read_numbers(self.path, handle, self.dtype, n, 0)
         if len(found) < n:
             problem = f"the file ends {n - len(found)} values too early"
-            raise InputError(str(self.path), problem, "it was cut while being read; wait until its writer is done")
+            raise InputError(
+                str(self.path),
+                problem,
+                "it was cut while being read; wait until its writer is done",
+            )
         return found
 
 
@@ -88,7 +96,9 @@ def count_file(path: Path) -> Path | None:
 def is_count_file(path: Path) -> bool:
     """Tell whether a file counts the returns of such a folder."""
     array = _Array.of(path)
-    return array is not None and not array.is_echo and array.name == COUNT and array.dtype.kind in "iu"
+    return (
+        array is not None and not array.is_echo and array.name == COUNT and array.dtype.kind in "iu"
+    )
 
 
 class EchoPulseSource(FieldSource):
@@ -97,9 +107,15 @@ class EchoPulseSource(FieldSource):
     def __init__(self, path: Path) -> None:
         count = _Array.of(path)
         if count is None:
-            raise InputError(str(path), f"expected a name such as pulse-uint8-{COUNT}.bin", "name the file that counts")
+            raise InputError(
+                str(path),
+                f"expected a name such as pulse-uint8-{COUNT}.bin",
+                "name the file that counts",
+            )
         self._count, folder = count, path.parent
-        self._arrays = {each.name: each for each in map(_Array.of, sorted(folder.iterdir())) if each is not None}
+        self._arrays = {
+            each.name: each for each in map(_Array.of, sorted(folder.iterdir())) if each is not None
+        }
         self._n_pulses = count.n
         self._time = _read_time(folder / "time.txt", self._n_pulses)
         n_echoes = n_empty = 0
@@ -115,7 +131,9 @@ class EchoPulseSource(FieldSource):
             raise InputError(str(folder), "no file echo-TYPE-range.bin", "copy the folder again")
         self.n_records = n_echoes + n_empty
         names = (*self._arrays, *(["time"] if self._time is not None else []), *_MADE)
-        items = {name: LayoutField(name=name, unit="rad" if name == "angle" else "") for name in names}
+        items = {
+            name: LayoutField(name=name, unit="rad" if name == "angle" else "") for name in names
+        }
         columns = {name: Column(name, name, item) for name, item in items.items()}
         super().__init__(path, "pulses and echoes", columns, self)
         empty = f"{n_empty} shots have none and are records without range"
@@ -132,13 +150,18 @@ class EchoPulseSource(FieldSource):
 
     def describe(self) -> dict[str, Any]:
         """Return the arrays as plain values for JSON, for ``prc info``."""
-        return {"shots": self._n_pulses, "arrays": sorted(array.path.name for array in self._arrays.values())}
+        return {
+            "shots": self._n_pulses,
+            "arrays": sorted(array.path.name for array in self._arrays.values()),
+        }
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, dict[str, NDArray[Any]], int]]:
         """Yield index of the first record, values by dimension, and number of records."""
         arrays = {key: self._arrays[key] for key in keys if key in self._arrays}
         with ExitStack() as stack:
-            handles = {key: stack.enter_context(open_to_read(array.path)) for key, array in arrays.items()}
+            handles = {
+                key: stack.enter_context(open_to_read(array.path)) for key, array in arrays.items()
+            }
             first_record = first = 0
             for count in self._counts():
                 n_echoes, n_rows = int(count.sum()), np.maximum(count, 1)
@@ -149,7 +172,9 @@ class EchoPulseSource(FieldSource):
                     "number_of_returns": n_rows[shot],
                 }
                 if self._time is not None:
-                    values["time"] = (self._time[0] + self._time[1] * (first + np.arange(len(count))))[shot]
+                    values["time"] = (
+                        self._time[0] + self._time[1] * (first + np.arange(len(count)))
+                    )[shot]
                 for key, array in arrays.items():
                     found = array.read(handles[key], n_echoes if array.is_echo else len(count))
                     values[key] = _spread(found, count[shot] > 0) if array.is_echo else found[shot]
@@ -175,8 +200,16 @@ def _read_time(path: Path, n_pulses: int) -> tuple[float, float] | None:
     with open_to_read(path) as handle:
         text = handle.read(_MAX_TIME_BYTES).decode("utf-8", errors="replace")
     match = _TIME.fullmatch(text)
-    start, step = (None, None) if match is None else (to_number(match["start"]), to_number(match["step"]))
-    if match is None or start is None or step is None or not np.isfinite([start, step]).all() or step <= 0:
+    start, step = (
+        (None, None) if match is None else (to_number(match["start"]), to_number(match["step"]))
+    )
+    if (
+        match is None
+        or start is None
+        or step is None
+        or not np.isfinite([start, step]).all()
+        or step <= 0
+    ):
         problem = f"found {shorten(text.strip())!r}, expected N entries START + STEP pulse_index"
         raise InputError(str(path), problem, "correct it, or take it away: then there are no times")
     if int(match["n"]) != n_pulses:

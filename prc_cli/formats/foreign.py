@@ -8,16 +8,34 @@ from pathlib import Path
 from prc_cli.core.files import suffix_of
 
 _SCANNERS = {
-    (".rxp", ".rdbx", ".rdb", ".3dd"): ("RIEGL", "RiSCAN PRO or RiPROCESS", "LAS or LAZ with times, or PTX"),
-    (".zfs", ".zfc", ".zfprj"): ("Zoller+Fröhlich", "Z+F LaserControl", "a structured E57, PTX, or ASCII"),
+    (".rxp", ".rdbx", ".rdb", ".3dd"): (
+        "RIEGL",
+        "RiSCAN PRO or RiPROCESS",
+        "LAS or LAZ with times, or PTX",
+    ),
+    (".zfs", ".zfc", ".zfprj"): (
+        "Zoller+Fröhlich",
+        "Z+F LaserControl",
+        "a structured E57, PTX, or ASCII",
+    ),
     (".fls", ".lsproj", ".fws", ".afr"): ("FARO", "FARO SCENE", "a structured E57 or PTX"),
     (".lgs", ".lgsx", ".imp"): ("Leica", "Cyclone or REGISTER 360", "a structured E57 or PTX"),
     (".tzf", ".tdx", ".rwp"): ("Trimble", "RealWorks", "a structured E57 or PTX"),
     (".cl3", ".clr"): ("Topcon", "ScanMaster", "a structured E57 or PTX"),
-    (".rcp", ".rcs", ".rcc"): ("Autodesk ReCap", "the scanner's own program", "a structured E57 or PTX"),
+    (".rcp", ".rcs", ".rcc"): (
+        "Autodesk ReCap",
+        "the scanner's own program",
+        "a structured E57 or PTX",
+    ),
     (".pod",): ("Bentley Pointools", "the scanner's own program", "a structured E57 or PTX"),
 }
-_ARCHIVES = {".zip": "unzip {}", ".7z": "7z x {}", ".rar": "unrar x {}", ".tar": "tar xf {}", ".tgz": "tar xzf {}"}
+_ARCHIVES = {
+    ".zip": "unzip {}",
+    ".7z": "7z x {}",
+    ".rar": "unrar x {}",
+    ".tar": "tar xf {}",
+    ".tgz": "tar xzf {}",
+}
 _SHEETS = (".xlsx", ".xls", ".ods", ".numbers")
 _LIVOX = (".lvx", ".lvx2", ".lvx3")
 _PATHS = (".sbet", ".out", ".pos")
@@ -53,5 +71,7 @@ def hint_of(path: Path) -> str | None:
         target = shlex.quote(path.stem + ".pcap")
         return f"a recording of Ouster: ouster-cli source {shlex.quote(str(path))} save {target}"
     if suffix_of(path) in (".gz", ".bz2", ".xz", ".zst"):
-        return "a compressed file: unpack it first; only .csv and .txt are read compressed (.gz, .zst)"
+        return (
+            "a compressed file: unpack it first; only .csv and .txt are read compressed (.gz, .zst)"
+        )
     return None

@@ -71,7 +71,11 @@ def frame_fields(path: Path) -> tuple[str, ...] | None:
         if n_bytes % size or n_bytes < size * LEAST_FRAME:
             continue
         with np.errstate(invalid="ignore"):  # a signalling NaN
-            rows = np.frombuffer(head[: len(head) // size * size], "<f4").reshape(-1, n_fields).astype(np.float64)
+            rows = (
+                np.frombuffer(head[: len(head) // size * size], "<f4")
+                .reshape(-1, n_fields)
+                .astype(np.float64)
+            )
         if _are_points(rows):
             return FRAME_FIELDS[:n_fields]
     return None
@@ -108,7 +112,11 @@ def _are_points(rows: F64) -> bool:
 def _are_rings(numbers: F64) -> bool:
     """Tell whether numbers are those of rings."""
     n = len(np.unique(numbers))
-    return bool(LEAST_RINGS <= n <= MAX_RINGS and (numbers == np.rint(numbers)).all() and (numbers >= 0).all())
+    return bool(
+        LEAST_RINGS <= n <= MAX_RINGS
+        and (numbers == np.rint(numbers)).all()
+        and (numbers >= 0).all()
+    )
 
 
 def _are_sweeps(azimuth: F64, step: F64, elevation: F64) -> bool:
@@ -150,7 +158,9 @@ def guess_records(path: Path) -> Layout | None:
         scale, missing = range_scale(columns[str(at)]) if name == "range" else (1.0, None)
         fields.append({"name": name, "type": kind, "scale": scale, "missing": missing})
     header_bytes = _header_bytes(head, size, period, rows)
-    return Layout.model_validate({"header_bytes": header_bytes, "endian": endian, "fields": tuple(fields)})
+    return Layout.model_validate(
+        {"header_bytes": header_bytes, "endian": endian, "fields": tuple(fields)}
+    )
 
 
 def byte_period(data: U8) -> int | None:
@@ -205,11 +215,15 @@ def _makes_sense(values: NDArray[Any]) -> bool:
     if values.dtype.kind == "f":
         with np.errstate(invalid="ignore"):
             size = np.abs(number)
-            usual = (size == 0) | ((size > 1e-4) & (size < 1e10 if values.dtype.itemsize == 8 else size < 1e6))
+            usual = (size == 0) | (
+                (size > 1e-4) & (size < 1e10 if values.dtype.itemsize == 8 else size < 1e6)
+            )
         some = np.isfinite(number) & (number != 0)
         return bool(np.mean(usual | np.isnan(number)) >= _MAJORITY and some.mean() > 0.02)
     # whole numbers of 2 or 4 bytes use their upper half little, and change it seldom
-    upper = np.abs(number) / 2.0 ** (8 * values.dtype.itemsize - (6 if values.dtype.itemsize == 4 else 0))
+    upper = np.abs(number) / 2.0 ** (
+        8 * values.dtype.itemsize - (6 if values.dtype.itemsize == 4 else 0)
+    )
     varies = float(np.ptp(number)) > 0
     return bool(varies and np.mean(upper < 1) >= _MAJORITY and _likeness(number) < 1.2)
 
@@ -302,7 +316,12 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
             continue
         alike = _likeness(known[known > 0]) if np.mean(known > 0) > 0.2 else 1.0
         middle = float(np.median(known[known > 0])) if (known > 0).any() else 0.0
-        if alike < _ALIKE and np.mean(known < -1) < 0.01 and middle > 0.1 and len(np.unique(known)) > 50:
+        if (
+            alike < _ALIKE
+            and np.mean(known < -1) < 0.01
+            and middle > 0.1
+            and len(np.unique(known)) > 50
+        ):
             ranges.append((alike, key))
     if ranges:
         found[min(ranges)[1]] = "range"
@@ -311,14 +330,18 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
 
 def _is_large(known: F64) -> bool:
     """Tell whether numbers are coordinates of a map: no scanner measures so far, and millimetres are whole."""
-    return float(np.median(np.abs(known))) > LEAST_EASTING_M and not np.all(known == np.floor(known))
+    return float(np.median(np.abs(known))) > LEAST_EASTING_M and not np.all(
+        known == np.floor(known)
+    )
 
 
 def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
     """Return three neighbouring columns, none of them whole, one large or below 0: coordinates; () = none are."""
     for i in range(len(others) - 2):
         three = others[i : i + 3]
-        is_row = three[2][0] == three[0][0] + 2 and not any(np.all(one == np.floor(one)) for _, _, one in three)
+        is_row = three[2][0] == three[0][0] + 2 and not any(
+            np.all(one == np.floor(one)) for _, _, one in three
+        )
         if is_row and any(_is_large(one) or np.mean(one < -1) > 0.01 for _, _, one in three):
             return [key for _, key, _ in three]
     return []

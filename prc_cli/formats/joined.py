@@ -72,9 +72,13 @@ class JoinedSource:
                 facts.check_layers()
 
         return replace(
-            every[0], notes=notes, laz_contexts=None, skip_intensity=skip_intensity, check_layers=check_layers,
+            every[0],
+            notes=notes,
+            laz_contexts=None,
+            skip_intensity=skip_intensity,
+            check_layers=check_layers,
             align_chunks=SourceFacts().align_chunks,
-        )  # fmt: skip
+        )
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions of all files."""
@@ -97,7 +101,9 @@ class JoinedSource:
 
     def firsts(self) -> list[int]:
         """Return the number of the first record of every file, and the number of all records."""
-        counts = [part.n_records if part.n_records is not None else _count(part) for part in self.parts]
+        counts = [
+            part.n_records if part.n_records is not None else _count(part) for part in self.parts
+        ]
         return [0, *np.cumsum(counts).tolist()]
 
 
@@ -153,7 +159,11 @@ def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSo
         source = open_source(path, layout)
         if source is None:
             problem = "holds whole scans, expected lists of records, or bags alone, or captures alone, of one drive"
-            raise InputError(str(path), problem, f"classify it by itself: prc classify {shlex.quote(str(path))} OUT")
+            raise InputError(
+                str(path),
+                problem,
+                f"classify it by itself: prc classify {shlex.quote(str(path))} OUT",
+            )
         parts.append(source)
     return JoinedSource(tuple(parts))
 

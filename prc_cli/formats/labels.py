@@ -24,7 +24,11 @@ from prc_cli.formats.writing.record import RunRecord
 
 KITTI_SUFFIX = ".label"
 FORMATS = (
-    Format(name="SemanticKITTI labels", codes=(KITTI_SUFFIX,), open_codes="prc_cli.formats.labels:open_semantic_codes"),
+    Format(
+        name="SemanticKITTI labels",
+        codes=(KITTI_SUFFIX,),
+        open_codes="prc_cli.formats.labels:open_semantic_codes",
+    ),
 )
 
 
@@ -82,10 +86,16 @@ class CodeSource:
         else:
             wide = values
             # only unsigned 64-bit integers can be too large
-            wrong = values > np.iinfo(np.int64).max if values.dtype.kind == "u" else np.zeros(len(values), np.bool_)
+            wrong = (
+                values > np.iinfo(np.int64).max
+                if values.dtype.kind == "u"
+                else np.zeros(len(values), np.bool_)
+            )
         if wrong.any():
             at = int(np.flatnonzero(wrong)[0])
-            problem = f"record {first + at}: found the class code {values[at]}, expected a whole number"
+            problem = (
+                f"record {first + at}: found the class code {values[at]}, expected a whole number"
+            )
             raise InputError(self.path, problem, "name the column that holds class codes")
         return wide.astype(np.int64)
 
@@ -95,7 +105,11 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     suffix, known = suffix_of(path), by_suffix("codes")
     if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
-        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", "rename the file or convert it")
+        raise InputError(
+            str(path),
+            f"{found}, expected one of: {' '.join(known)}",
+            "rename the file or convert it",
+        )
     if not path.is_file():
         raise InputError(str(path), "no such file, expected class codes", "check the name")
     return known[suffix].code_source(path, dimension)
@@ -118,7 +132,9 @@ def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> s
     shown = ", ".join(names[:40])
     if dimension is not None:
         if dimension not in names:
-            raise ConfigError(str(path), f"no dimension {dimension!r} in the file", f"it has: {shown}")
+            raise ConfigError(
+                str(path), f"no dimension {dimension!r} in the file", f"it has: {shown}"
+            )
         return dimension
     lowered = {name.lower(): name for name in reversed(names)}
     found = next((lowered[name] for name in NAMES if name in lowered), None)
@@ -130,7 +146,9 @@ def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> s
     raise InputError(str(path), problem, "name the dimension that holds the class codes")
 
 
-CODES_BY_NAME = {name: code for names in (ASPRS_NAMES, ClassCodes().names()) for code, name in names.items()}
+CODES_BY_NAME = {
+    name: code for names in (ASPRS_NAMES, ClassCodes().names()) for code, name in names.items()
+}
 """Names of this program, else those of ASPRS."""
 _NUMBERED = "class "
 """Prefix of the names that this program writes for other codes."""
@@ -147,7 +165,9 @@ def code_of_name(where: str, name: str) -> int:
     code = NO_CODE if not text else int(number) if number.isdecimal() else CODES_BY_NAME.get(text)
     if code is None:
         problem = f"found the class name {name.strip()!r}, expected a class code or one of: {', '.join(CODES_BY_NAME)}"
-        raise InputError(where, problem, "write these names, or class codes and a --mapping for them")
+        raise InputError(
+            where, problem, "write these names, or class codes and a --mapping for them"
+        )
     return code
 
 
@@ -217,7 +237,9 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
         with parquet.ParquetFile(path) as file:
             schema, n = file.schema_arrow, file.metadata.num_rows
     except (pa.ArrowException, *_DAMAGED) as error:
-        raise InputError(str(path), f"no whole Parquet file ({' '.join(str(error).split())[:160]})", damaged) from error
+        raise InputError(
+            str(path), f"no whole Parquet file ({' '.join(str(error).split())[:160]})", damaged
+        ) from error
     name = dimension_of_codes(path, list(schema.names), dimension)
     kind = schema.types[schema.names.index(name)]
     plain = kind.value_type if pa.types.is_dictionary(kind) else kind
@@ -299,7 +321,9 @@ class LabelFileWriter(ScatterWriter):
         super().__init__(labels, held, labels.n_records)
         for column in asked:
             if column.heading is None:
-                self._notice(f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz")
+                self._notice(
+                    f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz"
+                )
             elif column not in held:
                 needs = f"{column.what}s need .csv, .parquet, .las or .laz"
                 self._notice(f"a .npy output holds class codes only; {needs}")
@@ -331,7 +355,14 @@ class LabelFileWriter(ScatterWriter):
         tails = [f"{code},{_cell(self._name(code))}" for code in range(256)]
         with self._temporary.open("w", encoding="utf-8", newline="") as handle:
             handle.write(
-                ",".join(["record", "class", "name", *(column.heading or column.name for column in self._optional)])
+                ",".join(
+                    [
+                        "record",
+                        "class",
+                        "name",
+                        *(column.heading or column.name for column in self._optional),
+                    ]
+                )
                 + "\n"
             )
             for item in columns:
@@ -340,26 +371,41 @@ class LabelFileWriter(ScatterWriter):
                 for column in self._optional:
                     texts = _texts(item.values[column.name])
                     ends = [f"{end},{text}" for end, text in zip(ends, texts, strict=True)]
-                handle.writelines(f"{number},{end}\n" for number, end in zip(numbers, ends, strict=True))
+                handle.writelines(
+                    f"{number},{end}\n" for number, end in zip(numbers, ends, strict=True)
+                )
 
     def _write_parquet(self, columns: Iterator[Columns]) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         names = pa.array([self._name(code) for code in range(256)])
-        fields = [("record", pa.int64()), ("class", pa.uint8()), ("name", pa.dictionary(pa.uint8(), pa.string()))]
-        fields += [(column.heading or column.name, pa.from_numpy_dtype(column.dtype)) for column in self._optional]
+        fields = [
+            ("record", pa.int64()),
+            ("class", pa.uint8()),
+            ("name", pa.dictionary(pa.uint8(), pa.string())),
+        ]
+        fields += [
+            (column.heading or column.name, pa.from_numpy_dtype(column.dtype))
+            for column in self._optional
+        ]
         schema = pa.schema(fields)
         try:
             # write to our own file object, so that a failed write shows the error of the system
             with self._temporary.open("wb") as handle, pq.ParquetWriter(handle, schema) as writer:
                 for item in columns:
                     codes = pa.array(item.codes)
-                    table = [pa.array(item.record), codes, pa.DictionaryArray.from_arrays(codes, names)]
+                    table = [
+                        pa.array(item.record),
+                        codes,
+                        pa.DictionaryArray.from_arrays(codes, names),
+                    ]
                     table += [pa.array(item.values[column.name]) for column in self._optional]
                     writer.write_table(pa.Table.from_arrays(table, schema=schema))
         except pa.ArrowException as error:
-            raise OutputError(str(self.path), f"cannot be written as Parquet ({error})", "try .csv or .npy") from error
+            raise OutputError(
+                str(self.path), f"cannot be written as Parquet ({error})", "try .csv or .npy"
+            ) from error
 
     def _name(self, code: int) -> str:
         return self._names.get(code, f"class {code}")
@@ -369,7 +415,9 @@ def _texts(values: Values) -> list[Any]:
     """Return values as text: whole numbers, or the shortest text that gives the same float32 again."""
     if values.dtype.kind != "f":
         return list(values.tolist())
-    different, index = np.unique(values, return_inverse=True)  # all shots of a line share one height
+    different, index = np.unique(
+        values, return_inverse=True
+    )  # all shots of a line share one height
     return list(different.astype(str).astype(object)[index].tolist())
 
 

@@ -15,7 +15,16 @@ NAMES: dict[str, tuple[str, ...]] = {
     "range": ("range", "distance", "r", "slant_range", "slantrange", "slope_distance"),
     "scan_line": ("scan_line", "scanline", "line"),
     "column": ("column", "col"),
-    "angle": ("angle", "scan_angle", "scanangle", "scan_angle_rank", "scananglerank", "theta", "zenith", "azimuth"),
+    "angle": (
+        "angle",
+        "scan_angle",
+        "scanangle",
+        "scan_angle_rank",
+        "scananglerank",
+        "theta",
+        "zenith",
+        "azimuth",
+    ),
     "time": ("gps_time", "gpstime", "time", "timestamp", "t", "offset_ns"),
     "intensity": ("intensity", "amplitude"),
     "return_number": ("return_number", "num_echo"),
@@ -28,12 +37,30 @@ _BESIDE_RANGE = ("theta", "zenith", "azimuth")
 """Directions of a shot where its range is there; else of anything."""
 UNIT_WORDS = {
     **{unit: unit for unit in ("mm", "cm", "m", "ft", "s", "ms", "us", "ns", "rad", "deg", "gon")},
-    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "millimetres": "mm", "millimeters": "mm",
-    "feet": "ft", "foot": "ft", "degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad",
-    "grad": "gon", "second": "s", "seconds": "s", "sec": "s", "µs": "us", "μs": "us",
-}  # fmt: skip
+    "metre": "m",
+    "metres": "m",
+    "meter": "m",
+    "meters": "m",
+    "millimetres": "mm",
+    "millimeters": "mm",
+    "feet": "ft",
+    "foot": "ft",
+    "degree": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "grad": "gon",
+    "second": "s",
+    "seconds": "s",
+    "sec": "s",
+    "µs": "us",
+    "μs": "us",
+}
 """Units by the words that programs write."""
-_UNIT = re.compile(rf"(?P<name>.+?) ?(?:_|/|\(|\[| in | ) ?(?P<unit>{'|'.join(UNIT_WORDS)}) ?[)\]]?")
+_UNIT = re.compile(
+    rf"(?P<name>.+?) ?(?:_|/|\(|\[| in | ) ?(?P<unit>{'|'.join(UNIT_WORDS)}) ?[)\]]?"
+)
 """A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``, ``range/m``, ``angle in degrees``; runs of
 blanks are one blank by then, as many of them would take hours."""
 ZENITH = "zenith"
@@ -109,7 +136,9 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
             # of two directions the vertical one turns within a line
             aliases = (*aliases[:5], *_vertical_names(plain), *aliases[5:])
         for alias in aliases:
-            if (alias in _BESIDE_RANGE and "range" not in found) or (alias == "r" and {"g", "b"} <= set(lowered)):
+            if (alias in _BESIDE_RANGE and "range" not in found) or (
+                alias == "r" and {"g", "b"} <= set(lowered)
+            ):
                 continue
             known = lowered if alias in lowered or standard not in UNITS else plain
             if alias in known:
@@ -128,7 +157,11 @@ def _vertical_names(plain: Sequence[str]) -> tuple[str, ...]:
 
 
 def find_columns(
-    where: str, names: Sequence[str], layout: Layout | None, keys: Sequence[str] = (), hint: str = ""
+    where: str,
+    names: Sequence[str],
+    layout: Layout | None,
+    keys: Sequence[str] = (),
+    hint: str = "",
 ) -> dict[str, Column]:
     """Return the dimensions of a file: the fields of a layout decide; without fields, usual names become standard ones.
 
@@ -157,7 +190,9 @@ def find_columns(
     return found
 
 
-def _find_source(where: str, names: Sequence[str], item: LayoutField, position: int, hint: str) -> int:
+def _find_source(
+    where: str, names: Sequence[str], item: LayoutField, position: int, hint: str
+) -> int:
     """Return the number of the column that a field is read from."""
     source = item.source
     if not any(names):
@@ -181,7 +216,9 @@ def _find_source(where: str, names: Sequence[str], item: LayoutField, position: 
         index = usual.index
     else:
         problem = f"no column {name!r} for field {item.name!r}, it has: {listed(names)}"
-        raise InputError(where, problem, f"name the column as its source in [[layout.fields]]{hint}")
+        raise InputError(
+            where, problem, f"name the column as its source in [[layout.fields]]{hint}"
+        )
     _check_once(where, names, names[index])
     return index
 

@@ -32,16 +32,22 @@ def _rule(*patterns: str) -> AfterValidator:
             # names of files and dimensions never hold a zero byte
             if re.fullmatch(regex, value) and "\0" not in value:
                 return value
-        shown = ", ".join(pattern.replace("*", "NAME").replace("#", "NUMBER") for pattern in patterns)
+        shown = ", ".join(
+            pattern.replace("*", "NAME").replace("#", "NUMBER") for pattern in patterns
+        )
         message = f"one of: {shown}"
         raise ValueError(message)
 
     return AfterValidator(check)
 
 
-LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings", "elevation:#")]
+LineRule = Annotated[
+    str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings", "elevation:#")
+]
 ColumnRule = Annotated[str, _rule("auto", "dimension:*", "angle", "time:#", "order")]
-RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz", "points")]
+RangeRule = Annotated[
+    str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz", "points")
+]
 
 
 def _known_check(name: str) -> str:
@@ -72,7 +78,8 @@ class InputConfig(Params):
         "or elevation:DEG (x, y, z alone: lines end where the elevation drops by more)",
     )
     columns: ColumnRule = Field(
-        "auto", description="which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order"
+        "auto",
+        description="which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order",
     )
     range: RangeRule = Field(
         "auto",
@@ -83,19 +90,27 @@ class InputConfig(Params):
         "none", description="split the input by this field, classify each part, write one file"
     )
     return_: Literal["strongest", "first", "last"] = Field(
-        "strongest", alias="return", description="the return that stands for a shot of several returns"
+        "strongest",
+        alias="return",
+        description="the return that stands for a shot of several returns",
     )
-    points_per_line: int | None = Field(None, ge=1, le=10_000_000, description="M, shots in a scan line")
+    points_per_line: int | None = Field(
+        None, ge=1, le=10_000_000, description="M, shots in a scan line"
+    )
     order: Literal["require", "trust", "sort-time"] = Field(
         "require",
         description="require = refuse an input that is not chronological; trust = take it as it is; "
         "sort-time = sort the records by time first",
     )
     partial_line: Literal["error", "pad"] = Field(
-        "error", description="when M does not divide the records of a fixed layout: refuse, or pad with missing"
+        "error",
+        description="when M does not divide the records of a fixed layout: refuse, or pad with missing",
     )
     range_scale: float = Field(
-        1.0, gt=0.0, le=1e6, description="metres in one of the stored ranges: 0.001 for millimetres, 0.3048 for feet"
+        1.0,
+        gt=0.0,
+        le=1e6,
+        description="metres in one of the stored ranges: 0.001 for millimetres, 0.3048 for feet",
     )
     min_range: float = Field(0.0, ge=0.0, description="ranges at or below are missing [m]")
     max_range: float | None = Field(None, gt=0.0, description="ranges beyond are missing [m]")
@@ -105,22 +120,33 @@ class InputConfig(Params):
         "in which the scanner turns as scanners do, else as the format says; turn = parts of a turn (clouds)",
     )
     time_origin: float | None = Field(
-        None, description="time at which line 0, column 0 was fired [s]; default: the first record's time"
+        None,
+        description="time at which line 0, column 0 was fired [s]; default: the first record's time",
     )
-    angle_start: float | None = Field(None, description="scan angle of column 0 [deg]; default: found in the input")
-    angle_step: float | None = Field(None, description="scan angle between columns [deg], signed; default: found")
+    angle_start: float | None = Field(
+        None, description="scan angle of column 0 [deg]; default: found in the input"
+    )
+    angle_step: float | None = Field(
+        None, description="scan angle between columns [deg], signed; default: found"
+    )
     angles: Literal["auto", "measured"] = Field(
         "auto",
         description="auto = scan angles as given, as recorded with the shots, or from coordinates, and where there are "
         "none, measured from the ranges; measured = from the ranges, column 0 at 0 deg",
     )
     nadir: float | None = Field(
-        None, description="scan angle of the beam that points straight down [deg]; default: found in the input"
+        None,
+        description="scan angle of the beam that points straight down [deg]; default: found in the input",
     )
     azimuth_step: float | None = Field(
-        None, ge=0.001, le=90.0, description="lines = rings: azimuth between lines [deg]; default: found"
+        None,
+        ge=0.001,
+        le=90.0,
+        description="lines = rings: azimuth between lines [deg]; default: found",
     )
-    trajectory_time_offset: float = Field(0.0, description="added to the trajectory's times to match gps_time [s]")
+    trajectory_time_offset: float = Field(
+        0.0, description="added to the trajectory's times to match gps_time [s]"
+    )
     trajectory_max_gap: float | None = Field(
         None,
         gt=0,
@@ -128,7 +154,9 @@ class InputConfig(Params):
         "at least 1 s",
     )
     trajectory_topic: str | None = Field(
-        None, min_length=1, description="topic of a trajectory in a bag; default: the only one with poses"
+        None,
+        min_length=1,
+        description="topic of a trajectory in a bag; default: the only one with poses",
     )
     trajectory_lever_arm: tuple[float, float, float] | None = Field(
         None,
@@ -136,7 +164,8 @@ class InputConfig(Params):
         "orientation (TUM, bags)",
     )
     trajectory_crs: str | None = Field(
-        None, description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's"
+        None,
+        description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
     )
     topic: str | None = Field(
         None,
@@ -150,7 +179,10 @@ class InputConfig(Params):
         description="captures: the JSON metadata of an Ouster sensor; default: the name of the capture with .json",
     )
     max_gap_lines: int = Field(
-        100_000, ge=0, le=1_000_000_000, description="more missing lines in a row than this are an error, not a gap"
+        100_000,
+        ge=0,
+        le=1_000_000_000,
+        description="more missing lines in a row than this are an error, not a gap",
     )
 
     only_lines: Annotated[str, _window_text("only_lines")] | None = Field(
@@ -164,7 +196,8 @@ class InputConfig(Params):
         None, description="read only the first part: 30s, 2min or 500lines"
     )
     accept_doubts: tuple[CheckName, ...] | None = Field(
-        None, description="names of checks whose doubts the office knows better; they are recorded, and do no more"
+        None,
+        description="names of checks whose doubts the office knows better; they are recorded, and do no more",
     )
 
     @model_validator(mode="after")
@@ -238,9 +271,12 @@ class LayoutField(Params):
         min_length=1,
         description="range, scan_line, column, angle, time, x, y, z, intensity; any other name is carried or skipped",
     )
-    type: Annotated[str, AfterValidator(_numpy_type)] = Field("f4", description="raw binary: numpy number type")
+    type: Annotated[str, AfterValidator(_numpy_type)] = Field(
+        "f4", description="raw binary: numpy number type"
+    )
     source: str | int | None = Field(
-        None, description="text: column name, or column number from 0; default: the field's own name"
+        None,
+        description="text: column name, or column number from 0; default: the field's own name",
     )
     scale: float = Field(1.0, description="value = stored * scale + offset, in m, s, rad or deg")
     offset: float = Field(0.0, description="value = stored * scale + offset")
@@ -255,8 +291,12 @@ class LayoutField(Params):
 class Layout(Params):
     """The records of a raw dump or a text file (``[layout]``)."""
 
-    header_bytes: int = Field(0, ge=0, le=1 << 40, description="raw binary: bytes before the first record")
-    endian: Literal["little", "big"] = Field("little", description="raw binary: byte order of the fields")
+    header_bytes: int = Field(
+        0, ge=0, le=1 << 40, description="raw binary: bytes before the first record"
+    )
+    endian: Literal["little", "big"] = Field(
+        "little", description="raw binary: byte order of the fields"
+    )
     record_bytes: int | None = Field(
         None,
         ge=1,
@@ -266,10 +306,18 @@ class Layout(Params):
     decimal: Literal[".", ","] | None = Field(
         None, description="text: character before the decimals; default: found by looking"
     )
-    delimiter: str = Field(",", min_length=1, max_length=1, description="text: between cells; a space = any blanks")
-    header: bool | None = Field(None, description="text: the first row holds names; default: found by looking")
-    comment: str = Field("#", max_length=1, description="text: rows that begin with this are skipped")
-    points_per_line: int | None = Field(None, ge=1, le=10_000_000, description="M, shots in a scan line")
+    delimiter: str = Field(
+        ",", min_length=1, max_length=1, description="text: between cells; a space = any blanks"
+    )
+    header: bool | None = Field(
+        None, description="text: the first row holds names; default: found by looking"
+    )
+    comment: str = Field(
+        "#", max_length=1, description="text: rows that begin with this are skipped"
+    )
+    points_per_line: int | None = Field(
+        None, ge=1, le=10_000_000, description="M, shots in a scan line"
+    )
     line_frequency: float | None = Field(None, gt=0, description="scan lines a second [Hz]")
     fields: tuple[LayoutField, ...] = Field((), description="the record, in order")
 
@@ -288,10 +336,18 @@ RANGES_ONLY = Layout(fields=(LayoutField(name="range", type="f4"),))
 
 
 FACTORS = {
-    "m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048,
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
-    "rad": 1.0, "deg": math.pi / 180, "gon": math.pi / 200,
-}  # fmt: skip
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "ft": 0.3048,
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+    "rad": 1.0,
+    "deg": math.pi / 180,
+    "gon": math.pi / 200,
+}
 """Metres, seconds or radians in one of a unit; ft is the international foot."""
 _LENGTHS = ("", "m", "cm", "mm", "ft")
 UNITS = {
@@ -308,7 +364,11 @@ UNITS = {
 def record_dtype(layout: Layout) -> np.dtype[np.void]:
     """Return a layout as a numpy record type."""
     if not layout.fields:
-        raise ConfigError("layout.fields", "none given, expected at least one field", "add a [[layout.fields]] table")
+        raise ConfigError(
+            "layout.fields",
+            "none given, expected at least one field",
+            "add a [[layout.fields]] table",
+        )
     check_fields(layout)
     types = [np.dtype(item.type).newbyteorder(layout.endian) for item in layout.fields]
     for item, stored in zip(layout.fields, types, strict=True):
@@ -318,7 +378,9 @@ def record_dtype(layout: Layout) -> np.dtype[np.void]:
     if size < least:
         problem = f"found {size}, but the fields take {least} bytes"
         raise ConfigError("layout.record_bytes", problem, f"leave it out or give {least} or more")
-    return np.dtype({"names": [item.name for item in layout.fields], "formats": types, "itemsize": size})
+    return np.dtype(
+        {"names": [item.name for item in layout.fields], "formats": types, "itemsize": size}
+    )
 
 
 def check_fields(layout: Layout) -> None:
@@ -341,8 +403,12 @@ def _check_missing(item: LayoutField, stored: np.dtype[Any]) -> None:
         bounds = np.iinfo(stored)
         fits = item.missing == int(item.missing) and bounds.min <= int(item.missing) <= bounds.max
     if not fits:
-        problem = f"field {item.name!r}: found missing = {item.missing:g}, which {item.type} cannot hold"
-        raise ConfigError("layout.fields", problem, "give the value as it is stored, before scale and offset")
+        problem = (
+            f"field {item.name!r}: found missing = {item.missing:g}, which {item.type} cannot hold"
+        )
+        raise ConfigError(
+            "layout.fields", problem, "give the value as it is stored, before scale and offset"
+        )
 
 
 def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
@@ -356,15 +422,21 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
     """
     factor = 1.0 if item.unit in ("", "deg") else FACTORS[item.unit]
     plain = item.scale == 1.0 and item.offset == 0.0 and factor == 1.0
-    missing = None if item.missing is None else stored == np.array(item.missing).astype(stored.dtype)
+    missing = (
+        None if item.missing is None else stored == np.array(item.missing).astype(stored.dtype)
+    )
     if plain and missing is None and stored.dtype.kind in "iu" and item.name not in UNITS:
         return np.ascontiguousarray(stored, dtype=stored.dtype.newbyteorder("="))
-    narrow = plain and item.name == "range" and stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
+    narrow = (
+        plain and item.name == "range" and stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         # a buffer read only for this need not be copied
         kept = item.name == "range" and plain and missing is None
         own = stored.flags.c_contiguous and (stored.flags.writeable or kept)
-        values: NDArray[np.floating[Any]] = stored.astype(np.float32 if narrow else np.float64, copy=not own)
+        values: NDArray[np.floating[Any]] = stored.astype(
+            np.float32 if narrow else np.float64, copy=not own
+        )
         if not plain:
             values *= item.scale
             values += item.offset

@@ -25,20 +25,30 @@ def clean_ranges(
         given = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
         low = np.float32(min(max(min_range, 0.0), _LARGEST))
         high = np.float32(_LARGEST if max_range is None else min(max_range, _LARGEST))
-    ranges, n_not_finite, n_not_positive, n_beyond = kernels.clean_ranges(given.reshape(-1), low, high)
+    ranges, n_not_finite, n_not_positive, n_beyond = kernels.clean_ranges(
+        given.reshape(-1), low, high
+    )
     tally = ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
     return ranges.reshape(given.shape), tally
 
 
 def scale_told(scale: float) -> tuple[Assumption, ...]:
     """Return what is said of a scale of ranges that was given."""
-    return (Assumption(KEY, f"{scale:g}", "metres in one of the stored ranges, as given"),) if scale != 1.0 else ()
+    return (
+        (Assumption(KEY, f"{scale:g}", "metres in one of the stored ranges, as given"),)
+        if scale != 1.0
+        else ()
+    )
 
 
 def refuse_scale(config: InputConfig, path: str, why: str) -> None:
     """Refuse a scale of ranges that would do nothing."""
     if config.range_scale != 1.0:
-        raise ConfigError(KEY, f"found {config.range_scale:g}, which does nothing for {path}: {why}", "leave it out")
+        raise ConfigError(
+            KEY,
+            f"found {config.range_scale:g}, which does nothing for {path}: {why}",
+            "leave it out",
+        )
 
 
 ReturnRule: TypeAlias = Literal["strongest", "first", "last"]
@@ -77,7 +87,11 @@ def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
 
 
 def choose_returns(
-    starts: Mask, range_m: F32, intensity: NDArray[Any] | None, return_number: NDArray[Any] | None, rule: ReturnRule
+    starts: Mask,
+    range_m: F32,
+    intensity: NDArray[Any] | None,
+    return_number: NDArray[Any] | None,
+    rule: ReturnRule,
 ) -> Mask:
     """Mark the return of every shot that an image shows: one with a range if there is one; of ties the earlier."""
     if starts.all():

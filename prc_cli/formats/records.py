@@ -20,9 +20,18 @@ from prc_cli.core.types import I64
 from prc_cli.formats.options import LayoutField, decode
 
 STANDARD_NAMES = (
-    "range", "scan_line", "column", "angle", "time", "x", "y", "z", "intensity", "return_number",
+    "range",
+    "scan_line",
+    "column",
+    "angle",
+    "time",
+    "x",
+    "y",
+    "z",
+    "intensity",
+    "return_number",
     "number_of_returns",
-)  # fmt: skip
+)
 """Names of dimensions common to all sources; other dimensions keep their own name."""
 
 AXES = ("x", "y", "z")
@@ -94,7 +103,9 @@ def check_names(source: RecordSource, names: tuple[str, ...]) -> None:
     known = source.dimensions
     for name in names:
         if name not in known:
-            raise ConfigError(source.path, f"no dimension {name!r} in the file", f"it has: {listed(known)}")
+            raise ConfigError(
+                source.path, f"no dimension {name!r} in the file", f"it has: {listed(known)}"
+            )
 
 
 def listed(names: Collection[str]) -> str:
@@ -141,7 +152,9 @@ class FieldSource:
     n_records: int | None
     """Number of records; None if only reading can tell."""
 
-    def __init__(self, path: Path | str, form: str, columns: Mapping[str, Column], body: Body) -> None:
+    def __init__(
+        self, path: Path | str, form: str, columns: Mapping[str, Column], body: Body
+    ) -> None:
         self.path = str(path)
         """File name, for messages."""
         self.format = form
@@ -263,7 +276,8 @@ class Contents:
             return None
         across = [self.bounds_m[axis] for axis in ("x", "y")]
         return any(
-            high - low > REGISTERED_SPAN_M or max(abs(low), abs(high)) > REGISTERED_FAR_M for low, high in across
+            high - low > REGISTERED_SPAN_M or max(abs(low), abs(high)) > REGISTERED_FAR_M
+            for low, high in across
         )
 
     def as_dict(self) -> dict[str, Any]:

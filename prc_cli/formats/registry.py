@@ -27,14 +27,27 @@ if TYPE_CHECKING:
 
 ENTRY_POINTS = "prc_cli.formats"
 """Group of the entry points of other packages."""
-_ROOMS = ("raw_binary", "text", "clouds", "las", "arrays", "organised", "bags", "packets", "labels", "tables")
+_ROOMS = (
+    "raw_binary",
+    "text",
+    "clouds",
+    "las",
+    "arrays",
+    "organised",
+    "bags",
+    "packets",
+    "labels",
+    "tables",
+)
 """Rooms of this package, in the order in which messages list their suffixes."""
 
-Held: TypeAlias = Literal["codes", "registered", "relative", "angles", "times", "intensity", "returns"]
+Held: TypeAlias = Literal[
+    "codes", "registered", "relative", "angles", "times", "intensity", "returns"
+]
 """What a stream may hold beside ranges: class codes, coordinates of the input, coordinates relative to the scanner."""
 EVERYTHING: frozenset[Held] = frozenset(
     ("codes", "registered", "relative", "angles", "times", "intensity", "returns")
-)  # fmt: skip
+)
 Role: TypeAlias = Literal["scans", "streams", "labels", "codes"]
 
 
@@ -155,7 +168,12 @@ def is_cloud(path: Path) -> bool:
 def keeps_points(source: Path, output: Path) -> bool:
     """Whether a classified output has the very points of its input."""
     one, other = format_of(source, "labels"), format_of(output, "labels")
-    return one is not None and other is not None and one.keeps_points and one.write_labels == other.write_labels
+    return (
+        one is not None
+        and other is not None
+        and one.keeps_points
+        and one.write_labels == other.write_labels
+    )
 
 
 def _call(name: str, *arguments: Any) -> Any:

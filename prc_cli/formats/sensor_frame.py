@@ -80,7 +80,9 @@ def are_rings(xyz_m: F32) -> bool:
     With a wrong number of shots in a line elevations come again in a line, or change from line to line.
     """
     with np.errstate(invalid="ignore"):
-        elevation = np.arctan2(xyz_m[..., 2], np.hypot(xyz_m[..., 0], xyz_m[..., 1])).astype(np.float64)
+        elevation = np.arctan2(xyz_m[..., 2], np.hypot(xyz_m[..., 0], xyz_m[..., 1])).astype(
+            np.float64
+        )
     enough = np.isfinite(elevation).sum(axis=0) >= FEWEST_RINGS
     if np.count_nonzero(enough) < FEWEST_RINGS:
         return False
@@ -89,7 +91,9 @@ def are_rings(xyz_m: F32) -> bool:
     gaps *= math.copysign(1.0, float(gaps.sum()))
     off = np.nanmedian(np.abs(elevation[:, enough] - middle))
     # rings of several scanners, or of a worn one, may cross here and there
-    return bool(np.mean(gaps > 0) > MOST_IN_ORDER and off < NEAR_RING * float(np.median(np.abs(gaps))))
+    return bool(
+        np.mean(gaps > 0) > MOST_IN_ORDER and off < NEAR_RING * float(np.median(np.abs(gaps)))
+    )
 
 
 def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
@@ -181,7 +185,11 @@ class _Fit:
         """Return distance, elevation and azimuth of the shots."""
         own = (self.xyz_m - self.apex_m) @ self.turn.T
         flat = np.hypot(own[:, 0], own[:, 1])
-        return np.hypot(flat, own[:, 2]).clip(0.1), np.arctan2(own[:, 2], flat), np.arctan2(own[:, 1], own[:, 0])
+        return (
+            np.hypot(flat, own[:, 2]).clip(0.1),
+            np.arctan2(own[:, 2], flat),
+            np.arctan2(own[:, 1], own[:, 0]),
+        )
 
     def _off(self, elevation: F64) -> F64:
         """Return how far shots lie from the middle of their ring [rad]."""
@@ -200,7 +208,11 @@ class _Fit:
         weight = np.ones(len(off))
         if with_apex:
             # level ground alone, all around at one range, is on cones of any apex
-            scale = float(np.percentile(np.abs(off), MOST)) if is_mild else DEVIATION * float(np.median(np.abs(off)))
+            scale = (
+                float(np.percentile(np.abs(off), MOST))
+                if is_mild
+                else DEVIATION * float(np.median(np.abs(off)))
+            )
             share = off / max(TUKEY * scale, 1e-5)
             weight = np.where(np.abs(share) < 1, (1 - share * share) ** 2, 0.0)
         rise, flat = np.sin(elevation) / distance, np.cos(elevation) / distance

@@ -28,7 +28,9 @@ LEAST_POINTS = 100
 """Fewer points do not tell."""
 _UNIT = re.compile(r'\b(?:LENGTH)?UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]+)')
 _VERTICAL = re.compile(r"\bVERT(?:_CS|CRS|ICALCRS)\s*\[")
-_PROJECTED = re.compile(r"\b(?:PROJCS|PROJCRS|PROJECTEDCRS|LOCAL_CS|ENGCRS|ENGINEERINGCRS|GEOCCS)\s*\[")
+_PROJECTED = re.compile(
+    r"\b(?:PROJCS|PROJCRS|PROJECTEDCRS|LOCAL_CS|ENGCRS|ENGINEERINGCRS|GEOCCS)\s*\["
+)
 _GEOGRAPHIC = re.compile(r"\b(?:GEOGCS|GEOGCRS|GEOGRAPHICCRS|GEODCRS)\s*\[")
 
 
@@ -69,7 +71,11 @@ def units_of_system(crs: str | None) -> SystemUnits | None:
     if not crs:
         return None
     wkt = crs if "[" in crs else _wkt_of(crs)
-    shown = crs if "[" not in crs else (re.search(r'"([^"]*)"', crs) or ["", "its coordinate system"])[1]
+    shown = (
+        crs
+        if "[" not in crs
+        else (re.search(r'"([^"]*)"', crs) or ["", "its coordinate system"])[1]
+    )
     wkt = re.split(r"\bTARGETCRS\s*\[", wkt)[0]
     horizontal, *vertical = _VERTICAL.split(wkt, maxsplit=1)
     if not _PROJECTED.search(horizontal):
@@ -141,7 +147,12 @@ def points_of(values: dict[str, NDArray[Any]]) -> F64:
 def in_metres(source: RecordSource) -> RecordSource:
     """Return a source with x, y, z in metres, by the unit of its coordinate system."""
     units = units_of_system(source.facts.crs_wkt)
-    if units is None or units.is_geographic or units.is_metric or not set(AXES) <= set(source.dimensions):
+    if (
+        units is None
+        or units.is_geographic
+        or units.is_metric
+        or not set(AXES) <= set(source.dimensions)
+    ):
         return source
     return _InMetres(source, units)
 

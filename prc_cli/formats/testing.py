@@ -27,7 +27,9 @@ from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 
 
-def check_reads(form: Format, sample: Path, layout: Layout | None = None, config: InputConfig | None = None) -> int:
+def check_reads(
+    form: Format, sample: Path, layout: Layout | None = None, config: InputConfig | None = None
+) -> int:
     """Read a sample twice, and every dimension alone; return the number of its records, or shots of scan lines."""
     if not form.records:
         first, again = (list(_images(form, sample, config or InputConfig())) for _ in range(2))
@@ -51,14 +53,20 @@ def check_reads(form: Format, sample: Path, layout: Layout | None = None, config
 
 
 def check_damage(
-    form: Format, sample: Path, folder: Path, layout: Layout | None = None, n_cases: int = 60, seed: int = 0
+    form: Format,
+    sample: Path,
+    folder: Path,
+    layout: Layout | None = None,
+    n_cases: int = 60,
+    seed: int = 0,
 ) -> int:
     """Read damaged copies in another process: each is read, or refused in one line; return how many were."""
     context, first, n_refused = get_context("spawn"), 0, 0
     while first < n_cases:
         receiver, sender = context.Pipe(duplex=False)
         child = context.Process(
-            target=_read_damaged, args=(form, sample, folder, layout, (seed, first, n_cases), sender)
+            target=_read_damaged,
+            args=(form, sample, folder, layout, (seed, first, n_cases), sender),
         )
         child.start()
         sender.close()
@@ -69,13 +77,20 @@ def check_damage(
                 first, n_refused = case + 1, n_refused + is_refused
         child.join()
         if first < n_cases:
-            assert (child.exitcode or 0) < 0, f"case {first} of seed {seed}: exit code {child.exitcode}"
+            assert (child.exitcode or 0) < 0, (
+                f"case {first} of seed {seed}: exit code {child.exitcode}"
+            )
             first, n_refused = first + 1, n_refused + 1
     return n_refused
 
 
 def _read_damaged(
-    form: Format, sample: Path, folder: Path, layout: Layout | None, cases: tuple[int, int, int], sender: Connection
+    form: Format,
+    sample: Path,
+    folder: Path,
+    layout: Layout | None,
+    cases: tuple[int, int, int],
+    sender: Connection,
 ) -> None:
     """Send number, fault and whether it was refused, of every case."""
     seed, first, stop = cases
@@ -108,7 +123,9 @@ def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
         assert list(path.parent.iterdir()) == [], "an output that was not finished was left"
         with form.stream_writer(path, shape) as writer:
             writer.add_item(item)
-            record = writer.finish(RunRecord({}, Fingerprint("in", 0, None), "test", shape.points_per_line))
+            record = writer.finish(
+                RunRecord({}, Fingerprint("in", 0, None), "test", shape.points_per_line)
+            )
         assert record_path(path).is_file(), "no run record"
         assert record.output is not None
         assert record.output.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -125,23 +142,42 @@ def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
     assert found.tobytes() == expected.tobytes(), "ranges came back with other bits"
 
 
-def example(form: Format, n_lines: int = 5, points_per_line: int = 12) -> tuple[StreamItem, StreamShape]:
+def example(
+    form: Format, n_lines: int = 5, points_per_line: int = 12
+) -> tuple[StreamItem, StreamShape]:
     """Return a small stream with all that a format holds: a corridor, some shots without return."""
     angle = np.linspace(-2.0, 2.0, points_per_line)
     line, column = np.indices((n_lines, points_per_line))
     range_m = (2.5 / np.maximum(np.abs(np.cos(angle)), 0.3) + 0.01 * line).astype(np.float32)
     range_m[(line + column) % 7 == 3] = np.nan
-    xyz = np.stack([0.0 * line, range_m * np.sin(angle), -range_m * np.cos(angle)], axis=-1).astype(np.float32)
+    xyz = np.stack([0.0 * line, range_m * np.sin(angle), -range_m * np.cos(angle)], axis=-1).astype(
+        np.float32
+    )
     xyz[np.isnan(range_m)] = np.nan
     block = ScanBlock(
-        0, range_m, angle_rad=angle, time_s=(line * points_per_line + column) / 1000.0, xyz_m=xyz,
-        intensity=np.where(np.isnan(range_m), np.nan, 100.0 + column).astype(np.float32), is_last=True,
-    )  # fmt: skip
+        0,
+        range_m,
+        angle_rad=angle,
+        time_s=(line * points_per_line + column) / 1000.0,
+        xyz_m=xyz,
+        intensity=np.where(np.isnan(range_m), np.nan, 100.0 + column).astype(np.float32),
+        is_last=True,
+    )
     shape = StreamShape(
-        points_per_line, scanners=False, returns="returns" in form.holds, angles=True, times=True, xyz=True,
-        registered=False, intensity=True, codes=True, down_rad=0.0,
-    )  # fmt: skip
-    return StreamItem(block, np.where(np.isnan(range_m), -1, 2).astype(np.int32), np.zeros(0, np.int32)), shape
+        points_per_line,
+        scanners=False,
+        returns="returns" in form.holds,
+        angles=True,
+        times=True,
+        xyz=True,
+        registered=False,
+        intensity=True,
+        codes=True,
+        down_rad=0.0,
+    )
+    return StreamItem(
+        block, np.where(np.isnan(range_m), -1, 2).astype(np.int32), np.zeros(0, np.int32)
+    ), shape
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
@@ -162,13 +198,17 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(out) or b"\0"
 
 
-def _records(form: Format, path: Path, layout: Layout | None, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+def _records(
+    form: Format, path: Path, layout: Layout | None, names: tuple[str, ...]
+) -> dict[str, NDArray[Any]]:
     """Return all values of some dimensions."""
     found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
     n = 0
     for chunk in form.open_records(path, layout).chunks(names):
         assert set(chunk.values) == set(names), f"asked for {names}, got {tuple(chunk.values)}"
-        assert chunk.record is not None or chunk.first_record == n, f"record {chunk.first_record} after {n}"
+        assert chunk.record is not None or chunk.first_record == n, (
+            f"record {chunk.first_record} after {n}"
+        )
         for name, values in chunk.values.items():
             assert values.shape == (chunk.n,), f"{name}: {values.shape}, expected ({chunk.n},)"
             found[name].append(values)

@@ -59,7 +59,11 @@ def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
             if _has_decimal_commas([first, *(text for _, text in start)], delimiter):
                 left = ((place, text.replace(",", ".")) for place, text in left)
                 first, cells = first.replace(",", "."), [cell.replace(",", ".") for cell in cells]
-        is_bare = names is _NAMES and len(cells) == len(names) and all(_number(cell) is not None for cell in cells)
+        is_bare = (
+            names is _NAMES
+            and len(cells) == len(names)
+            and all(_number(cell) is not None for cell in cells)
+        )
         if first.startswith("#") or not is_bare:
             columns = _find_columns(f"{path}: line {number}", cells, names)
         else:
@@ -91,7 +95,9 @@ def read_turns(path: Path, target: str | None) -> F64:
         roll, pitch, yaw = _columns(path, {**_TURNS, "yaw": _HEADING if by_heading else _YAW}).T
         if by_heading:
             pitch, yaw = -pitch, 90.0 - yaw
-    quaternion: F64 = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1), degrees=True).as_quat()
+    quaternion: F64 = Rotation.from_euler(
+        "ZYX", np.stack([yaw, pitch, roll], axis=1), degrees=True
+    ).as_quat()
     return quaternion
 
 
@@ -144,7 +150,9 @@ def _number(cell: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _find_columns(where: str, cells: list[str], wanted_names: dict[str, tuple[str, ...]]) -> list[int]:
+def _find_columns(
+    where: str, cells: list[str], wanted_names: dict[str, tuple[str, ...]]
+) -> list[int]:
     """Return the columns of some names, such as time, x, y and z."""
     # ignore units in brackets: "x [m]", "time(s)"
     names = [cell.lower().partition("[")[0].partition("(")[0].strip() for cell in cells]
@@ -154,22 +162,33 @@ def _find_columns(where: str, cells: list[str], wanted_names: dict[str, tuple[st
         if not found:
             problem = f"no column for {wanted} (one of {', '.join(known)}), found {', '.join(cells)[:200]!r}"
             example = "time,x,y,z" if wanted in _NAMES else "time,x,y,z,roll,pitch,yaw"
-            raise InputError(where, problem, f"name the columns in the first row, for example {example}")
+            raise InputError(
+                where, problem, f"name the columns in the first row, for example {example}"
+            )
         columns.append(found[0])
     return columns
 
 
-def _parse(path: Path, batch: list[tuple[int, str]], delimiter: str | None, columns: list[int]) -> F64:
+def _parse(
+    path: Path, batch: list[tuple[int, str]], delimiter: str | None, columns: list[int]
+) -> F64:
     """Return (n, 4) time and position, all finite."""
     try:
         cells = [row.split(delimiter) for _, row in batch]
-        values = np.array([[float(row[column]) for column in columns] for row in cells], dtype=np.float64)
+        values = np.array(
+            [[float(row[column]) for column in columns] for row in cells], dtype=np.float64
+        )
     except (ValueError, IndexError):
         values = np.empty((0, 4))
     if len(values) and np.isfinite(values).all():
         return values
     # something in this batch is wrong or quoted: parse row by row
-    return np.array([_parse_row(f"{path}: line {number}", _cells(row, delimiter), columns) for number, row in batch])
+    return np.array(
+        [
+            _parse_row(f"{path}: line {number}", _cells(row, delimiter), columns)
+            for number, row in batch
+        ]
+    )
 
 
 def _parse_row(where: str, cells: list[str], columns: list[int]) -> list[float]:
@@ -241,7 +260,9 @@ def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
     shown = ", ".join(one.name for one in every[:20]) or "none"
     if len(chosen) > 1 or (topic is not None and not chosen):
         found = "several topics with poses" if topic is None else f"no poses on {topic!r}"
-        raise ConfigError("input.trajectory_topic", f"{found} in {path.name}, it has: {shown}", "name one of them")
+        raise ConfigError(
+            "input.trajectory_topic", f"{found} in {path.name}, it has: {shown}", "name one of them"
+        )
     rows: list[list[float]] = []
     for message in bag.messages(chosen):
         rows.append(_pose(path, message, len(rows)))
@@ -263,7 +284,9 @@ def _pose(path: Path, message: Message, number: int) -> list[float]:
     except ShortMessageError as error:
         raise InputError(where, f"the message {error}", "copy the bag again") from None
     if not np.isfinite(values).all():
-        raise InputError(where, "found a pose that is not finite, expected numbers", "record it again")
+        raise InputError(
+            where, "found a pose that is not finite, expected numbers", "record it again"
+        )
     _check_length(where, values[3:])
     return [stamp_s, *values]
 
@@ -290,7 +313,11 @@ SBET_BYTES = 136
 def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
     """Read the positions of a file of ``size`` bytes."""
     values = _sbet_records(path, size)[:, :4]
-    sane = np.isfinite(values).all(axis=1) & (np.abs(values[:, 1]) <= math.pi / 2) & (np.abs(values[:, 2]) <= math.tau)
+    sane = (
+        np.isfinite(values).all(axis=1)
+        & (np.abs(values[:, 1]) <= math.pi / 2)
+        & (np.abs(values[:, 2]) <= math.tau)
+    )
     if not sane.all():
         i = int(np.argmin(sane))
         found = ", ".join(f"{value:g}" for value in values[i])
@@ -304,7 +331,11 @@ def _sbet_records(path: Path, size: int) -> F64:
     """Return time, position, attitude and the wander angle of every record, (n, 11)."""
     if size % SBET_BYTES:
         problem = f"{size} bytes, expected a multiple of {SBET_BYTES} (17 doubles a record)"
-        raise InputError(str(path), problem, "the SBET is cut short, or it is no SBET: give a text file another suffix")
+        raise InputError(
+            str(path),
+            problem,
+            "the SBET is cut short, or it is no SBET: give a text file another suffix",
+        )
     parts = []
     with path.open("rb") as handle:
         while raw := handle.read(_BATCH * SBET_BYTES):
@@ -320,7 +351,9 @@ def project(path: Path, position: F64, target: str | None) -> F64:
     xyz_m: F64 = np.stack([x, y, position[:, 2]], axis=1)
     finite = np.isfinite(xyz_m).all(axis=1)
     if not finite.all():
-        problem = f"position {int(np.argmin(finite))} lies outside of what {system.shown!r} can show"
+        problem = (
+            f"position {int(np.argmin(finite))} lies outside of what {system.shown!r} can show"
+        )
         raise InputError(str(path), problem, "check trajectory_crs")
     return xyz_m
 
@@ -332,7 +365,9 @@ def unproject(path: Path, xyz_m: F64, target: str | None) -> F64:
     place: F64 = np.stack([np.radians(longitude), np.radians(latitude), xyz_m[:, 2]], axis=1)
     finite = np.isfinite(place).all(axis=1)
     if not finite.all():
-        problem = f"position {int(np.argmin(finite))} lies outside of what {system.shown!r} can show"
+        problem = (
+            f"position {int(np.argmin(finite))} lies outside of what {system.shown!r} can show"
+        )
         raise InputError(str(path), problem, "check trajectory_crs")
     return place
 
@@ -362,7 +397,9 @@ def _projected_system(path: Path, target: str | None) -> _System:
     try:
         crs = pyproj.CRS.from_user_input(target)
         _refuse_heights(path, crs, shown)
-        if not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
+        if not crs.is_projected or any(
+            axis.unit_conversion_factor != 1.0 for axis in crs.axis_info
+        ):
             problem = f"coordinate system {shown!r} is not a projected one in metres"
             raise ConfigError(str(path), problem, remedy)
         forward = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)

@@ -85,7 +85,9 @@ def fullest_azimuth(sample: F64, elevation_deg: float, width: int, height: int) 
         view = Perspective.around(points, azimuth_deg, elevation_deg, *coarse)
         right, down, _ = view.project(points)
         seen = (right >= 0) & (right < view.size[0]) & (down >= 0) & (down < view.size[1])
-        return len(np.unique(down[seen].astype(np.int64) * view.size[0] + right[seen].astype(np.int64)))
+        return len(
+            np.unique(down[seen].astype(np.int64) * view.size[0] + right[seen].astype(np.int64))
+        )
 
     best = max(AZIMUTHS_DEG, key=n_filled)
     return float(best) if n_filled(best) > _BETTER * n_filled(USUAL_DEG) else USUAL_DEG
@@ -126,7 +128,10 @@ class FromAbove:
         half[:2] = np.maximum(half[:2], NARROWEST * half[1::-1])
         metres = float(max(2 * half[0] / width, 2 * half[1] / height))
         # a round pixel size is convenient, but the view should fill the picture
-        size = max(1, math.ceil(2 * half[0] / metres - 1e-9)), max(1, math.ceil(2 * half[1] / metres - 1e-9))
+        size = (
+            max(1, math.ceil(2 * half[0] / metres - 1e-9)),
+            max(1, math.ceil(2 * half[1] / metres - 1e-9)),
+        )
         left, top = middle[0] - size[0] * metres / 2, middle[1] + size[1] * metres / 2
         return cls(float(left), float(top), float(sample[:, 2].max()) + 1.0, metres, size)
 
@@ -154,7 +159,9 @@ class Perspective:
     centre: tuple[float, float]
 
     @classmethod
-    def around(cls, sample: F64, azimuth_deg: float, elevation_deg: float, width: int, height: int) -> Perspective:
+    def around(
+        cls, sample: F64, azimuth_deg: float, elevation_deg: float, width: int, height: int
+    ) -> Perspective:
         """Return the view from a direction that holds nearly all points of a sample (n, 3) float64."""
         low, high = bounds(sample)
         inside = sample[((sample >= low) & (sample <= high)).all(axis=1)]
@@ -162,7 +169,11 @@ class Perspective:
         target = (inside.min(axis=0) + inside.max(axis=0)) / 2
         azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
         out = np.array(
-            [math.sin(azimuth) * math.cos(elevation), math.cos(azimuth) * math.cos(elevation), math.sin(elevation)]
+            [
+                math.sin(azimuth) * math.cos(elevation),
+                math.cos(azimuth) * math.cos(elevation),
+                math.sin(elevation),
+            ]
         )
         right = np.array([-math.cos(azimuth), math.sin(azimuth), 0.0])
         axes = np.stack([right, np.cross(-out, right), -out])
@@ -170,13 +181,19 @@ class Perspective:
         slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2)) * (1 - 2 * MARGIN)
         # the smallest distance at which all points are within the horizontal angle and the picture's aspect ratio
         away = float(np.max(np.abs(seen[:, 0]) / slope - seen[:, 2], initial=1.0))
-        away = max(away, float(np.max(np.abs(seen[:, 1]) / (slope * height / width) - seen[:, 2], initial=1.0)))
+        away = max(
+            away,
+            float(np.max(np.abs(seen[:, 1]) / (slope * height / width) - seen[:, 2], initial=1.0)),
+        )
         away = max(away, float(-seen[:, 2].min()) * 1.05 + 0.1)
         flat = seen[:, :2] / (seen[:, 2] + away)[:, None]
         ends = np.stack([flat.min(axis=0), flat.max(axis=0)])
         spans = np.maximum(ends[1] - ends[0], 1e-6) * (1 + 2 * MARGIN)
         focal = float(min(width / spans[0], height / spans[1]))
-        size = max(1, math.ceil(spans[0] * focal - 1e-6)), max(1, math.ceil(spans[1] * focal - 1e-6))
+        size = (
+            max(1, math.ceil(spans[0] * focal - 1e-6)),
+            max(1, math.ceil(spans[1] * focal - 1e-6)),
+        )
         middle = ends.mean(axis=0) * focal
         centre = size[0] / 2 - float(middle[0]), size[1] / 2 - float(middle[1])
         return cls(target + out * away, axes, focal, size, centre)
@@ -214,7 +231,12 @@ class DepthBuffer:
         # positive floats sort like their bit patterns
         bits = depth[inside].astype(np.float32).view(np.uint32).astype(np.uint64)
         chosen = colours[inside].astype(np.uint64)
-        keys = bits << np.uint64(32) | chosen[:, 0] << np.uint64(16) | chosen[:, 1] << np.uint64(8) | chosen[:, 2]
+        keys = (
+            bits << np.uint64(32)
+            | chosen[:, 0] << np.uint64(16)
+            | chosen[:, 1] << np.uint64(8)
+            | chosen[:, 2]
+        )
         first = -((self._splat - 1) // 2)
         for across in range(first, first + self._splat):
             for along in range(first, first + self._splat):
@@ -230,10 +252,14 @@ class DepthBuffer:
             keys = _close_gaps(keys)
         depth = (keys >> np.uint64(32)).astype(np.uint32).view(np.float32)
         empty = keys == EMPTY
-        colours = np.stack([(keys >> np.uint64(shift)) & np.uint64(255) for shift in (16, 8, 0)], axis=-1)
+        colours = np.stack(
+            [(keys >> np.uint64(shift)) & np.uint64(255) for shift in (16, 8, 0)], axis=-1
+        )
         picture = colours.astype(np.float32)
         if shade:
-            relief = np.where(empty, np.inf, self._camera.relief(np.where(empty, 1.0, depth).astype(np.float64)))
+            relief = np.where(
+                empty, np.inf, self._camera.relief(np.where(empty, 1.0, depth).astype(np.float64))
+            )
             picture *= _shading(relief.astype(np.float32))[..., None]
         picture[empty] = 255.0
         return np.rint(picture).astype(np.uint8)
@@ -243,7 +269,12 @@ def _neighbours(image: NDArray[Any], fill: object, reach: int = 1) -> list[NDArr
     """Return the eight neighbours of every pixel at some distance, outside = ``fill``."""
     padded = np.pad(image, reach, constant_values=fill)  # type: ignore[call-overload]
     height, width = image.shape
-    steps = [(dy, dx) for dy in (0, reach, 2 * reach) for dx in (0, reach, 2 * reach) if (dy, dx) != (reach, reach)]
+    steps = [
+        (dy, dx)
+        for dy in (0, reach, 2 * reach)
+        for dx in (0, reach, 2 * reach)
+        if (dy, dx) != (reach, reach)
+    ]
     return [padded[dy : dy + height, dx : dx + width] for dy, dx in steps]
 
 
@@ -268,7 +299,9 @@ def _shading(relief: F32) -> F32:
             with np.errstate(invalid="ignore"):
                 step = relief - one
             # limit the effect of one deep step, which is an edge and must not turn its surroundings black
-            total += np.float32(weight) * np.clip(np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 0.06)
+            total += np.float32(weight) * np.clip(
+                np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 0.06
+            )
     return np.asarray(np.maximum(np.exp(-SHADE * total / 14.0), 0.25), np.float32)
 
 

@@ -63,7 +63,9 @@ def range_bar(limits_m: tuple[float, float], *, rises: bool = False) -> Bar:
     if sum(near <= value <= far for value in values) < 3:  # too few of these on a narrow scale
         values = _even_values(near, far)
     inside = [value for value in values if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9)]
-    ticks = tuple((math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside)
+    ticks = tuple(
+        (math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside
+    )
     return Bar(colour_map() if rises else colour_map()[::-1], ticks)
 
 
@@ -92,14 +94,20 @@ def value_bar(limits: tuple[float, float], unit: str) -> Bar:
     """
     low, high = limits
     values = _even_values(low, high)
-    return Bar(colour_map(), tuple(((value - low) / (high - low), f"{value:.6g}") for value in values), unit)
+    return Bar(
+        colour_map(),
+        tuple(((value - low) / (high - low), f"{value:.6g}") for value in values),
+        unit,
+    )
 
 
 def _even_values(low: float, high: float) -> list[float]:
     """Return three to seven multiples of 1, 2 or 5 times a power of ten."""
     step = 10.0 ** math.floor(math.log10((high - low) / 3))
     step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (factor * step) <= 6)
-    return [step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+    return [
+        step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    ]
 
 
 AGREE_COLOUR = (222, 222, 222)
@@ -108,7 +116,9 @@ NOT_SCORED_COLOUR = (196, 180, 224)
 """Colour of returns whose class is not compared."""
 
 
-def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int | None = None) -> U8:
+def difference_picture(
+    predicted: U8, reference: U8, colours: U8, unscored: int | None = None
+) -> U8:
     """Show where two labellings (lines, M) uint8 differ, in colours (n, 3); (lines, M, 3) uint8."""
     picture = colours[predicted]
     picture[predicted == reference] = AGREE_COLOUR
@@ -121,7 +131,9 @@ def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int 
 def segment_picture(segments: NDArray[np.integer]) -> U8:
     """Colour ids (lines, M) alike in every picture, 0 = none is black; (lines, M, 3) uint8."""
     # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation and value
-    hue, saturation, value = (np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910))
+    hue, saturation, value = (
+        np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910)
+    )
     picture = _from_hsv(hue, 0.45 + 0.5 * saturation, 0.6 + 0.4 * value)
     picture[segments == 0] = 0
     return picture
@@ -188,7 +200,9 @@ def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]
     low, high = limits_m
     never = np.isposinf(zeta_m)
     shown = np.where(never, np.nan, zeta_m)
-    picture = value_picture(np.log(np.clip(shown, low, high)), (float(np.log(low)), float(np.log(high))))
+    picture = value_picture(
+        np.log(np.clip(shown, low, high)), (float(np.log(low)), float(np.log(high)))
+    )
     picture[never] = NEVER_COLOUR
     return picture
 
@@ -205,9 +219,16 @@ def trigger_key() -> tuple[tuple[str, tuple[int, int, int]], ...]:
     >>> trigger_key()[0]
     ('trigger', (30, 20, 10))
     """
-    classes = (("dense vegetation T'", Label.VEGETATION), ("H", Label.HORIZONTAL), ("V", Label.VERTICAL))
+    classes = (
+        ("dense vegetation T'", Label.VEGETATION),
+        ("H", Label.HORIZONTAL),
+        ("V", Label.VERTICAL),
+    )
     pale = trigger_picture(np.array([[label for _, label in classes]], np.uint8))[0].tolist()
-    keys = tuple((name, (red, green, blue)) for (name, _), (red, green, blue) in zip(classes, pale, strict=True))
+    keys = tuple(
+        (name, (red, green, blue))
+        for (name, _), (red, green, blue) in zip(classes, pale, strict=True)
+    )
     return (("trigger", TRIGGER_COLOUR), *keys)
 
 

@@ -53,7 +53,10 @@ class Axis:
             return []
         step = round_step((high - low) * apart / max(length, 1), whole=self.cells)
         half = 0.5 if self.cells else 0.0
-        values = [step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+        values = [
+            step * i
+            for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+        ]
         marks = []
         for value in values:
             place = (value + half - self.first) / (self.stop - self.first)
@@ -115,9 +118,14 @@ def number_text(value: float, step: float = 1.0) -> str:
     return text.replace("-0", "0") if float(text.replace(",", "")) == 0 else text
 
 
-def zoom_for(width: int, height: int, least: tuple[int, int] = (1000, 180), most: int = 2200) -> tuple[int, int]:
+def zoom_for(
+    width: int, height: int, least: tuple[int, int] = (1000, 180), most: int = 2200
+) -> tuple[int, int]:
     """Return integer factors that enlarge a small picture to a readable size."""
-    across, down = (max(1, -(-limit // max(size, 1))) for limit, size in zip(least, (width, height), strict=True))
+    across, down = (
+        max(1, -(-limit // max(size, 1)))
+        for limit, size in zip(least, (width, height), strict=True)
+    )
     across = min(across, max(1, most // max(width, 1)))
     down = min(down, max(1, most // max(height, 1)))
     if across > 1 and down > 1:
@@ -149,7 +157,13 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
         draw.text((LEFT, top - 8), panel.title, fill=INK, font=font(_TITLE), anchor="ls")
         begin = LEFT + draw.textlength(panel.title, font=font(_TITLE)) + 16
         if wrapped:
-            draw.text((LEFT, top + height + AXIS_HEIGHT + 4), panel.note, fill=PALE_INK, font=font(_SMALL), anchor="la")
+            draw.text(
+                (LEFT, top + height + AXIS_HEIGHT + 4),
+                panel.note,
+                fill=PALE_INK,
+                font=font(_SMALL),
+                anchor="la",
+            )
         else:
             draw.text((begin, top - 8), panel.note, fill=PALE_INK, font=font(_SMALL), anchor="ls")
     _draw_axes(draw, panel, top, width, height)
@@ -159,7 +173,9 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     return canvas
 
 
-def _draw_key(draw: ImageDraw.ImageDraw, rows: list[list[tuple[int, str, Colour]]], top: int) -> None:
+def _draw_key(
+    draw: ImageDraw.ImageDraw, rows: list[list[tuple[int, str, Colour]]], top: int
+) -> None:
     for row in rows:
         for left, text, colour in row:
             at = LEFT + left
@@ -174,15 +190,21 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
     for place, text in panel.x.ticks(width, 120):
         draw.line((LEFT + place, bottom + 1, LEFT + place, bottom + _TICK), fill=PALE_INK)
         if place < room:  # keep the end free for the axis name
-            draw.text((LEFT + place, bottom + _TICK + 3), text, fill=PALE_INK, font=small, anchor="ma")
-    draw.text((LEFT + width, bottom + _TICK + 3), panel.x.name, fill=PALE_INK, font=small, anchor="ra")
+            draw.text(
+                (LEFT + place, bottom + _TICK + 3), text, fill=PALE_INK, font=small, anchor="ma"
+            )
+    draw.text(
+        (LEFT + width, bottom + _TICK + 3), panel.x.name, fill=PALE_INK, font=small, anchor="ra"
+    )
     marks = panel.y.ticks(height, max(48, height // 24))
     for place, text in marks:
         draw.line((LEFT - _TICK - 1, top + place, LEFT - 2, top + place), fill=PALE_INK)
         draw.text((LEFT - _TICK - 5, top + place), text, fill=PALE_INK, font=small, anchor="rm")
     if max((draw.textlength(text, font=small) for _, text in marks), default=0) > LEFT - _TICK - 32:
         # long numbers leave no space beside them
-        draw.text((LEFT - _TICK - 5, top - 14), panel.y.name, fill=PALE_INK, font=small, anchor="rs")
+        draw.text(
+            (LEFT - _TICK - 5, top - 14), panel.y.name, fill=PALE_INK, font=small, anchor="rs"
+        )
         return
     side = Image.new("L", (max(1, math.ceil(draw.textlength(panel.y.name, font=small)) + 2), 24), 0)
     ImageDraw.Draw(side).text((1, 1), panel.y.name, fill=255, font=small)
@@ -191,7 +213,9 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
         draw.bitmap((2, top + (height - turned.height) // 2), turned, fill=PALE_INK)
 
 
-def _draw_bar(canvas: Image.Image, draw: ImageDraw.ImageDraw, bar: Bar, left: int, top: int, height: int) -> None:
+def _draw_bar(
+    canvas: Image.Image, draw: ImageDraw.ImageDraw, bar: Bar, left: int, top: int, height: int
+) -> None:
     """Draw a colour bar with its numbers, the first colour at the bottom."""
     small, wide = font(_SMALL), 18
     foot = 26
@@ -211,7 +235,9 @@ def _draw_bar(canvas: Image.Image, draw: ImageDraw.ImageDraw, bar: Bar, left: in
     draw.text((left - 2, top + length + 5), bar.unit, fill=PALE_INK, font=small, anchor="la")
 
 
-def draw_sheet(head: str, panels: Sequence[Panel], key: Key = (), *, columns: int = 1) -> Image.Image:
+def draw_sheet(
+    head: str, panels: Sequence[Panel], key: Key = (), *, columns: int = 1
+) -> Image.Image:
     """Stack pictures under each other below a headline, a key at the bottom."""
     if not panels:
         where = "pictures"

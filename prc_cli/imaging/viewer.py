@@ -27,7 +27,9 @@ from prc_cli.imaging.pictures import colour_map, range_limits, value_limits
 from prc_cli.imaging.sheet import Key, Panel, draw_panel
 
 
-def html_page(title: str, head: str, sections: Iterable[tuple[str, Sequence[Panel]]], key: Key, foot: str) -> str:
+def html_page(
+    title: str, head: str, sections: Iterable[tuple[str, Sequence[Panel]]], key: Key, foot: str
+) -> str:
     """Return an HTML page of pictures with captions under headings, without external files."""
     values = {"title": title, "head": head, "sections": sections, "key": key, "foot": foot}
     return render_page("prc_cli.imaging", "pictures.html", values, {"png": _png_text})
@@ -100,11 +102,15 @@ class Shots:
     """Whether the first line is on the right."""
 
 
-def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str, why: str = "") -> str:
+def viewer_page(
+    shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str, why: str = ""
+) -> str:
     """Return the page."""
     n_lines, n_columns = shots.classes.shape
     near, far = range_limits(shots.range_m)
-    planes: dict[str, dict[str, Any]] = {"class": {"bytes": 1, "n": shots.classes.size, "title": "class"}}
+    planes: dict[str, dict[str, Any]] = {
+        "class": {"bytes": 1, "n": shots.classes.size, "title": "class"}
+    }
     texts = {"class": pack(shots.classes.ravel().astype(np.uint32), 1)}
     box: dict[str, Any] = {"centre": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1.0], "azimuth": 0.0}
     more = {"range": Values("range", shots.range_m, 0.001, 3, is_logarithmic=True), **shots.more}
@@ -119,13 +125,17 @@ def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], fo
         "classes": [asdict(one) for one in shots.entries],
         "planes": planes,
         "box": box,
-        "order": list(range(n_columns)) if shots.order is None else [int(column) for column in shots.order],
+        "order": list(range(n_columns))
+        if shots.order is None
+        else [int(column) for column in shots.order],
         "mirrored": shots.is_mirrored,
         "why": why,
         "ramp": colour_map().tolist(),
     }
     files = resources.files("prc_cli.imaging")
-    style, script = ((files / f"viewer.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    style, script = (
+        (files / f"viewer.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
+    )
     values = {
         "title": title,
         "head": head,
@@ -157,7 +167,11 @@ def _placed(xyz_m: F64, framed: NDArray[np.bool_]) -> tuple[dict[str, Any], dict
     near = seen & (xyz_m >= low - room).all(axis=2) & (xyz_m <= high + room).all(axis=2)
     held = inside[((inside >= low) & (inside <= high)).all(axis=1)]
     azimuth = fullest_azimuth(held if len(held) else inside, _SEEN_DEG, 1200, 700)
-    box = {"centre": ((low + high) / 2).tolist(), "size": np.maximum(high - low, 0.1).tolist(), "azimuth": azimuth}
+    box = {
+        "centre": ((low + high) / 2).tolist(),
+        "size": np.maximum(high - low, 0.1).tolist(),
+        "azimuth": azimuth,
+    }
     places = {
         axis: Values(axis, np.where(near, xyz_m[..., k], np.nan), 0.001, is_scale=axis == "z")
         for k, axis in enumerate("xyz")
@@ -169,15 +183,22 @@ def _plane(each: Values, limits: tuple[float, float] | None) -> tuple[dict[str, 
     """Return the description of a plane, and its packed values."""
     values = np.asarray(each.values, np.float64).ravel()
     known = np.isfinite(values)
-    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    low, high = (
+        (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    )
     most = 256**each.n_bytes - 2
     scale = each.step * max(1, math.ceil((high - low) / each.step / most))
     whole = np.zeros(len(values), np.int64)
     whole[known] = np.rint((values[known] - low) / scale).astype(np.int64) + 1
     about: dict[str, Any] = {
-        "bytes": each.n_bytes, "n": len(values), "offset": low, "scale": scale, "title": each.title, "unit": each.unit,
+        "bytes": each.n_bytes,
+        "n": len(values),
+        "offset": low,
+        "scale": scale,
+        "title": each.title,
+        "unit": each.unit,
         "digits": max(0, -math.floor(math.log10(scale) + 1e-9)),
-    }  # fmt: skip
+    }
     if each.words:
         about["words"] = {str(number): word for number, word in each.words.items()}
     elif each.is_scale:
@@ -190,4 +211,6 @@ def pack(whole: NDArray[np.uint32], n_bytes: int) -> str:
     """Return integers below 256 ** n_bytes, (n,) uint32, as text."""
     steps = np.diff(whole, prepend=np.uint32(0)).astype("<u4")
     planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode("ascii")
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode(
+        "ascii"
+    )

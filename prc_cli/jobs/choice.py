@@ -48,7 +48,9 @@ def possible_configs(loaded: LoadedConfig) -> list[RunConfig]:
     """Return the configurations that a run may have been done with: where no method is named, one for every choice."""
     if loaded.config.is_decided:
         return [loaded.config]
-    return [decided_by(MethodChoice(preset, ""), loaded).config for preset in get_args(ChosenPreset)]
+    return [
+        decided_by(MethodChoice(preset, ""), loaded).config for preset in get_args(ChosenPreset)
+    ]
 
 
 def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> MethodChoice | None:
@@ -75,7 +77,9 @@ def choice_by_beams(
     if may_spin and first.has_rings:
         return MethodChoice("rings", "columns are the rings of a spinning scanner")
     if may_spin and first.beam_rad is not None and is_fan(first.beam_rad):
-        return MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
+        return MethodChoice(
+            "rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do"
+        )
     place = place_of_blocks(blocks)
     doubt = f"{place.why}: {place.doubt}" if place.doubt else ""
     if place.kind == "forest":
@@ -109,9 +113,16 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         if every or stream.info.facts.has_scans or config.input.scanner != "none":
             # a later scanner may be refused only when it is reached
             for _ in directed.blocks():
-                if every and isinstance(directed, BeamStream) and len(directed.known | directed.late) >= len(every):
+                if (
+                    every
+                    and isinstance(directed, BeamStream)
+                    and len(directed.known | directed.late) >= len(every)
+                ):
                     break
-        is_measured = any(one.key == ANGLES and one.value.startswith("measured") for one in directed.info.assumptions)
+        is_measured = any(
+            one.key == ANGLES and one.value.startswith("measured")
+            for one in directed.info.assumptions
+        )
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
         first_block = next(iter(directed.blocks()))
         # rows of a tripod's scan may see as little as rings do, where the sky was cut off
@@ -121,9 +132,14 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
         every = stream.info.facts.scanners
         lacks = f"{scanner}: {refusal.problem}" if scanner in every else refusal.problem
-        give, others = refusal.hint, ",".join(name.partition(" (")[0] for name in every if name != scanner)
+        give, others = (
+            refusal.hint,
+            ",".join(name.partition(" (")[0] for name in every if name != scanner),
+        )
         if scanner in every and others:
-            give += f", and --topic {scanner.partition(' (')[0]}; or try the others: --topic {others}"
+            give += (
+                f", and --topic {scanner.partition(' (')[0]}; or try the others: --topic {others}"
+            )
         return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, give), stream
 
 
@@ -141,7 +157,9 @@ def decide_stream(
     return loaded, stream
 
 
-def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False) -> LoadedConfig:
+def decide(
+    path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False
+) -> LoadedConfig:
     """Return a configuration that names a method: the given one, or with the method chosen for a file."""
     return decide_and_open(path, loaded, engine=engine, trust_order=trust_order)[0]
 

@@ -34,7 +34,13 @@ from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint
-from prc_cli.jobs.choice import choice_by_beams, choice_by_request, choose, decide_stream, decided_by
+from prc_cli.jobs.choice import (
+    choice_by_beams,
+    choice_by_request,
+    choose,
+    decide_stream,
+    decided_by,
+)
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
@@ -82,7 +88,10 @@ class Counts(Brief):
         where: Any = block.records() >= 0 if only_records else ...
         ranges, extra = block.range_m[where], block.extra.record >= 0 if only_records else ...
         if isinstance(item, LabelledBlock):
-            labels = count_bytes(item.labels[where])[: len(Label)] + count_bytes(item.extra_labels[extra])[: len(Label)]
+            labels = (
+                count_bytes(item.labels[where])[: len(Label)]
+                + count_bytes(item.extra_labels[extra])[: len(Label)]
+            )
         else:
             labels = np.zeros(len(Label), np.int64)
             labels[Label.MISSING] = np.count_nonzero(np.isnan(ranges))
@@ -145,14 +154,24 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
 
 
 def _open(
-    path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False, parts: Sequence[Path] = ()
+    path: Path,
+    config: RunConfig,
+    *,
+    geometry: bool,
+    only_ranges: bool = False,
+    parts: Sequence[Path] = (),
 ) -> ScanStream:
     """Open an input, with angles that the method does not need (``geometry``), or with ranges alone."""
     stream = open_input(
-        path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
-        geometry=geometry or config.needs_beams, only_ranges=only_ranges,
-        with_intensity=config.classifier.method().needs.intensity, parts=parts,
-    )  # fmt: skip
+        path,
+        config.input,
+        config.layout,
+        lines_at_once=config.classifier.method().needs.lines_per_block or 1,
+        geometry=geometry or config.needs_beams,
+        only_ranges=only_ranges,
+        with_intensity=config.classifier.method().needs.intensity,
+        parts=parts,
+    )
     if not config.needs_beams:
         return stream
     # imported here: PRC needs no beams, and starts sooner without this module
@@ -162,20 +181,28 @@ def _open(
 
 
 def open_decided(
-    path: Path, loaded: LoadedConfig, engine: Engine,
-    *, geometry: bool, only_ranges: bool, loading: Callable[[], AbstractContextManager[None]],
+    path: Path,
+    loaded: LoadedConfig,
+    engine: Engine,
+    *,
+    geometry: bool,
+    only_ranges: bool,
+    loading: Callable[[], AbstractContextManager[None]],
     parts: Sequence[Path] = (),
-) -> tuple[LoadedConfig, ScanStream]:  # fmt: skip
+) -> tuple[LoadedConfig, ScanStream]:
     """Open an input for the method that is named, else for the one chosen for it."""
     config = loaded.config
     if not config.is_decided:
         choice = choice_by_request(config, engine=engine)
         if choice is None:
             stream = open_input(
-                path, config.input, config.layout,
-                lines_at_once=config.fused.method().needs.lines_per_block or 1, only_ranges=only_ranges,
+                path,
+                config.input,
+                config.layout,
+                lines_at_once=config.fused.method().needs.lines_per_block or 1,
+                only_ranges=only_ranges,
                 parts=parts,
-            )  # fmt: skip
+            )
             choice, stream = choose(stream, config)
         loaded = decided_by(choice, loaded)
         with loading():
@@ -184,11 +211,17 @@ def open_decided(
         lacks = only_ranges and loaded.config.classifier.method().needs.intensity
         if loaded.config.needs_beams and not lacks:
             return loaded, stream
-    return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts)
+    return loaded, _open(
+        path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts
+    )
 
 
 def label_blocks(
-    blocks: Iterator[ScanBlock], params: MethodParams, *, threads: int = 1, wanted: Wanted = LABELS_ALONE
+    blocks: Iterator[ScanBlock],
+    params: MethodParams,
+    *,
+    threads: int = 1,
+    wanted: Wanted = LABELS_ALONE,
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block, with one state per scanner."""
     if wanted.confidence:
@@ -211,7 +244,9 @@ def confidence_kernels(params: MethodParams) -> frozenset[str]:
     return found
 
 
-def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled") -> None:
+def load_classifier(
+    config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled"
+) -> None:
     """Load the loops of the method, or of all that an input may decide on; compiled at the first time."""
     chosen = LoadedConfig.of(config).config
     methods = [chosen.classifier]
@@ -272,9 +307,15 @@ def classify(
         load_classifier(loaded, engine)
     with use_engine(engine):
         return _classify(
-            scan_file(Path(source)), Path(output), loaded,
-            overwrite=overwrite, progress=progress, threads=threads_of(engine, threads), engine=engine, loading=loading,
-        )  # fmt: skip
+            scan_file(Path(source)),
+            Path(output),
+            loaded,
+            overwrite=overwrite,
+            progress=progress,
+            threads=threads_of(engine, threads),
+            engine=engine,
+            loading=loading,
+        )
 
 
 def threads_of(engine: Engine, threads: int | None = None) -> int:
@@ -285,10 +326,16 @@ def threads_of(engine: Engine, threads: int | None = None) -> int:
 
 
 def _classify(
-    source: Path, output: Path, loaded: LoadedConfig,
-    *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
+    source: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    overwrite: bool,
+    progress: Progress | None,
+    threads: int,
+    engine: Engine,
     loading: Callable[[], AbstractContextManager[None]],
-) -> RunSummary:  # fmt: skip
+) -> RunSummary:
     """Classify one file with the engine that is set; see :func:`classify`."""
     loaded = with_layout_beside(source, loaded)
     return_memory()  # before any thread
@@ -298,11 +345,13 @@ def _classify(
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
         makes_points = is_cloud(output)
-        only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
+        only_ranges = not makes_points or (
+            suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES
+        )
         is_new = makes_points and not keeps_points(source, output)
         loaded, opened = open_decided(
             source, loaded, engine, geometry=is_new, only_ranges=only_ranges, loading=loading
-        )  # fmt: skip
+        )
         if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
             opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
@@ -310,7 +359,9 @@ def _classify(
             confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
     with (
-        FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
+        FingerprintBeside(
+            source, threads=threads, hashes=loaded.config.input.window is None
+        ) as beside,
         placement(source, output, loaded, opened) if is_new else nullcontext() as place,
         open_writer(
             LabelOutput(
@@ -378,7 +429,11 @@ class Judge:
 
 
 def write_labels(
-    stream: EvidenceStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None
+    stream: EvidenceStream,
+    writer: Taker,
+    config: RunConfig,
+    threads: int,
+    progress: Progress | None,
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
     """Read, classify and write in parallel, until all threads have ended; return counts, findings and notices."""
     counts, judge = Counts.none(), Judge(stream, config)
@@ -404,7 +459,9 @@ def write_labels(
             put(item)
             advance(progress, item.block, info, config.input.window)
     found = judge.findings()
-    missed = config.classifier.method().notices(counts.labels, counts.tally, segments=config.output.segment_ids)
+    missed = config.classifier.method().notices(
+        counts.labels, counts.tally, segments=config.output.segment_ids
+    )
     return counts, found, (*missed, *notices(found))
 
 
@@ -431,11 +488,17 @@ class ClassifiedRanges:
     def counts(self) -> dict[str, int]:
         """Return the number of shots of every class that occurs, by name, the most frequent first."""
         n = np.bincount(self.labels.ravel(), minlength=len(Label))
-        return {label.name.lower(): int(n[label]) for label in sorted(Label, key=lambda one: -n[one]) if n[label]}
+        return {
+            label.name.lower(): int(n[label])
+            for label in sorted(Label, key=lambda one: -n[one])
+            if n[label]
+        }
 
     def __repr__(self) -> str:
         lines, shots = self.labels.shape
-        return f"{lines:,} lines of {shots:,} shots: " + ", ".join(f"{k} {n:,}" for k, n in self.counts.items())
+        return f"{lines:,} lines of {shots:,} shots: " + ", ".join(
+            f"{k} {n:,}" for k, n in self.counts.items()
+        )
 
 
 def classify_ranges(
@@ -505,7 +568,9 @@ def classify_ranges(
     config = LoadedConfig.of(config).config
     given = np.asarray(range_m)
     if given.dtype.kind not in "fiu":
-        raise InputError("range_m", f"found values of type {given.dtype}, expected ranges in metres")
+        raise InputError(
+            "range_m", f"found values of type {given.dtype}, expected ranges in metres"
+        )
     if engine != "compiled":
         load_classifier(config, engine)
     with use_engine(engine):
@@ -520,10 +585,16 @@ def classify_ranges(
         stream = watched(_InMemory(block), config.input, needs=needs, others=loaded.findings)
         judge, is_judged = Judge(stream, config), block.range_m.size >= LEAST_SHOTS
         blocks = iter(list(stream.blocks()) if is_judged else [block])
-        labelled = list(judge.label(blocks, threads=threads_of(engine, threads), wanted=wanted_by(config.output)))
+        labelled = list(
+            judge.label(
+                blocks, threads=threads_of(engine, threads), wanted=wanted_by(config.output)
+            )
+        )
         found = judge.findings() if is_judged else ()
     for doubt in doubts(found):
-        told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
+        told = (
+            f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
+        )
         warnings.warn(told, DoubtWarning, stacklevel=2)
     labels = np.concatenate([item.labels for item in labelled])
     more = [[getattr(item, name) for item in labelled] for name in ("confidence", "reasons")]
@@ -565,11 +636,15 @@ def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
     return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
 
 
-def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None) -> ScanBlock:
+def _block_of(
+    given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None
+) -> ScanBlock:
     """Check the arrays of a range image."""
     ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
-        raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
+        raise InputError(
+            "range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)"
+        )
     return ScanBlock(
         first_line=0,
         range_m=np.ascontiguousarray(ranges),
@@ -588,12 +663,12 @@ def _directed(
     if angle_deg is not None:
         angle = np.deg2rad(np.asarray(angle_deg, np.float64))
         if angle.shape != (block.points_per_line,) or not np.isfinite(angle).all():
-            problem = (
-                f"found an array of shape {angle.shape}, expected finite angles of shape ({block.points_per_line},)"
-            )
+            problem = f"found an array of shape {angle.shape}, expected finite angles of shape ({block.points_per_line},)"
             raise InputError("angle_deg", problem)
         block = replace(block, angle_rad=angle)
-    loaded, stream = decide_stream(_InMemory(replace(block, is_last=True)), LoadedConfig(config), engine=engine)
+    loaded, stream = decide_stream(
+        _InMemory(replace(block, is_last=True)), LoadedConfig(config), engine=engine
+    )
     return loaded, next(iter(stream.blocks()))
 
 
@@ -601,9 +676,13 @@ def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
     """Check beam angles; angles from 0 to 2 pi are converted to (-pi, pi]."""
     beams = np.asarray(beam_rad, np.float64)
     if beams.shape != (points_per_line,):
-        raise InputError("beam_rad", f"found an array of shape {beams.shape}, expected ({points_per_line},)")
+        raise InputError(
+            "beam_rad", f"found an array of shape {beams.shape}, expected ({points_per_line},)"
+        )
     if not np.isfinite(beams).all():
-        raise InputError("beam_rad", "found an angle that is not finite, expected one for every column")
+        raise InputError(
+            "beam_rad", "found an angle that is not finite, expected one for every column"
+        )
     if np.abs(beams).max() > 2 * np.pi:
         problem = f"found {np.abs(beams).max():g}, expected radians from -pi to pi"
         raise InputError("beam_rad", problem, "np.deg2rad turns degrees")
@@ -613,7 +692,9 @@ def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
     # a sector that is not measured may lie within the line
     n_back = np.count_nonzero(step < 0)
     if n_back and step.sum() + 2 * np.pi * n_back > 2 * np.pi:
-        raise InputError("beam_rad", "found angles that turn back, expected them to rise or fall with the column")
+        raise InputError(
+            "beam_rad", "found angles that turn back, expected them to rise or fall with the column"
+        )
     return turned
 
 
@@ -621,12 +702,16 @@ def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
     """Check coordinates against the ranges."""
     xyz = np.array(xyz_m, np.float32)
     if xyz.shape != (*range_m.shape, 3):
-        raise InputError("xyz_m", f"found an array of shape {xyz.shape}, expected {(*range_m.shape, 3)}")
+        raise InputError(
+            "xyz_m", f"found an array of shape {xyz.shape}, expected {(*range_m.shape, 3)}"
+        )
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
     both = ~np.isnan(range_m) & ~np.isnan(xyz[..., 0])
     off = np.abs(np.sqrt((xyz[both].astype(np.float64) ** 2).sum(axis=-1)) - range_m[both])
     if off.size and np.median(off) > OFF_M:
-        problem = f"found points {np.median(off):.3g} m farther or nearer than their ranges (median)"
+        problem = (
+            f"found points {np.median(off):.3g} m farther or nearer than their ranges (median)"
+        )
         raise InputError("xyz_m", f"{problem}, expected coordinates relative to the scanner")
     return xyz
 
@@ -644,9 +729,13 @@ def run_record(
         format=info.format,
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,
-        n_records=info.n_records if is_whole and info.n_records is not None else counts.tally.n_records,
+        n_records=info.n_records
+        if is_whole and info.n_records is not None
+        else counts.tally.n_records,
         n_missing=counts.n_missing,
-        assumptions=info.assumptions if loaded.choice is None else (loaded.choice.assumption, *info.assumptions),
+        assumptions=info.assumptions
+        if loaded.choice is None
+        else (loaded.choice.assumption, *info.assumptions),
         tally=counts.tally,
         notices=(*loaded.notes, *info.facts.notes),
     )

@@ -26,7 +26,12 @@ from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
-from prc_cli.formats.writing import open_stream_writer, prepare_stream_output, stream_format, stream_suffix
+from prc_cli.formats.writing import (
+    open_stream_writer,
+    prepare_stream_output,
+    stream_format,
+    stream_suffix,
+)
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn
@@ -41,7 +46,17 @@ from prc_cli.streams.open import grid_of, open_input
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
 _STREAM_NAMES = frozenset(
-    ("range", "scan_line", "column", "angle", "time", *XYZ, "intensity", "return_number", "number_of_returns")
+    (
+        "range",
+        "scan_line",
+        "column",
+        "angle",
+        "time",
+        *XYZ,
+        "intensity",
+        "return_number",
+        "number_of_returns",
+    )
 )
 
 
@@ -134,7 +149,13 @@ def convert(
         check_unchanged(source, before)
         record = writer.finish(record)
     return ConversionSummary(
-        output, record, losses, counts.n_lines, counts.n_shots, counts.n_shots - counts.n_missing, found
+        output,
+        record,
+        losses,
+        counts.n_lines,
+        counts.n_shots,
+        counts.n_shots - counts.n_missing,
+        found,
     )
 
 
@@ -144,7 +165,12 @@ def record_of_scanners(record: RunRecord, counts: Counts) -> RunRecord:
 
 
 def prepare_output(
-    source: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool, more: tuple[Path, ...] = ()
+    source: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    overwrite: bool,
+    more: tuple[Path, ...] = (),
 ) -> None:
     """Refuse an impossible output before reading, and remove temporary files of dead runs."""
     stream_suffix(output)
@@ -170,7 +196,9 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
     return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
 
 
-def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Progress | None) -> ConversionSummary:
+def _copy_window(
+    source: Path, output: Path, loaded: LoadedConfig, progress: Progress | None
+) -> ConversionSummary:
     """Copy the records of a window of a LAS or LAZ file, and nothing else changed."""
     las, before = read_las(source), file_state(source)
     counts = Counts.none()
@@ -178,7 +206,9 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
         temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
         stays = stack.enter_context(DiskColumn(output, np.uint8, 0, n_records=las.n_records))
         stream = watched(
-            open_input(source, loaded.config.input, loaded.config.layout), loaded.config.input, refuses=False
+            open_input(source, loaded.config.input, loaded.config.layout),
+            loaded.config.input,
+            refuses=False,
         )
         stop, info = 0, stream.info
         for block in stream.blocks():
@@ -190,17 +220,28 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
             advance(progress, block, info, loaded.config.input.window)
 
         def masks(n: int) -> Iterator[Mask]:
-            return (part.view(np.bool_) for part in stays.chunks(n, stop=min(-(-stop // n) * n, las.n_records)))
+            return (
+                part.view(np.bool_)
+                for part in stays.chunks(n, stop=min(-(-stop // n) * n, las.n_records))
+            )
 
         told = copy_las(las, output, temporary, masks)
         check_unchanged(source, before)
         found = stream.findings()
         record_of_run = run_record(stream.info, counts, loaded)
         copied = "the records of the window were copied as bytes"
-        record_of_run = replace(record_of_run, notices=(*record_of_run.notices, copied, *told, *notices(found)))
+        record_of_run = replace(
+            record_of_run, notices=(*record_of_run.notices, copied, *told, *notices(found))
+        )
         beside.write_bytes(record_of_run.to_json())
     return ConversionSummary(
-        output, record_of_run, (), counts.n_lines, counts.n_shots, counts.n_shots - counts.n_missing, found
+        output,
+        record_of_run,
+        (),
+        counts.n_lines,
+        counts.n_shots,
+        counts.n_shots - counts.n_missing,
+        found,
     )
 
 
@@ -237,9 +278,12 @@ def open_items(
     """Open a stream with codes and coordinates of its records; ``blocks_of`` may watch or label the blocks."""
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
-    found: Iterator[ScanBlock | LabelledBlock] = stream.blocks() if blocks_of is None else blocks_of(stream)
+    found: Iterator[ScanBlock | LabelledBlock] = (
+        stream.blocks() if blocks_of is None else blocks_of(stream)
+    )
     blocks = (
-        StreamItem(one.block, labelled=one) if isinstance(one, LabelledBlock) else StreamItem(one) for one in found
+        StreamItem(one.block, labelled=one) if isinstance(one, LabelledBlock) else StreamItem(one)
+        for one in found
     )
     bare = next(blocks, None)
     if bare is None:
@@ -280,13 +324,17 @@ def open_items(
         yield OpenedItems(stream.info, shape, items(), records, stream, carried, told)
 
 
-def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> Carried | None:
+def _carry_array(
+    source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack
+) -> Carried | None:
     """Write the class codes of a range image to a temporary file; None if it has none."""
     if CLASS not in ArrayFile(source).headers:
         return None
     found = open_codes(source, CLASS)
     if found.n != info.n_records:
-        problem = f"the array {CLASS!r} holds {found.n} codes, expected {info.n_records}, one a shot"
+        problem = (
+            f"the array {CLASS!r} holds {found.n} codes, expected {info.n_records}, one a shot"
+        )
         raise InputError(str(source), problem, "give it the shape of the ranges or another name")
     kind = np.dtype([("code", "<i4")])
     values = stack.enter_context(DiskColumn(output, kind, (NO_CODE,)))
@@ -297,7 +345,9 @@ def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib
     return Carried(values, iter(()))
 
 
-def _item(item: StreamItem, carried: Carried | None, made_up: LinesApart | None, *, shares: bool) -> StreamItem:
+def _item(
+    item: StreamItem, carried: Carried | None, made_up: LinesApart | None, *, shares: bool
+) -> StreamItem:
     """Add the values of records that blocks do not hold."""
     block = item.block
     if made_up is not None:
@@ -311,14 +361,22 @@ def _item(item: StreamItem, carried: Carried | None, made_up: LinesApart | None,
         item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
     if "x" in names:
         registered, further = carried.place(block)
-        item = replace(item, registered_m=None if shares else registered, extra_registered_m=further)
+        item = replace(
+            item, registered_m=None if shares else registered, extra_registered_m=further
+        )
     return item
 
 
-def find_losses(output: Path, opened: OpenedItems, counts: Counts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
+def find_losses(
+    output: Path, opened: OpenedItems, counts: Counts, written: tuple[str, ...] = ()
+) -> tuple[str, ...]:
     """Return what the output does not hold of the input, one sentence each, those of the writer first."""
     n_odd = 0 if opened.carried is None else opened.carried.n_odd  # complete once the items are
-    odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
+    odd = (
+        (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",)
+        if n_odd
+        else ()
+    )
     return (*written, *odd, *_losses(output, opened, counts))
 
 
@@ -360,7 +418,9 @@ def _las_losses(shape: StreamShape, counts: Counts) -> Iterator[str]:
     if shape.intensity:
         yield "intensities beyond whole numbers from 0 to 65535"
     if len(set(counts.scanners.values())) > 1:
-        sizes = ", ".join(f"scanner {scanner}: {m}" for scanner, m in sorted(counts.scanners.items()))
+        sizes = ", ".join(
+            f"scanner {scanner}: {m}" for scanner, m in sorted(counts.scanners.items())
+        )
         yield f"the number of shots a line of each scanner ({sizes}); the highest column with a return is taken for it"
 
 
@@ -380,7 +440,12 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
     taken: set[str | None] = set()
     if opened.grid is not None:
         rules = opened.grid.rules
-        taken = {rules.line_dimension, rules.column_dimension, rules.scanner, rules.range.partition(":")[2]}
+        taken = {
+            rules.line_dimension,
+            rules.column_dimension,
+            rules.scanner,
+            rules.range.partition(":")[2],
+        }
     other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
     if other:
         yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"
@@ -399,7 +464,9 @@ def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str,
     if shape.scanners and len(counts.scanners) > 1 and form.holds_all:
         told.append("several scanners: read it with --scanner point_source_id")
     if shape.xyz and shape.registered and opened.grid is not None and form.holds_all:
-        told.append(f"x, y, z are those of the input: read it with --range {opened.grid.rules.range}")
+        told.append(
+            f"x, y, z are those of the input: read it with --range {opened.grid.rules.range}"
+        )
     if form.is_dump:
         told.append(f"read it with --config {output.name}.toml")
     directed = form.is_dump or form.makes_xyz or (shape.registered and form.holds_all)
@@ -407,5 +474,7 @@ def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str,
     if shape.down_rad is not None and not directed:
         angle = float(np.rad2deg(shape.down_rad))
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
-        told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")
+        told.append(
+            f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}"
+        )
     return tuple(told)

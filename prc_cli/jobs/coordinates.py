@@ -92,19 +92,43 @@ class PlacedSource:
         extra, own = block.extra, block.records()
         if block.time_s is None:
             hint = "give the file that has them"
-            raise InputError(self.path, "no times of the shots, expected some to place them by", hint)
+            raise InputError(
+                self.path, "no times of the shots, expected some to place them by", hint
+            )
         unit = self._directions(block)
         line = np.repeat(np.arange(block.n_lines), block.points_per_line)
-        self._put(own.ravel(), unit.reshape(-1, 3), block.range_m.ravel(), block.time_s.ravel(), line, block, rows)
+        self._put(
+            own.ravel(),
+            unit.reshape(-1, 3),
+            block.range_m.ravel(),
+            block.time_s.ravel(),
+            line,
+            block,
+            rows,
+        )
         at = extra.line, extra.column
         self._put(extra.record, unit[at], extra.range_m, block.time_s[at], extra.line, block, rows)
 
     def _put(
-        self, record: I64, unit: F64, range_m: F32, time_s: F64, line: NDArray[Any], block: ScanBlock, rows: DiskColumn
-    ) -> None:  # fmt: skip
-        found = np.isfinite(range_m) & np.isfinite(time_s) & np.isfinite(unit).all(axis=1) & (record >= 0)
+        self,
+        record: I64,
+        unit: F64,
+        range_m: F32,
+        time_s: F64,
+        line: NDArray[Any],
+        block: ScanBlock,
+        rows: DiskColumn,
+    ) -> None:
+        found = (
+            np.isfinite(range_m)
+            & np.isfinite(time_s)
+            & np.isfinite(unit).all(axis=1)
+            & (record >= 0)
+        )
         values = np.empty(int(np.count_nonzero(found)), _KEPT)
-        vector = (unit[found] * range_m[found, None].astype(np.float64)) @ self._mount.T + np.array(self.arm_m)
+        vector = (unit[found] * range_m[found, None].astype(np.float64)) @ self._mount.T + np.array(
+            self.arm_m
+        )
         values["x"], values["y"], values["z"] = self.track.places(time_s[found], vector).T
         values["time"], values["range"] = time_s[found], range_m[found]
         values["scan_line"] = block.first_line + line[found]
@@ -119,7 +143,9 @@ class PlacedSource:
         angle = block.angle_rad if block.angle_rad is not None else self.stream.info.angle_rad
         if angle is None:
             problem = "neither scan angles nor coordinates relative to the scanner, expected them to place shots by"
-            raise InputError(self.path, problem, "classify it with input.angle_start and input.angle_step set")
+            raise InputError(
+                self.path, problem, "classify it with input.angle_start and input.angle_step set"
+            )
         angle = angle - np.deg2rad(self.nadir_deg)
         if is_fan(angle):
             problem = "the beams are a fan as the rings of a spinning scanner are, and their azimuths are not known"
@@ -137,31 +163,47 @@ _FIRST_LINES = 64
 
 
 def placed_source(
-    drive: Path, labels: Path, trajectory: Path, mount: tuple[float, ...] = (),
-    *, crs: str | None = None, layout: Layout | None = None,
-) -> PlacedSource:  # fmt: skip
+    drive: Path,
+    labels: Path,
+    trajectory: Path,
+    mount: tuple[float, ...] = (),
+    *,
+    crs: str | None = None,
+    layout: Layout | None = None,
+) -> PlacedSource:
     """Open a drive, as the record beside its labels says, whose shots are placed by poses and a mount."""
     told = {} if layout is None else {"layout": layout.model_dump()}
     config = with_layout_beside(drive, load_config(options=reading_beside(labels) | told)).config
     reading = config.input
     if len(mount) not in (0, 3, 6) or not all(map(math.isfinite, mount)):
         problem = f"found {', '.join(f'{one:g}' for one in mount)}, expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"
-        raise ConfigError("--mount", problem, "in degrees and metres, on the vehicle's axes forward, left, up")
+        raise ConfigError(
+            "--mount", problem, "in degrees and metres, on the vehicle's axes forward, left, up"
+        )
     if reading.range.startswith(("trajectory:", "origin:")):
         problem = f"was read with range = {reading.range.partition(':')[0]}, so it has coordinates of its own"
         raise ConfigError(str(drive), problem, "leave out --trajectory")
     stream = open_input(drive, reading, config.layout)
     system = reading.trajectory_crs or stream.info.facts.crs_wkt or crs
     track = load_trajectory(
-        trajectory, crs=system, source_crs_wkt=None, time_offset=reading.trajectory_time_offset,
-        max_gap=reading.trajectory_max_gap, topic=reading.trajectory_topic, with_turns=True,
-    )  # fmt: skip
+        trajectory,
+        crs=system,
+        source_crs_wkt=None,
+        time_offset=reading.trajectory_time_offset,
+        max_gap=reading.trajectory_max_gap,
+        topic=reading.trajectory_topic,
+        with_turns=True,
+    )
     arm = mount[3:] or reading.trajectory_lever_arm or (0.0, 0.0, 0.0)
     turn = (*mount[:3], 0.0, 0.0, 0.0)[:3]
-    return PlacedSource(stream, track, turn, arm, reading.nadir or 0.0, facts=SourceFacts(crs_wkt=system))  # type: ignore[arg-type]
+    return PlacedSource(
+        stream, track, turn, arm, reading.nadir or 0.0, facts=SourceFacts(crs_wkt=system)
+    )  # type: ignore[arg-type]
 
 
-def axes_of(records: RecordSource | None, stream: ScanStream, first: ScanBlock, config: RunConfig) -> tuple[str, ...]:
+def axes_of(
+    records: RecordSource | None, stream: ScanStream, first: ScanBlock, config: RunConfig
+) -> tuple[str, ...]:
     """Return the names of coordinates that records have and blocks have not: registered ones."""
     if records is None or not set(XYZ) <= set(records.dimensions):
         return ()
@@ -171,7 +213,9 @@ def axes_of(records: RecordSource | None, stream: ScanStream, first: ScanBlock, 
 
 
 @contextlib.contextmanager
-def placement(source: Path, output: Path, loaded: LoadedConfig, stream: ScanStream) -> Iterator[Placement | None]:
+def placement(
+    source: Path, output: Path, loaded: LoadedConfig, stream: ScanStream
+) -> Iterator[Placement | None]:
     """Give where returns lie in a new cloud: as records say, else made up; None = relative to the scanner."""
     plain = stream.source if isinstance(stream, BeamStream) else stream
     first = next(iter(plain.blocks()), None)
@@ -181,7 +225,9 @@ def placement(source: Path, output: Path, loaded: LoadedConfig, stream: ScanStre
         yield AtStations(plain.info.facts.stations)
         return
     if records is None or not axes:
-        yield None if first is None or first.xyz_m is not None else lines_apart(stream, loaded.config)
+        yield (
+            None if first is None or first.xyz_m is not None else lines_apart(stream, loaded.config)
+        )
         return
     with contextlib.ExitStack() as stack:
         carried = carry(records, None, axes, output, stack)
@@ -197,7 +243,9 @@ def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
     with contextlib.suppress(InputError, ConfigError):
         directed = stream if isinstance(stream, BeamStream) else with_beams(stream, config.input)
         if isinstance(directed, BeamStream):
-            beams = {one: found.beam_rad for one, found in directed.known.items() if not found.is_made_up}
+            beams = {
+                one: found.beam_rad for one, found in directed.known.items() if not found.is_made_up
+            }
     times: list[NDArray[Any]] = []
     if stream.info.line_hz is None:
         for block in islice(stream.blocks(), _FIRST_LINES):
@@ -206,17 +254,28 @@ def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
                 break
     in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
     return LinesApart(
-        beams, *spacing(stream.info, np.stack(times[:_FIRST_LINES]) if times else None, in_forest=in_forest)
+        beams,
+        *spacing(
+            stream.info, np.stack(times[:_FIRST_LINES]) if times else None, in_forest=in_forest
+        ),
     )
 
 
-def spacing(info: StreamInfo, time_s: NDArray[Any] | None, *, in_forest: bool, step: int = 1) -> tuple[float, str]:
+def spacing(
+    info: StreamInfo, time_s: NDArray[Any] | None, *, in_forest: bool, step: int = 1
+) -> tuple[float, str]:
     """Return the distance of lines [m], and how it is known; ``step``: every how many lines there is a time."""
     hz = info.line_hz
     if hz is None and time_s is not None and len(time_s) > 1:
         with np.errstate(invalid="ignore"):
-            starts = np.array([np.nanmin(line) if np.isfinite(line).any() else np.nan for line in time_s])
-        period = float(np.nanmedian(np.diff(starts))) / step if np.isfinite(np.diff(starts)).any() else 0.0
+            starts = np.array(
+                [np.nanmin(line) if np.isfinite(line).any() else np.nan for line in time_s]
+            )
+        period = (
+            float(np.nanmedian(np.diff(starts))) / step
+            if np.isfinite(np.diff(starts)).any()
+            else 0.0
+        )
         hz = 1 / period if period > 0 else None
     if hz is None:
         return SPACING_M, "assumed"
@@ -261,10 +320,17 @@ class Carried:
 
 
 def carry(
-    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
+    records: RecordSource,
+    class_name: str | None,
+    xyz: tuple[str, ...],
+    output: Path,
+    stack: contextlib.ExitStack,
 ) -> Carried:
     """Keep classes and coordinates of records in a temporary file; also count invalid codes."""
-    fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
+    fields = [
+        *((name, "<f8") for name in xyz),
+        *([("code", "<i4")] if class_name is not None else []),
+    ]
     fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
     values = stack.enter_context(DiskColumn(output, np.dtype(fields), fill))
     rows = _rows_of(records, class_name, xyz, np.dtype(fields))

@@ -11,7 +11,13 @@ from typing import Any
 
 from prc_cli.config import load_config, to_toml
 from prc_cli.core.errors import OutputError, OutputExistsError
-from prc_cli.core.files import atomic_output, discard, output_errors, remove_unfinished, temporary_name
+from prc_cli.core.files import (
+    atomic_output,
+    discard,
+    output_errors,
+    remove_unfinished,
+    temporary_name,
+)
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import load_mapping
@@ -47,18 +53,25 @@ class Part:
 _PICTURE = RenderOptions(steps=("range", "classes", "reference"))
 PARTS: dict[str, Part] = {
     # houses with and without gardens
-    "drive": Part("street", "street", None, "street", _PICTURE, {"lines": 600, "scene": {"name": "suburb"}}),
+    "drive": Part(
+        "street", "street", None, "street", _PICTURE, {"lines": 600, "scene": {"name": "suburb"}}
+    ),
     # the same drive, for the comparison: the steps of one block, as the paper's Fig. 1 shows them (Lehtola et al. 2019)
-    "published": Part("street", "urban", "urban", "prc", RenderOptions(figure1=True), {}, scan_of="drive"),
+    "published": Part(
+        "street", "urban", "urban", "prc", RenderOptions(figure1=True), {}, scan_of="drive"
+    ),
     # every third line, and as close along the line as curbs need
     "static": Part(
-        "street-scan", "static_scan", "street-scan", "street_scan",
+        "street-scan",
+        "static_scan",
+        "street-scan",
+        "street_scan",
         RenderOptions(steps=("range", "coarse", "classes", "reference")),
         {"scanner": {"azimuth_step_deg": 0.46, "points_per_line": 544}},
     ),
     # as far as one sees in a wood
     "walk": Part("forest", "forest", None, "prc", _PICTURE, {"lines": 255, "sight_m": 40.0}),
-}  # fmt: skip
+}
 """A drive, classified by default and with PRC as published; a static scan with the sequential-angle classifier; a walk
 in a forest, by default."""
 MAIN = ("drive",)
@@ -111,11 +124,16 @@ def run_demo(
     return DemoResult(found, tuple(sorted(path for path in folder.iterdir() if path.is_file())))
 
 
-def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None) -> DemoPart:
+def _run(
+    folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None
+) -> DemoPart:
     """Simulate what is not there, classify into LAZ and labels, compare with the simulator's labels, draw."""
     more = folder / MORE
     scan, shown = PARTS[part.scan_of] if part.scan_of else part, _folder_of(part, folder)
-    stream, reference = _folder_of(scan, folder) / f"{scan.stem}.npz", more / f"{scan.stem}_reference.npy"
+    stream, reference = (
+        _folder_of(scan, folder) / f"{scan.stem}.npz",
+        more / f"{scan.stem}_reference.npy",
+    )
     labels = more / f"{part.stem}_labels.npy"
     config = load_config(preset=part.preset)
     path = more / f"{scan.stem}_path.csv"
@@ -125,17 +143,31 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
     else:
         beside = Beside(labels=reference, trajectory=path if part is PARTS["drive"] else None)
         simulate(part.kind, stream, settings, beside=beside, overwrite=overwrite)
-        summary = classify(stream, stream.parent / f"{scan.stem}.laz", config, overwrite=overwrite, progress=progress)
+        summary = classify(
+            stream,
+            stream.parent / f"{scan.stem}.laz",
+            config,
+            overwrite=overwrite,
+            progress=progress,
+        )
         classify(stream, labels, config, overwrite=overwrite)
     found = evaluate_all([labels], [reference], part.mapping)
     mapping = load_mapping(part.mapping)
-    pictures = class_pictures(labels, reference, mapping, summary.record.points_per_line, points=(stream, None))
+    pictures = class_pictures(
+        labels, reference, mapping, summary.record.points_per_line, points=(stream, None)
+    )
     # the page is read elsewhere, where the folders of this run say nothing
     named = replace(found, predicted=(labels.name,), reference=(reference.name,))
     page = as_html(named, mapping=mapping, pictures=pictures, origin=origin([labels]))
     _write_text(shown / f"{part.stem}_report.html", page)
     _write_text(more / f"{part.stem}.toml", to_toml(config))
-    render(stream, shown / f"{part.stem}.png", config, replace(part.picture, reference=reference), overwrite=overwrite)
+    render(
+        stream,
+        shown / f"{part.stem}.png",
+        config,
+        replace(part.picture, reference=reference),
+        overwrite=overwrite,
+    )
     if part is PARTS["drive"]:
         # classified once more: labels alone hold no heights above ground; the poses are only to look at it
         mount = (0.0, settings.scanner.slant_deg, settings.scanner.heading_deg)
@@ -170,7 +202,9 @@ def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
         raise OutputError(str(folder), problem, "choose another with --output") from error
     if taken and not overwrite:
         problem = "holds files already"
-        raise OutputExistsError(str(folder), problem, "choose another with --output, or add --overwrite")
+        raise OutputExistsError(
+            str(folder), problem, "choose another with --output, or add --overwrite"
+        )
     if not is_new:
         yield folder
         return

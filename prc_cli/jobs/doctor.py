@@ -54,14 +54,34 @@ LEAST_SCORE = 0.9
 """Of ground that is found, and of building that is right, in that run; they are 0.99 and 0.97."""
 COMPARED: Mapping[str, tuple[Kind, Mapping[str, Any]]] = {
     "urban": ("street", {"seed": 1, "lines": 120, "scanner": {"points_per_line": 250}}),
-    "forest": ("forest", {"seed": 2, "lines": 120, "sight_m": 20.0, "scanner": {"points_per_line": 400}}),
+    "forest": (
+        "forest",
+        {"seed": 2, "lines": 120, "sight_m": 20.0, "scanner": {"points_per_line": 400}},
+    ),
     "street-scan": (
         "street-scan",
-        {"seed": 3, "scanner": {"azimuth_step_deg": 4, "points_per_line": 80}, "station": {"turn_deg": 70}},
+        {
+            "seed": 3,
+            "scanner": {"azimuth_step_deg": 4, "points_per_line": 80},
+            "station": {"turn_deg": 70},
+        },
     ),
 }
 """Presets that both engines run, and what on: small scans in which most classes occur."""
-_NETWORK = ("nfs", "cifs", "smb", "fuse", "9p", "lustre", "gpfs", "beegfs", "ceph", "afs", "glusterfs", "virtiofs")
+_NETWORK = (
+    "nfs",
+    "cifs",
+    "smb",
+    "fuse",
+    "9p",
+    "lustre",
+    "gpfs",
+    "beegfs",
+    "ceph",
+    "afs",
+    "glusterfs",
+    "virtiofs",
+)
 """File systems that several machines may share."""
 
 
@@ -118,27 +138,48 @@ def _broken(name: str, error: Exception) -> Check:
     if isinstance(error, PrcError):
         return Check(name, "bad", str(PrcError(error.where, error.problem)), error.hint)
     if isinstance(error, OSError | sqlite3.Error):
-        return Check(name, "bad", str(error), "check the disk: its space, its permissions, its mount")
+        return Check(
+            name, "bad", str(error), "check the disk: its space, its permissions, its mount"
+        )
     if isinstance(error, ImportError):
         hint = "install what it names anew: pip install --force-reinstall PACKAGE"
         return Check(name, "bad", f"cannot be loaded ({error})", hint)
-    return Check(name, "bad", f"{type(error).__name__}: {error}", "report it with the output of prc doctor --json")
+    return Check(
+        name,
+        "bad",
+        f"{type(error).__name__}: {error}",
+        "report it with the output of prc doctor --json",
+    )
 
 
 def _python() -> Iterator[Check]:
     found, encoding = platform.python_version(), sys.getfilesystemencoding()
-    details = {"version": found, "executable": sys.executable, "platform": platform.platform(), "prc": __version__}
+    details = {
+        "version": found,
+        "executable": sys.executable,
+        "platform": platform.platform(),
+        "prc": __version__,
+    }
     needed = ""
     with contextlib.suppress(metadata.PackageNotFoundError):
         needed = ", ".join(metadata.metadata(DISTRIBUTION).get_all("Requires-Python") or [])
     yield _judge(
-        "python", f"prc {__version__}, Python {found} on {platform.system()} {platform.machine()}", details,
-        (not _is_met(found, needed), "bad", f", expected Python {needed}", "install a newer Python"),
+        "python",
+        f"prc {__version__}, Python {found} on {platform.system()} {platform.machine()}",
+        details,
         (
-            encoding.lower() != "utf-8", "warn", f"; file names are {encoding}",
+            not _is_met(found, needed),
+            "bad",
+            f", expected Python {needed}",
+            "install a newer Python",
+        ),
+        (
+            encoding.lower() != "utf-8",
+            "warn",
+            f"; file names are {encoding}",
             "set PYTHONUTF8=1, so that names are printed as they are",
         ),
-    )  # fmt: skip
+    )
 
 
 def _is_met(found: str, needed: str) -> bool:
@@ -188,15 +229,25 @@ def _packages() -> Iterator[Check]:
     details = {item.name: {"found": item.found, "at_least": item.at_least} for item in required}
     if not required:
         hint = "install it, so that its dependencies are known: pip install prc-cli"
-        yield Check("packages", "warn", f"no metadata of {DISTRIBUTION}: run from a source tree", hint)
+        yield Check(
+            "packages", "warn", f"no metadata of {DISTRIBUTION}: run from a source tree", hint
+        )
     elif old:
         wanted = " ".join(f"'{item.name}>={item.at_least}'" for item in old)
         yield Check("packages", "bad", ", ".join(map(str, old)), f"pip install {wanted}", details)
     elif broken:
         told = ", ".join(f"{name} cannot be loaded ({why})" for name, why in broken.items())
-        yield Check("packages", "bad", told, f"pip install --force-reinstall {' '.join(broken)}", details)
+        yield Check(
+            "packages", "bad", told, f"pip install --force-reinstall {' '.join(broken)}", details
+        )
     else:
-        yield Check("packages", "ok", ", ".join(f"{item.name} {item.found}" for item in required), "", details)
+        yield Check(
+            "packages",
+            "ok",
+            ", ".join(f"{item.name} {item.found}" for item in required),
+            "",
+            details,
+        )
 
 
 def _broken_packages(names: Iterable[str]) -> dict[str, str]:
@@ -221,19 +272,32 @@ def _extras() -> Iterator[Check]:
         old += [item for item in items if item.found and not item.is_met]
         versions = ", ".join(f"{item.name} {item.found}" for item in items)
         is_whole = all(item.found for item in items)
-        told.append(f"{extra}: {versions}" if is_whole else f"{extra}: no (pip install '{DISTRIBUTION}[{extra}]')")
+        told.append(
+            f"{extra}: {versions}"
+            if is_whole
+            else f"{extra}: no (pip install '{DISTRIBUTION}[{extra}]')"
+        )
     if told:
         yield _judge(
-            "extras", "; ".join(told), details,
-            (old, "warn", f"; {', '.join(map(str, old))}", f"pip install -U {' '.join(item.name for item in old)}"),
-        )  # fmt: skip
+            "extras",
+            "; ".join(told),
+            details,
+            (
+                old,
+                "warn",
+                f"; {', '.join(map(str, old))}",
+                f"pip install -U {' '.join(item.name for item in old)}",
+            ),
+        )
 
 
 def _laz() -> Iterator[Check]:
     from prc_cli.formats.las.laz import check_laz
 
     formats, version = check_laz(), metadata.version("lazrs")
-    yield Check("LAZ", "ok", f"lazrs {version}, records of formats {formats} came back as they went in")
+    yield Check(
+        "LAZ", "ok", f"lazrs {version}, records of formats {formats} came back as they went in"
+    )
 
 
 def _processor() -> Iterator[Check]:
@@ -245,21 +309,32 @@ def _processor() -> Iterator[Check]:
     found, usable, all_cores = about(), default_threads(), os.cpu_count() or 1
     features = ", ".join(found.features) or "no vector instructions"
     cores = f"{usable} of {all_cores} cores" if usable < all_cores else f"{usable} cores"
-    details = {"cores": usable, "of": all_cores, "processor": found.processor, "features": list(found.features)}
+    details = {
+        "cores": usable,
+        "of": all_cores,
+        "processor": found.processor,
+        "features": list(found.features),
+    }
     load = 0.0
     with contextlib.suppress(OSError, AttributeError):  # not on this system
         load = os.getloadavg()[0]
     yield _judge(
-        "processor", f"{cores}, {found.processor} ({features})", details,
+        "processor",
+        f"{cores}, {found.processor} ({features})",
+        details,
         (
-            not found.compiles, "bad", "; compiling is turned off",
+            not found.compiles,
+            "bad",
+            "; compiling is turned off",
             "unset NUMBA_DISABLE_JIT: loops run a hundred times slower",
         ),
         (
-            load > 2 * all_cores, "warn", f"; {load:.0f} processes want them",
+            load > 2 * all_cores,
+            "warn",
+            f"; {load:.0f} processes want them",
             "wait, or take fewer files at a time with --jobs",
         ),
-    )  # fmt: skip
+    )
 
 
 def _cache() -> Iterator[Check]:
@@ -271,24 +346,37 @@ def _cache() -> Iterator[Check]:
     found = cache_state()
     folder, temporary = found.folder, Path(tempfile.gettempdir()).resolve()
     details = {
-        "folder": None if folder is None else str(folder), "bytes": found.n_bytes, "compiled": found.n_compiled,
+        "folder": None if folder is None else str(folder),
+        "bytes": found.n_bytes,
+        "compiled": found.n_compiled,
         "modules": found.n_modules,
-    }  # fmt: skip
+    }
     if folder is None:
         hint = "set NUMBA_CACHE_DIR to a folder that this user can write: else every run compiles for half a minute"
-        yield Check("compiled loops", "warn", "no folder to keep them can be written", hint, details)
+        yield Check(
+            "compiled loops", "warn", "no folder to keep them can be written", hint, details
+        )
         return
     free = shutil.disk_usage(folder).free
     is_lost = not os.environ.get("NUMBA_CACHE_DIR") and folder.resolve().is_relative_to(temporary)
     text = f"{found.n_compiled} of {found.n_modules} modules compiled, {_size(found.n_bytes)} in {folder}"
     yield _judge(
-        "compiled loops", text, details,
+        "compiled loops",
+        text,
+        details,
         (
-            free < CACHE_BYTES, "warn", f", {_size(free)} free",
+            free < CACHE_BYTES,
+            "warn",
+            f", {_size(free)} free",
             "free space, or set NUMBA_CACHE_DIR to a folder on another disk",
         ),
-        (is_lost, "warn", "", "set HOME, XDG_CACHE_HOME or NUMBA_CACHE_DIR: temporary folders are emptied"),
-    )  # fmt: skip
+        (
+            is_lost,
+            "warn",
+            "",
+            "set HOME, XDG_CACHE_HOME or NUMBA_CACHE_DIR: temporary folders are emptied",
+        ),
+    )
 
 
 def _memory() -> Iterator[Check]:
@@ -296,13 +384,17 @@ def _memory() -> Iterator[Check]:
     if free is None:
         return
     yield _judge(
-        "memory", f"{_size(free)} free for {cores} cores", {"free_bytes": free},
+        "memory",
+        f"{_size(free)} free for {cores} cores",
+        {"free_bytes": free},
         (free < MEMORY_BYTES, "bad", "", "end other programs, or give the container more"),
         (
-            free < cores * MEMORY_BYTES, "warn", "",
+            free < cores * MEMORY_BYTES,
+            "warn",
+            "",
             f"take at most {max(1, free // MEMORY_BYTES)} files at a time with --jobs",
         ),
-    )  # fmt: skip
+    )
 
 
 def _free_memory() -> int | None:
@@ -327,16 +419,22 @@ def _temporary() -> Iterator[Check]:
     with tempfile.TemporaryFile(dir=folder) as handle:
         handle.write(b"x")
     yield _judge(
-        "temporary files", f"{_size(free)} free in {folder}", {"folder": str(folder), "free_bytes": free},
+        "temporary files",
+        f"{_size(free)} free in {folder}",
+        {"folder": str(folder), "free_bytes": free},
         (
-            given and Path(given) != folder, "warn", f", since TMPDIR={given} cannot be used",
+            given and Path(given) != folder,
+            "warn",
+            f", since TMPDIR={given} cannot be used",
             f"make the folder, or let TMPDIR name another: mkdir -p {given}",
         ),
         (
-            free < DISK_BYTES, "warn", "",
+            free < DISK_BYTES,
+            "warn",
+            "",
             "set TMPDIR to a folder on a larger disk: --sort-by-time and --match sort there",
         ),
-    )  # fmt: skip
+    )
 
 
 def _output(out: Path) -> Iterator[Check]:
@@ -360,10 +458,16 @@ def _output(out: Path) -> Iterator[Check]:
         free, kind = shutil.disk_usage(folder).free, file_system(folder)
         is_new = "" if folder == out else f" ({folder}; it is new)"
         yield _judge(
-            "output disk", f"{_size(free)} free on {kind or 'an unknown file system'}{is_new}",
+            "output disk",
+            f"{_size(free)} free on {kind or 'an unknown file system'}{is_new}",
             {"folder": str(folder), "free_bytes": free, "file_system": kind},
-            (free < DISK_BYTES, "warn", "", "free space: see the disk budget in the page on operations"),
-        )  # fmt: skip
+            (
+                free < DISK_BYTES,
+                "warn",
+                "",
+                "free space: see the disk budget in the page on operations",
+            ),
+        )
         yield _locks(trial)
         yield _sqlite(trial)
     finally:
@@ -386,10 +490,12 @@ def _runs(folder: Path) -> Check:
     hint = "they are done again; --keep-version leaves them, see the page on operations"
     other = set(versions) - {__version__}
     return _judge(
-        "earlier runs", text, details,
+        "earlier runs",
+        text,
+        details,
         (at_work, "ok", f"; at work: {', '.join(at_work[:1])}", ""),
         (other, "warn", f"; some by version {', '.join(versions)}", hint),
-    )  # fmt: skip
+    )
 
 
 def _locks(trial: Path) -> Check:
@@ -400,17 +506,23 @@ def _locks(trial: Path) -> Check:
     (trial / "file").write_bytes(b"x")
     clock_s, locks = (trial / "file").stat().st_mtime - before, has_locks(trial)
     return _judge(
-        "locks in it", "", {"locks": locks, "clock_s": round(clock_s, 3)},
+        "locks in it",
+        "",
+        {"locks": locks, "clock_s": round(clock_s, 3)},
         (
-            not locks, "bad", "the file system has no file locks",
+            not locks,
+            "bad",
+            "the file system has no file locks",
             "prc batch refuses it: choose another disk; Lustre: mount it with -o flock",
         ),
         (
-            abs(clock_s) > CLOCK_S, "warn", f"locks work; the clock of the file server is {clock_s:+.0f} s off",
+            abs(clock_s) > CLOCK_S,
+            "warn",
+            f"locks work; the clock of the file server is {clock_s:+.0f} s off",
             "let both keep time with NTP: --since and changed inputs go by it",
         ),
         (True, "ok", "locks work", ""),
-    )  # fmt: skip
+    )
 
 
 def _sqlite(trial: Path) -> Check:
@@ -425,14 +537,17 @@ def _sqlite(trial: Path) -> Check:
         with contextlib.closing(sqlite3.connect(path, timeout=2.0)) as other:
             n = other.execute("SELECT count(*) FROM trial").fetchone()[0]
     return _judge(
-        "journal in it", f"SQLite {sqlite3.sqlite_version}",
+        "journal in it",
+        f"SQLite {sqlite3.sqlite_version}",
         {"sqlite": sqlite3.sqlite_version, "file_system": kind},
         (n != 1, "bad", ": what was written was not read back", "use another disk for outputs"),
         (
-            kind.startswith(_NETWORK), "warn", f" on {kind}, which is a network's",
+            kind.startswith(_NETWORK),
+            "warn",
+            f" on {kind}, which is a network's",
             "several machines may share it with --shard i/n, which gives each a journal of its own",
         ),
-    )  # fmt: skip
+    )
 
 
 def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
@@ -478,26 +593,35 @@ def _end_to_end() -> Iterator[Check]:
     seconds, n_shots = time.perf_counter() - loaded, summary.counts.n_shots
     written = {item.code: item.count for item in summary.record.classes}
     details = {
-        "shots": n_shots, "seconds": round(seconds, 3), "loading_s": round(loaded - start, 3),
-        "scores": {name: round(value, 4) for name, value in values.items()}, "peak_memory_bytes": peak_memory(),
-    }  # fmt: skip
+        "shots": n_shots,
+        "seconds": round(seconds, 3),
+        "loading_s": round(loaded - start, 3),
+        "scores": {name: round(value, 4) for name, value in values.items()},
+        "peak_memory_bytes": peak_memory(),
+    }
     told = ", ".join(f"{name} {value:.2f}" for name, value in values.items())
     text = (
         f"a street of {n_shots:,} shots simulated, classified from LAZ to LAZ and evaluated in {seconds:.1f} s "
         f"({told}); {loaded - start:.1f} s to load the loops"
     )
     yield _judge(
-        "end to end", text, details,
+        "end to end",
+        text,
+        details,
         (
-            not min(values.values()) >= LEAST_SCORE, "bad", f"; expected at least {LEAST_SCORE} of both",
+            not min(values.values()) >= LEAST_SCORE,
+            "bad",
+            f"; expected at least {LEAST_SCORE} of both",
             "the compiled loops are wrong on this machine: remove the cache named above, and report it",
         ),
         (
-            by_laspy != written, "bad", "; laspy reads other classes than were written",
+            by_laspy != written,
+            "bad",
+            "; laspy reads other classes than were written",
             "report it, with the versions above",
         ),
         (True, "ok", "; laspy reads the same classes", ""),
-    )  # fmt: skip
+    )
 
 
 def _engines() -> Iterator[Check]:
@@ -514,9 +638,15 @@ def _engines() -> Iterator[Check]:
         config = load_config(preset=preset, options={"input": {"accept_doubts": CHECK_NAMES}})
         load_classifier(config)
         start = time.perf_counter()
-        block = join(list(open_simulation(kind, load_settings(kind, options=options), threads=1).scan.blocks()))
+        block = join(
+            list(
+                open_simulation(kind, load_settings(kind, options=options), threads=1).scan.blocks()
+            )
+        )
         compiled, plain = (
-            classify_ranges(block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine=engine).labels
+            classify_ranges(
+                block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine=engine
+            ).labels
             for engine in get_args(Engine)
         )
         n_shots += block.range_m.size
@@ -528,11 +658,13 @@ def _engines() -> Iterator[Check]:
         f"{n_shots:,} shots by compiled loops and by --engine reference ({', '.join(COMPARED)}) in {seconds:.1f} s",
         {"shots": n_shots, "seconds": round(seconds, 3), "different": n_other},
         (
-            told, "bad", f": labels differ ({told}), expected the same",
+            told,
+            "bad",
+            f": labels differ ({told}), expected the same",
             "remove the cache named above and run prc doctor again; until then prc classify --engine reference",
         ),
         (True, "ok", ": the same labels", ""),
-    )  # fmt: skip
+    )
 
 
 def _size(n_bytes: int) -> str:

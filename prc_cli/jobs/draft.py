@@ -32,9 +32,16 @@ def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = F
     inspection = inspect(path, told)
     header = None if layout is None else _empty_header(path, layout, inspection)
     if layout is not None and header is not None:
-        lines = [line.replace(f"header_bytes = {layout.header_bytes}", f"header_bytes = {header}") for line in lines]
-        inspection = inspect(path, _with_layout(loaded, layout.model_copy(update={"header_bytes": header})))
-    text = "\n".join([f"# drafted from {path.name} by prc info --draft: look at it before you rely on it", ""])
+        lines = [
+            line.replace(f"header_bytes = {layout.header_bytes}", f"header_bytes = {header}")
+            for line in lines
+        ]
+        inspection = inspect(
+            path, _with_layout(loaded, layout.model_copy(update={"header_bytes": header}))
+        )
+    text = "\n".join(
+        [f"# drafted from {path.name} by prc info --draft: look at it before you rely on it", ""]
+    )
     text += "\n".join([*_input_lines(inspection), *lines, ""])
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -63,9 +70,15 @@ def _with_layout(loaded: LoadedConfig, layout: Layout) -> LoadedConfig:
 def _input_lines(found: Inspection) -> list[str]:
     """Return the table ``[input]``: what was taken, what was measured, and what is missing."""
     lines = ["[input]"]
-    taken = [(item.key.removeprefix("input."), item.value, item.why) for item in found.assumptions if not found.missing]
+    taken = [
+        (item.key.removeprefix("input."), item.value, item.why)
+        for item in found.assumptions
+        if not found.missing
+    ]
     lines += [
-        f"{key} = {_quoted(value)}  # {why}" for key, value, why in taken if key in _KEPT and _is_valid(key, value)
+        f"{key} = {_quoted(value)}  # {why}"
+        for key, value, why in taken
+        if key in _KEPT and _is_valid(key, value)
     ]
     for option in found.missing:
         flag, _, value = option.partition(" ")
@@ -73,11 +86,18 @@ def _input_lines(found: Inspection) -> list[str]:
             key, _, value = value.removeprefix("input.").partition("=")
             lines.append(f"{key} = {value}  # measured from the times")
         elif value.endswith("FILE"):
-            lines.append(f"# {flag.removeprefix('--')} = {_quoted(value)}  # the positions of the scanner over time")
+            lines.append(
+                f"# {flag.removeprefix('--')} = {_quoted(value)}  # the positions of the scanner over time"
+            )
         else:
             lines.append(f"{flag.removeprefix('--')} = {_quoted(value)}  # measured from the times")
     period = found.period
-    if found.points_per_line is None and not found.missing and period is not None and period.points_per_line:
+    if (
+        found.points_per_line is None
+        and not found.missing
+        and period is not None
+        and period.points_per_line
+    ):
         lines.append(f"points_per_line = {period.points_per_line}  # {period.reason}")
     elif found.problem and not found.missing:
         lines += [f"# {found.problem}", f"# {found.hint}"]
@@ -125,17 +145,31 @@ def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
     found = guess_records(path)
     if found is None:
         problem = "nothing repeats in its bytes, expected records of one size"
-        raise InputError(str(path), problem, "write the layout by hand: docs, Input formats, Raw binary")
+        raise InputError(
+            str(path), problem, "write the layout by hand: docs, Input formats, Raw binary"
+        )
     rows = [
-        _field_line({"name": field.name, "type": field.type} | field.model_dump(include=_KEYS, exclude_defaults=True))
+        _field_line(
+            {"name": field.name, "type": field.type}
+            | field.model_dump(include=_KEYS, exclude_defaults=True)
+        )
         for field in found.fields
     ]
-    header = ["", "[layout]", f"header_bytes = {found.header_bytes}", f'endian = "{found.endian}"', "fields = ["]
+    header = [
+        "",
+        "[layout]",
+        f"header_bytes = {found.header_bytes}",
+        f'endian = "{found.endian}"',
+        "fields = [",
+    ]
     return [*header, *rows, "]"], found
 
 
 def _field_line(values: dict[str, object]) -> str:
-    shown = (f"{key} = {_quoted(value) if isinstance(value, str) else repr(value)}" for key, value in values.items())
+    shown = (
+        f"{key} = {_quoted(value) if isinstance(value, str) else repr(value)}"
+        for key, value in values.items()
+    )
     return f"    {{ {', '.join(shown)} }},"
 
 
@@ -143,8 +177,16 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
     """Return the columns that are known by name, and those that show what they are."""
     told = source.describe()
     first = next(iter(source.chunks(source.dimensions)), None)
-    columns = {} if first is None else {name: np.asarray(values[:_ROWS]) for name, values in first.values.items()}
-    known = [(name, int(one.key), one.item.unit) for name, one in source.columns.items() if name in STANDARD_NAMES]
+    columns = (
+        {}
+        if first is None
+        else {name: np.asarray(values[:_ROWS]) for name, values in first.values.items()}
+    )
+    known = [
+        (name, int(one.key), one.item.unit)
+        for name, one in source.columns.items()
+        if name in STANDARD_NAMES
+    ]
     taken = {name for name, *_ in known}
     shown = {name: values for name, values in columns.items() if name not in taken}
     fields: list[dict[str, object]] = [
@@ -155,15 +197,29 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
             continue
         guessed: dict[str, object] = {"name": name, "source": int(source.columns[column].key)}
         if name == "range":
-            stored = shown[column][np.isfinite(shown[column])]  # what is no number is missing by itself
-            scale, missing = range_scale(stored.astype(np.int64) if np.all(stored % 1 == 0) else stored)
-            guessed |= ({"scale": scale} if scale != 1 else {}) | ({} if missing is None else {"missing": missing})
+            stored = shown[column][
+                np.isfinite(shown[column])
+            ]  # what is no number is missing by itself
+            scale, missing = range_scale(
+                stored.astype(np.int64) if np.all(stored % 1 == 0) else stored
+            )
+            guessed |= ({"scale": scale} if scale != 1 else {}) | (
+                {} if missing is None else {"missing": missing}
+            )
         fields.append(guessed)
     has_header = told["header_line"] is not None and any(told["columns"])
     values = {
-        "delimiter": told["delimiter"], "decimal": told["decimal"], "header": has_header, "fields": tuple(fields),
-    }  # fmt: skip
+        "delimiter": told["delimiter"],
+        "decimal": told["decimal"],
+        "header": has_header,
+        "fields": tuple(fields),
+    }
     delimiter = '"\\t"' if told["delimiter"] == "\t" else _quoted(str(told["delimiter"]))
     lines = ["", "[layout]", f"delimiter = {delimiter}", f'decimal = "{told["decimal"]}"']
-    lines += [f"header = {str(has_header).lower()}", "fields = [", *(_field_line(one) for one in fields), "]"]
+    lines += [
+        f"header = {str(has_header).lower()}",
+        "fields = [",
+        *(_field_line(one) for one in fields),
+        "]",
+    ]
     return lines, Layout.model_validate(values) if fields else None

@@ -19,7 +19,14 @@ from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
 from prc_cli.formats import LAS_SUFFIXES, check_input
-from prc_cli.formats.joined import Break, JoinedRecordings, JoinedSource, are_recordings, find_break, open_joined
+from prc_cli.formats.joined import (
+    Break,
+    JoinedRecordings,
+    JoinedSource,
+    are_recordings,
+    find_break,
+    open_joined,
+)
 from prc_cli.formats.registry import by_suffix, is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.base import StagedWriter
@@ -51,7 +58,9 @@ def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
     outputs = [folder / output_name(part.name, SAME) for part in parts]
     if len(set(outputs)) < len(outputs):
         twice = next(output for output in outputs if outputs.count(output) > 1)
-        raise ConfigError(str(twice), "two inputs would write this output, expected files of different names")
+        raise ConfigError(
+            str(twice), "two inputs would write this output, expected files of different names"
+        )
     return outputs
 
 
@@ -69,7 +78,11 @@ def classify_drive(
     """Classify the files of one drive in the order of recording; all outputs get their names at the end, or none."""
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
-        raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
+        raise ConfigError(
+            "input",
+            "found a window, expected none where several files are one drive",
+            "leave it out",
+        )
     # what cannot be joined leaves no folder behind
     _joined(parts, with_layout_beside(parts[0], config))
     for part, output in zip(parts, outputs, strict=True):
@@ -87,17 +100,31 @@ def classify_drive(
             joined, cut = _joined(parts[first:], loaded)
             stop = len(parts) if cut is None else first + cut.part
             note = drive_note([part.name for part in parts])
-            run = _Run(tuple(parts[first:stop]), tuple(outputs[first:stop]), (*([why] if why else []), note))
+            run = _Run(
+                tuple(parts[first:stop]),
+                tuple(outputs[first:stop]),
+                (*([why] if why else []), note),
+            )
             with use_engine(engine):
                 summaries += run.execute(
-                    loaded, joined.upto(stop - first), overwrite=overwrite, progress=progress,
-                    threads=threads_of(engine, threads), engine=engine, loading=loading,
-                )  # fmt: skip
-            first, why = stop, "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
+                    loaded,
+                    joined.upto(stop - first),
+                    overwrite=overwrite,
+                    progress=progress,
+                    threads=threads_of(engine, threads),
+                    engine=engine,
+                    loading=loading,
+                )
+            first, why = (
+                stop,
+                "" if cut is None else f"a stream of its own begins with this file: {cut.why}",
+            )
     return summaries
 
 
-def _joined(parts: Sequence[Path], loaded: LoadedConfig) -> tuple[JoinedSource | JoinedRecordings, Break | None]:
+def _joined(
+    parts: Sequence[Path], loaded: LoadedConfig
+) -> tuple[JoinedSource | JoinedRecordings, Break | None]:
     """Open the files of a drive, and find the first that does not go on where the one before ended."""
     if are_recordings(parts):
         return JoinedRecordings(tuple(parts), loaded.config.input), None
@@ -115,15 +142,27 @@ class _Run:
     """For the records: why a stream begins with the first file, if it is not that of the drive, and for all of them."""
 
     def execute(
-        self, loaded: LoadedConfig, joined: JoinedSource | JoinedRecordings,
-        *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
+        self,
+        loaded: LoadedConfig,
+        joined: JoinedSource | JoinedRecordings,
+        *,
+        overwrite: bool,
+        progress: Progress | None,
+        threads: int,
+        engine: Engine,
         loading: Callable[[], AbstractContextManager[None]],
-    ) -> Iterator[RunSummary]:  # fmt: skip
+    ) -> Iterator[RunSummary]:
         """Classify one stream and write its outputs."""
         return_memory()  # before any thread
         before = [file_state(part) for part in self.parts]
         loaded, opened = open_decided(
-            self.parts[0], loaded, engine, geometry=False, only_ranges=True, loading=loading, parts=self.parts
+            self.parts[0],
+            loaded,
+            engine,
+            geometry=False,
+            only_ranges=True,
+            loading=loading,
+            parts=self.parts,
         )
         needs = loaded.config.classifier.method().needs
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
@@ -133,15 +172,21 @@ class _Run:
                 stack.enter_context(
                     open_writer(
                         LabelOutput(
-                            path=output, source=part, n_records=stop - start,
-                            points_per_line=stream.info.points_per_line, codes=loaded.config.classes,
-                            options=loaded.config.output, user_names=user_names(loaded.config),
+                            path=output,
+                            source=part,
+                            n_records=stop - start,
+                            points_per_line=stream.info.points_per_line,
+                            codes=loaded.config.classes,
+                            options=loaded.config.output,
+                            user_names=user_names(loaded.config),
                         ),
                         overwrite=overwrite,
                     )
                 )
-                for part, output, start, stop in zip(self.parts, self.outputs, firsts[:-1], firsts[1:], strict=True)
-            ]  # fmt: skip
+                for part, output, start, stop in zip(
+                    self.parts, self.outputs, firsts[:-1], firsts[1:], strict=True
+                )
+            ]
             divided = DividedWriter(writers, firsts)
             _, found, told = write_labels(stream, divided, loaded.config, threads, progress)
             for part, state in zip(self.parts, before, strict=True):
@@ -149,9 +194,16 @@ class _Run:
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
                 own = divided.counts[number]
                 record = run_record(stream.info, own, loaded, fingerprint(part))
-                notes = (*loaded.notes, *joined.notes(number), *told, *self.notes[-1 if number else 0 :])
+                notes = (
+                    *loaded.notes,
+                    *joined.notes(number),
+                    *told,
+                    *self.notes[-1 if number else 0 :],
+                )
                 n_records = firsts[number + 1] - firsts[number]
-                record = writer.finish(replace(record, n_records=n_records, notices=notes, engine=engine))
+                record = writer.finish(
+                    replace(record, n_records=n_records, notices=notes, engine=engine)
+                )
                 yield RunSummary(self.outputs[number], record, own, found)
 
 
@@ -224,4 +276,6 @@ def drive_note(names: Sequence[str]) -> str:
 
 def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
     """Tell whether a run record says that its file was classified as a part of this drive; by itself without names."""
-    return [told for told in notices if told.startswith(_DRIVE)] == ([drive_note(names)] if names else [])
+    return [told for told in notices if told.startswith(_DRIVE)] == (
+        [drive_note(names)] if names else []
+    )

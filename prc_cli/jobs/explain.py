@@ -62,7 +62,9 @@ class Explanation:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        chosen = None if self.chosen is None else {"preset": self.chosen.preset, "why": self.chosen.why}
+        chosen = (
+            None if self.chosen is None else {"preset": self.chosen.preset, "why": self.chosen.why}
+        )
         found = {**asdict(self), "class": self.label.name.lower(), "chosen": chosen}
         del found["label"]
         return found
@@ -97,7 +99,11 @@ def explain(
     assert item.reasons is not None
     label, reason = Label(int(item.labels[at])), int(item.reasons[at])
     name, rule = rule_of(reason)
-    measures = {} if label == Label.MISSING else {name: _plain(each[at]) for name, each in item.measures.items()}
+    measures = (
+        {}
+        if label == Label.MISSING
+        else {name: _plain(each[at]) for name, each in item.measures.items()}
+    )
     return Explanation(
         path=str(source),
         line=line,
@@ -127,7 +133,9 @@ def _find(
     stream = open_stream(source, loaded)
     to_line = Window("--at", True, 0.0, line + 1.0)
     wanted = Wanted(stages=True, reasons=True, measures=True)
-    labelled = label_blocks(stream.blocks(), loaded.config.classifier, threads=default_threads(), wanted=wanted)
+    labelled = label_blocks(
+        stream.blocks(), loaded.config.classifier, threads=default_threads(), wanted=wanted
+    )
     try:
         for item in labelled:
             block = item.block
@@ -142,7 +150,9 @@ def _find(
         close_items(labelled)
     problem = f"found lines 0 to {last}, expected line {line}"
     if last < 0:
-        problem = f"found scanners {', '.join(map(str, sorted(seen))) or 'none'}, expected {scanner}"
+        problem = (
+            f"found scanners {', '.join(map(str, sorted(seen))) or 'none'}, expected {scanner}"
+        )
     raise InputError(str(source), problem, "lines and columns are counted from 0: prc info")
 
 
@@ -159,5 +169,7 @@ def _limits(rule: Rule, config: RunConfig, block: ScanBlock) -> dict[str, Any]:
     for name in rule.limits:
         is_key = name.startswith(("prc.", "sequential_angle."))
         value = attrgetter(name)(config if is_key else constants)
-        found[name] = float(f"{value:.7g}") if isinstance(value, float) or hasattr(value, "dtype") else value
+        found[name] = (
+            float(f"{value:.7g}") if isinstance(value, float) or hasattr(value, "dtype") else value
+        )
     return found

@@ -15,14 +15,28 @@ from prc_cli.core.brief import finite
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
-from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, Verdict, accept, refuse
+from prc_cli.core.findings import (
+    CHECK_NAMES,
+    LABEL_CHECKS,
+    Doubted,
+    Finding,
+    Verdict,
+    accept,
+    refuse,
+)
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
 from prc_cli.formats import LAS_SUFFIXES, open_source
 from prc_cli.formats.clock import with_clock
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
-from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents
+from prc_cli.formats.records import (
+    Contents,
+    DerivedSource,
+    RecordChunk,
+    RecordSource,
+    watched_contents,
+)
 from prc_cli.jobs.choice import decide_and_open
 from prc_cli.jobs.path import hold_against
 from prc_cli.streams.angles import shots_in_time
@@ -154,7 +168,9 @@ def _path_as_dict(drive: Drive | SpinningDrive) -> dict[str, Any]:
     return {"n_scanners": len(drive.heads), "n_unplaced": drive.n_unplaced, "passes": passes}
 
 
-def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False, checks_path: bool = False) -> Inspection:
+def inspect(
+    path: Path, loaded: LoadedConfig, *, deep: bool = False, checks_path: bool = False
+) -> Inspection:
     """Read a file once or twice and describe its contents.
 
     Parameters
@@ -177,7 +193,11 @@ def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False, checks_path
     choice = loaded.choice
     assumptions = found.assumptions if choice is None else (choice.assumption, *found.assumptions)
     return replace(
-        found, method=loaded.config.method, choice=choice, notes=(*loaded.notes, *found.notes), assumptions=assumptions
+        found,
+        method=loaded.config.method,
+        choice=choice,
+        notes=(*loaded.notes, *found.notes),
+        assumptions=assumptions,
     )
 
 
@@ -190,12 +210,16 @@ def _with_comparisons(path: Path, loaded: LoadedConfig, *, deep: bool) -> Inspec
         source = open_source(path, loaded.config.layout)
         found = _describe(path, source, None, None, refusal, judged=False)
     (finding,) = accept([finding], loaded.config.input.accept_doubts or ())
-    found = replace(found, drive=drive, comparisons=comparisons, findings=(finding, *found.findings))
+    found = replace(
+        found, drive=drive, comparisons=comparisons, findings=(finding, *found.findings)
+    )
     is_against = finding.verdict is Verdict.AGAINST and not finding.is_accepted
     if not is_against and not (found.problem and finding.option):
         return found
     # what the reader of the trajectory refused, its path may explain
-    return replace(found, problem=finding.problem, hint=finding.hint, mend=finding.option, missing=())
+    return replace(
+        found, problem=finding.problem, hint=finding.hint, mend=finding.option, missing=()
+    )
 
 
 def _decode(path: Path, loaded: LoadedConfig) -> None:
@@ -216,7 +240,9 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     )
     if stream is not None:
         needs = loaded.config.classifier.method().needs
-        stream = watched(stream, loaded.config.input, refuses=False, needs=needs, others=loaded.findings)
+        stream = watched(
+            stream, loaded.config.input, refuses=False, needs=needs, others=loaded.findings
+        )
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
@@ -241,7 +267,9 @@ def _inspect_records(
     order: OrderEvidence | None,
 ) -> Inspection:
     """Describe a file of records, and try what may mend it."""
-    judged = loaded.config.input.order == "require" and not sorts_by_itself(source, loaded.config.input)
+    judged = loaded.config.input.order == "require" and not sorts_by_itself(
+        source, loaded.config.input
+    )
     if stream is None and is_timed_cloud(source, loaded.config.input):
         # nothing is reconstructed unless it is asked for by name
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
@@ -249,15 +277,30 @@ def _inspect_records(
         return replace(unread, problem=NO_RANGES, hint=NO_RANGES_HINT, missing=(POINTS,))
     if stream is None:
         inspection = _describe(
-            path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
+            path,
+            source,
+            _lines_only(source, loaded.config.input),
+            order,
+            refusal,
+            judged=judged,
+            with_ranges=False,
         )
         if "range" in source.dimensions:
-            inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(first_ranges(source)))
+            inspection = _with_estimate(
+                path, loaded, inspection, estimate_points_per_line(first_ranges(source))
+            )
         inputs = loaded.config.input
-        is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
+        is_asked = inputs.lines == "auto" or (
+            inputs.lines.startswith("time:") and inputs.columns == "auto"
+        )
         # only the times can say where lines and columns are
         is_asked &= inputs.range != "points"
-        if not inspection.mend and is_asked and only_times_tell(source) and inputs.points_per_line is None:
+        if (
+            not inspection.mend
+            and is_asked
+            and only_times_tell(source)
+            and inputs.points_per_line is None
+        ):
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
@@ -280,7 +323,11 @@ def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) 
     if rates is None:
         # this is prc info: nobody is to be sent here again
         _, sent_here, rest = refused.hint.partition(MEASURED)
-        return replace(refused, hint=f"the times show no steady rates; {rest}") if sent_here else refused
+        return (
+            replace(refused, hint=f"the times show no steady rates; {rest}")
+            if sent_here
+            else refused
+        )
     options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
     options.append(f"--set input.time_origin={rates.time_origin_s!r}")
     problem = "it has times alone: no scan lines, no columns"
@@ -290,12 +337,18 @@ def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) 
 
 def _with_other_rates(found: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
     """Note rates that were given and are not those that the times show."""
-    if not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:")) or found.facts is None:
+    if (
+        not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:"))
+        or found.facts is None
+    ):
         return found
     rates = _measured_rates(sorted_by_time(source) if inputs.order == "sort-time" else source)
     if rates is None:
         return found
-    off = max(abs(parse_rate(inputs.lines) / rates.line_hz - 1), abs(parse_rate(inputs.columns) / rates.shot_hz - 1))
+    off = max(
+        abs(parse_rate(inputs.lines) / rates.line_hz - 1),
+        abs(parse_rate(inputs.columns) / rates.shot_hz - 1),
+    )
     note = f"the times show {_shown_rates(rates)}; --lines and --columns say otherwise"
     return replace(found, rates=rates, notes=(*found.notes, *([note] if off > RATE_OFF else [])))
 
@@ -311,27 +364,42 @@ def _measured_rates(source: RecordSource) -> TimedScan | None:
     """Measure the rates from the first shots."""
     names = ("time", "z") if "z" in source.dimensions else ("time",)
     parts = [
-        [np.asarray(shots[name], np.float64) for name in names] for shots in shots_in_time(source, names, SAMPLE_SHOTS)
+        [np.asarray(shots[name], np.float64) for name in names]
+        for shots in shots_in_time(source, names, SAMPLE_SHOTS)
     ]
-    return measure_rates(*(np.concatenate(columns) for columns in zip(*parts, strict=True))) if parts else None
+    return (
+        measure_rates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        if parts
+        else None
+    )
 
 
-def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate) -> Inspection:
+def _with_estimate(
+    path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate
+) -> Inspection:
     """Add the estimate of M to an input that cannot be opened, and try it where it is another than the one given."""
     refused = replace(refused, period=period)
     inputs = loaded.config.input
     estimate = period.points_per_line
-    if estimate is None or estimate == inputs.points_per_line or inputs.lines not in ("auto", "fixed"):
+    if (
+        estimate is None
+        or estimate == inputs.points_per_line
+        or inputs.lines not in ("auto", "fixed")
+    ):
         return refused
     told = inputs.model_copy(update={"points_per_line": estimate})
     try:
-        tried = _inspect(path, replace(loaded, config=loaded.config.model_copy(update={"input": told})))
+        tried = _inspect(
+            path, replace(loaded, config=loaded.config.model_copy(update={"input": told}))
+        )
     except InputError:
         return refused
     if tried.problem:
         return refused
     option = f"-M {estimate}"
-    return replace(refused, hint=f"give {option}: the ranges repeat after so many shots", mend=option)
+    return replace(
+        refused, hint=f"give {option}: the ranges repeat after so many shots", mend=option
+    )
 
 
 def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
@@ -344,7 +412,9 @@ def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
     return None
 
 
-def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
+def _try_open(
+    path: Path, loaded: LoadedConfig
+) -> tuple[ScanStream | None, InputError | ConfigError | None]:
     """Open a stream as ``prc classify`` would, counting breaks of the order; without beams if these are refused."""
     try:
         inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
@@ -445,7 +515,10 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
         scanners.add(block.scanner)
         tally = tally + block.tally
         if not missing.all():
-            low, high = min(low, float(np.nanmin(block.range_m))), max(high, float(np.nanmax(block.range_m)))
+            low, high = (
+                min(low, float(np.nanmin(block.range_m))),
+                max(high, float(np.nanmax(block.range_m))),
+            )
         if block.scanner == min(scanners) and kept < SAMPLE_SHOTS:
             sample.append(block.range_m.ravel()[: SAMPLE_SHOTS - kept])
             kept += sample[-1].size
@@ -460,7 +533,7 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
     correlation = range_correlation(flat) if ranges is not None else None
     facts = StreamFacts(
         n_lines, n_shots, n_missing, tuple(sorted(scanners)), ranges, line_hz, tally, correlation
-    )  # fmt: skip
+    )
     return facts, flat if ranges is not None else None
 
 
@@ -491,7 +564,11 @@ def _line_order(stream: ScanStream) -> OrderEvidence | None:
             return None
         watch = watches.setdefault(block.scanner, OrderWatch(stream.info.path, "trust", "time_s"))
         # lines of shots fired at other times begin at the first ring's
-        own = block.time_s[:, 0] if stream.info.facts.has_line_times or take_turns(block) else block.time_s.ravel()
+        own = (
+            block.time_s[:, 0]
+            if stream.info.facts.has_line_times or take_turns(block)
+            else block.time_s.ravel()
+        )
         watch.see(own, None)
     found = [watch.evidence() for watch in watches.values()]
     return max(found, key=lambda one: (one.n_back, one.n_steps), default=None)
@@ -520,6 +597,8 @@ def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
     if inputs.order == "require":
         return None
     try:
-        return open_grid(_UnitRanges(source), inputs.model_copy(update={"range": "dimension:range"}))
+        return open_grid(
+            _UnitRanges(source), inputs.model_copy(update={"range": "dimension:range"})
+        )
     except (InputError, ConfigError):
         return None

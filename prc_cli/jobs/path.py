@@ -20,7 +20,13 @@ from prc_cli.formats.records import RecordSource
 from prc_cli.formats.systems import in_metres, refuse_degrees
 from prc_cli.formats.writing.trajectory import PathTable, check_path_suffix, write_path
 from prc_cli.streams.ranges import metres_of
-from prc_cli.streams.registered.comparison import FAR_HEIGHT_M, FAR_M, Comparison, Positions, compare
+from prc_cli.streams.registered.comparison import (
+    FAR_HEIGHT_M,
+    FAR_M,
+    Comparison,
+    Positions,
+    compare,
+)
 from prc_cli.streams.registered.drive import Drive
 from prc_cli.streams.registered.found import found_paths
 from prc_cli.streams.registered.source import with_points
@@ -80,7 +86,9 @@ def save_path(
     with ExitStack() as stack:
         stack.enter_context(whole_set())
         for name, one in zip(names, paths, strict=True):
-            table = PathTable(one.time_s, one.xyz_m / scale, one.sigma_m / scale, one.axis, one.number)
+            table = PathTable(
+                one.time_s, one.xyz_m / scale, one.sigma_m / scale, one.axis, one.number
+            )
             temporary = stack.enter_context(atomic_output(name, overwrite=overwrite))
             _write(temporary, name, table, inputs.trajectory_crs or crs_wkt)
     return tuple(names), doubts(findings)
@@ -97,11 +105,15 @@ def _write(temporary: Path, name: Path, table: PathTable, crs: str | None) -> No
 def _source(path: Path, loaded: LoadedConfig) -> RecordSource:
     source = open_source(path, loaded.config.layout)
     if source is None:
-        raise InputError(str(path), "is no list of points with coordinates and times", "give a registered cloud")
+        raise InputError(
+            str(path), "is no list of points with coordinates and times", "give a registered cloud"
+        )
     return with_clock(source, loaded.config.input.time_unit)
 
 
-def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive | SpinningDrive, tuple[Comparison, ...], Finding]:
+def hold_against(
+    path: Path, loaded: LoadedConfig
+) -> tuple[Drive | SpinningDrive, tuple[Comparison, ...], Finding]:
     """Find the path of every scanner from the points, and hold the trajectory that is given against it.
 
     Returns
@@ -116,7 +128,12 @@ def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive | SpinningDriv
     source = _source(path, loaded)
     refuse_degrees(source)
     trajectory = _positions(source, inputs)
-    only_points: dict[str, object] = {"range": "points", "lines": "auto", "columns": "auto", "points_per_line": None}
+    only_points: dict[str, object] = {
+        "range": "points",
+        "lines": "auto",
+        "columns": "auto",
+        "points_per_line": None,
+    }
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
     refuse(str(path), cloud.drive.findings)
     comparisons = tuple(compare(one, trajectory) for one in found_paths(cloud.drive))
@@ -124,13 +141,17 @@ def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive | SpinningDriv
     worst = max(findings, key=lambda one: one.verdict)
     doubtful = [one for one in cloud.drive.findings if one.verdict > Verdict.FINE]
     if doubtful:
-        worst = replace(worst, hint=f"{worst.hint}; mind that the path found is doubtful: {doubtful[0].problem}")
+        worst = replace(
+            worst, hint=f"{worst.hint}; mind that the path found is doubtful: {doubtful[0].problem}"
+        )
     return cloud.drive, comparisons, worst
 
 
 def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
     """Return the trajectory that is given, with its orientation where it has one."""
-    trajectory = _trajectory(source, inputs, with_turns=True) or _trajectory(source, inputs, with_turns=False)
+    trajectory = _trajectory(source, inputs, with_turns=True) or _trajectory(
+        source, inputs, with_turns=False
+    )
     assert trajectory is not None
     frame = None
     if trajectory.quaternion is not None:
@@ -140,7 +161,9 @@ def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
     return Positions(trajectory.time_s, trajectory.xyz_m, frame)
 
 
-def _trajectory(source: RecordSource, inputs: InputConfig, *, with_turns: bool) -> Trajectory | None:
+def _trajectory(
+    source: RecordSource, inputs: InputConfig, *, with_turns: bool
+) -> Trajectory | None:
     """Read the trajectory; None where orientations are asked for and it has none."""
     xy_m, z_m = metres_of(inputs, source.facts.crs_wkt)
     try:
@@ -170,24 +193,38 @@ def _judge(one: Comparison, inputs: InputConfig) -> Finding:
     mends: list[str] = []
     troubles: list[str] = []
     if one.clock_s:
-        troubles.append(f"its clock is {abs(one.clock_s):.4f} s {'behind' if one.clock_s > 0 else 'ahead'}")
-        mends.append(f"--set input.trajectory_time_offset={_offset(one, inputs.trajectory_time_offset)}")
+        troubles.append(
+            f"its clock is {abs(one.clock_s):.4f} s {'behind' if one.clock_s > 0 else 'ahead'}"
+        )
+        mends.append(
+            f"--set input.trajectory_time_offset={_offset(one, inputs.trajectory_time_offset)}"
+        )
     if one.lever_length_m > LEAST_LEVER_M:
         troubles.append(f"the scanner is not its point: {_arm(one)}")
         arm = np.add(one.lever_m, inputs.trajectory_lever_arm or (0.0, 0.0, 0.0))
         if one.axes == "vehicle":
-            mends.append(f"--set input.trajectory_lever_arm=[{','.join(f'{value:.3f}' for value in arm)}]")
+            mends.append(
+                f"--set input.trajectory_lever_arm=[{','.join(f'{value:.3f}' for value in arm)}]"
+            )
         else:
             mends = [FROM_POINTS]
     if one.spread_m > MOST_SPREAD_M:
-        troubles.append(f"it leaves the path found by {one.spread_m:.2f} m, whatever its clock and lever arm")
+        troubles.append(
+            f"it leaves the path found by {one.spread_m:.2f} m, whatever its clock and lever arm"
+        )
         mends = [FROM_POINTS]
     if troubles:
         option = " ".join(mends)
         said = f"the trajectory is not the path of the points: {'; '.join(troubles)}"
         return Finding(CHECK, Verdict.DOUBTFUL, said, "", f"give {option}", option)
-    clock = f"within {max(3 * one.clock_sigma_s, 5e-4):.4f} s" if one.tells_clock else "not told by so even a drive"
-    said = f"the trajectory is the path of the points: {one.lever_length_m:.3f} m off, clock {clock}"
+    clock = (
+        f"within {max(3 * one.clock_sigma_s, 5e-4):.4f} s"
+        if one.tells_clock
+        else "not told by so even a drive"
+    )
+    said = (
+        f"the trajectory is the path of the points: {one.lever_length_m:.3f} m off, clock {clock}"
+    )
     return Finding(CHECK, Verdict.FINE, said, "")
 
 

@@ -19,7 +19,10 @@ class Reached(Protocol):
 
 
 def advance(
-    progress: Callable[[int], object] | None, block: ScanBlock, info: StreamInfo, window: Window | None = None
+    progress: Callable[[int], object] | None,
+    block: ScanBlock,
+    info: StreamInfo,
+    window: Window | None = None,
 ) -> None:
     """Tell that the lines of a block are finished."""
     if progress is None:
@@ -43,5 +46,9 @@ def share_done(block: ScanBlock, info: StreamInfo, window: Window | None = None)
         return min((done - window.first) / (window.stop - window.first), 1.0)
     if not info.n_records:
         return None
-    last = done * block.points_per_line if block.record is None else int(block.record.max(initial=-1)) + 1
+    last = (
+        done * block.points_per_line
+        if block.record is None
+        else int(block.record.max(initial=-1)) + 1
+    )
     return min(last / info.n_records, 1.0) if last > 0 else None

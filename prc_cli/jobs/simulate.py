@@ -43,7 +43,14 @@ from prc_cli.jobs.classify import Counts, Progress
 from prc_cli.simulation.drive import SimulatedBlock
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import Scanner
-from prc_cli.simulation.settings import Kind, Settings, Simulation, StationSettings, load_settings, open_simulation
+from prc_cli.simulation.settings import (
+    Kind,
+    Settings,
+    Simulation,
+    StationSettings,
+    load_settings,
+    open_simulation,
+)
 from prc_cli.simulation.trajectory import WORLD, Frame, Trajectory, check_frame, write_trajectory
 
 TRAJECTORY_HZ = 200.0
@@ -86,7 +93,9 @@ class Beside:
 
     def paths(self) -> tuple[Path, ...]:
         """Return those that have a name."""
-        return tuple(path for path in (self.trajectory, self.labels, self.stems) if path is not None)
+        return tuple(
+            path for path in (self.trajectory, self.labels, self.stems) if path is not None
+        )
 
 
 def simulate(
@@ -152,13 +161,21 @@ def simulate(
         if wanted.trajectory is not None:
             temporary = stack.enter_context(atomic_output(wanted.trajectory))
             platform, end_s = simulation.scan.platform, simulation.end_s
-            write_trajectory(wanted.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary)
+            write_trajectory(
+                wanted.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary
+            )
         if wanted.stems is not None:
             temporary = stack.enter_context(atomic_output(wanted.stems))
-            temporary.write_text("".join(f"{row}\n" for row in _stem_rows(simulation)), encoding="utf-8", newline="\n")
+            temporary.write_text(
+                "".join(f"{row}\n" for row in _stem_rows(simulation)),
+                encoding="utf-8",
+                newline="\n",
+            )
         codes_file: NpyFile | None = None
         if wanted.labels is not None:
-            handle = stack.enter_context(stack.enter_context(atomic_output(wanted.labels)).open("w+b"))
+            handle = stack.enter_context(
+                stack.enter_context(atomic_output(wanted.labels)).open("w+b")
+            )
             codes_file = NpyFile(handle, "|u1")
         frames = None if wanted.frames is None else stack.enter_context(FrameFolder(wanted.frames))
         record, counts = _write(simulation, output, codes_file, frame, frames, progress)
@@ -209,12 +226,18 @@ def _write(
         record = _record(simulation, counts)
         told = list(writer.losses)
         if counts.n_extra and "returns" not in form.holds:
-            told.append(f"not kept: {counts.n_extra} further returns: a range image has one range a cell")
+            told.append(
+                f"not kept: {counts.n_extra} further returns: a range image has one range a cell"
+            )
         if form.is_dump:
             told.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
             is_lost = suffix in LAS_SUFFIXES and find_spec("pyproj") is None
-            lost = "; the file does not name it without pyproj: pip install prc-cli[crs]" if is_lost else ""
+            lost = (
+                "; the file does not name it without pyproj: pip install prc-cli[crs]"
+                if is_lost
+                else ""
+            )
             told.append(f"registered coordinates are those of {frame.crs}{lost}")
         if format_of(output) is None:
             told.append(f"prc reads no stream from {suffix}; it is for other programs")
@@ -245,7 +268,11 @@ def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem
     )
     if origin_m is None or found.world_m is None or found.extra_world_m is None:
         return item
-    return replace(item, registered_m=found.world_m + origin_m, extra_registered_m=found.extra_world_m + origin_m)
+    return replace(
+        item,
+        registered_m=found.world_m + origin_m,
+        extra_registered_m=found.extra_world_m + origin_m,
+    )
 
 
 def codes_in_order(item: StreamItem, output: Path) -> U8:
@@ -261,10 +288,17 @@ def codes_in_order(item: StreamItem, output: Path) -> U8:
         return found.astype(np.uint8)
     # further returns follow the main return of their shot, nearer ones first
     cell = extra.line.astype(np.int64) * block.points_per_line + extra.column
-    own = np.flatnonzero(~np.isnan(block.range_m.ravel())) if suffix in LAS_SUFFIXES else np.arange(len(codes))
+    own = (
+        np.flatnonzero(~np.isnan(block.range_m.ravel()))
+        if suffix in LAS_SUFFIXES
+        else np.arange(len(codes))
+    )
     owner = np.concatenate([own, cell])
     rank = np.concatenate(
-        [np.full(len(own), -np.inf), extra.range_m if suffix in LAS_SUFFIXES else np.zeros(len(cell))]
+        [
+            np.full(len(own), -np.inf),
+            extra.range_m if suffix in LAS_SUFFIXES else np.zeros(len(cell)),
+        ]
     )
     order = np.lexsort((np.arange(len(owner)), rank, owner))
     return np.concatenate([codes[own], item.extra_codes])[order].astype(np.uint8)
@@ -304,7 +338,12 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
 
 
 def check_simulation(
-    kind: Kind, output: Path, scanner: Scanner, beside: Beside | None = None, *, overwrite: bool = False
+    kind: Kind,
+    output: Path,
+    scanner: Scanner,
+    beside: Beside | None = None,
+    *,
+    overwrite: bool = False,
 ) -> Beside:
     """Refuse outputs before any work is done."""
     beside, form = beside or Beside(), stream_format(output)
@@ -313,14 +352,26 @@ def check_simulation(
     if beside.labels is None and not has_codes:
         beside = replace(beside, labels=reference_path(output))
     if form.name == BAG and (scanner.is_static or beside.labels is not None):
-        refused = "a scan from a tripod" if scanner.is_static else "labels beside it, which it holds itself"
-        raise ConfigError(str(output), f"a bag, asked for {refused}", "write .npz, or leave out what it cannot hold")
+        refused = (
+            "a scan from a tripod"
+            if scanner.is_static
+            else "labels beside it, which it holds itself"
+        )
+        raise ConfigError(
+            str(output),
+            f"a bag, asked for {refused}",
+            "write .npz, or leave out what it cannot hold",
+        )
     if beside.stems is not None and kind != "forest":
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":
-        raise ConfigError("trajectory", "asked for of a tripod, which does not move", "leave it out")
+        raise ConfigError(
+            "trajectory", "asked for of a tripod, which does not move", "leave it out"
+        )
     if beside.frames is not None and not scanner.spins:
-        raise ConfigError("frames", "asked for of a scanner that does not spin", "choose --scanner vlp-16")
+        raise ConfigError(
+            "frames", "asked for of a scanner that does not spin", "choose --scanner vlp-16"
+        )
     for name, suffixes in BESIDE.items():
         path = getattr(beside, name)
         if path is not None and path.suffix.lower() not in suffixes:

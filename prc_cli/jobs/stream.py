@@ -123,12 +123,16 @@ def stream(
     config = loaded.config
     refuse_window(config, "prc stream")
     if config.input.scanner != "none":
-        problem = (
-            f"found {config.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
+        problem = f"found {config.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
+        raise ConfigError(
+            "input.scanner",
+            problem,
+            "split the stream first, or write it to a file for prc classify",
         )
-        raise ConfigError("input.scanner", problem, "split the stream first, or write it to a file for prc classify")
     start = time.perf_counter()
-    pipe, opened = open_pipe(source, config.input.model_copy(update={"partial_line": "pad"}), config.layout)
+    pipe, opened = open_pipe(
+        source, config.input.model_copy(update={"partial_line": "pad"}), config.layout
+    )
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
     named = config.is_decided
     loaded, opened = decide_stream(opened, loaded)
@@ -137,7 +141,9 @@ def stream(
         load_classifier(loaded)
     classifier = config.classifier.method()
     pipe.seal()
-    watch = LiveEvidence(watched(opened, config.input, needs=classifier.needs, others=loaded.findings), doubted)
+    watch = LiveEvidence(
+        watched(opened, config.input, needs=classifier.needs, others=loaded.findings), doubted
+    )
     blocks = _UntilError(watch)
     lookup = config.classes.lookup()
     counts, latency, result, asks_at = (
@@ -153,7 +159,9 @@ def stream(
         counts = counts.add(item)
         codes = lookup[item.labels]
         # in a dense stream only a padded last line has cells without a record
-        whole = codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
+        whole = (
+            codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
+        )
         _write(sink, whole)
         latency = max(latency, time.perf_counter() - pipe.arrived_s)
         result.see(item)
@@ -195,6 +203,10 @@ def _write(sink: ByteSink, codes: U8) -> None:
             n_written = sink.write(data)
         except OSError as error:
             gone = isinstance(error, BrokenPipeError)
-            problem = "its reader has gone" if gone else f"cannot be written ({error.strerror or error})"
-            raise OutputError("stdout", problem, "the labels of the shots before have left") from error
+            problem = (
+                "its reader has gone" if gone else f"cannot be written ({error.strerror or error})"
+            )
+            raise OutputError(
+                "stdout", problem, "the labels of the shots before have left"
+            ) from error
         data = data[n_written or 0 :]

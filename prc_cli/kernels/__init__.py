@@ -10,7 +10,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from prc_cli.kernels.loading import ENGINES, KERNELS, Engine, find_kernel, load_compiler, load_kernels, use_engine
+from prc_cli.kernels.loading import (
+    ENGINES,
+    KERNELS,
+    Engine,
+    find_kernel,
+    load_compiler,
+    load_kernels,
+    use_engine,
+)
 
 __all__ = ["ENGINES", "KERNELS", "Engine", "load_compiler", "load_kernels", "use_engine"]
 

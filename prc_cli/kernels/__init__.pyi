@@ -72,7 +72,9 @@ from prc_cli.methods.sequential_angle.ground_loops import potential_heights as p
 from prc_cli.methods.sequential_angle.labels_loops import arrange_lines as arrange_lines
 from prc_cli.methods.sequential_angle.labels_loops import arrange_plane as arrange_plane
 from prc_cli.methods.sequential_angle.labels_loops import combine_classes as combine_classes
-from prc_cli.methods.sequential_angle.labels_loops import first_high_verticals as first_high_verticals
+from prc_cli.methods.sequential_angle.labels_loops import (
+    first_high_verticals as first_high_verticals,
+)
 from prc_cli.methods.sequential_angle.labels_loops import first_triggers as first_triggers
 from prc_cli.methods.sequential_angle.labels_loops import mark_beyond as mark_beyond
 from prc_cli.methods.sequential_angle.labels_loops import mark_cars as mark_cars

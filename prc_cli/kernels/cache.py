@@ -27,7 +27,12 @@ from prc_cli.core.files import cache_folder, who_may_change
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
-_HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_HELPER = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 _jit: Any = numba.njit  # typed by some versions of numba and not by others
 _types: Any = numba.types
 boolean, uint8, int32, int64 = _types.boolean, _types.uint8, _types.int32, _types.int64
@@ -50,7 +55,10 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
         if (folder := writable_cache()) is None:
             return jit()
         config: Any = numba.config
-        before, config.CACHE_DIR = config.CACHE_DIR, str(loops_folder(folder, Path(function.__code__.co_filename)))
+        before, config.CACHE_DIR = (
+            config.CACHE_DIR,
+            str(loops_folder(folder, Path(function.__code__.co_filename))),
+        )
         try:
             return jit(cache=True)
         except NumbaError:
@@ -65,7 +73,10 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
 
 def _signature(function: Callable[..., Any]) -> Any:
     """Return the numba signature of a function, from its annotations."""
-    types = {name: numba_type(each) for name, each in get_type_hints(function, include_extras=True).items()}
+    types = {
+        name: numba_type(each)
+        for name, each in get_type_hints(function, include_extras=True).items()
+    }
     returned = types.pop("return")
     return returned(*types.values())
 
@@ -74,7 +85,9 @@ def numba_type(annotation: Any) -> Any:
     """Return the numba type of an annotation: a number, a contiguous array (``Annotated[F32, 2]``), a tuple."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated and get_origin(inner[0]) is np.ndarray:
-        return _types.Array(numba.from_dtype(np.dtype(get_args(get_args(inner[0])[1])[0])), inner[1], "C")
+        return _types.Array(
+            numba.from_dtype(np.dtype(get_args(get_args(inner[0])[1])[0])), inner[1], "C"
+        )
     if origin is Annotated:
         return numba_type(inner[0])
     if origin is tuple:
@@ -117,16 +130,29 @@ SOURCES = ("classes.py", "types.py")
 def _surroundings() -> tuple[str, ...]:
     """Return what the compiled loops of all modules depend on."""
     core = Path(prc_cli.core.__path__[0])
-    processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
-    read = [file.read_text("utf-8") for file in (Path(__file__), *(core / name for name in SOURCES))]
+    processor = (
+        llvmlite.binding.get_host_cpu_name(),
+        llvmlite.binding.get_host_cpu_features().flatten(),
+    )
+    read = [
+        file.read_text("utf-8") for file in (Path(__file__), *(core / name for name in SOURCES))
+    ]
     return (sys.version, numba.__version__, np.__version__, llvmlite.__version__, *processor, *read)
 
 
 def loops_folder(folder: Path, source: Path) -> Path:
     """Return the folder of a module's compiled loops, another one for all that they are made of."""
     files = [path for path in (source, source.with_name("thresholds.py")) if path.exists()]
-    known = (_surroundings(), str(source), source.stat().st_mtime_ns, *(path.read_bytes() for path in files))
-    return folder / f"{source.parent.name}-{source.stem}-{sha256(repr(known).encode()).hexdigest()[:16]}"
+    known = (
+        _surroundings(),
+        str(source),
+        source.stat().st_mtime_ns,
+        *(path.read_bytes() for path in files),
+    )
+    return (
+        folder
+        / f"{source.parent.name}-{source.stem}-{sha256(repr(known).encode()).hexdigest()[:16]}"
+    )
 
 
 @cache
@@ -138,7 +164,9 @@ def writable_cache() -> Path | None:
             return None
         if why := open_to_others(folder):
             problem = f"others can put code there that would be run: {why}, expected a folder of this user alone"
-            raise PrcError(str(folder), problem, "chmod -R go-w, or let NUMBA_CACHE_DIR name a new folder")
+            raise PrcError(
+                str(folder), problem, "chmod -R go-w, or let NUMBA_CACHE_DIR name a new folder"
+            )
         return folder
     for folder in ((cache_folder() / "numba").resolve(), _temporary_cache().resolve()):
         if _is_writable(folder) and not open_to_others(folder):
@@ -155,7 +183,9 @@ def open_to_others(folder: Path) -> str:
             if why := who_may_change(above, may_add=True):
                 return f"{above}: {why}"
         for path in folder.rglob("*"):
-            with contextlib.suppress(FileNotFoundError):  # another process, which compiles, has renamed it since
+            with contextlib.suppress(
+                FileNotFoundError
+            ):  # another process, which compiles, has renamed it since
                 if why := who_may_change(path):
                     return f"{path.relative_to(folder)}: {why}"
     except OSError as error:
@@ -165,7 +195,9 @@ def open_to_others(folder: Path) -> str:
 
 def _temporary_cache() -> Path:
     """Return the name of a private folder of this user in the shared temporary folder."""
-    return Path(tempfile.gettempdir()) / f"prc-cli-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+    return (
+        Path(tempfile.gettempdir()) / f"prc-cli-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+    )
 
 
 def _is_writable(folder: Path) -> bool:

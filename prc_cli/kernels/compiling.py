@@ -46,11 +46,15 @@ def compile_missing(modules: Sequence[str]) -> None:
         return
     with _alone(folder):
         # the largest first, dealt out in turns
-        missing = sorted(_missing(modules, folder), key=lambda module: -_source(module).stat().st_size)
+        missing = sorted(
+            _missing(modules, folder), key=lambda module: -_source(module).stat().st_size
+        )
         n = max(1, min(default_threads(), len(missing)))
         with _children([missing[i::n] for i in range(1, n)]):
             compile_modules(missing[::n])
-        compile_modules([module for module in missing if not is_compiled(module, folder)])  # what no child did
+        compile_modules(
+            [module for module in missing if not is_compiled(module, folder)]
+        )  # what no child did
 
 
 def compile_modules(modules: Sequence[str]) -> None:
@@ -63,7 +67,11 @@ def compile_modules(modules: Sequence[str]) -> None:
 
 
 def _missing(modules: Sequence[str], folder: Path) -> list[str]:
-    return [module for module in modules if module not in sys.modules and not is_compiled(module, folder)]
+    return [
+        module
+        for module in modules
+        if module not in sys.modules and not is_compiled(module, folder)
+    ]
 
 
 def is_compiled(module: str, folder: Path) -> bool:
@@ -83,14 +91,22 @@ def _children(shares: Sequence[Sequence[str]]) -> Iterator[None]:
     """Start a process for each share of modules, if possible, with this import path; end them after a while."""
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     code = f"import sys; from prc_cli.kernels import load_compiler as load; load(); from {__name__} import *; "
-    command = [sys.executable, "-P", "-c", f"{code}compile_modules(sys.argv[1:])"]  # -P: nothing of the current folder
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        f"{code}compile_modules(sys.argv[1:])",
+    ]  # -P: nothing of the current folder
     children: list[subprocess.Popen[bytes]] = []
     with contextlib.suppress(OSError, ValueError):
         for share in shares:
             child = subprocess.Popen(
-                [*command, *share], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                [*command, *share],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": path},
-            )  # fmt: skip
+            )
             children.append(child)
     try:
         yield
@@ -163,4 +179,6 @@ def cache_state() -> CacheState:
     for path in folder.rglob("*"):
         with contextlib.suppress(OSError):  # another process may remove it
             n_bytes += path.stat().st_size
-    return CacheState(folder, n_bytes, sum(is_compiled(module, folder) for module in modules), len(modules))
+    return CacheState(
+        folder, n_bytes, sum(is_compiled(module, folder) for module in modules), len(modules)
+    )

@@ -21,7 +21,11 @@ _REFERENCE = "prc_cli.reference."
 
 def _read_table() -> dict[str, str]:
     """Read the module of every kernel from the imports of the table."""
-    imports = (node for node in ast.parse(_TABLE.read_text("utf-8")).body if isinstance(node, ast.ImportFrom))
+    imports = (
+        node
+        for node in ast.parse(_TABLE.read_text("utf-8")).body
+        if isinstance(node, ast.ImportFrom)
+    )
     found = {alias.name: str(node.module) for node in imports for alias in node.names}
     return {name: module for name, module in found.items() if module != __name__}
 
@@ -98,15 +102,23 @@ def reference_home(name: str) -> str:
     """
     method, module = short_name(KERNELS[name]).split(".")
     for home in (f"{_REFERENCE}{method}.{module}", f"{_REFERENCE}{method}.stages"):
-        if find_spec(f"{_REFERENCE}{method}") and find_spec(home) and hasattr(import_module(home), name):
+        if (
+            find_spec(f"{_REFERENCE}{method}")
+            and find_spec(home)
+            and hasattr(import_module(home), name)
+        ):
             return home
     problem = f"found reference, but {method} is written as compiled loops alone ({module}.{name})"
-    raise ConfigError("engine", problem, "use --preset urban, forest or street-scan, or leave out --engine")
+    raise ConfigError(
+        "engine", problem, "use --preset urban, forest or street-scan, or leave out --engine"
+    )
 
 
 def load_kernels(modules: frozenset[str] | None = None) -> None:
     """Compile kernels on all cores, one process at a time, or load them; call it before threads start."""
-    wanted = {name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)}
+    wanted = {
+        name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)
+    }
     with no_collecting():
         if _engine.get() == "compiled":
             load_compiler()

@@ -57,7 +57,12 @@ def in_step(
             break
         yield tuple({name: values[:n] for name, values in columns.items()} for columns in rest)
         rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
-    check_lengths([n + sum(_length(chunk) for chunk in stream) for n, stream in zip(seen, streams, strict=True)])
+    check_lengths(
+        [
+            n + sum(_length(chunk) for chunk in stream)
+            for n, stream in zip(seen, streams, strict=True)
+        ]
+    )
 
 
 def _length(columns: Columns) -> int:
@@ -169,7 +174,9 @@ class Joined:
 
     def pairs(self) -> tuple[Columns, Columns]:
         """Return the columns of both sides in pairs: row k of the left belongs to row k of the right."""
-        return {n: v[self.at] for n, v in self.left.items()}, {n: v[self.to] for n, v in self.right.items()}
+        return {n: v[self.at] for n, v in self.left.items()}, {
+            n: v[self.to] for n, v in self.right.items()
+        }
 
 
 def merge_join(
@@ -188,11 +195,19 @@ def merge_join(
     sides = _Window(_in_steps(left, 0), names[0]), _Window(_in_steps(right, 1), names[1])
     low = -math.inf
     while True:
-        behind = min((side for side in sides if side.is_open), key=lambda side: side.last, default=None)
+        behind = min(
+            (side for side in sides if side.is_open), key=lambda side: side.last, default=None
+        )
         if behind is not None:
             behind.read()
         limit = min((side.last for side in sides if side.is_open), default=math.inf)
-        high = limit if math.isinf(limit) else float(np.nextafter(limit - reach, -math.inf)) if reach else limit
+        high = (
+            limit
+            if math.isinf(limit)
+            else float(np.nextafter(limit - reach, -math.inf))
+            if reach
+            else limit
+        )
         if high <= low or not (math.isinf(limit) or _is_worthwhile(sides, low, high)):
             continue
         window = sides[0].between(low - reach, limit), sides[1].between(low - reach, limit, spare)
@@ -215,7 +230,11 @@ def _decide(
     chosen = (found.left >= first) & (found.left < stop)
     at, to = found.left[chosen], found.right[chosen]
     for name, left in found.counts.items():
-        setattr(tally, name, getattr(tally, name) + int(np.count_nonzero((left >= first) & (left < stop))))
+        setattr(
+            tally,
+            name,
+            getattr(tally, name) + int(np.count_nonzero((left >= first) & (left < stop))),
+        )
     if found.distance is not None:
         paired = np.zeros(stop - first, np.bool_)
         paired[at - first] = True
@@ -269,11 +288,17 @@ class _Window:
         self.last = float(chunk[KEY][-1])
         chunk = {**chunk, _USED: np.zeros(len(chunk[KEY]), np.bool_)}
         if len(self._held[KEY]):
-            chunk = {name: np.concatenate([self._held[name], values]) for name, values in chunk.items()}
+            chunk = {
+                name: np.concatenate([self._held[name], values]) for name, values in chunk.items()
+            }
         self._held = chunk
         if len(chunk[KEY]) > MAX_HELD:
-            problem = f"more than {MAX_HELD} records within the tolerance of key {chunk[KEY][0]:.9g}"
-            raise InputError(self._name, problem, "give a smaller tolerance, or match by something else")
+            problem = (
+                f"more than {MAX_HELD} records within the tolerance of key {chunk[KEY][0]:.9g}"
+            )
+            raise InputError(
+                self._name, problem, "give a smaller tolerance, or match by something else"
+            )
 
     @property
     def n_held(self) -> int:
@@ -288,7 +313,10 @@ class _Window:
     def between(self, low: float, high: float, spare: int = 0) -> Columns:
         """Return views of the records with ``low <= key < high``, and of ``spare`` more at either end."""
         first, stop = np.searchsorted(self._held[KEY], [low, high])
-        return {name: values[max(first - spare, 0) : stop + spare] for name, values in self._held.items()}
+        return {
+            name: values[max(first - spare, 0) : stop + spare]
+            for name, values in self._held.items()
+        }
 
     def drop(self, low: float, spare: int = 0) -> None:
         """Drop the records with ``key < low`` except the last ``spare`` of them."""

@@ -33,7 +33,13 @@ class KeyRule:
     @property
     def key_names(self) -> tuple[str, ...]:
         """Dimensions that hold the key."""
-        return AXES if self.kind == "place" else (self.dimension,) if self.kind in ("time", "dimension") else ()
+        return (
+            AXES
+            if self.kind == "place"
+            else (self.dimension,)
+            if self.kind in ("time", "dimension")
+            else ()
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -68,7 +74,11 @@ def runs(key: F64) -> tuple[I64, I64]:
 
 
 def pair_in_order(
-    left_group: I64, right_group: I64, partner: I64, same: Both | None = None, classes: Both | None = None
+    left_group: I64,
+    right_group: I64,
+    partner: I64,
+    same: Both | None = None,
+    classes: Both | None = None,
 ) -> Match:
     """Pair the members of groups that are partners, the k-th of one with the k-th of the other.
 
@@ -78,7 +88,11 @@ def pair_in_order(
     group_of_right = np.full(int(right_group.max(initial=-1)) + 1, -1, np.int64)
     paired = np.flatnonzero(partner >= 0)
     group_of_right[partner[paired]] = paired
-    left_code = np.where(partner >= 0, np.arange(len(partner)), -1)[left_group] if len(partner) else left_group
+    left_code = (
+        np.where(partner >= 0, np.arange(len(partner)), -1)[left_group]
+        if len(partner)
+        else left_group
+    )
     right_code = group_of_right[right_group] if len(right_group) else right_group
     left_at, right_at = np.flatnonzero(left_code >= 0), np.flatnonzero(right_code >= 0)
     left_code, right_code = left_code[left_at], right_code[right_at]
@@ -106,7 +120,9 @@ def pair_in_order(
     right_pair = right_at[np.repeat(right_first, n_pairs) + member]
     unclear = np.repeat((n_pairs == 0) & (right_count > 0), left_count)
     in_order = np.repeat(equal & (left_count > 1), n_pairs)
-    return Match(left_pair, right_pair, {"n_ambiguous": left_at[unclear], "n_in_order": left_pair[in_order]})
+    return Match(
+        left_pair, right_pair, {"n_ambiguous": left_at[unclear], "n_in_order": left_pair[in_order]}
+    )
 
 
 def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask]:
@@ -115,7 +131,9 @@ def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask
     lengths = np.zeros(len(starts), np.int64)
     lengths[group] = last - first
     run = np.repeat(np.arange(len(starts)), lengths)
-    position = np.repeat(starts - np.concatenate(([0], np.cumsum(lengths)[:-1])), lengths) + np.arange(len(run))
+    position = np.repeat(
+        starts - np.concatenate(([0], np.cumsum(lengths)[:-1])), lengths
+    ) + np.arange(len(run))
     # one row a run and code: its first position and how often it is there
     order = np.lexsort((position, codes[position], run))
     run, position = run[order], position[order]
@@ -170,8 +188,12 @@ class MutualKeys:
         if len(left_value) and len(right_value):
             to_right, to_left = _nearest(left_value, right_value), _nearest(right_value, left_value)
             near = np.abs(right_value[to_right] - left_value) <= self.tolerance
-            partner = np.where(near & (to_left[to_right] == np.arange(len(left_value))), to_right, -1)
-        return pair_in_order(left_group, right_group, partner, both(left, right, SAME), both(left, right, CODE))
+            partner = np.where(
+                near & (to_left[to_right] == np.arange(len(left_value))), to_right, -1
+            )
+        return pair_in_order(
+            left_group, right_group, partner, both(left, right, SAME), both(left, right, CODE)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +220,9 @@ class NearestLabel:
             points, labels = np.flatnonzero(same == value), np.flatnonzero(right[SAME] == value)
             if not len(labels):
                 continue
-            distance[points], found = self._choose(key[points], right[KEY][labels], right[CODE][labels])
+            distance[points], found = self._choose(
+                key[points], right[KEY][labels], right[CODE][labels]
+            )
             partner[points[found.left]] = labels[found.right]
             for name, members in found.counts.items():
                 counts.setdefault(name, []).append(points[members])
@@ -209,7 +233,9 @@ class NearestLabel:
             apart = np.abs(right[KEY][_nearest(key[alone], right[KEY])] - key[alone])
             counts["n_other_same"] = [alone[apart <= self.tolerance]]
         at = np.flatnonzero(partner >= 0)
-        shifted = {name: np.concatenate(members) + decided.start for name, members in counts.items()}
+        shifted = {
+            name: np.concatenate(members) + decided.start for name, members in counts.items()
+        }
         partners = np.concatenate(used) if used else np.empty(0, np.int64)
         return Match(at + decided.start, partner[at], shifted, partners, distance)
 
@@ -231,7 +257,9 @@ class NearestLabel:
             counts["n_in_order"] = found[shared[pairs & differ]]
             counts["n_by_majority"] = found[shared[~pairs & differ]]
         # every label of a key that a point found counts as used
-        marks = np.bincount(first, minlength=len(there) + 1) - np.bincount(last, minlength=len(there) + 1)
+        marks = np.bincount(first, minlength=len(there) + 1) - np.bincount(
+            last, minlength=len(there) + 1
+        )
         return distance, Match(found, choice, counts, np.flatnonzero(np.cumsum(marks[:-1]) > 0))
 
 
@@ -245,4 +273,6 @@ def _nearest(values: F64, among: F64) -> I64:
     """Return the index of the nearest of sorted numbers, at least one; of two as near, the lower."""
     above = np.clip(np.searchsorted(among, values), 0, len(among) - 1)
     below = np.maximum(above - 1, 0)
-    return np.where(np.abs(values - among[below]) <= np.abs(among[above] - values), below, above).astype(np.int64)
+    return np.where(
+        np.abs(values - among[below]) <= np.abs(among[above] - values), below, above
+    ).astype(np.int64)

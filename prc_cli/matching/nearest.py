@@ -86,7 +86,9 @@ def _nested_places(keys: I64) -> tuple[I64, I64]:
     (array([-1]), array([33]))
     """
     (column, row), last = np.divmod(keys >> 2 * _SIDE, 2 * _HALF), (1 << _SIDE) - 1
-    return ((column - _HALF) << _SIDE) + (keys >> _SIDE & last), ((row - _HALF) << _SIDE) + (keys & last)
+    return ((column - _HALF) << _SIDE) + (keys >> _SIDE & last), ((row - _HALF) << _SIDE) + (
+        keys & last
+    )
 
 
 class Cloud:
@@ -99,7 +101,9 @@ class Cloud:
         self.n = 0
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
         self._squares: list[tuple[I64, I64]] = [(np.empty(0, np.int64), np.empty(0, np.int64))]
-        parts = [self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))]
+        parts = [
+            self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))
+        ]
         parts.append((np.empty(0, np.int64),) * 3)
         cells, first, count = (np.concatenate(part) for part in zip(*parts, strict=True))
         order = np.argsort(cells, kind="stable")
@@ -133,7 +137,9 @@ class Cloud:
     def _count_squares(self, keys: I64, n: I64) -> None:
         self._squares.append((keys, n))
         # few merges, and little memory
-        if sum(len(keys) for keys, _ in self._squares[1:]) > max(len(self._squares[0][0]), _MOST_LOOSE):
+        if sum(len(keys) for keys, _ in self._squares[1:]) > max(
+            len(self._squares[0][0]), _MOST_LOOSE
+        ):
             self._squares = [self.squares()]
 
     def squares(self) -> tuple[I64, I64]:
@@ -152,7 +158,10 @@ class Cloud:
         # a margin may be as wide as any number
         (x_low, y_low, _), (x_high, y_high, _) = self.low - CELL_M, self.high + CELL_M
         x0, y0 = max(box[0] - margin, min(x_low, box[0])), max(box[1] - margin, min(y_low, box[1]))
-        x1, y1 = min(box[2] + margin, max(x_high, box[2])), min(box[3] + margin, max(y_high, box[3]))
+        x1, y1 = (
+            min(box[2] + margin, max(x_high, box[2])),
+            min(box[3] + margin, max(y_high, box[3])),
+        )
         ends = cell_keys(np.array([x0, x1]), np.array([y0, y1]), CELL_M)
         (low, high), (bottom, top) = cell_places(ends)
         held = np.unique(self._cells >> 32)
@@ -201,21 +210,38 @@ def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
     if not len(cells):
         return found
     span = max(int(np.ptp(column)), int(np.ptp(row))) + 1
-    nodes = [(int(column.min()), int(row.min()), 1 << max(span - 1, 0).bit_length(), np.arange(len(cells)))]
+    nodes = [
+        (
+            int(column.min()),
+            int(row.min()),
+            1 << max(span - 1, 0).bit_length(),
+            np.arange(len(cells)),
+        )
+    ]
     while nodes:
         x, y, size, members = nodes.pop()
         total = int(n[members].sum())
         if total > most and size > 1:
             half = size // 2
             east, north = column[members] >= x + half, row[members] >= y + half
-            quarters = ((~east & ~north, x, y), (~east & north, x, y + half),
-                        (east & ~north, x + half, y), (east & north, x + half, y + half))  # fmt: skip
-            nodes += [(a, b, half, members[where]) for where, a, b in reversed(quarters) if where.any()]
+            quarters = (
+                (~east & ~north, x, y),
+                (~east & north, x, y + half),
+                (east & ~north, x + half, y),
+                (east & north, x + half, y + half),
+            )
+            nodes += [
+                (a, b, half, members[where]) for where, a, b in reversed(quarters) if where.any()
+            ]
             continue
         # a cell of too many points is cut evenly
         parts = 1 << max(0, math.ceil(math.log2(max(total, 1) / most) / 2)) if size == 1 else 1
         edge = size * CELL_M / parts
-        corners = [(x * CELL_M + i * edge, y * CELL_M + j * edge) for i in range(parts) for j in range(parts)]
+        corners = [
+            (x * CELL_M + i * edge, y * CELL_M + j * edge)
+            for i in range(parts)
+            for j in range(parts)
+        ]
         found += [(a, b, a + edge, b + edge) for a, b in corners]
     return found
 
@@ -245,7 +271,9 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
         ours = left.read(tuple(box))
         if not len(ours["x"]):
             continue
-        theirs, distance, found, tree = nearest_of(sample_of(ours, random), right, tuple(box), _FARTHEST_M)
+        theirs, distance, found, tree = nearest_of(
+            sample_of(ours, random), right, tuple(box), _FARTHEST_M
+        )
         if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
             near = np.unique(found[np.isfinite(distance)])
             apart = np.full((len(theirs["x"]), 2), np.inf)
@@ -269,14 +297,18 @@ def _tolerance(apart: F64, spread: float, step: float) -> float:
     most = max(SPREADS * max(spread, step), LEAST_M)
     tolerance = max(LEAST_M, _LEAST_SPREADS * spread)
     while tolerance < most:
-        beyond, wider = len(apart) - np.searchsorted(apart, [tolerance, tolerance * _WIDER], side="right")
+        beyond, wider = len(apart) - np.searchsorted(
+            apart, [tolerance, tolerance * _WIDER], side="right"
+        )
         if beyond - wider <= _FEW_MORE * beyond:
             break
         tolerance *= _STEP
     return float(f"{min(_MARGIN * tolerance, most):.2g}")
 
 
-def sample_of(columns: Columns, random: np.random.Generator, most: int = _SAMPLED_RECORDS) -> Columns:
+def sample_of(
+    columns: Columns, random: np.random.Generator, most: int = _SAMPLED_RECORDS
+) -> Columns:
     """Return coordinates of some of the points, in their order."""
     n = len(columns["x"])
     chosen = np.sort(random.choice(n, most)) if n > most else np.arange(n)
@@ -327,7 +359,12 @@ def nearest_join(
         used = np.zeros(len(theirs["x"]), np.bool_)
         used[to[to >= 0]] = True
         n_used = int(np.count_nonzero(used & _inside(theirs, box)))
-        ours, to, distance, found = {n: v[core] for n, v in ours.items()}, to[core], distance[core], found[core]
+        ours, to, distance, found = (
+            {n: v[core] for n, v in ours.items()},
+            to[core],
+            distance[core],
+            found[core],
+        )
         sparse = np.zeros(len(to), np.bool_)
         lone = np.flatnonzero(np.isfinite(distance) & (to < 0))
         if len(lone):
@@ -358,7 +395,9 @@ def nearest_of(
     timed = TIME in ours and TIME in theirs
     k = min(_TIES, len(theirs["x"])) if timed else 1
     limit = float(np.nextafter(bound, math.inf))  # it is exclusive
-    distance, found = tree.query(xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit)
+    distance, found = tree.query(
+        xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit
+    )
     best = np.zeros(n, np.int64)
     if timed:
         # of several as near, the one of the nearest time

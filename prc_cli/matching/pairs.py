@@ -11,7 +11,9 @@ from prc_cli.formats.labels import code_suffix_of
 _SHOWN = 4
 
 
-def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False) -> tuple[tuple[Path, Path], ...]:
+def pair_files(
+    predicted: Path, reference: Path, *, allow_missing: bool = False
+) -> tuple[tuple[Path, Path], ...]:
     """Pair two files, or the files of two folders by name, those with suffixes that hold class codes."""
     if not (predicted.is_dir() or reference.is_dir()):
         return ((predicted, reference),)
@@ -19,7 +21,9 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
         if not side.is_dir():
             problem = f"a file against the folder {other}" if side.exists() else "no such folder"
             raise InputError(
-                str(side), problem, "give two files or two folders, or match by time, dimension or nearest"
+                str(side),
+                problem,
+                "give two files or two folders, or match by time, dimension or nearest",
             )
     left, right = _by_name(predicted), _by_name(reference)
     if allow_missing and left.keys() & right.keys():
@@ -31,7 +35,11 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
         if unpaired:
             have = "file has" if len(unpaired) == 1 else "files have"
             problem = f"{len(unpaired)} {have} no partner in {other}: {_listed(unpaired)}"
-            raise InputError(str(folder), problem, "give partners the same name but for the suffix, or use --pair")
+            raise InputError(
+                str(folder),
+                problem,
+                "give partners the same name but for the suffix, or use --pair",
+            )
     return tuple((left[name], right[name]) for name in sorted(left))
 
 
@@ -41,7 +49,9 @@ def files_of(paths: Iterable[Path]) -> list[Path]:
     for path in paths:
         inside = list(_label_files(path)) if path.is_dir() else [path]
         if not inside:
-            raise InputError(str(path), "no files with class codes in it", "check the name of the folder")
+            raise InputError(
+                str(path), "no files with class codes in it", "check the name of the folder"
+            )
         found += inside
     return found
 
@@ -64,7 +74,9 @@ def _by_name(folder: Path) -> dict[str, Path]:
             raise InputError(str(folder), problem, "move one of them away, or use --pair")
         found[name] = path
     if not found:
-        raise InputError(str(folder), "no files with class codes in it", "check the name of the folder")
+        raise InputError(
+            str(folder), "no files with class codes in it", "check the name of the folder"
+        )
     return found
 
 
@@ -74,7 +86,11 @@ def _label_files(folder: Path) -> Iterator[Path]:
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(folder), problem, "check the name and its permissions") from error
-    return (path for path in paths if path.is_file() and code_suffix_of(path) and not path.name.startswith("."))
+    return (
+        path
+        for path in paths
+        if path.is_file() and code_suffix_of(path) and not path.name.startswith(".")
+    )
 
 
 def _listed(names: Iterable[str]) -> str:

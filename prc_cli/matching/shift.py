@@ -8,7 +8,15 @@ import numpy as np
 
 from prc_cli.core.types import F64
 from prc_cli.matching.keys import AXES
-from prc_cli.matching.nearest import CELL_M, Cloud, cell_places, sample_of, tiles_of, tree_of, xyz_of
+from prc_cli.matching.nearest import (
+    CELL_M,
+    Cloud,
+    cell_places,
+    sample_of,
+    tiles_of,
+    tree_of,
+    xyz_of,
+)
 
 LEAST_SHIFT_M = 0.05
 """Shifts below are what registered drives differ by."""
@@ -27,7 +35,9 @@ def shift_of(left: Cloud, right: Cloud) -> F64 | None:
     start = np.zeros(3) if coarse is None else coarse
     random = np.random.default_rng(0)
     parts: list[tuple[F64, Any]] = []
-    for x0, y0, x1, y1 in random.permutation(np.array(tiles_of(left, right)).reshape(-1, 4)).tolist():
+    for x0, y0, x1, y1 in random.permutation(
+        np.array(tiles_of(left, right)).reshape(-1, 4)
+    ).tolist():
         ours = xyz_of(sample_of(left.read((x0, y0, x1, y1)), random, _PAIRS))
         dx, dy = start[:2].tolist()
         theirs = xyz_of(right.read((x0 + dx, y0 + dy, x1 + dx, y1 + dy), _REACH_M))
@@ -63,7 +73,9 @@ def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
         shift = shift + np.linalg.lstsq(left.sum(axis=0), right.sum(axis=0))[0]
     left, right = left.sum(axis=0) - left, right.sum(axis=0) - right
     without = np.array([np.linalg.lstsq(*sums)[0] for sums in zip(left, right, strict=True)])
-    return shift, np.sqrt((_GROUPS - 1) / _GROUPS * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+    return shift, np.sqrt(
+        (_GROUPS - 1) / _GROUPS * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
+    )
 
 
 def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
@@ -88,7 +100,10 @@ def _within(normal: F64, off: F64) -> Any:
         if len(mine):
             signed = off[mine] * np.sign(normal[mine, axis])
             middle = np.median(signed)
-            kept[mine] = np.abs(signed - middle) <= _GATE * 1.4826 * np.median(np.abs(signed - middle)) + 1e-6
+            kept[mine] = (
+                np.abs(signed - middle)
+                <= _GATE * 1.4826 * np.median(np.abs(signed - middle)) + 1e-6
+            )
     return kept
 
 
@@ -130,7 +145,9 @@ def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
         index[axis] = slice(reach + 1, size - reach)
         score[tuple(index)] = 0.0
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
-    steps = [at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)]
+    steps = [
+        at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)
+    ]
     if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
         return None
     return np.array(steps, np.float64) * SHIFT_VOXEL_M

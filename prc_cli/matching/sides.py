@@ -73,7 +73,9 @@ class KeyedSource(DerivedSource):
         if self.codes is None or n[0] == n[1]:
             return
         more = f"{n[0]} as {self.source.path} has records"
-        expected = f"one for every record of {self.source.path}, which has more" if n[1] < n[0] else more
+        expected = (
+            f"one for every record of {self.source.path}, which has more" if n[1] < n[0] else more
+        )
         problem = f"found {n[1]} class codes, expected {expected}"
         raise InputError(self.codes.path, problem, "name the input that was classified")
 
@@ -84,7 +86,9 @@ class KeyedSource(DerivedSource):
             at = int(np.argmax(wrong))
             where = self.path if self.codes is None else self.codes.path
             problem = f"record {record[at]}: found the class code {codes[at]}, expected 0 to 255 as LAS holds them"
-            raise InputError(where, problem, "name the dimension with LAS class codes: --dimension NAME")
+            raise InputError(
+                where, problem, "name the dimension with LAS class codes: --dimension NAME"
+            )
         return codes.astype(np.uint8)
 
     def _keys(self, values: dict[str, NDArray[Any]], record: I64, n_before: int) -> F64:
@@ -97,11 +101,16 @@ class KeyedSource(DerivedSource):
         key, right = exact_keys(stored)
         expected = "a whole number below 2^53"
         if rule.kind in ("time", "place"):
-            right, expected = np.isfinite(key), f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
+            right, expected = (
+                np.isfinite(key),
+                f"a finite {'time' if rule.kind == 'time' else 'coordinate'}",
+            )
         if not right.all():
             at = int(np.argmin(right))
             problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
-            raise InputError(self.path, problem, "leave such points out, or match by something else with --match")
+            raise InputError(
+                self.path, problem, "leave such points out, or match by something else with --match"
+            )
         return key + rule.offset if rule.offset else key
 
     def _same(self, values: dict[str, NDArray[Any]], record: I64) -> I64:
@@ -229,7 +238,9 @@ class SideFile:
         beside = None
         if points is not None:
             if not points.is_file():
-                raise InputError(str(points), "no such file, expected the points of the labels", "check the name")
+                raise InputError(
+                    str(points), "no such file, expected the points of the labels", "check the name"
+                )
             beside = open_table(points)
             if beside is None:
                 problem = "unknown suffix, expected points: LAS, LAZ, text, .npz or .parquet"
@@ -331,7 +342,11 @@ class Side:
         for file in self.files:
             for name in () if self.key is None else self.key.key_names:
                 if self._place(file, name) is None:
-                    has = ", ".join(dict.fromkeys(name for source in file.sources for name in source.dimensions[:30]))
+                    has = ", ".join(
+                        dict.fromkeys(
+                            name for source in file.sources for name in source.dimensions[:30]
+                        )
+                    )
                     problem = f"no {name!r} to match by in the file, which has: {has or 'class codes alone'}"
                     hint = "name the points that the labels belong to, or match by something else"
                     raise ConfigError(file.codes.path, problem, hint)
@@ -357,10 +372,16 @@ class Side:
                 if KEY in values and len(record):
                     self.tally.low = min(self.tally.low, float(values[KEY].min()))
                     self.tally.high = max(self.tally.high, float(values[KEY].max()))
-                    self.tally.n_columns = max(self.tally.n_columns, int((values[KEY] % LONGEST_LINE).max()) + 1)
-                yield RecordChunk(first - n, {name: values[name] for name in names}, len(record), record)
+                    self.tally.n_columns = max(
+                        self.tally.n_columns, int((values[KEY] % LONGEST_LINE).max()) + 1
+                    )
+                yield RecordChunk(
+                    first - n, {name: values[name] for name in names}, len(record), record
+                )
             if first == n_before:
-                raise InputError(file.codes.path, "no records, expected class codes", "check the file")
+                raise InputError(
+                    file.codes.path, "no records, expected class codes", "check the file"
+                )
 
     def _finite(self, values: Columns, n: int) -> Mask:
         finite = np.ones(n, np.bool_)
@@ -368,7 +389,9 @@ class Side:
         is_place = self.key is not None and self.key.kind == "place"
         for name in checked:
             if name in values:
-                finite &= np.abs(values[name]) < FARTHEST_M if is_place else np.isfinite(values[name])
+                finite &= (
+                    np.abs(values[name]) < FARTHEST_M if is_place else np.isfinite(values[name])
+                )
         return finite
 
     def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
@@ -377,7 +400,9 @@ class Side:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
         found = file.find(_NAMES.get(name, (name,)))
         by_index = name == RECORD and self.key == KeyRule("dimension", RECORD)
-        if found is None and by_index and not isinstance(file.table, LasSource):  # LAS may have been filtered since
+        if (
+            found is None and by_index and not isinstance(file.table, LasSource)
+        ):  # LAS may have been filtered since
             return None, _INDEX
         return found
 
@@ -402,21 +427,35 @@ class Side:
         beside = file.table is not None and 0 in asked and file.codes.name in file.table.dimensions
         if beside:
             asked[0].append(file.codes.name)
-        streams = [_columns(file.sources[k], tuple(dict.fromkeys(read))) for k, read in asked.items()]
+        streams = [
+            _columns(file.sources[k], tuple(dict.fromkeys(read))) for k, read in asked.items()
+        ]
         if not beside:
             streams.insert(0, ({_CODES: codes} for codes in file.codes.chunks()))
         row = 0
-        for parts in in_step(streams, lambda n: _check_lengths(file, n[0], n[-1], equal=len(set(n)) == 1)):
+        for parts in in_step(
+            streams, lambda n: _check_lengths(file, n[0], n[-1], equal=len(set(n)) == 1)
+        ):
             # a name is always read from the first source that has it
             read = {name: column for part in parts for name, column in part.items()}
             n = len(next(iter(read.values())))
             index = np.arange(row, row + n, dtype=np.int64)
-            values: Columns = {CODE: file.codes.to_codes(read[file.codes.name], row) if beside else read[_CODES]}
+            values: Columns = {
+                CODE: file.codes.to_codes(read[file.codes.name], row) if beside else read[_CODES]
+            }
             for name, place in places.items():
-                found = self._counted(name, index) if place is None or place[0] is None else read[place[1]]
+                found = (
+                    self._counted(name, index)
+                    if place is None or place[0] is None
+                    else read[place[1]]
+                )
                 values[name] = self._typed(file, name, found, row)
             if by_cell:
-                line, column = (values[_LINE], values[_COLUMN]) if own_cells else np.divmod(index, file.dense_line or 1)
+                line, column = (
+                    (values[_LINE], values[_COLUMN])
+                    if own_cells
+                    else np.divmod(index, file.dense_line or 1)
+                )
                 values[KEY] = _cell_keys(line, column)
             yield values, index
             row += n

@@ -27,7 +27,13 @@ WHERE = "block of ranges"
 
 
 def check_block(
-    range_m: F32, next_m: F32 | None, points_per_line: int, lines_per_block: int, *, columns: str, key: str
+    range_m: F32,
+    next_m: F32 | None,
+    points_per_line: int,
+    lines_per_block: int,
+    *,
+    columns: str,
+    key: str,
 ) -> None:
     """Refuse arrays that cannot be the next block of a stream.
 
@@ -59,7 +65,9 @@ class Part(Generic[_ValueT]):
 class Turn(Protocol):
     """The position of a block in its scanner's stream; passes the state from block to block."""
 
-    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
+    def hand_on(
+        self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]
+    ) -> _ResultT:
         """Run a step that depends on the previous blocks.
 
         Parameters
@@ -102,7 +110,9 @@ class OneByOne(Generic[StateT]):
     def __init__(self, state: StateT) -> None:
         self.state = state
 
-    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
+    def hand_on(
+        self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]
+    ) -> _ResultT:
         """Run a step; see :class:`Turn`."""
         state: Any = self.state
         result, value = step(getattr(state, part.name))
@@ -213,7 +223,9 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         """Return the state before the first block of a scanner, a dataclass whose fields are handed on."""
 
     @abstractmethod
-    def label(self, block: ScanBlock, scanner: ScannerT, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+    def label(
+        self, block: ScanBlock, scanner: ScannerT, turn: Turn, wanted: Wanted
+    ) -> Sequence[LabelledBlock]:
         """Label a block, in any thread.
 
         Parameters

@@ -43,7 +43,9 @@ def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) 
         elif any(isinstance(each, FieldInfo) for each in getattr(annotation, "__metadata__", ())):
             fields[field] = (annotation, Field(value, description=texts[kind.__name__, field]))
     title = "".join(word.title() for word in name.split("_")) + "Params"
-    table = create_model(title, __base__=base, __doc__=kind.__doc__, __module__=kind.__module__, **fields)
+    table = create_model(
+        title, __base__=base, __doc__=kind.__doc__, __module__=kind.__module__, **fields
+    )
     vars(sys.modules[kind.__module__]).setdefault(title, table)  # where pickle looks for it
     return table
 
@@ -58,7 +60,11 @@ def _docs_of(module: str) -> dict[tuple[str, str], str]:
         for field, text in pairwise(kind.body):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
                 words = " ".join(ast.literal_eval(text.value).split()).removesuffix(".")
-                lower = words[:1].lower() + words[1:] if words[1:2].islower() or words[1:2] == " " else words
+                lower = (
+                    words[:1].lower() + words[1:]
+                    if words[1:2].islower() or words[1:2] == " "
+                    else words
+                )
                 found[kind.name, ast.unparse(field.target)] = lower
     return found
 
@@ -68,5 +74,7 @@ def thresholds_of(defaults: TupleT, table: Params) -> TupleT:
     values: dict[str, Any] = {}
     for name in type(table).model_fields:
         value = getattr(table, name)
-        values[name] = thresholds_of(getattr(defaults, name), value) if isinstance(value, Params) else value
+        values[name] = (
+            thresholds_of(getattr(defaults, name), value) if isinstance(value, Params) else value
+        )
     return defaults._replace(**values)  # type: ignore[attr-defined, no-any-return]  # a NamedTuple

@@ -28,7 +28,9 @@ class MethodTables(Params):
         default_factory=SequentialAngleParams, description="sequential-angle (Stamos et al. 2012)"
     )
     fused: FusedParams = Field(default_factory=FusedParams, description="fused")
-    rings: RingsParams = Field(default_factory=RingsParams, description="rings of spinning scanners")
+    rings: RingsParams = Field(
+        default_factory=RingsParams, description="rings of spinning scanners"
+    )
 
 
 def table_of(method: MethodName) -> str:

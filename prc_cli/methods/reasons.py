@@ -27,8 +27,12 @@ RULES: dict[Reason, Rule] = {
         "too few neighbouring shots, in its line or in the adjacent ones, are about as far",
         ("prc.support.zeta_p", "prc.support.zeta_s", "prc.support.rho_c"),
     ),
-    Reason.MOST_SMOOTH: Rule("of the smooth segment that has most shots so far", ("prc.urban.ground",)),
-    Reason.OTHER_SEGMENT: Rule("of a smooth segment that is not the ground", ("prc.surfaces.area", "prc.urban.ground")),
+    Reason.MOST_SMOOTH: Rule(
+        "of the smooth segment that has most shots so far", ("prc.urban.ground",)
+    ),
+    Reason.OTHER_SEGMENT: Rule(
+        "of a smooth segment that is not the ground", ("prc.surfaces.area", "prc.urban.ground")
+    ),
     Reason.NON_SMOOTH: Rule(
         "of a segment that is too small for a smooth surface, or close beside such a one",
         ("prc.surfaces.area", "prc.surfaces.gamma"),
@@ -38,12 +42,15 @@ RULES: dict[Reason, Rule] = {
         ("prc.forest.density", "prc.forest.column_step", "prc.forest.noise_in_ground_columns"),
     ),
     Reason.SMOOTH_COLUMN: Rule(
-        "of a smooth segment, in a column that is not ground", ("prc.surfaces.area", "prc.forest.density")
+        "of a smooth segment, in a column that is not ground",
+        ("prc.surfaces.area", "prc.forest.density"),
     ),
     # Stamos et al. (2012)
     Reason.BEYOND_REACH: Rule("farther than the method looks", ("sequential_angle.max_range_m",)),
     Reason.UNDECIDED: Rule("its line has too few returns for an angle"),
-    Reason.TO_AND_FRO: Rule("the angles around turn to and fro", ("sequential_angle.coarse.vegetation.threshold",)),
+    Reason.TO_AND_FRO: Rule(
+        "the angles around turn to and fro", ("sequential_angle.coarse.vegetation.threshold",)
+    ),
     Reason.HORIZONTAL: Rule(
         "a run of level angles, and neither ground nor car",
         ("sequential_angle.coarse.surfaces.threshold_horizontal_deg",),
@@ -53,7 +60,8 @@ RULES: dict[Reason, Rule] = {
         ("sequential_angle.coarse.surfaces.threshold_vertical_deg",),
     ),
     Reason.GROUND_HEIGHT: Rule(
-        "horizontal, and at the height of the ground", ("sequential_angle.ground.height_tolerance_m",)
+        "horizontal, and at the height of the ground",
+        ("sequential_angle.ground.height_tolerance_m",),
     ),
     Reason.CURB_REGION: Rule(
         "a low vertical face between two grounds, seen in enough lines",
@@ -64,12 +72,16 @@ RULES: dict[Reason, Rule] = {
         ("sequential_angle.car.ground_layer_m",),
     ),
     # fused, streets
-    Reason.LONELY: Rule("nothing is near it, although the scanner is", ("decision.lone_m", "near.near_m")),
+    Reason.LONELY: Rule(
+        "nothing is near it, although the scanner is", ("decision.lone_m", "near.near_m")
+    ),
     Reason.ISOLATED: Rule(
-        "isolated, and neither a leaf among others nor on a surface", ("decision.least_near", "decision.leaf_slots")
+        "isolated, and neither a leaf among others nor on a surface",
+        ("decision.least_near", "decision.leaf_slots"),
     ),
     Reason.SPIKE: Rule(
-        "a spike: no pair is smooth with it, those of the shots beside it are", ("decision.spike_share",)
+        "a spike: no pair is smooth with it, those of the shots beside it are",
+        ("decision.spike_share",),
     ),
     Reason.BELOW_GROUND: Rule("rough and far below the ground", ("decision.below_m",)),
     Reason.BEHIND_WALL: Rule(
@@ -78,13 +90,16 @@ RULES: dict[Reason, Rule] = {
     ),
     Reason.IN_CAR: Rule("isolated in a car, without a smooth pair", ("decision.least_near",)),
     Reason.MIRRORED: Rule(
-        "amid a car, but farther than it, and on no surface: a mirror image", ("again.mirror_m", "again.mirror_share")
+        "amid a car, but farther than it, and on no surface: a mirror image",
+        ("again.mirror_m", "again.mirror_share"),
     ),
     Reason.RANGE_ALONE: Rule(
-        "no shot of the wider window is about as far", ("again.alone_m", "again.alone_gap_m", "again.alone_texture")
+        "no shot of the wider window is about as far",
+        ("again.alone_m", "again.alone_gap_m", "again.alone_texture"),
     ),
     Reason.WALKED: Rule(
-        "at the height of the ground, and the walk along it went over it", ("decision.walked_m", "walk.step_m")
+        "at the height of the ground, and the walk along it went over it",
+        ("decision.walked_m", "walk.step_m"),
     ),
     Reason.LEVEL_LOW: Rule("low, and more level than upright", ("decision.level_m",)),
     Reason.LOW: Rule("very low, and not upright", ("decision.soil_m",)),
@@ -93,10 +108,13 @@ RULES: dict[Reason, Rule] = {
         ("decision.car_bins", "decision.car_bins_rough", "decision.car_top_m"),
     ),
     Reason.PROFILE: Rule(
-        "lines around climb from the ground to a roof and see far beyond it: a car", ("roofs.least_m", "roofs.share")
+        "lines around climb from the ground to a roof and see far beyond it: a car",
+        ("roofs.least_m", "roofs.share"),
     ),
     Reason.CROWN: Rule("thin and upright, below a crown", ("decision.crown_slots",)),
-    Reason.TRUNK: Rule("thin and upright, and as thick and round as a trunk", ("decision.thick_m",)),
+    Reason.TRUNK: Rule(
+        "thin and upright, and as thick and round as a trunk", ("decision.thick_m",)
+    ),
     Reason.SMALL: Rule(
         "low, shallow and seen by few lines, which see past it on both sides",
         ("columns.high_m", "columns.person_m", "columns.small_m", "columns.small_lines"),
@@ -105,7 +123,10 @@ RULES: dict[Reason, Rule] = {
         "upright and thin: lines beside it, or shots above and below, see past it",
         ("decision.pole_m", "decision.far_m", "columns.tall_m", "columns.lines"),
     ),
-    Reason.ARM: Rule("thin or short, high above the ground: an arm or a lamp", ("decision.arm_m", "decision.far_m")),
+    Reason.ARM: Rule(
+        "thin or short, high above the ground: an arm or a lamp",
+        ("decision.arm_m", "decision.far_m"),
+    ),
     Reason.BOX: Rule(
         "small, with a level top, and far things beyond it: a bin or a cabinet",
         ("decision.box_m", "decision.box_lines"),
@@ -115,8 +136,12 @@ RULES: dict[Reason, Rule] = {
         "rough surroundings, not in a wall nor seen through it",
         ("decision.leaf_share", "decision.leaf_share_before_wall"),
     ),
-    Reason.FACADE: Rule("rough surroundings, but in a wall, seen through it, or on a facade", _FACADE),
-    Reason.SMOOTH: Rule("no rule before applies: something smooth above the ground", ("decision.leaf_share",)),
+    Reason.FACADE: Rule(
+        "rough surroundings, but in a wall, seen through it, or on a facade", _FACADE
+    ),
+    Reason.SMOOTH: Rule(
+        "no rule before applies: something smooth above the ground", ("decision.leaf_share",)
+    ),
     Reason.CURB_FACE: Rule(
         "the line climbs, and the ground beyond is higher than before: the face of a curb",
         ("curbs.least_m", "curbs.most_m"),
@@ -127,25 +152,33 @@ RULES: dict[Reason, Rule] = {
     Reason.SOIL: Rule("at the ground", ("classes.soil_m",)),
     Reason.FLAT: Rule("low, in a flat place", ("classes.cover_m", "classes.flat_m")),
     Reason.ON_STEM: Rule(
-        "in an upright run that other lines repeat", ("runs.above_m", "runs.tolerance_m", "stems.total_m")
+        "in an upright run that other lines repeat",
+        ("runs.above_m", "runs.tolerance_m", "stems.total_m"),
     ),
     Reason.BESIDE_STEM: Rule("beside a stem, and as far", ("classes.beside_m",)),
     Reason.ABOVE_TOP: Rule("on a stem, but above the height where stems end", ("classes.top_m",)),
-    Reason.PLANT: Rule("above the ground, on no stem, with shots around as far", ("classes.near_m",)),
+    Reason.PLANT: Rule(
+        "above the ground, on no stem, with shots around as far", ("classes.near_m",)
+    ),
     # rings
     Reason.FLAKE: Rule(
         "hardly any shot around is as far, and none as bright: snow, rain or dust",
         ("lonely.near_m", "lonely.most", "lonely.bright"),
     ),
-    Reason.SURFACE: Rule("at the surface that the lowest returns around lie on", ("soil.soil_m", "ground.step_m")),
+    Reason.SURFACE: Rule(
+        "at the surface that the lowest returns around lie on", ("soil.soil_m", "ground.step_m")
+    ),
     Reason.THIN_SMOOTH: Rule(
         "what stands there is thin, smooth, upright and without gaps in height",
         ("leaves.thick", "leaves.smooth", "leaves.upright", "leaves.filled"),
     ),
     Reason.ROUGH_PLACE: Rule(
-        "what stands there is rough, thick, or has gaps in height", ("leaves.thick", "leaves.smooth", "leaves.filled")
+        "what stands there is rough, thick, or has gaps in height",
+        ("leaves.thick", "leaves.smooth", "leaves.filled"),
     ),
-    Reason.LOW_PLANT: Rule("low, in a rough place or above a smooth one", ("soil.smooth", "soil.rough", "soil.high")),
+    Reason.LOW_PLANT: Rule(
+        "low, in a rough place or above a smooth one", ("soil.smooth", "soil.rough", "soil.high")
+    ),
     Reason.CAR_BOX: Rule(
         "of a body of a car's size that stands alone, and rings pass over it",
         ("cars.body_m", "cars.most_m", "cars.wide_m", "cars.seen_m"),
@@ -159,23 +192,33 @@ RULES: dict[Reason, Rule] = {
     ),
 }
 VOTE = Rule("most shots around are of this class", ("votes.half_width_m", "votes.near_m"))
-FURTHER = Rule("a further return: the class of a shot around that is as far, or what remains without one")
+FURTHER = Rule(
+    "a further return: the class of a shot around that is as far, or what remains without one"
+)
 
 LABEL_REASONS: dict[str, dict[Label, Reason]] = {
     "urban": {
-        Label.NOISE: Reason.UNSUPPORTED, Label.GROUND: Reason.MOST_SMOOTH, Label.BUILDING: Reason.OTHER_SEGMENT,
+        Label.NOISE: Reason.UNSUPPORTED,
+        Label.GROUND: Reason.MOST_SMOOTH,
+        Label.BUILDING: Reason.OTHER_SEGMENT,
         Label.VEGETATION: Reason.NON_SMOOTH,
     },
     "forest": {
-        Label.NOISE: Reason.UNSUPPORTED, Label.GROUND: Reason.GROUND_COLUMN, Label.STEM: Reason.SMOOTH_COLUMN,
+        Label.NOISE: Reason.UNSUPPORTED,
+        Label.GROUND: Reason.GROUND_COLUMN,
+        Label.STEM: Reason.SMOOTH_COLUMN,
         Label.VEGETATION: Reason.NON_SMOOTH,
     },
     "sequential-angle": {
-        Label.GROUND: Reason.GROUND_HEIGHT, Label.CURB: Reason.CURB_REGION, Label.CAR: Reason.BETWEEN_DIVIDERS,
-        Label.VEGETATION: Reason.TO_AND_FRO, Label.HORIZONTAL: Reason.HORIZONTAL, Label.VERTICAL: Reason.VERTICAL,
+        Label.GROUND: Reason.GROUND_HEIGHT,
+        Label.CURB: Reason.CURB_REGION,
+        Label.CAR: Reason.BETWEEN_DIVIDERS,
+        Label.VEGETATION: Reason.TO_AND_FRO,
+        Label.HORIZONTAL: Reason.HORIZONTAL,
+        Label.VERTICAL: Reason.VERTICAL,
         Label.UNCLASSIFIED: Reason.UNDECIDED,
     },
-}  # fmt: skip
+}
 """The one rule behind every label: of PRC in streets and in forests, and of the sequential-angle method."""
 
 
@@ -204,12 +247,22 @@ def rule_of(reason: int) -> tuple[str, Rule]:
 
 def sentences() -> dict[int, str]:
     """Return the sentence of every reason but that of missing returns, by its number."""
-    more = {kind | label: rule.sentence for kind, rule in ((VOTED, VOTE), (FURTHER_RETURN, FURTHER)) for label in Label}
+    more = {
+        kind | label: rule.sentence
+        for kind, rule in ((VOTED, VOTE), (FURTHER_RETURN, FURTHER))
+        for label in Label
+    }
     return {**{int(one): RULES[one].sentence for one in RULES if one}, **more}
 
 
 def reason_table() -> list[tuple[int, str, str, str]]:
     """Return number, class, name and sentence of every reason, by number; of votes and further returns once."""
-    rows = [(int(one), LABEL_NAMES[one & LABEL_BITS], one.name.lower(), RULES[one].sentence) for one in RULES]
-    more = [(VOTED, "any", "voted", VOTE.sentence), (FURTHER_RETURN, "any", "further_return", FURTHER.sentence)]
+    rows = [
+        (int(one), LABEL_NAMES[one & LABEL_BITS], one.name.lower(), RULES[one].sentence)
+        for one in RULES
+    ]
+    more = [
+        (VOTED, "any", "voted", VOTE.sentence),
+        (FURTHER_RETURN, "any", "further_return", FURTHER.sentence),
+    ]
     return [*sorted(rows), *sorted(more)]

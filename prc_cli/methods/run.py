@@ -91,7 +91,11 @@ class _Scanner:
         """Return the scanner of a first block."""
         constants = classifier.scanner(first)
         state = classifier.initial_state(constants)
-        return cls(constants, {each.name: Relay(getattr(state, each.name)) for each in fields(state)}, count())
+        return cls(
+            constants,
+            {each.name: Relay(getattr(state, each.name)) for each in fields(state)},
+            count(),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +106,9 @@ class _Job:
     scanner: _Scanner
     turn: int
 
-    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
+    def hand_on(
+        self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]
+    ) -> _ResultT:
         """Wait until the previous block has handed the part on, then run the step."""
         relay: Relay[_ValueT] = self.scanner.relays[part.name]
         return relay.take_turn(self.turn, step)[0]

@@ -23,9 +23,17 @@ _IS_READY = 13  # place of the mark that a body is prepared
 _FARTHEST_M = 1e9  # a shot that begins farther out is not cast
 
 # odd numbers, one for each purpose of random numbers from the same seed
-_BODY, _SHOT, _CAST = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD1B54A32D192ED03), np.uint64(0x8CB92BA72F3D8DD7)
+_BODY, _SHOT, _CAST = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xD1B54A32D192ED03),
+    np.uint64(0x8CB92BA72F3D8DD7),
+)
 _PATH, _LEAF, _ZERO = np.uint64(0xABC98388FB8FAC03), np.uint64(0x2545F4914F6CDD1D), np.uint64(0)
-_X, _Y, _Z = np.uint64(0xD6E8FEB86659FD93), np.uint64(0xA0761D6478BD642F), np.uint64(0xE7037ED1A0B428DB)
+_X, _Y, _Z = (
+    np.uint64(0xD6E8FEB86659FD93),
+    np.uint64(0xA0761D6478BD642F),
+    np.uint64(0xE7037ED1A0B428DB),
+)
 
 
 class _Frame(NamedTuple):
@@ -92,7 +100,11 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
             hull[j, 6 + k] = hull[j, 3 + k]
     farthest = 0.0
     for corner in range(3, 9, 3):
-        x, y, z = hull[j, corner] - hull[j, 0], hull[j, corner + 1] - hull[j, 1], hull[j, corner + 2] - hull[j, 2]
+        x, y, z = (
+            hull[j, corner] - hull[j, 0],
+            hull[j, corner + 1] - hull[j, 1],
+            hull[j, corner + 2] - hull[j, 2],
+        )
         farthest = max(farthest, x * x + y * y + z * z)
     hull[j, 10] = np.sqrt(farthest) + hull[j, 9]
 
@@ -162,7 +174,10 @@ def _measure_line(rays: F64, angle: F64) -> _Frame:
         dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
         up = dx * normal[0] + dy * normal[1] + dz * normal[2]
         tilt = max(tilt, abs(up) / np.sqrt(dx * dx + dy * dy + dz * dz))
-        here = _diamond(dx * first[0] + dy * first[1] + dz * first[2], dx * second[0] + dy * second[1] + dz * second[2])
+        here = _diamond(
+            dx * first[0] + dy * first[1] + dz * first[2],
+            dx * second[0] + dy * second[1] + dz * second[2],
+        )
         if i > 0:
             turns -= np.floor((here - before + 2.0) / 4.0)
         angle[i] = here + 4.0 * turns
@@ -173,7 +188,9 @@ def _measure_line(rays: F64, angle: F64) -> _Frame:
 
 
 @helper
-def _lay_plane(rays: F64) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+def _lay_plane(
+    rays: F64,
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
     """Return the axes of a line: the normal of its plane, the direction of its first shot, and the third axis."""
     m = rays.shape[1]
     quarter = max(m // 4, 1)
@@ -236,7 +253,9 @@ def _bin(angle: float, bins: _Bins, n_bins: int) -> int:
 
 
 @helper
-def _look_around(hull: F64, velocity: F64, frame: _Frame, corners: F64, seen: I64, spans: F64) -> int:
+def _look_around(
+    hull: F64, velocity: F64, frame: _Frame, corners: F64, seen: I64, spans: F64
+) -> int:
     """List the bodies that shots of a line can meet: number, first and last angle, nearest distance."""
     normal, first, second, centre = frame.normal, frame.first, frame.second, frame.centre
     n_seen = 0
@@ -304,7 +323,9 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
             here = _diamond(u, v)
             if np.isnan(middle):
                 middle = here
-            here = here - 4.0 if here - middle >= 2.0 else here + 4.0 if here - middle < -2.0 else here
+            here = (
+                here - 4.0 if here - middle >= 2.0 else here + 4.0 if here - middle < -2.0 else here
+            )
             low = here - width if here - width < low else low
             high = here + width if here + width > high else high
             near = square if square < near else near
@@ -349,7 +370,9 @@ def _sort(keys: F64, rows: I64, n: int) -> None:
 
 
 @helper
-def _cast_triangle(rays: F64, start: int, stop: int, velocity: F64, ready: F64, b: int, t: F64, body: I32) -> None:
+def _cast_triangle(
+    rays: F64, start: int, stop: int, velocity: F64, ready: F64, b: int, t: F64, body: I32
+) -> None:
     """Intersect a window of shots with a triangle (Möller and Trumbore 1997, with the normal prepared)."""
     vx, vy = velocity[0], velocity[1]
     px, py, pz, qx, qy, qz = ready[3], ready[4], ready[5], ready[6], ready[7], ready[8]
@@ -376,7 +399,9 @@ def _cast_triangle(rays: F64, start: int, stop: int, velocity: F64, ready: F64, 
 
 
 @helper
-def _turned(rays: F64, i: int, vx: float, vy: float, ready: F64) -> tuple[float, float, float, float, float, float]:
+def _turned(
+    rays: F64, i: int, vx: float, vy: float, ready: F64
+) -> tuple[float, float, float, float, float, float]:
     """Return a shot in the coordinates of an ellipsoid or box: where it begins, and where it goes."""
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
@@ -424,7 +449,9 @@ def _along_cone(
 
 
 @helper
-def _cut_ellipsoid(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64) -> tuple[float, float]:
+def _cut_ellipsoid(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
+) -> tuple[float, float]:
     p, q, r = ready[8], ready[9], ready[10]
     x, y, z, dx, dy, dz = x * p, y * q, z * r, dx * p, dy * q, dz * r
     a = dx * dx + dy * dy + dz * dz
@@ -441,7 +468,9 @@ def _through_slab(place: float, step: float, half: float) -> tuple[float, float]
 
 
 @helper
-def _cut_box(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64) -> tuple[float, float]:
+def _cut_box(
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
+) -> tuple[float, float]:
     low, high = _through_slab(x, dx, ready[3])
     enter, leave = _through_slab(y, dy, ready[4])
     low, high = enter if enter > low else low, leave if leave < high else high
@@ -452,7 +481,15 @@ def _cut_box(x: float, y: float, z: float, dx: float, dy: float, dz: float, read
 
 @helper
 def _cast_round(
-    rays: F64, start: int, stop: int, velocity: F64, ready: F64, shape: int, b: int, t: F64, body: I32
+    rays: F64,
+    start: int,
+    stop: int,
+    velocity: F64,
+    ready: F64,
+    shape: int,
+    b: int,
+    t: F64,
+    body: I32,
 ) -> None:
     """Intersect a window of shots with the surface of a cone, an ellipsoid or a box."""
     vx, vy = velocity[0], velocity[1]
@@ -499,7 +536,13 @@ def _shot_key(body_key: np.uint64, shot: int, t_min: float) -> np.uint64:
 
 @helper
 def _facing(
-    rays: F64, i: int, velocity: F64, ready: F64, shape: int, leaves: tuple[float, float, int], t: float
+    rays: F64,
+    i: int,
+    velocity: F64,
+    ready: F64,
+    shape: int,
+    leaves: tuple[float, float, int],
+    t: float,
 ) -> float:
     """Return the cosine of incidence of a shot on what it has met."""
     if shape == _TRIANGLE:
@@ -588,7 +631,11 @@ def _walk(
 ) -> float:
     """Go from cell to cell of the lattice of a body until the leaves on the way are enough; inf = never."""
     # the next side of the cell, by how much it moves from cell to cell, and what that does to the mark of the cell
-    p, q, r = np.floor((x + now * dx) / _CELL_M), np.floor((y + now * dy) / _CELL_M), np.floor((z + now * dz) / _CELL_M)
+    p, q, r = (
+        np.floor((x + now * dx) / _CELL_M),
+        np.floor((y + now * dy) / _CELL_M),
+        np.floor((z + now * dz) / _CELL_M),
+    )
     mark = np.uint64(np.int64(p)) * _X + np.uint64(np.int64(q)) * _Y + np.uint64(np.int64(r)) * _Z
     one_x, mark_x = (1.0, _X) if dx > 0.0 else (-1.0, _ZERO - _X)
     one_y, mark_y = (1.0, _Y) if dy > 0.0 else (-1.0, _ZERO - _Y)
@@ -673,7 +720,9 @@ def cast_shots(
     for b in range(n):
         ready[b, _IS_READY] = 0.0
         _wrap(shape[b], numbers[b], turn[b], hull, b)
-    rays = np.empty((8, n_columns))  # one row per number, so that a window of columns is read in one go
+    rays = np.empty(
+        (8, n_columns)
+    )  # one row per number, so that a window of columns is read in one go
     angle, corners = np.empty(n_columns), np.empty((3, 3))
     first, last = np.empty(2 * n_columns, np.int64), np.empty(2 * n_columns, np.int64)
     seen, rows, spans = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3))
@@ -704,11 +753,23 @@ def cast_shots(
                 if shape[b] == _TRIANGLE:
                     _cast_triangle(rays, start, stop, velocity[b], ready[b], b, near, near_body)
                 elif shape[b] == _CONE or not density[b] > 0.0:
-                    _cast_round(rays, start, stop, velocity[b], ready[b], shape[b], b, near, near_body)
+                    _cast_round(
+                        rays, start, stop, velocity[b], ready[b], shape[b], b, near, near_body
+                    )
                 else:
                     leaves = (number[b], 0.5 * density[b], shot)
                     _cast_leaves(
-                        rays, start, stop, velocity[b], ready[b], shape[b], b, leaves, quantiles, near, near_body
+                        rays,
+                        start,
+                        stop,
+                        velocity[b],
+                        ready[b],
+                        shape[b],
+                        b,
+                        leaves,
+                        quantiles,
+                        near,
+                        near_body,
                     )
         for i in range(n_columns):
             b = int(near_body[i])
@@ -719,7 +780,9 @@ def cast_shots(
     return t, body, facing
 
 
-@kernel("Tuple((float64[:, :, ::1], float64[:, :, ::1]))(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])")
+@kernel(
+    "Tuple((float64[:, :, ::1], float64[:, :, ::1]))(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])"
+)
 def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
     """Place and turn every shot of every line, straight between the poses around it.
 
@@ -741,7 +804,11 @@ def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
                 before = position[line, k, i]
                 origin[line, column, i] = before + late * (position[line, k + 1, i] - before)
                 here = turn[line, k, i, 0] * x + turn[line, k, i, 1] * y + turn[line, k, i, 2] * z
-                after = turn[line, k + 1, i, 0] * x + turn[line, k + 1, i, 1] * y + turn[line, k + 1, i, 2] * z
+                after = (
+                    turn[line, k + 1, i, 0] * x
+                    + turn[line, k + 1, i, 1] * y
+                    + turn[line, k + 1, i, 2] * z
+                )
                 along = here + late * (after - here)
                 direction[line, column, i] = along
                 square += along * along

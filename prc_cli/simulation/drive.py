@@ -67,7 +67,11 @@ class SimulatedScan:
     @property
     def lines_at_once(self) -> int:
         """Lines that are simulated together: a turn of a spinning scanner, else :data:`LINES_AT_ONCE`."""
-        return max(1, round(360.0 / self.scanner.azimuth_step_deg)) if self.scanner.spins else LINES_AT_ONCE
+        return (
+            max(1, round(360.0 / self.scanner.azimuth_step_deg))
+            if self.scanner.spins
+            else LINES_AT_ONCE
+        )
 
     @property
     def info(self) -> StreamInfo:
@@ -102,7 +106,9 @@ class SimulatedScan:
     def simulated(self) -> Iterator[SimulatedBlock]:
         """Simulate from the start, with reference labels and registered coordinates."""
         load_simulator()
-        return ordered(self._lines, range(0, self.n_lines, self.lines_at_once), threads=self.threads)
+        return ordered(
+            self._lines, range(0, self.n_lines, self.lines_at_once), threads=self.threads
+        )
 
     def _lines(self, first: int) -> SimulatedBlock:
         """Simulate the lines from a multiple of :attr:`lines_at_once` on."""
@@ -112,7 +118,9 @@ class SimulatedScan:
         start, end = shots.origin[0, 0], shots.origin[-1, -1]
         middle, travelled = (start + end) / 2.0, float(np.hypot(*(end - start)[:2]))
         when_s = float(shots.time_s[0, 0] + shots.time_s[-1, -1]) / 2.0
-        bodies = self.bodies_near(float(middle[0]), float(middle[1]), self.sight_m + travelled, when_s)
+        bodies = self.bodies_near(
+            float(middle[0]), float(middle[1]), self.sight_m + travelled, when_s
+        )
         found = self._measure(bodies, shots, first)
         ranges = found.range_m
         at = found.extra_line, found.extra_column
@@ -135,7 +143,10 @@ class SimulatedScan:
         own = shots.origin + ranges[..., None] * shots.direction
         further = shots.origin[at] + found.extra_range_m[:, None] * shots.direction[at]
         if self.relabel is not None:
-            labels, extra_labels = self.relabel(own.reshape(-1, 3)).reshape(ranges.shape), self.relabel(further)
+            labels, extra_labels = (
+                self.relabel(own.reshape(-1, 3)).reshape(ranges.shape),
+                self.relabel(further),
+            )
             labelled = replace(labelled, labels=labels, extra_labels=extra_labels)
         return SimulatedBlock(labelled, own, further)
 
@@ -147,7 +158,9 @@ class SimulatedScan:
         behind = None
         if beyond.any():
             start_m = np.where(beyond, hits.t + BEHIND_M, np.inf)
-            behind = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m))
+            behind = self._in_sight(
+                cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m)
+            )
         found = scan(hits, bodies, scanner, first, self.seed, behind)
         if self.flake_m:
             found = in_snow(found, self.flake_m, first, self.seed)
@@ -178,7 +191,9 @@ def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
     raise ConfigError(where, f"found {length_m:g}, expected a drive of at most {MOST_LINES} lines")
 
 
-def _as_static(found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind: Hits | None) -> Measured:
+def _as_static(
+    found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind: Hits | None
+) -> Measured:
     """Return what was measured with the labels of static scans."""
 
     def relabelled(label: U8, range_m: F32, at: tuple[I32, I32] | slice) -> U8:
@@ -188,12 +203,16 @@ def _as_static(found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind
             nearer = np.abs(way - behind.t[at]) < np.abs(way - hits.t[at])
             body = np.where(nearer, behind.body[at], body)
         place = shots.origin[at] + way[..., None] * shots.direction[at]
-        return static_labels(label.ravel(), bodies, body.ravel(), place.reshape(-1, 3)).reshape(label.shape)
+        return static_labels(label.ravel(), bodies, body.ravel(), place.reshape(-1, 3)).reshape(
+            label.shape
+        )
 
     return replace(
         found,
         label=relabelled(found.label, found.range_m, slice(None)),
-        extra_label=relabelled(found.extra_label, found.extra_range_m, (found.extra_line, found.extra_column)),
+        extra_label=relabelled(
+            found.extra_label, found.extra_range_m, (found.extra_line, found.extra_column)
+        ),
     )
 
 
@@ -236,7 +255,11 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
     azimuth = scanner.azimuth_rad(first_line, len(range_m))
     along, across = range_m * columns[:, 0], range_m * columns[:, 1]
     cosine, sine = np.cos(azimuth), np.sin(azimuth)
-    parts = (cosine * along - sine * across, sine * along + cosine * across, range_m * columns[:, 2])
+    parts = (
+        cosine * along - sine * across,
+        sine * along + cosine * across,
+        range_m * columns[:, 2],
+    )
     return np.stack(parts, axis=-1).astype(np.float32)
 
 
@@ -244,7 +267,9 @@ def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
     """Return the lines from ``start`` to before ``stop``, or to the last one."""
     stop = min(stop, item.block.n_lines)
     inside = (item.block.extra.line >= start) & (item.block.extra.line < stop)
-    return LabelledBlock(cut(item.block, start, stop), item.labels[start:stop], item.extra_labels[inside])
+    return LabelledBlock(
+        cut(item.block, start, stop), item.labels[start:stop], item.extra_labels[inside]
+    )
 
 
 def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
@@ -263,7 +288,11 @@ def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> 
     origin[:, :, 2] += heights[:, None]
     level = np.stack([np.cos(turns), np.sin(turns), np.zeros_like(turns)], axis=1)
     direction = np.broadcast_to(level, origin.shape)
-    return float(cast(bodies_near(x_m, y_m, LARGEST_ROOM_M, 0.0), origin, direction, np.zeros(len(heights))).t.min())
+    return float(
+        cast(
+            bodies_near(x_m, y_m, LARGEST_ROOM_M, 0.0), origin, direction, np.zeros(len(heights))
+        ).t.min()
+    )
 
 
 LEVEL_COSINE = float(np.cos(np.deg2rad(45.0)))
@@ -277,9 +306,15 @@ _LABELS: dict[Material, Label] = {
 }
 """Materials whose label does not ask how they lie and is not the one of :data:`PROPERTIES`."""
 _ASKED = (
-    Material.WALL, Material.GLASS, Material.DOOR, Material.BALCONY, Material.ROOF, Material.FENCE, Material.POLE,
+    Material.WALL,
+    Material.GLASS,
+    Material.DOOR,
+    Material.BALCONY,
+    Material.ROOF,
+    Material.FENCE,
+    Material.POLE,
     Material.SIGN,
-)  # fmt: skip
+)
 """Materials that are VERTICAL or HORIZONTAL."""
 
 
@@ -293,9 +328,13 @@ def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
     no class there and stay UNCLASSIFIED.
     """
     of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
-    own = np.array([_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8)
+    own = np.array(
+        [_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8
+    )
     # a shot split between two surfaces has the label of the one that its range is of, which may be the neighbour's
-    found: U8 = np.where(np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label).astype(np.uint8)
+    found: U8 = np.where(
+        np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label
+    ).astype(np.uint8)
     at = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
     material = bodies.material[body[at]]
     known = of_material[material] == label[at]

@@ -39,56 +39,106 @@ class Scanner(Params):
     """
 
     is_static: bool = Field(False, description="on a tripod, upright lines; otherwise it is moved")
-    spins: bool = Field(False, description="moved, and its head turns: a line is one firing of all rings")
+    spins: bool = Field(
+        False, description="moved, and its head turns: a line is one firing of all rings"
+    )
     elevations_deg: tuple[float, ...] = Field(
-        (), description="spinning: elevation of every ring, rising; none = even steps over the field [degrees]"
+        (),
+        description="spinning: elevation of every ring, rising; none = even steps over the field [degrees]",
     )
     azimuths_deg: tuple[float, ...] = Field(
-        (), description="spinning: how far every ring looks ahead of the head, in its turn; none = all alike [degrees]"
+        (),
+        description="spinning: how far every ring looks ahead of the head, in its turn; none = all alike [degrees]",
     )
     line_hz: float = Field(gt=0, le=1e6, description="scan lines a second [Hz]")
     points_per_line: int = Field(ge=2, le=100_000, description="M, shots in a scan line")
-    field_deg: float = Field(gt=0, le=360, description="angle that M shots cover; the rest of the turn is dead")
-    centre_deg: float = Field(0, ge=-180, le=180, description="middle of the line from down; positive = left [degrees]")
-    duty: float = Field(gt=0, le=1, description="share of the time from line to line in which the shots are made")
-    azimuth_step_deg: float = Field(0.115, gt=0, le=90, description="the head's turn from line to line [degrees]")
-    first_azimuth_deg: float = Field(0, ge=-360, le=360, description="of the first line, 0 = x [degrees]")
+    field_deg: float = Field(
+        gt=0, le=360, description="angle that M shots cover; the rest of the turn is dead"
+    )
+    centre_deg: float = Field(
+        0, ge=-180, le=180, description="middle of the line from down; positive = left [degrees]"
+    )
+    duty: float = Field(
+        gt=0, le=1, description="share of the time from line to line in which the shots are made"
+    )
+    azimuth_step_deg: float = Field(
+        0.115, gt=0, le=90, description="the head's turn from line to line [degrees]"
+    )
+    first_azimuth_deg: float = Field(
+        0, ge=-360, le=360, description="of the first line, 0 = x [degrees]"
+    )
 
-    slant_deg: float = Field(0, ge=-90, le=90, description="mount: tilt of the plane; lower part points back [degrees]")
-    heading_deg: float = Field(0, ge=-180, le=180, description="mount: turn of the plane to the left [degrees]")
-    roll_deg: float = Field(0, ge=-180, le=180, description="mount: turn within the plane, left side up [degrees]")
+    slant_deg: float = Field(
+        0, ge=-90, le=90, description="mount: tilt of the plane; lower part points back [degrees]"
+    )
+    heading_deg: float = Field(
+        0, ge=-180, le=180, description="mount: turn of the plane to the left [degrees]"
+    )
+    roll_deg: float = Field(
+        0, ge=-180, le=180, description="mount: turn within the plane, left side up [degrees]"
+    )
     height_m: float = Field(gt=0, le=20, description="mount: scanner above the ground [m]")
 
-    principle: Literal["cw", "pulsed"] = Field(description="phase of a continuous wave, or time of flight of a pulse")
+    principle: Literal["cw", "pulsed"] = Field(
+        description="phase of a continuous wave, or time of flight of a pulse"
+    )
     divergence_mrad: float = Field(ge=0, le=50, description="full angle of the beam [mrad]")
     exit_mm: float = Field(gt=0, le=100, description="width of the beam as it leaves [mm]")
-    ambiguity_m: float = Field(0, ge=0, le=10_000, description="ranges are known up to multiples of it [m]; 0 = wholly")
-    pulse_m: float = Field(0.0, ge=0, le=10, description="pulsed: echoes closer than this are one return [m]")
+    ambiguity_m: float = Field(
+        0, ge=0, le=10_000, description="ranges are known up to multiples of it [m]; 0 = wholly"
+    )
+    pulse_m: float = Field(
+        0.0, ge=0, le=10, description="pulsed: echoes closer than this are one return [m]"
+    )
     max_returns: int = Field(1, ge=1, le=4, description="returns of a shot at most")
     min_range_m: float = Field(ge=0.01, le=10, description="smallest range the scanner gives [m]")
     max_range_m: float = Field(gt=1, le=2000, description="largest range the scanner gives [m]")
     half_range_m: float = Field(
-        gt=1, le=5000, description="where half of the shots on a white wall, met squarely, are answered [m]"
+        gt=1,
+        le=5000,
+        description="where half of the shots on a white wall, met squarely, are answered [m]",
     )
     resolution_m: float = Field(gt=0, le=1, description="ranges are multiples of this [m]")
 
     noise_m: float = Field(ge=0, le=1, description="range noise close by, standard deviation [m]")
-    noise_per_m: float = Field(ge=0, le=0.1, description="its growth with range on white, met squarely [m/m]")
-    noise_spread: float = Field(
-        0.05, ge=0, le=1, description="noise as share of the depth that the beam's width spans on a slanted surface"
+    noise_per_m: float = Field(
+        ge=0, le=0.1, description="its growth with range on white, met squarely [m/m]"
     )
-    lost_share: float = Field(0.002, ge=0, le=1, description="shots lost for no reason of the surface")
-    edge_m: float = Field(0.05, gt=0, le=10, description="smaller steps are no edge that a beam could be split by [m]")
-    background_share: float = Field(0, ge=0, le=1, description="cw: shots on surfaces with a range from anywhere")
-    sky_share: float = Field(0, ge=0, le=1, description="cw: shots into the sky with a range from anywhere")
+    noise_spread: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="noise as share of the depth that the beam's width spans on a slanted surface",
+    )
+    lost_share: float = Field(
+        0.002, ge=0, le=1, description="shots lost for no reason of the surface"
+    )
+    edge_m: float = Field(
+        0.05, gt=0, le=10, description="smaller steps are no edge that a beam could be split by [m]"
+    )
+    background_share: float = Field(
+        0, ge=0, le=1, description="cw: shots on surfaces with a range from anywhere"
+    )
+    sky_share: float = Field(
+        0, ge=0, le=1, description="cw: shots into the sky with a range from anywhere"
+    )
     bright_sky_share: float = Field(0, ge=0, le=1, description="the same where the sky is bright")
-    cluster_share: float = Field(0, ge=0, le=1, description="cw: shots on surfaces that stray around them")
+    cluster_share: float = Field(
+        0, ge=0, le=1, description="cw: shots on surfaces that stray around them"
+    )
     cluster_m: float = Field(0.3, gt=0, le=10, description="standard deviation of these [m]")
-    pane_share: float = Field(0.3, ge=0, le=1, description="shots on glass that the pane itself answers")
-    ghost_share: float = Field(0.1, ge=0, le=1, description="shots on glass that it mirrors: range beyond the pane")
+    pane_share: float = Field(
+        0.3, ge=0, le=1, description="shots on glass that the pane itself answers"
+    )
+    ghost_share: float = Field(
+        0.1, ge=0, le=1, description="shots on glass that it mirrors: range beyond the pane"
+    )
 
     leaves_share: float = Field(
-        0.4, ge=0, le=1, description="shots on a leaf that also pass by it, where there are several returns"
+        0.4,
+        ge=0,
+        le=1,
+        description="shots on a leaf that also pass by it, where there are several returns",
     )
 
     @model_validator(mode="after")
@@ -109,7 +159,9 @@ class Scanner(Params):
             problem = "is_static or spins, not both"
             raise ValueError(problem)
         rings = self.elevations_deg
-        if rings and (len(rings) != self.points_per_line or list(rings) != sorted(rings) or not self.spins):
+        if rings and (
+            len(rings) != self.points_per_line or list(rings) != sorted(rings) or not self.spins
+        ):
             problem = f"{self.points_per_line} rising elevations of a spinning scanner, one a ring"
             raise ValueError(problem)
         if self.azimuths_deg and (len(self.azimuths_deg) != self.points_per_line or not self.spins):
@@ -135,7 +187,9 @@ class Scanner(Params):
     @property
     def late_lines(self) -> I64:
         """Lines by which every ring sees a direction after the one that looks ahead most, (M,) int64."""
-        ahead = np.rint(np.array(self.azimuths_deg or [0.0] * self.points_per_line) / self.azimuth_step_deg)
+        ahead = np.rint(
+            np.array(self.azimuths_deg or [0.0] * self.points_per_line) / self.azimuth_step_deg
+        )
         late: I64 = (ahead.max() - ahead).astype(np.int64)
         return late
 
@@ -160,7 +214,10 @@ class Scanner(Params):
         zero = np.zeros_like(angle)
         if self.turns:
             ahead = np.deg2rad(self.azimuths_deg) if self.azimuths_deg else zero
-            return np.stack([np.sin(angle) * np.cos(ahead), np.sin(angle) * np.sin(ahead), -np.cos(angle)], axis=1)
+            return np.stack(
+                [np.sin(angle) * np.cos(ahead), np.sin(angle) * np.sin(ahead), -np.cos(angle)],
+                axis=1,
+            )
         within = angle + np.deg2rad(self.roll_deg)
         slant, heading = np.deg2rad(self.slant_deg), np.deg2rad(self.heading_deg)
         down, left = np.cos(within), np.sin(within)
@@ -184,76 +241,223 @@ class Scanner(Params):
 
 
 _FARO_NOISE: dict[str, Any] = {
-    "principle": "cw", "ambiguity_m": 153.49, "noise_m": 0.0003, "noise_per_m": 0.00003, "min_range_m": 0.6,
-    "resolution_m": 0.0001, "background_share": 0.008, "sky_share": 0.04, "bright_sky_share": 0.4,
+    "principle": "cw",
+    "ambiguity_m": 153.49,
+    "noise_m": 0.0003,
+    "noise_per_m": 0.00003,
+    "min_range_m": 0.6,
+    "resolution_m": 0.0001,
+    "background_share": 0.008,
+    "sky_share": 0.04,
+    "bright_sky_share": 0.4,
     "cluster_share": 0.01,
-}  # fmt: skip
+}
 
 SCANNERS: dict[str, Scanner] = {
     # dead angle of 40 degrees up: the paper's road is one patch in the image, so the line does not begin in it
     "photon-80": Scanner(
-        line_hz=48.0, points_per_line=2154, field_deg=320.0, duty=320.0 / 360.0, slant_deg=25.0, height_m=2.6,
-        divergence_mrad=0.16, exit_mm=3.3, max_range_m=76.0, half_range_m=120.0,
+        line_hz=48.0,
+        points_per_line=2154,
+        field_deg=320.0,
+        duty=320.0 / 360.0,
+        slant_deg=25.0,
+        height_m=2.6,
+        divergence_mrad=0.16,
+        exit_mm=3.3,
+        max_range_m=76.0,
+        half_range_m=120.0,
         **{**_FARO_NOISE, "noise_m": 0.001, "noise_per_m": 0.00006},
     ),
     # dead angle down and the sky amid the line (Lehtola et al. 2019, IV-C); on a backpack
     "focus3d-120": Scanner(
-        line_hz=97.0, points_per_line=4270, field_deg=305.0, centre_deg=180.0, duty=305.0 / 360.0, slant_deg=20.0,
-        height_m=2.0, divergence_mrad=0.16, exit_mm=3.8, max_range_m=120.0, half_range_m=180.0, **_FARO_NOISE,
+        line_hz=97.0,
+        points_per_line=4270,
+        field_deg=305.0,
+        centre_deg=180.0,
+        duty=305.0 / 360.0,
+        slant_deg=20.0,
+        height_m=2.0,
+        divergence_mrad=0.16,
+        exit_mm=3.8,
+        max_range_m=120.0,
+        half_range_m=180.0,
+        **_FARO_NOISE,
     ),
     # one side of the street, from down to up. The mirror turns 75 times a second, but half-degree steps take two
     # turns, whose shots interlace: 37.5 lines a second
     "sick-push-broom": Scanner(
-        line_hz=37.5, points_per_line=361, field_deg=180.5, centre_deg=90.0, duty=0.75, height_m=2.0,
-        principle="pulsed", divergence_mrad=4.4, exit_mm=13.0, pulse_m=0.5, min_range_m=0.3, max_range_m=81.91,
-        half_range_m=75.0, resolution_m=0.01, noise_m=0.01, noise_per_m=0.0003, noise_spread=0.03, lost_share=0.005,
+        line_hz=37.5,
+        points_per_line=361,
+        field_deg=180.5,
+        centre_deg=90.0,
+        duty=0.75,
+        height_m=2.0,
+        principle="pulsed",
+        divergence_mrad=4.4,
+        exit_mm=13.0,
+        pulse_m=0.5,
+        min_range_m=0.3,
+        max_range_m=81.91,
+        half_range_m=75.0,
+        resolution_m=0.01,
+        noise_m=0.01,
+        noise_per_m=0.0003,
+        noise_spread=0.03,
+        lost_share=0.005,
     ),
     "profiler-1mhz": Scanner(
-        line_hz=200.0, points_per_line=5000, field_deg=360.0, duty=1.0, slant_deg=25.0, height_m=2.4,
-        principle="pulsed", divergence_mrad=0.35, exit_mm=4.5, pulse_m=0.45, max_returns=4, min_range_m=1.0,
-        max_range_m=200.0, half_range_m=260.0, resolution_m=0.001, noise_m=0.003, noise_per_m=0.00003,
+        line_hz=200.0,
+        points_per_line=5000,
+        field_deg=360.0,
+        duty=1.0,
+        slant_deg=25.0,
+        height_m=2.4,
+        principle="pulsed",
+        divergence_mrad=0.35,
+        exit_mm=4.5,
+        pulse_m=0.45,
+        max_returns=4,
+        min_range_m=1.0,
+        max_range_m=200.0,
+        half_range_m=260.0,
+        resolution_m=0.001,
+        noise_m=0.003,
+        noise_per_m=0.00003,
     ),
     # as Stamos et al. (2012, sec. 9) use it: upright lines from low to high, 50 000 shots a second
     "scanstation2": Scanner(
-        is_static=True, line_hz=50_000.0 / 1088, points_per_line=1088, field_deg=125.12, centre_deg=107.56, duty=1.0,
-        azimuth_step_deg=0.115, height_m=1.75, principle="pulsed", divergence_mrad=0.1, exit_mm=4.0, pulse_m=0.3,
-        min_range_m=0.3, max_range_m=300.0, half_range_m=420.0, resolution_m=0.001, noise_m=0.004,
+        is_static=True,
+        line_hz=50_000.0 / 1088,
+        points_per_line=1088,
+        field_deg=125.12,
+        centre_deg=107.56,
+        duty=1.0,
+        azimuth_step_deg=0.115,
+        height_m=1.75,
+        principle="pulsed",
+        divergence_mrad=0.1,
+        exit_mm=4.0,
+        pulse_m=0.3,
+        min_range_m=0.3,
+        max_range_m=300.0,
+        half_range_m=420.0,
+        resolution_m=0.001,
+        noise_m=0.004,
         noise_per_m=0.00002,
     ),
-}  # fmt: skip
+}
 """Every preset by name, each with the mount of its paper. Stamos et al. (2012) give 5 mm as the accuracy of their
 ScanStation2, and a standard deviation of the range that is an order of magnitude below 1 cm (footnote 3): one preset
 has about 5 mm, the other 1 mm."""
 _SPINNING: dict[str, Any] = {
-    "spins": True, "centre_deg": 90.0, "duty": 36.864 / 55.296, "azimuth_step_deg": 0.2, "line_hz": 18_000.0,
-    "height_m": 1.9, "principle": "pulsed", "divergence_mrad": 3.0, "exit_mm": 9.5, "pulse_m": 1.0, "min_range_m": 0.9,
-    "max_range_m": 100.0, "half_range_m": 110.0, "resolution_m": 0.002, "noise_m": 0.015, "noise_per_m": 0.0001,
+    "spins": True,
+    "centre_deg": 90.0,
+    "duty": 36.864 / 55.296,
+    "azimuth_step_deg": 0.2,
+    "line_hz": 18_000.0,
+    "height_m": 1.9,
+    "principle": "pulsed",
+    "divergence_mrad": 3.0,
+    "exit_mm": 9.5,
+    "pulse_m": 1.0,
+    "min_range_m": 0.9,
+    "max_range_m": 100.0,
+    "half_range_m": 110.0,
+    "resolution_m": 0.002,
+    "noise_m": 0.015,
+    "noise_per_m": 0.0001,
     "lost_share": 0.005,
-}  # fmt: skip
+}
 SCANNERS |= {
     "vlp-16": Scanner(points_per_line=16, field_deg=32.0, **_SPINNING),
     "vlp-32c": Scanner(
-        points_per_line=32, field_deg=40.0,
+        points_per_line=32,
+        field_deg=40.0,
         elevations_deg=(
-            -25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667, -2.333,
-            -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333, 3.333, 4.667, 7.0,
-            10.333, 15.0,
+            -25.0,
+            -15.639,
+            -11.31,
+            -8.843,
+            -7.254,
+            -6.148,
+            -5.333,
+            -4.667,
+            -4.0,
+            -3.667,
+            -3.333,
+            -3.0,
+            -2.667,
+            -2.333,
+            -2.0,
+            -1.667,
+            -1.333,
+            -1.0,
+            -0.667,
+            -0.333,
+            0.0,
+            0.333,
+            0.667,
+            1.0,
+            1.333,
+            1.667,
+            2.333,
+            3.333,
+            4.667,
+            7.0,
+            10.333,
+            15.0,
         ),
         azimuths_deg=(
-            1.4, -1.4, 1.4, -1.4, 1.4, -1.4, 4.2, 1.4, -1.4, -4.2, 4.2, 1.4, -1.4, -4.2, 4.2, 1.4, -1.4, -4.2, 4.2,
-            1.4, -1.4, -4.2, 4.2, 1.4, -1.4, -4.2, 1.4, -1.4, 1.4, -1.4, 1.4, -1.4,
+            1.4,
+            -1.4,
+            1.4,
+            -1.4,
+            1.4,
+            -1.4,
+            4.2,
+            1.4,
+            -1.4,
+            -4.2,
+            4.2,
+            1.4,
+            -1.4,
+            -4.2,
+            4.2,
+            1.4,
+            -1.4,
+            -4.2,
+            4.2,
+            1.4,
+            -1.4,
+            -4.2,
+            4.2,
+            1.4,
+            -1.4,
+            -4.2,
+            1.4,
+            -1.4,
+            1.4,
+            -1.4,
+            1.4,
+            -1.4,
         ),
         **_SPINNING,
     ),
     "hdl-64e": Scanner(
-        points_per_line=64, field_deg=26.8,
+        points_per_line=64,
+        field_deg=26.8,
         elevations_deg=(
-            *(round(-24.33 + i / 2, 3) for i in range(32)), *(round(-8.33 + i / 3, 3) for i in range(32))
+            *(round(-24.33 + i / 2, 3) for i in range(32)),
+            *(round(-8.33 + i / 3, 3) for i in range(32)),
         ),
         **{
-            **_SPINNING, "duty": 0.95, "azimuth_step_deg": 0.17, "line_hz": 21_180.0, "max_range_m": 120.0,
+            **_SPINNING,
+            "duty": 0.95,
+            "azimuth_step_deg": 0.17,
+            "line_hz": 21_180.0,
+            "max_range_m": 120.0,
             "half_range_m": 130.0,
         },
     ),
-}  # fmt: skip
+}
 SCANNERS["scanstation2-1mm"] = SCANNERS["scanstation2"].model_copy(update={"noise_m": 0.001})

@@ -50,7 +50,12 @@ class Hits(NamedTuple):
 
 
 def cast(
-    bodies: Bodies, origin_m: F64, direction: F64, time_s: F64, first_shot: int = 0, t_min_m: F64 | None = None
+    bodies: Bodies,
+    origin_m: F64,
+    direction: F64,
+    time_s: F64,
+    first_shot: int = 0,
+    t_min_m: F64 | None = None,
 ) -> Hits:
     """Find the nearest surface of every shot, of several the first body's; blocks make no difference."""
     shape = origin_m.shape[:2]
@@ -109,7 +114,12 @@ def goes_behind(hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, s
 
 
 def scan(
-    hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, seed: int, behind: Hits | None = None
+    hits: Hits,
+    bodies: Bodies,
+    scanner: Scanner,
+    first_line: int,
+    seed: int,
+    behind: Hits | None = None,
 ) -> Measured:
     """Turn what the beams meet into what the scanner says."""
     surface, kind = _about(bodies)
@@ -119,7 +129,9 @@ def scan(
         (*hits,), second, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
     lines, columns = np.ascontiguousarray(extra[:, 0]), np.ascontiguousarray(extra[:, 1])
-    return Measured(ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity)
+    return Measured(
+        ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity
+    )
 
 
 def _about(bodies: Bodies) -> tuple[F64, U8]:

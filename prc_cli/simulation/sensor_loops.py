@@ -9,7 +9,18 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int32, int64, kernel, record, uint8
+from prc_cli.kernels.cache import (
+    Tuple,
+    boolean,
+    float32,
+    float64,
+    helper,
+    int32,
+    int64,
+    kernel,
+    record,
+    uint8,
+)
 from prc_cli.simulation.thresholds import SensorModel
 
 GLASS, LEAVED, CURVED = 1, 2, 4
@@ -17,7 +28,17 @@ GLASS, LEAVED, CURVED = 1, 2, 4
 LABEL_MISSING, LABEL_NOISE = 0, 2
 """As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
 
-_FOR_NOISE, _FOR_LOSS, _FOR_STRAY, _FOR_PLACE, _FOR_GLASS, _FOR_LEAVES, _FOR_EDGE, _FOR_ECHO, _FOR_SKY = range(9)
+(
+    _FOR_NOISE,
+    _FOR_LOSS,
+    _FOR_STRAY,
+    _FOR_PLACE,
+    _FOR_GLASS,
+    _FOR_LEAVES,
+    _FOR_EDGE,
+    _FOR_ECHO,
+    _FOR_SKY,
+) = range(9)
 _WHITE = 0.9
 """Reflectance of what data sheets call white."""
 _FLASH = 0.9986
@@ -53,7 +74,11 @@ def _key(seed: int, line: int) -> np.uint64:
 @helper
 def _draw(key: np.uint64, column: int, purpose: int) -> float:
     """Return a number in 0..1 for a shot and a purpose."""
-    bits = key + np.uint64(column) * np.uint64(0xD1B54A32D192ED03) + np.uint64(purpose) * np.uint64(0x8CB92BA72F3D8DD7)
+    bits = (
+        key
+        + np.uint64(column) * np.uint64(0xD1B54A32D192ED03)
+        + np.uint64(purpose) * np.uint64(0x8CB92BA72F3D8DD7)
+    )
     return float(_mix(bits) >> np.uint64(11)) * 2.0**-53
 
 
@@ -81,12 +106,21 @@ def _slope(facing: float) -> float:
 def _goes_on(key: np.uint64, column: int, what: int, facing: float, model: SensorModel) -> bool:
     """Return whether the light goes on behind the first surface: through glass, or past a leaf."""
     if what & GLASS:
-        return abs(facing) < _FLASH and _draw(key, column, _FOR_GLASS) >= model.pane_share + model.ghost_share
-    return what & LEAVED != 0 and model.max_returns > 1 and _draw(key, column, _FOR_LEAVES) < model.leaves_share
+        return (
+            abs(facing) < _FLASH
+            and _draw(key, column, _FOR_GLASS) >= model.pane_share + model.ghost_share
+        )
+    return (
+        what & LEAVED != 0
+        and model.max_returns > 1
+        and _draw(key, column, _FOR_LEAVES) < model.leaves_share
+    )
 
 
 @helper
-def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, model: SensorModel, work: F64, what: U8) -> None:
+def _prepare(
+    t: F64, body: I32, facing: F64, surface: F64, kind: U8, model: SensorModel, work: F64, what: U8
+) -> None:
     """Write power, slope and label of what every shot of a line meets, and what it is."""
     for column in range(t.shape[0]):
         one = body[column]
@@ -134,7 +168,13 @@ def _split(key: np.uint64, body: I32, work: F64, what: U8, model: SensorModel) -
 
 @helper
 def _pane_echo(
-    key: np.uint64, column: int, facing: float, mirrored: float, work: F64, model: SensorModel, echo: F64
+    key: np.uint64,
+    column: int,
+    facing: float,
+    mirrored: float,
+    work: F64,
+    model: SensorModel,
+    echo: F64,
 ) -> int:
     """Write the echo of glass itself, or of what it mirrors; return how many echoes there are, 0 or 1."""
     t = work[_T, column]
@@ -209,7 +249,11 @@ def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
 def _sigma(power: float, t: float, slope: float, model: SensorModel) -> float:
     """Return the range noise: from weakness, and from the depth that the beam spans on a slanted surface."""
     width = model.exit_m + model.divergence * t
-    return float(model.noise_m + model.noise_per_m * np.sqrt(_WHITE / power) + model.noise_spread * width * slope)
+    return float(
+        model.noise_m
+        + model.noise_per_m * np.sqrt(_WHITE / power)
+        + model.noise_spread * width * slope
+    )
 
 
 @helper
@@ -234,7 +278,9 @@ def _rounded(t: float, model: SensorModel) -> float:
 
 
 @kernel(boolean[:, ::1](_HITS, uint8[:, ::1], record(SensorModel), int64, int64))
-def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
+def goes_behind(
+    hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int
+) -> Mask:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
     ``kind`` (n, 2) uint8; returns (lines, M) bool.
@@ -295,7 +341,14 @@ def _echoes(
 
 @helper
 def _measure(
-    key: np.uint64, column: int, number: int, t: float, power: float, slope: float, model: SensorModel, quantiles: F64
+    key: np.uint64,
+    column: int,
+    number: int,
+    t: float,
+    power: float,
+    slope: float,
+    model: SensorModel,
+    quantiles: F64,
 ) -> tuple[float, bool]:
     """Return the range that is given for an echo, NaN = not found, and whether it was wrapped."""
     if not _is_answered(power, _draw(key, column, _FOR_LOSS + 16 * number), model):
@@ -309,7 +362,9 @@ def _measure(
 
 
 @helper
-def _find(key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo: F64, n: int) -> int:
+def _find(
+    key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo: F64, n: int
+) -> int:
     """Keep the echoes that are found, at most as many as the scanner gives, with range noise."""
     found = 0
     for i in range(n):
@@ -366,7 +421,15 @@ def _stray(
 
 @helper
 def _keep(
-    line: int, column: int, echo: F64, j: int, place: int, extra: I32, ranges: F32, labels: U8, intensities: F32
+    line: int,
+    column: int,
+    echo: F64,
+    j: int,
+    place: int,
+    extra: I32,
+    ranges: F32,
+    labels: U8,
+    intensities: F32,
 ) -> None:
     """Write a further return."""
     extra[place, 0] = line
@@ -377,9 +440,17 @@ def _keep(
 
 
 @kernel(
-    Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))(
-        _HITS, _HITS, float64[:, ::1], uint8[:, ::1], record(SensorModel), float64[::1], int64, int64
-    )
+    Tuple(
+        (
+            float32[:, ::1],
+            uint8[:, ::1],
+            float32[:, ::1],
+            int32[:, ::1],
+            float32[::1],
+            uint8[::1],
+            float32[::1],
+        )
+    )(_HITS, _HITS, float64[:, ::1], uint8[:, ::1], record(SensorModel), float64[::1], int64, int64)
 )
 def sense(
     hits: tuple[F64, I32, F64],
@@ -420,16 +491,30 @@ def sense(
         for column in range(m):
             n = 0
             is_there = not what[column] & _NOTHING
-            is_split = what[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
+            is_split = (
+                what[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
+            )
             if is_there and is_split:
                 second = (np.inf, -1, 1.0)
                 if looked and what[column] & splits:
                     second = (behind[0][i, column], int(behind[1][i, column]), behind[2][i, column])
-                n = _echoes(key, column, hits[2][i, column], second, (body, surface, kind), work, what, model, echo)
+                n = _echoes(
+                    key,
+                    column,
+                    hits[2][i, column],
+                    second,
+                    (body, surface, kind),
+                    work,
+                    what,
+                    model,
+                    echo,
+                )
                 n = _find(key, column, model, quantiles, echo, n)
             elif is_there:
                 power = work[_POWER, column]
-                t, wraps = _measure(key, column, 0, work[_T, column], power, work[_SLOPE, column], model, quantiles)
+                t, wraps = _measure(
+                    key, column, 0, work[_T, column], power, work[_SLOPE, column], model, quantiles
+                )
                 if not np.isnan(t):
                     n = 1
                     echo[0, _T] = t
@@ -440,7 +525,17 @@ def sense(
                 chance = _draw(key, column, _FOR_STRAY)
                 if chance < (stray_with if n > 0 else stray_without):
                     place = (first_line + i, column, m)
-                    n = _stray(key, place, seed, chance, what[column] == _NOTHING, model, quantiles, echo, n)
+                    n = _stray(
+                        key,
+                        place,
+                        seed,
+                        chance,
+                        what[column] == _NOTHING,
+                        model,
+                        quantiles,
+                        echo,
+                        n,
+                    )
             if n > 0:
                 ranges[i, column] = np.float32(echo[0, _T])
                 labels[i, column] = np.uint8(echo[0, _LABEL])
@@ -449,5 +544,10 @@ def sense(
                 _keep(i, column, echo, j, n_extra, extra, extra_range, extra_label, extra_intensity)
                 n_extra += 1
     kept = slice(0, n_extra)
-    further = (extra[kept].copy(), extra_range[kept].copy(), extra_label[kept].copy(), extra_intensity[kept].copy())
+    further = (
+        extra[kept].copy(),
+        extra_range[kept].copy(),
+        extra_label[kept].copy(),
+        extra_intensity[kept].copy(),
+    )
     return ranges, labels, intensities, *further

@@ -48,8 +48,12 @@ _DEFAULTS: dict[Kind, dict[str, str]] = {
 class SimulationSettings(Params):
     """What every simulation has."""
 
-    seed: int = Field(1, ge=0, lt=2**63, description="the same seed gives the same scene, way and noise")
-    sight_m: float | None = Field(None, gt=1, le=2000, description="nothing farther is simulated [m]; unset = by kind")
+    seed: int = Field(
+        1, ge=0, lt=2**63, description="the same seed gives the same scene, way and noise"
+    )
+    sight_m: float | None = Field(
+        None, gt=1, le=2000, description="nothing farther is simulated [m]; unset = by kind"
+    )
 
 
 _FRAME = "where the world lies on earth; unset = nowhere, coordinates count from the start, but for an SBET"
@@ -60,15 +64,22 @@ class MovingSettings(SimulationSettings):
 
     length_m: float = Field(300.0, gt=0, le=1e7, description="way of the platform [m]")
     duration_s: float | None = Field(None, gt=0, le=1e7, description="instead of a length [s]")
-    lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of a length")
+    lines: int | None = Field(
+        None, ge=1, le=MOST_LINES, description="scan lines, instead of a length"
+    )
     scene: StreetSceneParams | ForestSceneParams
     scanner: Scanner = Field(SCANNERS["photon-80"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["car"], description="how the platform moves")
     frame: Frame | None = Field(None, description=_FRAME)
     flake_m: float = Field(
-        0.0, ge=0, le=1e6, description="mean way of a beam from flake to flake of snow, or drop of rain [m]; 0 = none"
+        0.0,
+        ge=0,
+        le=1e6,
+        description="mean way of a beam from flake to flake of snow, or drop of rain [m]; 0 = none",
     )
-    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
+    classes: ClassCodes = Field(
+        default_factory=ClassCodes, description="class codes of the reference"
+    )
 
 
 class DriveSettings(MovingSettings):
@@ -89,10 +100,15 @@ class WalkSettings(MovingSettings):
 class StationParams(Params):
     """Where the tripod of a static scan stands, and how far its head turns."""
 
-    along_m: float = Field(60.0, ge=0, le=1e6, description="from here on along the middle of the right-hand lane [m]")
+    along_m: float = Field(
+        60.0, ge=0, le=1e6, description="from here on along the middle of the right-hand lane [m]"
+    )
     left_m: float = Field(0.0, ge=-30, le=30, description="to the left of it [m]")
     clearance_m: float = Field(
-        2.5, ge=0, le=20, description="at the first place with so much room around; 0 = just where it is said [m]"
+        2.5,
+        ge=0,
+        le=20,
+        description="at the first place with so much room around; 0 = just where it is said [m]",
     )
     turn_deg: float = Field(360.0, gt=0, le=360, description="angle that the head turns [degrees]")
 
@@ -100,20 +116,30 @@ class StationParams(Params):
 class StationSettings(SimulationSettings):
     """A static scan of a street."""
 
-    lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of station.turn_deg")
+    lines: int | None = Field(
+        None, ge=1, le=MOST_LINES, description="scan lines, instead of station.turn_deg"
+    )
     scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
     scanner: Scanner = Field(SCANNERS["scanstation2"], description="scanner")
     station: StationParams = Field(default_factory=StationParams, description="place")
-    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
+    classes: ClassCodes = Field(
+        default_factory=ClassCodes, description="class codes of the reference"
+    )
 
 
 Settings: TypeAlias = DriveSettings | WalkSettings | StationSettings
-_MODELS: dict[Kind, type[Settings]] = {"street": DriveSettings, "forest": WalkSettings, "street-scan": StationSettings}
+_MODELS: dict[Kind, type[Settings]] = {
+    "street": DriveSettings,
+    "forest": WalkSettings,
+    "street-scan": StationSettings,
+}
 KINDS: tuple[Kind, ...] = tuple(_MODELS)
 """What can be simulated."""
 
 
-def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[str, Any] | None = None) -> Settings:
+def load_settings(
+    kind: Kind, path: Path | str | None = None, options: Mapping[str, Any] | None = None
+) -> Settings:
     """Build the parameters of a simulation."""
     if kind not in _MODELS:
         raise ConfigError("kind", f"found {kind!r}, expected one of: {', '.join(KINDS)}")
@@ -137,17 +163,30 @@ def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[s
         settings = build(_MODELS[kind], table, where)
     except ConfigError as error:
         # the hint of the other configuration leads nowhere here
-        hint = error.hint if "prc config" not in error.hint else f"see `prc simulate parameters {kind}`"
+        hint = (
+            error.hint
+            if "prc config" not in error.hint
+            else f"see `prc simulate parameters {kind}`"
+        )
         raise ConfigError(error.where, error.problem, hint) from None
     if settings.scanner.is_static != (kind == "street-scan"):
         found = "is static" if settings.scanner.is_static else "is none for a tripod"
-        fitting = ", ".join(name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan"))
-        raise ConfigError(where, f"scanner: the scanner {found}, expected one for a {kind}", f"choose from: {fitting}")
+        fitting = ", ".join(
+            name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan")
+        )
+        raise ConfigError(
+            where,
+            f"scanner: the scanner {found}, expected one for a {kind}",
+            f"choose from: {fitting}",
+        )
     return settings
 
 
 def preset_notes(
-    kind: Kind, settings: Settings, path: Path | str | None = None, options: Mapping[str, Any] | None = None
+    kind: Kind,
+    settings: Settings,
+    path: Path | str | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> dict[str, str]:
     """Tell which preset every table of a simulation's parameters came from, and what was changed in it.
 
@@ -159,7 +198,10 @@ def preset_notes(
     notes = {}
     for name, presets in _presets(kind).items():
         values = getattr(settings, name).model_dump()
-        whole = {key: type(getattr(settings, name))(**preset).model_dump() for key, preset in presets.items()}
+        whole = {
+            key: type(getattr(settings, name))(**preset).model_dump()
+            for key, preset in presets.items()
+        }
         given = asked.get(name, {})
         equal = [key for key, preset in whole.items() if preset == values]
         if "name" not in given and set(given) >= set(values):
@@ -181,7 +223,9 @@ def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], 
         own = sorted(set(given) - {"name"})
         if "name" in asked and own and asked["name"] != given.get("name"):
             problem = f"{name}: found the preset {asked['name']!r} asked for beside {own[0]} in [{name}], expected one"
-            raise ConfigError(where, problem, f"leave [{name}] out of the file, or do not ask for a preset")
+            raise ConfigError(
+                where, problem, f"leave [{name}] out of the file, or do not ask for a preset"
+            )
 
 
 def _presets(kind: Kind) -> dict[str, dict[str, dict[str, Any]]]:
@@ -201,7 +245,10 @@ def _with_room_to_stop(motion: dict[str, Any]) -> dict[str, Any]:
         return motion
     with contextlib.suppress(ValueError, TypeError, ZeroDivisionError):
         free = MotionParams(**{**motion, "stop_every_m": 0.0})
-        return {**motion, "stop_every_m": max(motion["stop_every_m"], math.ceil(free.braking_m / 0.3))}
+        return {
+            **motion,
+            "stop_every_m": max(motion["stop_every_m"], math.ceil(free.braking_m / 0.3)),
+        }
     return motion  # what is wrong with it is told where it is checked
 
 
@@ -225,7 +272,9 @@ class Simulation:
         """When the last shot is made [s]."""
         scanner = self.scan.scanner
         last = self.scan.n_lines - 1 + int(scanner.late_lines.max())
-        return float(scanner.line_time_s(last, 1)[0]) + scanner.shot_s * (scanner.points_per_line - 1)
+        return float(scanner.line_time_s(last, 1)[0]) + scanner.shot_s * (
+            scanner.points_per_line - 1
+        )
 
 
 def open_simulation(
@@ -240,9 +289,13 @@ def open_simulation(
     """Prepare a simulation; nothing is simulated before its blocks are asked for."""
     chosen = load_settings(kind) if settings is None else settings
     scanner, seed = chosen.scanner, chosen.seed
-    sight_m = min(chosen.sight_m if chosen.sight_m is not None else SIGHT_M[kind], scanner.max_range_m)
+    sight_m = min(
+        chosen.sight_m if chosen.sight_m is not None else SIGHT_M[kind], scanner.max_range_m
+    )
     if reference == "cylinders" and kind != "forest":
-        raise ConfigError("reference", f"found 'cylinders', expected 'truth': a {kind} has no stems")
+        raise ConfigError(
+            "reference", f"found 'cylinders', expected 'truth': a {kind} has no stems"
+        )
     scene: StreetScene | ForestScene
     platform: Station | Trajectory
     relabel: Callable[[F64], U8] | None = None
@@ -281,7 +334,11 @@ def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:
         if settings.lines is not None and settings.lines > most:
             problem = f"found {settings.lines}, expected at most {most}: the head turns once, in steps of {step_deg:g}°"
             raise ConfigError("lines", problem, "set a smaller scanner.azimuth_step_deg")
-        return max(1, round(settings.station.turn_deg / step_deg)) if settings.lines is None else settings.lines
+        return (
+            max(1, round(settings.station.turn_deg / step_deg))
+            if settings.lines is None
+            else settings.lines
+        )
     if settings.lines is not None:
         return settings.lines
     if settings.duration_s is not None:

@@ -47,20 +47,38 @@ class MotionParams(Params):
     """How the platform moves along its path and wobbles while it does."""
 
     speed_m_s: float = Field(8.33, gt=0, le=60, description="cruising speed [m/s]; 8.33 = 30 km/h")
-    speed_variation: float = Field(0.1, ge=0, le=0.5, description="variation of the cruising speed, as a share")
-    stop_every_m: float = Field(400.0, ge=0, le=10**6, description="mean way from stop to stop [m]; 0 = none")
+    speed_variation: float = Field(
+        0.1, ge=0, le=0.5, description="variation of the cruising speed, as a share"
+    )
+    stop_every_m: float = Field(
+        400.0, ge=0, le=10**6, description="mean way from stop to stop [m]; 0 = none"
+    )
     stop_s: float = Field(5.0, ge=0, le=600, description="mean time of a stop [s]")
-    brake_m_s2: float = Field(1.5, gt=0, le=10, description="hardest braking, and acceleration [m/s²]")
-    roll_deg: float = Field(0.3, ge=0, le=20, description="roll by bumps, standard deviation at full speed [degrees]")
-    pitch_deg: float = Field(0.25, ge=0, le=20, description="pitch by bumps, standard deviation [degrees]")
-    yaw_deg: float = Field(0.15, ge=0, le=20, description="yaw beside the path's, standard deviation [degrees]")
-    bounce_m: float = Field(0.008, ge=0, le=1, description="up and down on the springs, standard deviation [m]")
+    brake_m_s2: float = Field(
+        1.5, gt=0, le=10, description="hardest braking, and acceleration [m/s²]"
+    )
+    roll_deg: float = Field(
+        0.3, ge=0, le=20, description="roll by bumps, standard deviation at full speed [degrees]"
+    )
+    pitch_deg: float = Field(
+        0.25, ge=0, le=20, description="pitch by bumps, standard deviation [degrees]"
+    )
+    yaw_deg: float = Field(
+        0.15, ge=0, le=20, description="yaw beside the path's, standard deviation [degrees]"
+    )
+    bounce_m: float = Field(
+        0.008, ge=0, le=1, description="up and down on the springs, standard deviation [m]"
+    )
     wobble_hz: float = Field(2.0, gt=0, le=20, description="fastest of these wobbles [Hz]")
-    lean_deg: float = Field(0.4, ge=0, le=10, description="pitch and roll by acceleration [degrees for 1 m/s²]")
+    lean_deg: float = Field(
+        0.4, ge=0, le=10, description="pitch and roll by acceleration [degrees for 1 m/s²]"
+    )
     gait_hz: float = Field(1.8, gt=0, le=5, description="steps of a walking person [Hz]")
     bob_m: float = Field(0.0, ge=0, le=0.5, description="walking: lowest to highest of a step [m]")
     sway_m: float = Field(0.0, ge=0, le=0.5, description="walking: left to right of two steps [m]")
-    gait_deg: float = Field(0.0, ge=0, le=20, description="walking: swing of roll and yaw to either side [degrees]")
+    gait_deg: float = Field(
+        0.0, ge=0, le=20, description="walking: swing of roll and yaw to either side [degrees]"
+    )
 
     @model_validator(mode="after")
     def _check_stops(self) -> MotionParams:
@@ -84,10 +102,20 @@ class MotionParams(Params):
 MOTIONS: dict[str, MotionParams] = {
     "car": MotionParams(),
     "backpack": MotionParams(
-        speed_m_s=1.1, speed_variation=0.2, stop_every_m=0.0, roll_deg=1.0, pitch_deg=1.0, yaw_deg=3.0, bounce_m=0.005,
-        wobble_hz=0.6, lean_deg=0.0, bob_m=0.04, sway_m=0.05, gait_deg=2.0,
+        speed_m_s=1.1,
+        speed_variation=0.2,
+        stop_every_m=0.0,
+        roll_deg=1.0,
+        pitch_deg=1.0,
+        yaw_deg=3.0,
+        bounce_m=0.005,
+        wobble_hz=0.6,
+        lean_deg=0.0,
+        bob_m=0.04,
+        sway_m=0.05,
+        gait_deg=2.0,
     ),
-}  # fmt: skip
+}
 """How the platforms of Lehtola et al. (2019, III) move: a car in town, a person with a backpack in forest."""
 
 
@@ -137,7 +165,9 @@ class Station:
 class Trajectory:
     """A drive or walk along a scene's path."""
 
-    def __init__(self, path_point: PathPoint, motion: MotionParams, height_m: float, seed: int) -> None:
+    def __init__(
+        self, path_point: PathPoint, motion: MotionParams, height_m: float, seed: int
+    ) -> None:
         self.path_point = path_point
         self.motion = motion
         self.height_m = height_m
@@ -149,11 +179,18 @@ class Trajectory:
     def progress(self, time_s: F64) -> tuple[F64, F64, F64]:
         """Return how far the platform is."""
         distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
-        share, phase = self.motion.speed_variation, hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
+        share, phase = (
+            self.motion.speed_variation,
+            hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi,
+        )
         around = distance / _WAVE_M + phase
         faster = 1.0 + share * np.cos(around)
         acceleration = acceleration * faster - speed * speed * (share / _WAVE_M) * np.sin(around)
-        return distance + share * _WAVE_M * (np.sin(around) - np.sin(phase)), speed * faster, acceleration
+        return (
+            distance + share * _WAVE_M * (np.sin(around) - np.sin(phase)),
+            speed * faster,
+            acceleration,
+        )
 
     def pose(self, time_s: F64) -> Pose:
         """Return where the scanner is and how its platform is turned."""
@@ -210,10 +247,16 @@ class Trajectory:
         starting = np.clip((into - cruise_s - brake_s - halt_s) / brake_s, 0.0, 1.0)
         after = np.maximum(into - cruise_s - 2.0 * brake_s - halt_s, 0.0)
         # v/2 (1 + cos pi x) while braking, v/2 (1 - cos pi x) while starting, and their integrals
-        ways = braking + np.sin(np.pi * braking) / np.pi + starting - np.sin(np.pi * starting) / np.pi
-        distance = number * stretch + v * (np.minimum(into, cruise_s) + 0.5 * brake_s * ways + after)
+        ways = (
+            braking + np.sin(np.pi * braking) / np.pi + starting - np.sin(np.pi * starting) / np.pi
+        )
+        distance = number * stretch + v * (
+            np.minimum(into, cruise_s) + 0.5 * brake_s * ways + after
+        )
         speed = 0.5 * v * np.maximum(2.0 + np.cos(np.pi * braking) - np.cos(np.pi * starting), 0.0)
-        acceleration = 0.5 * v * np.pi / brake_s * (np.sin(np.pi * starting) - np.sin(np.pi * braking))
+        acceleration = (
+            0.5 * v * np.pi / brake_s * (np.sin(np.pi * starting) - np.sin(np.pi * braking))
+        )
         return distance, speed, acceleration
 
     def _start_s(self, number: I64, mean_s: float) -> F64:
@@ -280,12 +323,16 @@ def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> 
     turn = pose.turn().reshape(n_lines, n_knots + 1, 3, 3)
     if scanner.turns:
         # a head that spins turns on while the rings fire
-        line = np.arange(first_line, first_line + n_lines)[:, None] + np.array([0.0, scanner.duty * scanner.spins])
+        line = np.arange(first_line, first_line + n_lines)[:, None] + np.array(
+            [0.0, scanner.duty * scanner.spins]
+        )
         azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line).ravel()
         zero = np.zeros(len(azimuth))
         turn = turn @ _turn(zero, zero, azimuth).reshape(turn.shape)
     position = pose.position.reshape(n_lines, n_knots + 1, 3)
-    origin, direction = kernels.aim_shots(position, np.ascontiguousarray(turn), scanner.directions())
+    origin, direction = kernels.aim_shots(
+        position, np.ascontiguousarray(turn), scanner.directions()
+    )
     time_s = start_s[:, None] + column * scanner.shot_s
     if not late.any():
         return Shots(origin, direction, time_s)
@@ -360,7 +407,9 @@ def _earth(path: Path, frame: Frame) -> pyproj.Proj:
     """Return what brings the frame's coordinates to longitude and latitude."""
     if not frame.crs:
         problem = "an SBET trajectory is in latitude and longitude, and the simulated world lies nowhere on earth"
-        raise ConfigError(str(path), problem, "give a coordinate system, for example EPSG:32635, or write CSV")
+        raise ConfigError(
+            str(path), problem, "give a coordinate system, for example EPSG:32635, or write CSV"
+        )
     try:
         import pyproj
         import pyproj.exceptions
@@ -369,12 +418,16 @@ def _earth(path: Path, frame: Frame) -> pyproj.Proj:
         raise ConfigError(str(path), problem, "pip install prc-cli[crs]") from None
     try:
         crs = pyproj.CRS.from_user_input(frame.crs)
-        if not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
+        if not crs.is_projected or any(
+            axis.unit_conversion_factor != 1.0 for axis in crs.axis_info
+        ):
             problem = f"coordinate system {frame.crs[:40]!r} is not a projected one in metres"
             raise ConfigError(str(path), problem, "give one, for example EPSG:32635")
         return pyproj.Proj(crs)
     except pyproj.exceptions.ProjError as error:
-        problem = f"coordinate system {frame.crs[:40]!r} cannot be used ({str(error).splitlines()[0]})"
+        problem = (
+            f"coordinate system {frame.crs[:40]!r} cannot be used ({str(error).splitlines()[0]})"
+        )
         raise ConfigError(str(path), problem, "give another, for example EPSG:32635") from None
 
 
@@ -384,7 +437,11 @@ def _records(earth: pyproj.Proj, time_s: F64, xyz_m: F64, pose: Pose, velocity: 
     convergence = np.radians(earth.get_factors(longitude, latitude).meridian_convergence)
     records = np.zeros((len(time_s), 17), dtype="<f8")
     records[:, 0] = time_s
-    records[:, 1], records[:, 2], records[:, 3] = np.radians(latitude), np.radians(longitude), xyz_m[:, 2]
+    records[:, 1], records[:, 2], records[:, 3] = (
+        np.radians(latitude),
+        np.radians(longitude),
+        xyz_m[:, 2],
+    )
     east, north = velocity[:, 0], velocity[:, 1]
     records[:, 4] = north * np.cos(convergence) - east * np.sin(convergence)
     records[:, 5] = east * np.cos(convergence) + north * np.sin(convergence)

@@ -125,7 +125,12 @@ class Bodies:
         """Return the bodies of several places as one."""
         u8 = np.empty(0, np.uint8)
         none = cls(u8, np.empty((0, 9)), u8, np.empty(0), np.empty((0, 2)), np.empty(0))
-        return cls(*(np.concatenate([getattr(part, f.name) for part in [none, *parts]]) for f in fields(cls)))
+        return cls(
+            *(
+                np.concatenate([getattr(part, f.name) for part in [none, *parts]])
+                for f in fields(cls)
+            )
+        )
 
     def take(self, which: Mask) -> Bodies:
         """Return some of the bodies, in their order; (n,) bool."""

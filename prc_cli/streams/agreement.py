@@ -92,7 +92,9 @@ def turns_back(angle_rad: F64) -> bool:
     return bool(len(angle_rad) >= LEAST_COLUMNS and least > MOST_BACK * len(turned))
 
 
-def contradicted_share(range_m: F64, xyz_m: F64, line: I64, column: I64, angle_rad: F64) -> float | None:
+def contradicted_share(
+    range_m: F64, xyz_m: F64, line: I64, column: I64, angle_rad: F64
+) -> float | None:
     """Return the share of columns whose points contradict range and angle; None where they do not tell.
 
     Parameters
@@ -114,19 +116,31 @@ def contradicted_share(range_m: F64, xyz_m: F64, line: I64, column: I64, angle_r
     # the first shot of a cell whose column is not the last
     later = np.searchsorted(cell, cell + lag)
     later = np.minimum(later, len(cell) - 1) if len(cell) else later
-    is_pair = (cell[later] == cell + lag) & (cell % m + lag < m) if len(cell) else np.zeros(0, np.bool_)
+    is_pair = (
+        (cell[later] == cell + lag) & (cell % m + lag < m) if len(cell) else np.zeros(0, np.bool_)
+    )
     first, second = np.flatnonzero(is_pair), later[is_pair]
     start = cell[first] % m
-    return _share_off(range_m, xyz_m, first, second, start, angle_rad[start + lag] - angle_rad[start], m)
+    return _share_off(
+        range_m, xyz_m, first, second, start, angle_rad[start + lag] - angle_rad[start], m
+    )
 
 
 def _share_off(
-    range_m: F64, xyz_m: F64, first: I64, second: I64, column: I64, turned: NDArray[np.float64], m: int
+    range_m: F64,
+    xyz_m: F64,
+    first: I64,
+    second: I64,
+    column: I64,
+    turned: NDArray[np.float64],
+    m: int,
 ) -> float | None:
     near, far = range_m[first], range_m[second]
     with np.errstate(over="ignore", invalid="ignore"):
         apart = np.sqrt(((xyz_m[first] - xyz_m[second]) ** 2).sum(axis=1))
-        expected = np.sqrt(np.maximum(near * near + far * far - 2 * near * far * np.cos(turned), 0.0))
+        expected = np.sqrt(
+            np.maximum(near * near + far * far - 2 * near * far * np.cos(turned), 0.0)
+        )
         tells = (apart > LEAST_APART_M) & (np.abs(near - far) < ALONG * apart)
         is_off = np.abs(expected - apart) > OFF * apart + OFF_M
     n_pairs = np.bincount(column[tells], minlength=m)

@@ -100,7 +100,9 @@ def measure_step(range_m: F32) -> AngleStep | None:
     inverse = 1.0 / rows.astype(np.float64)
     every: list[tuple[int, F64, F64]] = []
     for window in (one for one in WINDOWS if m * LEAST_TURN <= one <= m // 2):
-        pieces = sliding_window_view(inverse, window, axis=1)[:, :: max(window // HOP, 1)].reshape(-1, window)
+        pieces = sliding_window_view(inverse, window, axis=1)[:, :: max(window // HOP, 1)].reshape(
+            -1, window
+        )
         every.append((window, *curvatures(pieces[np.isfinite(pieces).all(axis=1)], ROUGH)))
     for level in LEVELS:
         found = [one for of_width in every if (one := _read(*of_width, m, *level))]

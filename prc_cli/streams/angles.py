@@ -14,7 +14,15 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import RecordSource
-from prc_cli.streams.columns import MAX_COLUMN, AngleGrid, Table, begins_line, columns_by_angle, spread_columns, take
+from prc_cli.streams.columns import (
+    MAX_COLUMN,
+    AngleGrid,
+    Table,
+    begins_line,
+    columns_by_angle,
+    spread_columns,
+    take,
+)
 
 FULL_TURN = 0.9
 """Lines that span at least this share of a turn count as whole turns."""
@@ -43,7 +51,10 @@ def are_radians(angle_rad: F64) -> bool:
     >>> are_radians(np.deg2rad(np.linspace(0, 4.7, 1080))), are_radians(np.linspace(0, 4.7, 1080))
     (True, False)
     """
-    return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
+    return (
+        len(angle_rad) >= LEAST_TURN_COLUMNS
+        and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +77,9 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     low, high = np.percentile(value, (0.1, 99.9)) if len(value) else (0.0, 0.0)
     span = float(high - low)
     if not span > 0:
-        raise InputError(where, f"the scan angle does not vary in {len(value)} shots, expected sweeps", hint)
+        raise InputError(
+            where, f"the scan angle does not vary in {len(value)} shots, expected sweeps", hint
+        )
     step = np.diff(value)
     step = step[np.abs(step) <= 0.5 * span]
     n_up, n_down = int(np.count_nonzero(step > 0)), int(np.count_nonzero(step < 0))
@@ -75,7 +88,9 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
         problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
         raise InputError(where, problem, hint)
     # angles are rounded: small steps back are not a wrap
-    noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
+    noise = max(
+        2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span
+    )
     return Sweep(1 if n_up >= n_down else -1, span, noise)
 
 
@@ -112,7 +127,9 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: WrapState) -> tuple[
         if not len(jumps) or jumps[0] > 0:
             first_low, first_high = next(pieces)
             low, high = min(low, first_low), max(high, first_high)
-        for jump, size, (piece_low, piece_high) in zip(jumps.tolist(), back[jumps].tolist(), pieces, strict=True):
+        for jump, size, (piece_low, piece_high) in zip(
+            jumps.tolist(), back[jumps].tolist(), pieces, strict=True
+        ):
             if size > 0.5 * max(high - low, last_span):
                 begins[position[jump]] = 1
                 low, high, last_span = piece_low, piece_high, high - low
@@ -139,10 +156,14 @@ def find_angle_grid(
     value, line = np.asarray(angle, np.float64)[finite], line[finite]
     within = ~begins_line(line)
     if not within.any():
-        raise InputError(where, f"{len(value)} scan angles, too few to tell columns", "--columns order")
+        raise InputError(
+            where, f"{len(value)} scan angles, too few to tell columns", "--columns order"
+        )
     turn = np.diff(value, prepend=value[0])
     turn = turn - _TURN * np.rint(turn / _TURN)
-    sign = math.copysign(1.0, step_rad if step_rad is not None else float(np.sum(np.sign(turn[within]))))
+    sign = math.copysign(
+        1.0, step_rad if step_rad is not None else float(np.sum(np.sign(turn[within])))
+    )
     forward = np.where(within, sign * turn, 0.0)
     # more than half a turn without return: still a step forward
     forward = np.where(forward < -0.5 * math.pi, forward + _TURN, forward)
@@ -150,16 +171,24 @@ def find_angle_grid(
         equal = float(np.mean(forward[within] == 0))
         if equal > MAX_EQUAL:
             problem = f"{100 * equal:.0f} % of neighbouring shots have equal scan angles: rounded too coarsely"
-            raise InputError(where, problem, "take the order, --columns order, or the time, --columns time:HZ")
+            raise InputError(
+                where, problem, "take the order, --columns order, or the time, --columns time:HZ"
+            )
         step = _refine_step(np.cumsum(forward), line, forward[within & (forward >= 0)])
     else:
         step = abs(step_rad)
     if not _TURN / MAX_COLUMN <= step < math.inf:
         problem = f"neighbouring shots are {math.degrees(step):.3g} degrees apart"
         expected = f"expected at most {MAX_COLUMN} columns in a turn"
-        raise InputError(where, f"{problem}, {expected}", "take the order, --columns order, or give input.angle_step")
+        raise InputError(
+            where,
+            f"{problem}, {expected}",
+            "take the order, --columns order, or give input.angle_step",
+        )
     keep_step = step_rad is not None
-    return _grid(value, line, forward, sign * step, start_rad, keep_step=keep_step, whole_turn=whole_turn)
+    return _grid(
+        value, line, forward, sign * step, start_rad, keep_step=keep_step, whole_turn=whole_turn
+    )
 
 
 def _refine_step(along: F64, line: I64, forward: F64) -> float:
@@ -203,7 +232,9 @@ def _grid(
     whole = whole_turn or float(np.max(reach)) + size >= FULL_TURN * _TURN
     if whole and not keep_step:
         # where it is known that lines are turns: a column for every shot, though the turn holds no whole number
-        n_columns = math.ceil(_TURN / size - _SHARE_OF_COLUMN) if whole_turn else round(_TURN / size)
+        n_columns = (
+            math.ceil(_TURN / size - _SHARE_OF_COLUMN) if whole_turn else round(_TURN / size)
+        )
         step = sign * _TURN / n_columns
         size = abs(step)
     if start_rad is None:
@@ -262,8 +293,12 @@ def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Tabl
     has = source.dimensions
     keys = tuple(name for name in ("time", "angle", "scan_line") if name in has)
     several = "number_of_returns" in has
-    returns = tuple(name for name in ("return_number", "number_of_returns") if name in has and several)
-    wanted = tuple(dict.fromkeys((*keys, *beside, *returns, *((scanner,) if scanner is not None else ()))))
+    returns = tuple(
+        name for name in ("return_number", "number_of_returns") if name in has and several
+    )
+    wanted = tuple(
+        dict.fromkeys((*keys, *beside, *returns, *((scanner,) if scanner is not None else ())))
+    )
     first = next(iter(source.chunks(wanted)), None)
     values: Table = {name: np.empty(0) for name in wanted} if first is None else first.values
     if scanner is not None:
@@ -279,7 +314,9 @@ def shots_in_time(source: RecordSource, names: tuple[str, ...], most: int) -> It
     returns = ("return_number", "number_of_returns")
     several = set(returns) <= set(source.dimensions)
     n = 0
-    for chunk in source.chunks(tuple(dict.fromkeys((*names, "time", *(returns if several else ()))))):
+    for chunk in source.chunks(
+        tuple(dict.fromkeys((*names, "time", *(returns if several else ()))))
+    ):
         values = chunk.values
         if several:
             continues = continues_run((values["time"],), values["number_of_returns"])
@@ -307,10 +344,16 @@ def lacks_shots(shots: Table, path: str, points_per_line: int) -> bool:
     except InputError:
         return False
     sizes = np.bincount(line)[1:-1]
-    return len(sizes) > 0 and bool(sizes.max() <= points_per_line) and bool(np.mean(sizes) < 0.99 * points_per_line)
+    return (
+        len(sizes) > 0
+        and bool(sizes.max() <= points_per_line)
+        and bool(np.mean(sizes) < 0.99 * points_per_line)
+    )
 
 
-def columns_of_angles(shots: Table, line_dimension: str | None, path: str, *, whole_turn: bool) -> tuple[bool, str]:
+def columns_of_angles(
+    shots: Table, line_dimension: str | None, path: str, *, whole_turn: bool
+) -> tuple[bool, str]:
     """Tell whether scan angles give columns, and why: they sweep one way, and few neighbours share a step."""
     angle = np.asarray(shots["angle"], np.float64)
     known = np.isfinite(angle)
@@ -334,8 +377,14 @@ def columns_of_angles(shots: Table, line_dimension: str | None, path: str, *, wh
     shared = float(np.mean(np.diff(column, prepend=0)[within] == 0))
     step = f"{abs(math.degrees(grid.step_rad)):.4g} deg"
     if shared > MOST_SHARED:
-        return False, f"{shared:.0%} of neighbouring shots have the same scan angle within a step of {step}"
-    return True, f"scan angles of the shots are there, in steps of {step}; shots without return are left out"
+        return (
+            False,
+            f"{shared:.0%} of neighbouring shots have the same scan angle within a step of {step}",
+        )
+    return (
+        True,
+        f"scan angles of the shots are there, in steps of {step}; shots without return are left out",
+    )
 
 
 def turns_round(shots: Table) -> bool:

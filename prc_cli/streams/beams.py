@@ -55,9 +55,7 @@ MADE_UP_RAD = (0.1, math.pi - 0.1)
 KEY = "input.nadir"
 ANGLES = "input.angles"
 MEASURED = f"--set {ANGLES}=measured"
-_ANGLES_ALONE = (
-    "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), and --set input.nadir=DEG if known"
-)
+_ANGLES_ALONE = "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), and --set input.nadir=DEG if known"
 _ARRAY = "array"
 
 
@@ -90,7 +88,11 @@ class Sample:
 
     def add(self, block: ScanBlock) -> None:
         """Add lines of the next block of the scanner, as far as needed."""
-        self.scanner, self.angle_rad, self.points_per_line = block.scanner, block.angle_rad, block.points_per_line
+        self.scanner, self.angle_rad, self.points_per_line = (
+            block.scanner,
+            block.angle_rad,
+            block.points_per_line,
+        )
         self.max_seen = max(SAMPLE_LINES, MAX_SAMPLE_CELLS // block.points_per_line)
         for line in range(min(block.n_lines, self.max_seen - self.n_seen)):
             if self.is_complete:
@@ -144,17 +146,27 @@ class BeamFinder:
 
     def sample(self, first: ScanBlock) -> Sample:
         """Return an empty sample for a scanner, from its first block."""
-        has_angles = not self.measures and (first.angle_rad is not None or self.info.angle_rad is not None)
+        has_angles = not self.measures and (
+            first.angle_rad is not None or self.info.angle_rad is not None
+        )
         has_down = self.down_deg is not None or self.info.down(first.scanner)[0] is not None
         knows = not self.measures and (first.xyz_m is not None or (has_angles and has_down))
-        spins = first.xyz_m is not None and first.points_per_line <= MAX_RINGS and is_spinning(first.xyz_m)
+        spins = (
+            first.xyz_m is not None
+            and first.points_per_line <= MAX_RINGS
+            and is_spinning(first.xyz_m)
+        )
         n_lines = SAMPLE_LINES if knows else SPREAD * SAMPLE_LINES
-        return Sample(n_lines=TURN_LINES if spins else n_lines, is_spinning=spins, frame=first.frame)
+        return Sample(
+            n_lines=TURN_LINES if spins else n_lines, is_spinning=spins, frame=first.frame
+        )
 
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions."""
         if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
-            error = self._refusal(block.scanner, f"the first {MAX_SAMPLE_CELLS} shots tell nothing", None)
+            error = self._refusal(
+                block.scanner, f"the first {MAX_SAMPLE_CELLS} shots tell nothing", None
+            )
             raise fitting_error(error, self.info.facts.refuses, self.info.facts.remedy)
         xyz_m = block.xyz_m if found.keep_xyz else None
         if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
@@ -163,7 +175,12 @@ class BeamFinder:
         frame = found.frame if block.frame is None and found.keep_xyz else block.frame
         has_rings = block.has_rings or found.has_rings
         return replace(
-            block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad, frame=frame, has_rings=has_rings
+            block,
+            beam_rad=found.beam_rad,
+            xyz_m=xyz_m,
+            angle_rad=angle_rad,
+            frame=frame,
+            has_rings=has_rings,
         )
 
     def find(self, sample: Sample) -> Found:
@@ -177,7 +194,9 @@ class BeamFinder:
         if not sample.is_spinning or not found.keep_xyz or found.is_made_up or facts.has_scans:
             return found
         xyz = np.stack(sample.xyz_m[:SAMPLE_LINES])
-        return replace(found, has_rings=are_rings(xyz if found.frame is None else found.frame.own(xyz)))
+        return replace(
+            found, has_rings=are_rings(xyz if found.frame is None else found.frame.own(xyz))
+        )
 
     def _find(self, sample: Sample) -> Found:
         """Apply the first applicable method."""
@@ -192,14 +211,20 @@ class BeamFinder:
         if self.down_deg is not None:
             if angle is None:
                 problem = f"is given, but {self.info.path} has no scan angles"
-                raise ConfigError(KEY, problem, "give input.angle_start and input.angle_step, or --columns angle")
+                raise ConfigError(
+                    KEY, problem, "give input.angle_start and input.angle_step, or --columns angle"
+                )
             shown = f"{self.down_deg:g} deg"
-            return self._turned(angle, math.radians(self.down_deg), off_m, shown, "input.nadir is given")
+            return self._turned(
+                angle, math.radians(self.down_deg), off_m, shown, "input.nadir is given"
+            )
         down_rad, cos_tilt = self.info.down(scanner)
         if down_rad is not None and angle is not None:
             told = any(one.key.startswith(KEY) for one in self.info.assumptions)
             shown = "" if told else f"{math.degrees(down_rad):.2f} deg"
-            return self._turned(angle, down_rad, off_m, shown, "the input says where down is", cos_tilt)
+            return self._turned(
+                angle, down_rad, off_m, shown, "the input says where down is", cos_tilt
+            )
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
         if xyz is None and angle is not None:
@@ -217,7 +242,9 @@ class BeamFinder:
             raise self._refusal(scanner, str(error), error) from error
         way = "a straight line in the column through the" if beams.is_straight else "the"
         why = f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"
-        found = Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), why), frame=frame)
+        found = Found(
+            beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), why), frame=frame
+        )
         return found if frame is None else replace(found, note=self._noted(frame, scanner))
 
     def _noted(self, frame: SensorFrame, scanner: int) -> str:
@@ -234,7 +261,9 @@ class BeamFinder:
             return self._made_up(scanner, m, has_returns=len(range_m) > 0)
         step = measure_step(range_m)
         if step is None or step.off > MOST_OFF:
-            raise self._refusal(scanner, f"{self._lacks(scanner, None)}, and {_no_step(step, m)}", None)
+            raise self._refusal(
+                scanner, f"{self._lacks(scanner, None)}, and {_no_step(step, m)}", None
+            )
         angle = step.angles(m)
         if self.down_deg is not None:
             found = self._turned(angle, math.radians(self.down_deg), None, "", "")
@@ -253,21 +282,37 @@ class BeamFinder:
         """Return placeholder directions: lines of one return have no angles, and stay unclassified."""
         beam_rad = np.linspace(*MADE_UP_RAD, points_per_line)
         which = self._which(scanner)
-        shown = "no line has two returns: nothing can be classified" if has_returns else "no shot has a return"
-        return Found(beam_rad, True, None, is_made_up=True, note=f"{which}: {shown}" if which else shown)
+        shown = (
+            "no line has two returns: nothing can be classified"
+            if has_returns
+            else "no shot has a return"
+        )
+        return Found(
+            beam_rad, True, None, is_made_up=True, note=f"{which}: {shown}" if which else shown
+        )
 
     def _turned(
-        self, angle: F64, down_rad: float, off_m: float | None, shown: str, why: str, cos_tilt: float = 1.0
+        self,
+        angle: F64,
+        down_rad: float,
+        off_m: float | None,
+        shown: str,
+        why: str,
+        cos_tilt: float = 1.0,
     ) -> Found:
         """Turn scan angles so that straight down is 0."""
         try:
             beam_rad = from_angles(angle, down_rad)
         except NoDirectionError as error:
-            raise InputError(self.info.path, f"scan angles: {error}", "check the scan angles and columns") from error
+            raise InputError(
+                self.info.path, f"scan angles: {error}", "check the scan angles and columns"
+            ) from error
         if off_m is not None:
             shown = shown or f"{math.degrees(down_rad):.2f} deg"
             why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
-        return Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt)
+        return Found(
+            beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt
+        )
 
     def _guessed(self, scanner: int, angle: F64, range_m: F32) -> Found:
         """Use the direction of level ground, where no other comes near."""
@@ -287,7 +332,11 @@ class BeamFinder:
         if not guess.is_sure and guess.rival_rad is not None:
             ways = [f"{math.degrees(one):.0f}" for one in (guess.down_rad, guess.rival_rad)]
             problem = f"level ground may be at {ways[0]} deg of the scan angle or at {ways[1]}"
-            weaker = "one the floor, the other a ceiling" if guess.is_room else f"only {guess.ratio:.1f} times weaker"
+            weaker = (
+                "one the floor, the other a ceiling"
+                if guess.is_room
+                else f"only {guess.ratio:.1f} times weaker"
+            )
             problem = f"no vertical direction known: {problem} ({weaker})"
             hint = f"give the one that points straight down, --set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
             raise InputError(self._where(scanner), problem, hint)
@@ -295,9 +344,13 @@ class BeamFinder:
         found = self._turned(angle, guess.down_rad, None, guess.shown(), why)
         which = self._which(scanner)
         note = f"{which}: " if which else ""
-        return replace(found, note=f"{note}straight down is taken to be at scan angle {guess.shown()}")
+        return replace(
+            found, note=f"{note}straight down is taken to be at scan angle {guess.shown()}"
+        )
 
-    def _registered(self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> Found:
+    def _registered(
+        self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float
+    ) -> Found:
         """Use heights of registered coordinates, if there are scan angles."""
         problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"
         if angle is None:
@@ -336,7 +389,9 @@ class BeamFinder:
         return f"{self.info.path}: {which}" if which else self.info.path
 
     def _refusal(self, scanner: int, problem: str, error: NoDirectionError | None) -> InputError:
-        return InputError(self._where(scanner), f"no vertical direction known: {problem}", self._hint(error))
+        return InputError(
+            self._where(scanner), f"no vertical direction known: {problem}", self._hint(error)
+        )
 
     def _hint(self, error: NoDirectionError | None) -> str:
         """Return the hint for this kind of input."""
@@ -370,7 +425,11 @@ class BeamFinder:
         ways = ["--range origin:X,Y,Z (where the scanner stood)"]
         if not has or "time" in has:
             ways.insert(0, "--range trajectory:FILE")
-        return ways if origin_only else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
+        return (
+            ways
+            if origin_only
+            else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
+        )
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:

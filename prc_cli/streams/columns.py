@@ -19,7 +19,13 @@ from prc_cli.streams.steps import ONE, Step
 
 Table: TypeAlias = dict[str, NDArray[Any]]
 
-RECORD, LINE, START, SPREAD, ORDINAL = "record index", "line index", "shot start", "spread time", "stamp ordinal"
+RECORD, LINE, START, SPREAD, ORDINAL = (
+    "record index",
+    "line index",
+    "shot start",
+    "spread time",
+    "stamp ordinal",
+)
 RANGE, XYZ, INTENSITY = "slant range", "sensor xyz", "intensity"
 """Computed columns beside the dimensions; the blanks avoid clashes with their names."""
 
@@ -201,7 +207,9 @@ def spread_columns(column: I64, line: I64) -> I64:
     return moved
 
 
-def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64) -> I64:
+def columns_by_time(
+    spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64
+) -> I64:
     """Round the time since the start of the line to shots; shots with equal stamps get strictly rising columns."""
     limit = float(1 << 31)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -83,7 +83,9 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     normal, arc, off = _planes(unit, seen)
     wide = arc >= MIN_ARC_RAD
     if not wide.any():
-        raise NoDirectionError(f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions")
+        raise NoDirectionError(
+            f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions"
+        )
     unit, seen, normal, arc, off = unit[wide], seen[wide], normal[wide], arc[wide], off[wide]
     rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
     if float(np.median(rise)) < MIN_RISE_RAD:
@@ -104,7 +106,9 @@ def _check_lengths(xyz: NDArray[Any]) -> None:
         length = np.sqrt((np.asarray(xyz, np.float64) ** 2).sum(axis=-1))
     far = float(np.nanmedian(length[length > 0]))
     if far > FAR_M:
-        raise WrongOriginError(f"xyz is not relative to the scanner: its ranges are {far / 1000:.0f} km in the middle")
+        raise WrongOriginError(
+            f"xyz is not relative to the scanner: its ranges are {far / 1000:.0f} km in the middle"
+        )
 
 
 def _check_level(unit: F64, seen: Mask) -> None:
@@ -178,7 +182,9 @@ def _angles_in_plane(unit: F64, seen: Mask, normal: F64) -> F64:
     down = normal * normal[:, 2:3]
     down[:, 2] -= 1.0
     down /= flat[:, None]
-    angle: F64 = np.arctan2(np.einsum("lmi,li->lm", unit, side), np.einsum("lmi,li->lm", unit, down))
+    angle: F64 = np.arctan2(
+        np.einsum("lmi,li->lm", unit, side), np.einsum("lmi,li->lm", unit, down)
+    )
     angle[~seen] = np.nan
     for row, has in zip(angle, seen, strict=True):
         step = wrap(np.diff(row[has]))
@@ -227,7 +233,9 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
         # the sector that is not measured lies within the line: begin behind it, or amid columns never seen
         first = (int(columns[seam - 1]) + int(columns[seam]) + 1) // 2
         turned = np.roll((columns - first) % points_per_line, -seam)
-        beam, is_straight = _grown(turned, np.roll(angle, -seam), np.roll(weight, -seam), points_per_line)
+        beam, is_straight = _grown(
+            turned, np.roll(angle, -seam), np.roll(weight, -seam), points_per_line
+        )
         return np.roll(beam, first), is_straight
     return _grown(columns, angle, weight, points_per_line)
 
@@ -282,7 +290,9 @@ def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
 
 def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
     """Return strictly growing knots of the isotonic regression of the angles."""
-    from scipy.optimize import isotonic_regression  # imported here: loading takes longer than classifying a small file
+    from scipy.optimize import (
+        isotonic_regression,
+    )  # imported here: loading takes longer than classifying a small file
 
     value = isotonic_regression(angle, weights=weight).x
     # sums of equal angles differ in their last bits

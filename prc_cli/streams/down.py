@@ -112,7 +112,9 @@ class HeightFit:
     n_shots: int
 
 
-def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], line: I64) -> HeightFit:
+def fit_heights(
+    angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], line: I64
+) -> HeightFit:
     """Find the scan angle that points straight down in registered heights.
 
     In the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is linear in ``range
@@ -129,10 +131,14 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
         n = np.bincount(row[keep], minlength=int(row.max(initial=-1)) + 1)
         # one unknown per line
         if np.count_nonzero(keep) - np.count_nonzero(n) < MIN_SHOTS:
-            raise NoDirectionError(f"too few shots have range, scan angle and height ({np.count_nonzero(keep)})")
+            raise NoDirectionError(
+                f"too few shots have range, scan angle and height ({np.count_nonzero(keep)})"
+            )
         centred = [_centre(values, row, keep, n) for values in (system[:, 0], system[:, 1], z)]
         matrix = np.stack(centred[:2], axis=1)
-        solution: F64 = np.asarray(np.linalg.lstsq(matrix[keep], centred[2][keep], rcond=None)[0], np.float64)
+        solution: F64 = np.asarray(
+            np.linalg.lstsq(matrix[keep], centred[2][keep], rcond=None)[0], np.float64
+        )
         off: F64 = np.abs(centred[2] - matrix @ solution)
         keep = off <= max(3 * 1.4826 * float(np.median(off[keep])), 1e-3)
     _check_heights(solution, float(np.median(off)), matrix[keep])
@@ -158,10 +164,14 @@ def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
 def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
     cos_tilt = math.hypot(*solution)
     if off_m > MAX_HEIGHT_OFF_M:
-        raise NoDirectionError(f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle")
+        raise NoDirectionError(
+            f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle"
+        )
     # below: closer to the horizontal than MIN_RISE_RAD; above: heights fall by more than the range
     if not math.sin(MIN_RISE_RAD) < cos_tilt < MAX_COS_TILT:
-        raise NoDirectionError(f"the heights fall {cos_tilt:.2f} m a metre of range straight down, expected about 1")
+        raise NoDirectionError(
+            f"the heights fall {cos_tilt:.2f} m a metre of range straight down, expected about 1"
+        )
     values = np.linalg.svd(matrix, compute_uv=False)
     if values[-1] < MIN_SPREAD * values[0]:
         raise NoDirectionError("the scan angles of the first lines span too little")
@@ -188,7 +198,9 @@ class DownGuess:
     @property
     def is_room(self) -> bool:
         """Whether the other direction is the opposite one: a floor and its ceiling."""
-        return self.rival_rad is not None and math.cos(self.rival_rad - self.down_rad) < -math.cos(OPPOSITE_RAD)
+        return self.rival_rad is not None and math.cos(self.rival_rad - self.down_rad) < -math.cos(
+            OPPOSITE_RAD
+        )
 
     def shown(self) -> str:
         """Return a text for messages.
@@ -229,7 +241,9 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     for at in _peaks(score, down):
         columns = np.flatnonzero(inside[at])
         share = _share_of_lines(lines[:, columns] * along[at, columns], float(depth[at]))
-        plane = _Plane(float(score[at]) * share, *_fit_plane(angle[columns], middle[columns]), float(fill[at]))
+        plane = _Plane(
+            float(score[at]) * share, *_fit_plane(angle[columns], middle[columns]), float(fill[at])
+        )
         if plane.score > 0:
             found.append(plane)
     guess = _choose(sorted(found, key=lambda plane: -plane.score))
@@ -242,7 +256,9 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     own = _level(guess.down_rad, angle, lines, middle)
     if own >= SURE_RATIO * other:
         return guess
-    return replace(guess, rival_rad=math.remainder(guess.down_rad + math.pi, _TURN), ratio=own / other)
+    return replace(
+        guess, rival_rad=math.remainder(guess.down_rad + math.pi, _TURN), ratio=own / other
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +280,11 @@ def _level(direction_rad: float, angle_rad: F64, range_m: F32, middle_m: F64) ->
     n_seen = np.count_nonzero((along[at] > math.cos(REACH_RAD)) & np.isfinite(middle_m))
     if not fill[at]:
         return 0.0
-    share = fill[at] / n_seen * _share_of_lines(range_m[:, inside[at]] * along[at, inside[at]], float(depth[at]))
+    share = (
+        fill[at]
+        / n_seen
+        * _share_of_lines(range_m[:, inside[at]] * along[at, inside[at]], float(depth[at]))
+    )
     return float(share) / math.sqrt(float(depth[at])) if share >= LEAST_LEVEL else 0.0
 
 
@@ -289,7 +309,9 @@ def spread_rows(n: int, most: int) -> NDArray[np.intp]:
 def _thinned(angle_rad: F64, range_m: F32, most_columns: int) -> tuple[F64, F32]:
     """Return some lines and columns, evenly spread."""
     every = -(-range_m.shape[1] // most_columns)
-    return angle_rad[every // 2 :: every], range_m[spread_rows(len(range_m), MOST_LINES), every // 2 :: every]
+    return angle_rad[every // 2 :: every], range_m[
+        spread_rows(len(range_m), MOST_LINES), every // 2 :: every
+    ]
 
 
 def middle_of_lines(range_m: F32) -> F64:

@@ -35,7 +35,13 @@ from prc_cli.streams.columns import (
     take,
 )
 from prc_cli.streams.lines import WholeLines, check_partial_line, nothing_placed, whole_lines
-from prc_cli.streams.order import OrderWatch, WeekSource, sorted_by_time, times_of_trajectory, week_steps
+from prc_cli.streams.order import (
+    OrderWatch,
+    WeekSource,
+    sorted_by_time,
+    times_of_trajectory,
+    week_steps,
+)
 from prc_cli.streams.ranges import clean_measured
 from prc_cli.streams.rules import GridRules, resolve_rules
 from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up, setup_notes
@@ -57,7 +63,9 @@ def open_grid(
 ) -> GridStream:
     """Turn a list of records into the stream; ``told`` is what was assumed before."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
-    rules = resolve_rules(records, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity)
+    rules = resolve_rules(
+        records, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity
+    )
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
     n_records, m = source.n_records, rules.points_per_line
@@ -65,7 +73,11 @@ def open_grid(
     if counts_records and m is not None and n_records is not None and config.window is None:
         check_partial_line(source.path, n_records, m, source=records)
     line_hz = rules.line_hz if rules.line_hz is not None else line_hz
-    end = WindowEnd(config.window, line_hz) if config.window is not None and rules.scanner is None else None
+    end = (
+        WindowEnd(config.window, line_hz)
+        if config.window is not None and rules.scanner is None
+        else None
+    )
     setups, default, n_lines, found = set_up(records, rules, end)
     m = max((setup.points_per_line for setup in setups.values()), default=m or 0)
     if n_lines is None and rules.is_dense and n_records is not None:
@@ -84,7 +96,11 @@ def open_grid(
         line_hz=line_hz,
         down_rad=down_rad,
         cos_tilt=1.0 if alone is None else alone.cos_tilt,
-        downs={one: (setup.down_rad, setup.cos_tilt) for one, setup in setups.items() if setup.down_rad is not None},
+        downs={
+            one: (setup.down_rad, setup.cos_tilt)
+            for one, setup in setups.items()
+            if setup.down_rad is not None
+        },
         assumptions=(*told, *rules.assumptions, *found),
         facts=replace(source.facts, notes=(*source.facts.notes, *setup_notes(found))),
         dimensions=records.dimensions,
@@ -111,7 +127,9 @@ class GridStream(Brief):
         if self.rules.is_dense:
             yield from self._dense_blocks()
             return
-        lines = whole_lines(self.source, self.rules, lambda one: self._setup(one).lines, self._prepare)
+        lines = whole_lines(
+            self.source, self.rules, lambda one: self._setup(one).lines, self._prepare
+        )
         for whole in lines:
             yield from self._blocks_of(whole, self._setup(whole.scanner))
 
@@ -119,14 +137,19 @@ class GridStream(Brief):
         setup = self.setups.get(scanner, self.default)
         if setup is None:
             problem = f"{self.rules.scanner} {scanner} was not there when the file was first read"
-            raise InputError(self.source.path, problem, "the file changed while it was read: run again")
+            raise InputError(
+                self.source.path, problem, "the file changed while it was read: run again"
+            )
         return setup
 
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
         """Add ranges, coordinates and intensities to the table of a chunk."""
         values = chunk.values
         if self.rules.ranges.trajectory is not None:
-            values = {**values, "time": times_of_trajectory(chunk, self.rules.ranges.trajectory.span[0])}
+            values = {
+                **values,
+                "time": times_of_trajectory(chunk, self.rules.ranges.trajectory.span[0]),
+            }
         table[RANGE], xyz, tally = clean_measured(values, self.rules.ranges)
         # removed before the order check could count it
         tally += ReadTally(n_time_steps_back=week_steps(chunk))
@@ -147,7 +170,9 @@ class GridStream(Brief):
         tally = ReadTally()
         for chunk in self.source.chunks(tuple(dict.fromkeys((*rules.names, *rules.carried)))):
             own = {name: chunk.values[name] for name in rules.names}
-            table, cleaned = self._prepare(chunk, table_of(chunk, rules.names) if needs_records else own)
+            table, cleaned = self._prepare(
+                chunk, table_of(chunk, rules.names) if needs_records else own
+            )
             tally += cleaned + ReadTally(n_records=chunk.n)
             if watch is not None:
                 tally += watch.count(table["time"], table[RECORD])
@@ -157,7 +182,9 @@ class GridStream(Brief):
             n_whole = len(table[RANGE]) // m
             for start in range(0, n_whole, max(MAX_BLOCK_CELLS // m, 1)):
                 stop = min(start + max(MAX_BLOCK_CELLS // m, 1), n_whole)
-                yield dense_block(take(table, slice(start * m, stop * m)), first_line, rules, setup, tally)
+                yield dense_block(
+                    take(table, slice(start * m, stop * m)), first_line, rules, setup, tally
+                )
                 first_line, tally = first_line + stop - start, ReadTally()
             rest = {name: column[n_whole * m :].copy() for name, column in table.items()}
         if watch is not None:
@@ -194,24 +221,33 @@ class GridStream(Brief):
         if not starts.all():
             column = column[np.cumsum(starts) - 1]
         intensity, number = records.get(INTENSITY), records.get("return_number")
-        stands = choose_returns(starts, records[RANGE], intensity, number, self.rules.config.return_)
+        stands = choose_returns(
+            starts, records[RANGE], intensity, number, self.rules.config.return_
+        )
         records = {**records, _COLUMN: column, _STANDS: stands}
         if is_within(column, setup.points_per_line):
             return records, 0
         inside = (column >= 0) & (column < setup.points_per_line)
         return take(records, inside), len(inside) - int(np.count_nonzero(inside))
 
-    def _fill(self, records: Table, first_line: int, n_lines: int, setup: ScannerSetup) -> ScanBlock:
+    def _fill(
+        self, records: Table, first_line: int, n_lines: int, setup: ScannerSetup
+    ) -> ScanBlock:
         """Make the block of lines ``first_line`` on; of several shots in a cell, the first with a range is kept."""
         m, rules = setup.points_per_line, self.rules
         n_cells, shape = n_lines * m, (n_lines, m)
-        cells: Table = {RANGE: np.full(n_cells, np.nan, np.float32), RECORD: np.full(n_cells, -1, np.int64)}
+        cells: Table = {
+            RANGE: np.full(n_cells, np.nan, np.float32),
+            RECORD: np.full(n_cells, -1, np.int64),
+        }
         # times and intensities are not needed once returns are chosen
         if rules.has("time") and not rules.only_ranges:
             cells["time"] = np.full(n_cells, np.nan)
         if rules.holds_intensity:
             cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
-        if rules.ranges.sensor_xyz or rules.ranges.dimension is None:  # ranges come with coordinates
+        if (
+            rules.ranges.sensor_xyz or rules.ranges.dimension is None
+        ):  # ranges come with coordinates
             cells[XYZ] = np.full((n_cells, 3), np.nan, np.float32)
         extra, tally = ExtraReturns.none(), ReadTally()
         if n_rows(records):
@@ -235,7 +271,9 @@ class GridStream(Brief):
                     records[RECORD][other],
                 )
                 n_collisions = int(np.count_nonzero(other & stands))
-                tally = ReadTally(n_collisions=n_collisions, n_extra_returns=len(extra) - n_collisions)
+                tally = ReadTally(
+                    n_collisions=n_collisions, n_extra_returns=len(extra) - n_collisions
+                )
         return ScanBlock(
             first_line=first_line,
             range_m=cells[RANGE].reshape(shape),
@@ -262,10 +300,14 @@ def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.nd
     return own
 
 
-def dense_block(table: Table, first_line: int, rules: GridRules, setup: ScannerSetup, tally: ReadTally) -> ScanBlock:
+def dense_block(
+    table: Table, first_line: int, rules: GridRules, setup: ScannerSetup, tally: ReadTally
+) -> ScanBlock:
     """Make a block of dense records, one per cell in order, by reshaping."""
     shape, full = (-1, setup.points_per_line), not rules.only_ranges
-    time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if full and rules.has("time") else None
+    time_s: F64 | None = (
+        np.asarray(table["time"], np.float64).reshape(shape) if full and rules.has("time") else None
+    )
     intensity: F32 | None = None
     if rules.holds_intensity:
         intensity = table[INTENSITY].astype(np.float32).reshape(shape)
@@ -286,6 +328,8 @@ def pad_line(rest: Table, m: int) -> Table:
     padded: Table = {}
     for name, column in rest.items():
         filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
-        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
+        padded[name] = np.concatenate(
+            [column, filler.astype(column.dtype if name == RECORD else np.float64)]
+        )
     padded[RANGE] = padded[RANGE].astype(np.float32)
     return padded

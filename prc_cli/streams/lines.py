@@ -120,7 +120,9 @@ class LineRules:
         return self.origin_s is None or self.dimension is not None
 
 
-def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rules: LineRules) -> Found:
+def find_lines(
+    shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rules: LineRules
+) -> Found:
     """Find the line of the next shots."""
     if rules.dimension is not None:
         return lines_by_dimension(shots[rules.dimension], state, rules.where, rules.step)
@@ -140,7 +142,9 @@ def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState,
     return lines_by_time(time_s, rules.line_hz, rules.half_shot_s, rules.origin_s, state, since)
 
 
-def lines_by_dimension(number: NDArray[Any], state: LineState, where: str, step: Step = ONE) -> Found:
+def lines_by_dimension(
+    number: NDArray[Any], state: LineState, where: str, step: Step = ONE
+) -> Found:
     """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines.
 
     Numbers are divided by their ``step``; those that are not on it have no line.
@@ -157,7 +161,9 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str, step:
     odd = (value != np.floor(value)) | (np.abs(value) >= MAX_NUMBER)
     if odd.any():
         problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
-        raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
+        raise InputError(
+            where, problem, "name the dimension that counts lines: --lines dimension:NAME"
+        )
     line, is_on_step = step.ordinal(value.astype(np.int64))
     known &= is_on_step
     if state.offset is None and known.any():
@@ -186,11 +192,15 @@ def lines_by_time(
         return np.zeros(len(time_s), np.int64), known, state
     time_s = np.where(known, time_s, state.origin_s)
     # at least two steps of float64: 1.2e-7 s for times of 5e8 s
-    guard_s = np.maximum(half_shot_s, 2 * np.spacing(np.maximum(np.abs(time_s), abs(state.origin_s))))
+    guard_s = np.maximum(
+        half_shot_s, 2 * np.spacing(np.maximum(np.abs(time_s), abs(state.origin_s)))
+    )
     with np.errstate(over="ignore"):  # misread times may be any number
         turns = np.floor((time_s - state.origin_s + guard_s) * line_hz)
     if since_s is not None:
-        turns = np.where(np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz))
+        turns = np.where(
+            np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz)
+        )
     return np.clip(turns, -MAX_NUMBER, MAX_NUMBER).astype(np.int64), known, state
 
 
@@ -208,9 +218,15 @@ def most_lines(n_seen: I64, rules: LineRules) -> I64:
     return np.maximum(cells // (rules.points_per_line or 1), 1)
 
 
-def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rules: LineRules) -> tuple[Mask, LineState]:
+def admit_lines(
+    line: I64, known: Mask, record: I64, state: LineState, rules: LineRules
+) -> tuple[Mask, LineState]:
     """Mark the shots whose line is still open."""
-    steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
+    steady = (
+        bool(known.all())
+        and (not len(line) or line[0] >= max(state.top, 0))
+        and not np.any(line[1:] < line[:-1])
+    )
     if steady and len(line) and _all_admitted(int(line[-1]), state, rules):
         return known, replace(state, n_seen=state.n_seen + len(line), top=int(line[-1]))
     seen = line if steady else np.where(known, line, np.iinfo(np.int64).min)
@@ -218,7 +234,11 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rules: Li
     if not steady:
         highest = np.maximum.accumulate(highest)
     before = highest[:-1]
-    late = np.zeros(len(line), np.bool_) if steady else known & (seen < np.maximum(before - rules.slack, 0))
+    late = (
+        np.zeros(len(line), np.bool_)
+        if steady
+        else known & (seen < np.maximum(before - rules.slack, 0))
+    )
     if rules.refuse_back and late.any():
         i = int(np.argmax(late))
         offset = state.offset or 0
@@ -227,7 +247,9 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rules: Li
             "split the file there, give --lines angle-wrap or --lines time:HZ, or, where its times go back as well, "
             "--sort-by-time; --trust-order leaves such records unclassified"
         )
-        raise OrderError(rules.where, f"{problem}; expected lines in the order they were scanned", hint)
+        raise OrderError(
+            rules.where, f"{problem}; expected lines in the order they were scanned", hint
+        )
     ahead = known & (seen - before > rules.max_gap_lines + 1)
     first_ahead = int(np.argmax(ahead)) if ahead.any() else len(ahead)
     if rules.n_spare is not None:
@@ -239,7 +261,9 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rules: Li
         hint = "check the line numbers or times there, or raise max_gap_lines"
         raise InputError(rules.where, problem, hint)
     n_late = int(np.count_nonzero(late & ((line >= 0) | rules.begins_with_first)))
-    state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
+    state = replace(
+        state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late
+    )
     return known & ~late, replace(state, top=int(highest[-1]))
 
 
@@ -260,7 +284,9 @@ def _check_cells(top: I64, known: Mask, record: I64, state: LineState, rules: Li
     if empty.any():
         i = int(np.argmax(empty))
         m, most = rules.points_per_line, most_lines(n_seen, rules)[i]
-        problem = f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
+        problem = (
+            f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
+        )
         hint = f"check the line numbers or times there; gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
         raise InputError(rules.where, f"{problem}, expected at most {most} lines", hint)
 
@@ -328,7 +354,14 @@ def advance(
     cut = int(np.searchsorted(line, stop))
     # copies: views would keep whole chunks in memory
     rest = {name: column[cut:].copy() for name, column in everything.items()}
-    lines = WholeLines(scanner, state.n_done, stop, take(everything, slice(0, cut)), state.lines.origin_s, state.tally)
+    lines = WholeLines(
+        scanner,
+        state.n_done,
+        stop,
+        take(everything, slice(0, cut)),
+        state.lines.origin_s,
+        state.tally,
+    )
     held = (rest,) if n_rows(rest) else ()
     return lines, replace(state, held=held, n_held=n_rows(rest), n_done=stop, tally=ReadTally())
 
@@ -343,7 +376,9 @@ def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> 
         raise InputError(rules.path, problem, hint)
 
 
-def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
+def whole_shots(
+    records: Table, state: ScanState, rules: LineRules, *, final: bool
+) -> tuple[Table, Mask, ScanState]:
     """Mark the shots; hold back the last ones if returns may follow."""
     n = n_rows(records)
     if rules.same_shot is None or not n:
@@ -358,12 +393,16 @@ def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bo
         records, starts = take(records, slice(0, last_run)), starts[:last_run]
         if n_rows(tail) > max_open(rules):
             time_s = tail.get("time", [0])[0]
-            problem = f"more than {max_open(rules)} records of several returns share the time {time_s}"
+            problem = (
+                f"more than {max_open(rules)} records of several returns share the time {time_s}"
+            )
             raise InputError(rules.path, problem, "check time and number_of_returns with prc info")
     return records, starts, replace(state, tail=tail)
 
 
-def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules) -> tuple[Table, ScanState]:
+def _find_lines(
+    records: Table, starts: Mask, state: ScanState, rules: LineRules
+) -> tuple[Table, ScanState]:
     """Find the line of every record; drop and count those without."""
     single = bool(starts.all())
     shots = records if single else take(records, starts)
@@ -382,7 +421,11 @@ def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules
         keep = admitted
     else:
         shot = np.cumsum(starts) - 1
-        records = {**records, **{name: column[shot] for name, column in found.items()}, START: starts}
+        records = {
+            **records,
+            **{name: column[shot] for name, column in found.items()},
+            START: starts,
+        }
         keep = admitted[shot]
     n_lost = len(keep) - int(np.count_nonzero(keep))
     if n_lost:
@@ -426,11 +469,15 @@ def whole_lines(
                 if isinstance(watch, OrderWatch):
                     waiting += watch.count(records["time"], records[RECORD])
                 else:
-                    waiting += watch.count(records["time"], records[RECORD], records[rules.column_dimension or ""])
+                    waiting += watch.count(
+                        records["time"], records[RECORD], records[rules.column_dimension or ""]
+                    )
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
             state, waiting = replace(state, tally=tally), ReadTally()
             try:
-                whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), final=False)
+                whole, states[scanner] = advance(
+                    scanner, records, state, line_rules(scanner), final=False
+                )
             except InputError:
                 # jumping lines are often due to records out of order: then report the order
                 for watch in watches.values():
@@ -453,7 +500,9 @@ def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
     name = rules.column_dimension
     if name is None or not rules.has("time"):
         return frozenset()
-    names = tuple(dict.fromkeys(("time", name, *(() if rules.scanner is None else (rules.scanner,)))))
+    names = tuple(
+        dict.fromkeys(("time", name, *(() if rules.scanner is None else (rules.scanner,))))
+    )
     head: Table = {}
     for chunk in source.chunks(names):
         head = join([head, table_of(chunk, names)])
@@ -464,7 +513,9 @@ def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
     return frozenset(
         scanner
         for scanner, records in scanners
-        if fire_in_turns(np.asarray(records["time"], np.float64), np.asarray(records[name], np.float64))
+        if fire_in_turns(
+            np.asarray(records["time"], np.float64), np.asarray(records[name], np.float64)
+        )
     )
 
 
@@ -479,7 +530,11 @@ def _last_lines(
         whole, state = advance(scanner, {}, states[scanner], mine, final=True)
         if rules.config.order == "require":
             _check_late(source.path, state)
-        if (mine.dimension, mine.line_hz, mine.sweep) == (None, None, None) and not rules.pads_last_line:
+        if (mine.dimension, mine.line_hz, mine.sweep) == (
+            None,
+            None,
+            None,
+        ) and not rules.pads_last_line:
             what = "records" if mine.same_shot is None else "shots"
             check_partial_line(source.path, state.lines.n_shots, mine.points_per_line or 1, what)
         # counts of a scanner without a single line
@@ -517,7 +572,11 @@ def first_records(
             left = limit - n_rows(have)
             if left > 0:
                 more = take(records, slice(0, left))
-                parts[one] = {name: np.concatenate([have[name], more[name]]) for name in more} if have else more
+                parts[one] = (
+                    {name: np.concatenate([have[name], more[name]]) for name in more}
+                    if have
+                    else more
+                )
         check_scanners(len(parts), source.path, scanner)
         if not to_end and n_seen >= limit:
             break
@@ -547,7 +606,11 @@ def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
 
 
 def check_partial_line(
-    path: str, n_shots: int, points_per_line: int, what: str = "records", source: RecordSource | None = None
+    path: str,
+    n_shots: int,
+    points_per_line: int,
+    what: str = "records",
+    source: RecordSource | None = None,
 ) -> None:
     """Refuse a last line that is cut short; the hint names another M where the ranges of a source repeat with it."""
     n_over = n_shots % points_per_line
@@ -578,4 +641,6 @@ def first_ranges(source: RecordSource) -> F32:
 def nothing_placed(path: str) -> InputError:
     """Return the error of an input without a single line."""
     problem = "no record has a scan line, expected at least one"
-    return InputError(path, problem, "look at the dimensions with prc info and name the one that counts lines")
+    return InputError(
+        path, problem, "look at the dimensions with prc info and name the one that counts lines"
+    )

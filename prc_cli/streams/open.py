@@ -67,7 +67,9 @@ def open_input(
             refuse_scale(config, str(path), "its ranges are metres")
         return windowed(WatchedStream(images, config.order), config)
     implied = source.facts.rule("lines")
-    if config.lines == "rings" or (config.lines == "auto" and implied is not None and implied.value == "rings"):
+    if config.lines == "rings" or (
+        config.lines == "auto" and implied is not None and implied.value == "rings"
+    ):
         from prc_cli.streams.rings import open_rings
 
         return windowed(open_rings(source, config), config)
@@ -85,13 +87,20 @@ def open_input(
     line_hz = None if layout is None else layout.line_frequency
     source, config, told = _with_lines(source, config)
     grid = open_grid(
-        source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity,
+        source,
+        config,
+        line_hz=line_hz,
+        geometry=geometry,
+        only_ranges=only_ranges,
+        with_intensity=with_intensity,
         told=told,
-    )  # fmt: skip
+    )
     return windowed(grid, config)
 
 
-def _with_lines(source: RecordSource, config: InputConfig) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
+def _with_lines(
+    source: RecordSource, config: InputConfig
+) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
     """Return a source with lines and columns where only its points tell them, its rules, and what is assumed."""
     if config.lines.startswith("elevation:"):
         from prc_cli.streams.rules import with_elevation
@@ -217,7 +226,10 @@ class WindowedStream:
         place = self._places(block, seen, part)
         known = place[np.isfinite(place)]
         if len(known):
-            seen.low, seen.high = min(seen.low, float(known.min())), max(seen.high, float(known.max()))
+            seen.low, seen.high = (
+                min(seen.low, float(known.min())),
+                max(seen.high, float(known.max())),
+            )
         low, high = self.window.bounds(0.0 if self.window.in_lines else seen.origin_s or 0.0)
         start = 0 if part.begun else _first_where(place >= low, block.n_lines)
         if start == block.n_lines:
@@ -267,11 +279,21 @@ class WindowedStream:
         if not math.isfinite(seen.low):
             if not self.window.in_lines and seen.parts:
                 return no_times(self.source.info.path, self.window)
-            return InputError(self.source.info.path, "no scan lines, expected at least one", "see prc info")
-        shown = (f"{seen.low:.0f}", f"{seen.high:.0f}") if self.window.in_lines else (f"{seen.low!r}", f"{seen.high!r}")
-        problem = f"found {what} from {shown[0]} to {shown[1]}, expected some in {self.window.option}"
+            return InputError(
+                self.source.info.path, "no scan lines, expected at least one", "see prc info"
+            )
+        shown = (
+            (f"{seen.low:.0f}", f"{seen.high:.0f}")
+            if self.window.in_lines
+            else (f"{seen.low!r}", f"{seen.high!r}")
+        )
+        problem = (
+            f"found {what} from {shown[0]} to {shown[1]}, expected some in {self.window.option}"
+        )
         hint = (
-            "choose lines that it has" if self.window.in_lines else "choose times that it has, or +A:+B from the first"
+            "choose lines that it has"
+            if self.window.in_lines
+            else "choose times that it has, or +A:+B from the first"
         )
         return InputError(self.source.info.path, problem, hint)
 
@@ -287,7 +309,9 @@ def _first_where(is_there: np.ndarray, default: int) -> int:
 
 def no_times(path: str, window: Window) -> InputError:
     """Return the error of an input whose times are not known."""
-    problem = f"found neither times of the shots nor a line frequency, expected them for {window.option}"
+    problem = (
+        f"found neither times of the shots nor a line frequency, expected them for {window.option}"
+    )
     hint = "give lines instead, --first 500lines or --only-lines A:B, or [layout] line_frequency"
     return InputError(path, problem, hint)
 

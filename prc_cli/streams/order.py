@@ -135,7 +135,9 @@ def _shown(time_s: float, step: StepBack) -> str:
 class OrderWatch:
     """Checks, chunk by chunk, a dimension that must not decrease."""
 
-    def __init__(self, path: str, policy: Policy, what: str = "gps_time", *, can_sort: bool = True) -> None:
+    def __init__(
+        self, path: str, policy: Policy, what: str = "gps_time", *, can_sort: bool = True
+    ) -> None:
         self._path = path
         self._can_sort = can_sort
         self._policy = policy
@@ -189,7 +191,10 @@ class OrderWatch:
             self._compare(np.array([self._last]), values[:1], record[:1])
         self._compare(values[:-1], values[1:], record[1:])
         self._last = float(values[-1])
-        self._low, self._high = min(self._low, float(values.min())), max(self._high, float(values.max()))
+        self._low, self._high = (
+            min(self._low, float(values.min())),
+            max(self._high, float(values.max())),
+        )
         self._n_finite += len(values)
 
     def _compare(self, before: F64, after: F64, record: I64) -> None:
@@ -208,10 +213,15 @@ class OrderWatch:
         for i in back[: MAX_RUNS - len(self._tops)].tolist():
             self._starts.append((int(record[i]), float(after[i])))
             self._tops.append(float(before[i]))
-        first, largest = (StepBack(int(record[i]), float(after[i]), float(before[i])) for i in steps)
+        first, largest = (
+            StepBack(int(record[i]), float(after[i]), float(before[i])) for i in steps
+        )
         if self._first is None:
             self._first = first
-        if self._largest is None or largest.before - largest.value > self._largest.before - self._largest.value:
+        if (
+            self._largest is None
+            or largest.before - largest.value > self._largest.before - self._largest.value
+        ):
             self._largest = largest
 
     def finish(self) -> None:
@@ -250,7 +260,10 @@ class OrderWatch:
         # with several steps back, runs may have gaps that others fill
         if len(self._tops) > 1 and any(abs(start - first) > most for _, start in self._starts):
             return None
-        runs = [(start, top) for (_, start), top in zip(self._starts, [*self._tops, self._last], strict=True)]
+        runs = [
+            (start, top)
+            for (_, start), top in zip(self._starts, [*self._tops, self._last], strict=True)
+        ]
         for i, (start, top) in enumerate(runs):
             if any(min(top, before) - max(start, begin) > most for begin, before in runs[:i]):
                 return self._starts[i][0]
@@ -261,7 +274,9 @@ class OrderWatch:
         if evidence.is_chronological:
             return
         problem = f"{evidence.sentence()}; expected shots in the order they were fired"
-        raise OrderError(self._path, problem, order_hint(evidence, self._path, can_sort=self._can_sort))
+        raise OrderError(
+            self._path, problem, order_hint(evidence, self._path, can_sort=self._can_sort)
+        )
 
 
 def fire_in_turns(time_s: F64, column: NDArray[Any]) -> bool:
@@ -308,7 +323,10 @@ class RingOrderWatch:
 
     def evidence(self) -> OrderEvidence:
         """Return the figures of the ring that is least in order."""
-        return max((one.evidence() for one in self._rings.values()), key=lambda one: (one.n_back, one.n_steps))
+        return max(
+            (one.evidence() for one in self._rings.values()),
+            key=lambda one: (one.n_back, one.n_steps),
+        )
 
 
 def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> str:
@@ -316,8 +334,12 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
     if evidence.n_back == 1 and abs(evidence.largest_back - WEEK_S) < WEEK_S / 100:
         return "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
     if evidence.unset is not None:
-        of_records = f"the time {evidence.unset:g} comes {evidence.n_back} times, as where a record has none"
-        return f"{of_records}: leave these records unclassified with --trust-order, or take them out"
+        of_records = (
+            f"the time {evidence.unset:g} comes {evidence.n_back} times, as where a record has none"
+        )
+        return (
+            f"{of_records}: leave these records unclassified with --trust-order, or take them out"
+        )
     if path.lower().endswith(".copc.laz"):
         # every node of the octree begins anew
         return "COPC files lie in the order of their octree: sort with --sort-by-time"
@@ -351,10 +373,13 @@ class WatchedStream:
                 continue
             # scanners of one file have clocks of their own
             watch = watches.setdefault(
-                block.scanner, OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False)
+                block.scanner,
+                OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False),
             )
             if info.facts.has_line_times or take_turns(block):
-                lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.int64)
+                lines = np.arange(
+                    block.first_line, block.first_line + block.n_lines, dtype=np.int64
+                )
                 tally = watch.count(block.time_s[:, 0], lines * block.points_per_line)
             else:
                 tally = watch.count(block.time_s.ravel(), None)
@@ -423,7 +448,12 @@ class WeekSource(DerivedSource):
             if state.end_s is None:
                 yield chunk
                 continue
-            values = {**chunk.values, "time": time_s, ADDED: added, STEPS: np.array([0 if had_ended else 1])}
+            values = {
+                **chunk.values,
+                "time": time_s,
+                ADDED: added,
+                STEPS: np.array([0 if had_ended else 1]),
+            }
             yield replace(chunk, values=values)
 
 
@@ -525,7 +555,11 @@ class _SortedSource(DerivedSource):
         if not finite.all():
             i = int(np.argmin(finite))
             problem = f"record {record[i]} has time {time_s[i]}, expected a finite time to sort by"
-            raise InputError(self.path, problem, "drop such records, or take the order as it is with --trust-order")
+            raise InputError(
+                self.path,
+                problem,
+                "drop such records, or take the order as it is with --trust-order",
+            )
         fields = [(name, chunk.values[name].dtype) for name in names]
         packed = np.empty(chunk.n, dtype=[(_TIME, np.float64), (_RECORD, np.int64), *fields])
         packed[_TIME] = time_s
@@ -577,7 +611,9 @@ class _Run:
 
     def take(self, limit: float, *, with_equal: bool) -> NDArray[np.void]:
         """Remove and return records below ``limit``, or also equal to it."""
-        count = int(np.searchsorted(self.window[_TIME], limit, side="right" if with_equal else "left"))
+        count = int(
+            np.searchsorted(self.window[_TIME], limit, side="right" if with_equal else "left")
+        )
         taken, self.window = self.window[:count], self.window[count:]
         return taken
 

@@ -73,10 +73,20 @@ class PipeSource(FieldSource):
                 first += n_records
         if not first:
             problem = f"ended before the first record of {each} bytes"
-            raise InputError(self.path, problem, "check that the program before the pipe runs and writes to stdout")
-        if rest and self._sealed:  # before, whoever asks what the stream is would take it for an answer
+            raise InputError(
+                self.path,
+                problem,
+                "check that the program before the pipe runs and writes to stdout",
+            )
+        if (
+            rest and self._sealed
+        ):  # before, whoever asks what the stream is would take it for an answer
             problem = f"ended inside record {first}: found {len(rest)} bytes of {each}"
-            raise InputError(self.path, problem, "check the layout, and that the program before the pipe has not died")
+            raise InputError(
+                self.path,
+                problem,
+                "check the layout, and that the program before the pipe has not died",
+            )
 
     def _pieces(self) -> Iterator[bytes]:
         """Yield the kept bytes, then those that arrive."""
@@ -95,7 +105,11 @@ class PipeSource(FieldSource):
         self._n_kept += len(piece)
         if self._n_kept > KEPT_BYTES:
             problem = f"lines and columns are not known after {self._n_kept >> 20} MiB, and a pipe cannot be read twice"
-            raise InputError(self.path, problem, "give --points-per-line and, with angles, input.angle_start and _step")
+            raise InputError(
+                self.path,
+                problem,
+                "give --points-per-line and, with angles, input.angle_start and _step",
+            )
 
     def _read(self) -> bytes:
         """Wait for bytes; empty at the end."""
@@ -118,13 +132,17 @@ def widen_pipe(handle: ByteStream) -> None:
             fcntl.fcntl(handle.fileno(), _F_SETPIPE_SZ, READ_BYTES)
 
 
-def open_pipe(handle: ByteStream, config: InputConfig, layout: Layout | None = None) -> tuple[PipeSource, ScanStream]:
+def open_pipe(
+    handle: ByteStream, config: InputConfig, layout: Layout | None = None
+) -> tuple[PipeSource, ScanStream]:
     """Open a pipe as a stream, as :func:`prc_cli.streams.open.open_input`; seal it before the end is read."""
     layout = RANGES_ONLY if layout is None else layout
     layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})
     config = with_layout(config, layout)
     if config.order == "sort-time":
         problem = "a pipe cannot be sorted by time: its labels leave before its end"
-        raise ConfigError("input.order", problem, "write the stream to a file first, or leave --sort-by-time out")
+        raise ConfigError(
+            "input.order", problem, "write the stream to a file first, or leave --sort-by-time out"
+        )
     source = PipeSource(handle, layout)
     return source, open_grid(source, config, line_hz=layout.line_frequency)

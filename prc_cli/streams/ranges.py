@@ -94,7 +94,9 @@ def open_ranges(
     try:
         file = Path(argument).expanduser()
     except RuntimeError:
-        raise ConfigError("input.range", f"found {rule!r}, whose home folder is not known", "write it out") from None
+        raise ConfigError(
+            "input.range", f"found {rule!r}, whose home folder is not known", "write it out"
+        ) from None
     trajectory = load_trajectory(
         file,
         crs=config.trajectory_crs,
@@ -116,7 +118,9 @@ def metres_of(config: InputConfig, crs_wkt: str | None) -> tuple[float, float]:
     return (1.0, 1.0) if units is None or units.is_geographic else (units.xy_m, units.z_m)
 
 
-def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
+def measure_ranges(
+    values: dict[str, NDArray[Any]], rule: RangeRule
+) -> tuple[NDArray[Any], F32 | None]:
     """Return ranges, not yet cleaned, and sensor-centred coordinates."""
     if rule.dimension is not None and not rule.sensor_xyz:
         return values[rule.dimension], None
@@ -135,7 +139,9 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
         return np.sqrt((xyz * xyz).sum(axis=1)), xyz.astype(np.float32)
 
 
-def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F32, F32 | None, ReadTally]:
+def clean_measured(
+    values: dict[str, NDArray[Any]], rule: RangeRule
+) -> tuple[F32, F32 | None, ReadTally]:
     """Return cleaned ranges, coordinates as :func:`measure_ranges`, and counts of ranges made missing."""
     found, xyz_m = measure_ranges(values, rule)
     if rule.dimension is not None and rule.scale != 1.0:
@@ -182,5 +188,7 @@ def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
         use = np.isfinite(length) & np.isfinite(found) & (found > 0)
     if not use.any() or not z[use].any():
         return False
-    off = np.abs(length[use] - found[use]) - np.maximum(MAX_LENGTH_OFF * found[use], MAX_LENGTH_OFF_M)
+    off = np.abs(length[use] - found[use]) - np.maximum(
+        MAX_LENGTH_OFF * found[use], MAX_LENGTH_OFF_M
+    )
     return float(np.percentile(off, 95)) <= 0

@@ -27,7 +27,17 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.sensor_frame import NARROW_RAD, find_frame, spread_of_cones
-from prc_cli.streams.columns import INTENSITY, RANGE, RECORD, XYZ, Table, join, n_rows, table_of, take
+from prc_cli.streams.columns import (
+    INTENSITY,
+    RANGE,
+    RECORD,
+    XYZ,
+    Table,
+    join,
+    n_rows,
+    table_of,
+    take,
+)
 from prc_cli.streams.down import wrap
 from prc_cli.streams.ranges import clean_measured, open_ranges
 
@@ -88,9 +98,7 @@ def find_turns(xyz_m: F32, path: str) -> Turns:
         problem = f"the records turn {abs(n_turns):.1f} times around the scanner, expected ring after ring"
         hint = "check x, y, z and their order, or find lines in another way: --lines"
         if abs(n_turns) < MOST_OF_COLUMNS:
-            hint = (
-                "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
-            )
+            hint = "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
         raise InputError(path, problem, hint)
     ways = list(_ways(along, float(np.median(step[step > 0])), way))
     if not ways:
@@ -128,7 +136,9 @@ def whole_rings(values: NDArray[Any], path: str) -> I64:
         whole = (np.abs(values) < MAX_RING_NUMBER) & (values == np.floor(values))
     if not whole.all():
         odd = values[int(np.argmin(whole))]
-        raise InputError(path, f"found ring {odd:g}, expected whole numbers", "name the rings in a layout")
+        raise InputError(
+            path, f"found ring {odd:g}, expected whole numbers", "name the rings in a layout"
+        )
     return values.astype(np.int64)
 
 
@@ -210,7 +220,13 @@ def _cuts(along: F64, step: float) -> Iterator[float]:
     """Yield candidate azimuths for the start of rings, in the direction of rotation: axes, first shot, gaps."""
     yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
     n_bins = 360
-    seen = np.bincount((np.remainder(along, _TURN) / _TURN * n_bins).astype(np.int64) % n_bins, minlength=n_bins) > 0
+    seen = (
+        np.bincount(
+            (np.remainder(along, _TURN) / _TURN * n_bins).astype(np.int64) % n_bins,
+            minlength=n_bins,
+        )
+        > 0
+    )
     empty = np.flatnonzero(~seen)
     if len(empty):
         # the middle of the longest gap
@@ -224,7 +240,9 @@ def ring_columns(xyz_m: F32, turns: Turns, wanted: int | None, path: str) -> tup
     n_rings = int(turns.ring[-1]) + 1
     if wanted is not None and n_rings != wanted:
         problem = f"found {n_rings} rings, expected {wanted} as input.points_per_line says"
-        raise InputError(path, problem, "leave input.points_per_line out, or check that every ring is there")
+        raise InputError(
+            path, problem, "leave input.points_per_line out, or check that every ring is there"
+        )
     elevation = _elevation(xyz_m)
     borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
     middle = np.array([np.median(elevation[a:b]) for a, b in pairwise(borders)])
@@ -259,7 +277,9 @@ def find_step(turns: Turns) -> float:
 
 def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
     """Return the line of every record, and the mask of records in azimuth order along their ring."""
-    from scipy.optimize import isotonic_regression  # imported here: loading takes longer than classifying a small file
+    from scipy.optimize import (
+        isotonic_regression,
+    )  # imported here: loading takes longer than classifying a small file
 
     place = turns.along_rad / _TURN * n_lines
     line = np.minimum(place.astype(np.int64), n_lines - 1)
@@ -272,7 +292,9 @@ def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
         own = a + np.flatnonzero(in_order[a:b])
         # strictly rising cells = ordinal plus a function that does not fall
         ordinal = np.arange(len(own))
-        line[own] = np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
+        line[own] = (
+            np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
+        )
     return np.clip(line, 0, n_lines - 1), in_order
 
 
@@ -346,12 +368,18 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     refuse_scale(config, source.path, "its ranges are lengths of x, y, z")
     frame, n_records, tally = _read(source, config)
     if n_rows(frame) < 2:
-        raise InputError(source.path, f"{n_rows(frame)} records have a range, too few for rings", "check the layout")
+        raise InputError(
+            source.path,
+            f"{n_rows(frame)} records have a range, too few for rings",
+            "check the layout",
+        )
     if (n_turns := turns_in_order(frame)) > MOST_TURNS:
         raise _several_turns(source, n_turns)
     frame, turns, own = _in_own_frame(frame, source.path)
     n_rings, column = ring_columns(frame[XYZ], turns, config.points_per_line, source.path)
-    step = math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)
+    step = (
+        math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)
+    )
     n_lines = max(round(_TURN / step), 1) if step > 0 else 0
     if not n_lines or n_lines * n_rings > MAX_EMPTY * n_records + SPARE_CELLS:
         problem = f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more cells than records"
@@ -393,11 +421,14 @@ def _in_own_frame(frame: Table, path: str) -> tuple[Table, Turns, SensorFrame | 
 def _check_rules(config: InputConfig) -> None:
     allowed = (
         ("columns", config.columns in ("auto", "order"), "auto or order"),
-        ("range", config.range in ("auto", "sensor-xyz") or config.range.startswith("origin:"),
-         "sensor-xyz or origin:X,Y,Z"),
+        (
+            "range",
+            config.range in ("auto", "sensor-xyz") or config.range.startswith("origin:"),
+            "sensor-xyz or origin:X,Y,Z",
+        ),
         ("scanner", config.scanner == "none", "none"),
         ("order", config.order != "sort-time", "require or trust"),
-    )  # fmt: skip
+    )
     for key, is_allowed, expected in allowed:
         if not is_allowed:
             problem = f"found {getattr(config, key)!r}, expected {expected} where lines = rings"
@@ -435,11 +466,15 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTa
             part[RING] = whole_rings(chunk.values[RING][use], source.path)
         parts.append(part)
     if not parts:
-        raise InputError(source.path, "no records, expected a frame", "copy it from the archive again")
+        raise InputError(
+            source.path, "no records, expected a frame", "copy it from the archive again"
+        )
     return join(parts), n_records, tally + ReadTally(n_records=n_records, n_unplaced=n_unplaced)
 
 
-def _fill(frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally) -> ScanBlock:
+def _fill(
+    frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally
+) -> ScanBlock:
     """Put every record into its cell; records in ring order take precedence, then file order."""
     n_cells = shape[0] * shape[1]
     cell = line * shape[1] + column
@@ -448,7 +483,10 @@ def _fill(frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int
     own = first[where]
     other = np.setdiff1d(np.arange(len(cell)), own)
     other = other[np.argsort(line[other], kind="stable")]
-    cells: Table = {name: np.full((n_cells, *frame[name].shape[1:]), np.nan, np.float32) for name in (RANGE, XYZ)}
+    cells: Table = {
+        name: np.full((n_cells, *frame[name].shape[1:]), np.nan, np.float32)
+        for name in (RANGE, XYZ)
+    }
     cells[RECORD] = np.full(n_cells, -1, np.int64)
     if INTENSITY in frame:
         cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
@@ -480,10 +518,20 @@ def _assumptions(
     why = f"least spread of elevation within rings; {n_out_of_order} records do not follow the azimuth of their ring"
     taken = [Assumption("input.lines", value, why)]
     if config.range == "auto":
-        taken.append(Assumption("input.range", "sensor-xyz", "rings turn around the origin of x, y, z"))
+        taken.append(
+            Assumption("input.range", "sensor-xyz", "rings turn around the origin of x, y, z")
+        )
     if config.points_per_line is None:
-        taken.append(Assumption("input.points_per_line", str(n_rings), "turns of the records around the scanner"))
+        taken.append(
+            Assumption(
+                "input.points_per_line", str(n_rings), "turns of the records around the scanner"
+            )
+        )
     if config.azimuth_step is None:
         value = f"{360 / n_lines:.4f} deg ({n_lines} lines)"
-        taken.append(Assumption("input.azimuth_step", value, "from shot to shot where they are closest together"))
+        taken.append(
+            Assumption(
+                "input.azimuth_step", value, "from shot to shot where they are closest together"
+            )
+        )
     return tuple(taken)

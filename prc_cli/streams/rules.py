@@ -26,12 +26,26 @@ from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, RecordSource
-from prc_cli.streams.angles import columns_of_angles, first_shots, has_sweeps, lacks_shots, shots_in_time, turns_round
+from prc_cli.streams.angles import (
+    columns_of_angles,
+    first_shots,
+    has_sweeps,
+    lacks_shots,
+    shots_in_time,
+    turns_round,
+)
 from prc_cli.streams.columns import Table
 from prc_cli.streams.directions import angles_in_planes
 from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
 from prc_cli.streams.order import judge_first_records, sorted_by_time
-from prc_cli.streams.ranges import XYZ, RangeRule, is_in_plane, is_sensor_xyz, measure_ranges, open_ranges
+from prc_cli.streams.ranges import (
+    XYZ,
+    RangeRule,
+    is_in_plane,
+    is_sensor_xyz,
+    measure_ranges,
+    open_ranges,
+)
 
 _NO_RANGE = "no slant range"
 _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
@@ -105,7 +119,9 @@ class GridRules:
             (self.column_dimension, True),
             (self.scanner, True),
         )
-        return tuple(dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted))
+        return tuple(
+            dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted)
+        )
 
     @property
     def carried(self) -> tuple[str, ...]:
@@ -147,8 +163,14 @@ class GridRules:
     @property
     def is_dense(self) -> bool:
         """Whether the records are dense: one per cell, in order."""
-        fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
-        plain = fixed and not self.ranges.sensor_xyz and self.scanner is None and not self.has_returns
+        fixed = (
+            self.lines == "fixed"
+            and self.columns == "order"
+            and self.range.startswith("dimension:")
+        )
+        plain = (
+            fixed and not self.ranges.sensor_xyz and self.scanner is None and not self.has_returns
+        )
         return plain and self.config.order != "sort-time"
 
 
@@ -194,7 +216,12 @@ def resolve_rules(
     taken += _said(config, lines, columns, source.dimensions)
     has_sensor_xyz = _has_sensor_xyz(source, range_, taken)
     ranges = open_ranges(
-        range_, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt, sensor_xyz=has_sensor_xyz
+        range_,
+        source.dimensions,
+        source.path,
+        config,
+        crs_wkt=source.facts.crs_wkt,
+        sensor_xyz=has_sensor_xyz,
     )
     line_hz = parse_rate(lines) if lines.startswith("time:") else None
     shot_hz = parse_rate(columns) if columns.startswith("time:") else None
@@ -213,7 +240,9 @@ def resolve_rules(
         line_hz=line_hz,
         shot_hz=shot_hz,
         scanner=scanner,
-        height_names=_height_names(source, config, range_) if geometry and not source.facts.downs else (),
+        height_names=_height_names(source, config, range_)
+        if geometry and not source.facts.downs
+        else (),
         point_names=_point_names(source, range_) if geometry else (),
         whole_turn=columns == "angle" and _is_whole_turn(source, first),
         points_per_line=m,
@@ -224,7 +253,9 @@ def resolve_rules(
     )
 
 
-def _said(config: InputConfig, lines: str, columns: str, has: tuple[str, ...]) -> Iterator[Assumption]:
+def _said(
+    config: InputConfig, lines: str, columns: str, has: tuple[str, ...]
+) -> Iterator[Assumption]:
     """Yield what rules assume that were given."""
     if columns.startswith("time:") and not lines.startswith("time:"):
         # no source for the start of lines
@@ -260,7 +291,9 @@ NO_RANGES_HINT = (
 def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
     """Whether an input is registered points alone: nothing in it says in which order they were fired."""
     has = set(source.dimensions)
-    told = config.range == "sensor-xyz" or any(one.startswith("dimension:") for one in (config.range, config.lines))
+    told = config.range == "sensor-xyz" or any(
+        one.startswith("dimension:") for one in (config.range, config.lines)
+    )
     return set(XYZ) <= has and not has & _FIRED and not source.facts.rules and not told
 
 
@@ -305,10 +338,14 @@ MEASURED = " measures rates from the times and writes the command; or "
 
 def only_times_tell(source: RecordSource) -> bool:
     """Tell whether only the times of the records can say where lines and columns are."""
-    return "time" in source.dimensions and not {"scan_line", "column", "angle"} & set(source.dimensions)
+    return "time" in source.dimensions and not {"scan_line", "column", "angle"} & set(
+        source.dimensions
+    )
 
 
-def _all_missing(source: RecordSource, missing: list[InputError], config: InputConfig) -> InputError:
+def _all_missing(
+    source: RecordSource, missing: list[InputError], config: InputConfig
+) -> InputError:
     """Return one error for all that is missing, so that nobody is asked three times."""
     has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
     if len(missing) == 1 or has_range:
@@ -328,16 +365,22 @@ def _all_missing(source: RecordSource, missing: list[InputError], config: InputC
 def _with_draft(source: RecordSource, error: InputError) -> InputError:
     """Name the command that drafts a layout, where one describes the records."""
     is_guessed = source.format == "raw binary" and source.dimensions == ("range",)
-    if not is_guessed and (source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)):
+    if not is_guessed and (
+        source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)
+    ):
         return error
     path = "FILE" if source.path == "stdin" else source.path
-    draft = f"or prc info {path} --draft FILE.toml, which looks at the numbers, and --config FILE.toml"
+    draft = (
+        f"or prc info {path} --draft FILE.toml, which looks at the numbers, and --config FILE.toml"
+    )
     return InputError(source.path, error.problem, f"{error.hint}; {draft}")
 
 
 def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tuple[str, ...]:
     """Return the dimensions for heights, if there are heights, ranges and scan angles, and down is not given."""
-    has_angles = "angle" in source.dimensions or (config.angle_start is not None and config.angle_step is not None)
+    has_angles = "angle" in source.dimensions or (
+        config.angle_start is not None and config.angle_step is not None
+    )
     is_there = range_.startswith("dimension:") and has_angles and "z" in source.dimensions
     return (range_.partition(":")[2], "z") if is_there and config.nadir is None else ()
 
@@ -352,11 +395,17 @@ def _argument(rule: str) -> str | None:
     return rule.partition(":")[2] if rule.startswith("dimension:") else None
 
 
-def _implied(source: RecordSource, key: str, name: str, *, dimension_first: bool = True) -> tuple[str, str] | None:
+def _implied(
+    source: RecordSource, key: str, name: str, *, dimension_first: bool = True
+) -> tuple[str, str] | None:
     """Return the rule that a dimension or the format implies, and why; None if neither does."""
     rule = source.facts.rule(key)
     of_format = (rule.value, rule.why) if rule is not None and rule.value != "rings" else None
-    named = (f"dimension:{name}", "the input has a dimension of this name") if name in source.dimensions else None
+    named = (
+        (f"dimension:{name}", "the input has a dimension of this name")
+        if name in source.dimensions
+        else None
+    )
     return (named or of_format) if dimension_first else (of_format or named)
 
 
@@ -366,7 +415,9 @@ def _is_whole_turn(source: RecordSource, first: Callable[[], Table]) -> bool:
     return source.facts.rule("turn") is not None or (has_turns and turns_round(first()))
 
 
-def _auto_lines(source: RecordSource, config: InputConfig, first: Callable[[], Table]) -> tuple[str, str]:
+def _auto_lines(
+    source: RecordSource, config: InputConfig, first: Callable[[], Table]
+) -> tuple[str, str]:
     if (implied := _implied(source, "lines", "scan_line")) is not None:
         return implied
     m, has_angle = config.points_per_line, "angle" in source.dimensions
@@ -379,7 +430,9 @@ def _auto_lines(source: RecordSource, config: InputConfig, first: Callable[[], T
     if "range" in source.dimensions:
         ways[0] += " (prc info estimates it)"
     if set(XYZ) <= set(source.dimensions) and config.range in ("auto", "sensor-xyz"):
-        drop = "--lines elevation:DEG" + ("" if config.range == "sensor-xyz" else " with --range sensor-xyz")
+        drop = "--lines elevation:DEG" + (
+            "" if config.range == "sensor-xyz" else " with --range sensor-xyz"
+        )
         ways.append(f"{drop} (x, y, z from the scanner, line after line)")
     if "time" in source.dimensions:
         ways.append("--lines time:HZ (scan lines a second)")
@@ -395,7 +448,9 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
     why = "the input has no dimension column"
     if "angle" in source.dimensions and _argument(lines) in (None, *source.dimensions):
         whole_turn = _is_whole_turn(source, first)
-        gives, why = columns_of_angles(first(), _argument(lines), source.path, whole_turn=whole_turn)
+        gives, why = columns_of_angles(
+            first(), _argument(lines), source.path, whole_turn=whole_turn
+        )
         if gives:
             return "angle", why
     if lines.startswith("time:"):
@@ -425,10 +480,15 @@ def _auto_range(source: RecordSource) -> tuple[str, str]:
         return implied
     ways = ["--range dimension:NAME"]
     if set(XYZ) <= set(source.dimensions):
-        ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
+        ways += [
+            "--range origin:X,Y,Z (static scan)",
+            "--range sensor-xyz (coordinates of the sensor itself)",
+        ]
     # the file's own dimensions are behind those of its format
     every = sorted(source.dimensions, key=lambda name: not _RANGE_WORD.search(name.lower()))
-    own = [name for name in reversed(every) if name not in STANDARD_NAMES][: max(len(every) - 12, 0)]
+    own = [name for name in reversed(every) if name not in STANDARD_NAMES][
+        : max(len(every) - 12, 0)
+    ]
     every = list(dict.fromkeys([*every[:6], *own, *every]))
     names = ", ".join(every[:12]) + (", ..." if len(every) > 12 else "")
     problem = f"{_NO_RANGE}: the file has no dimension range, it has {names or 'none'}"
@@ -446,13 +506,20 @@ def _either(ways: list[str]) -> str:
 def _check_dimension(key: str, name: str, source: RecordSource) -> None:
     if name in source.dimensions:
         return
-    nearest = sorted(source.dimensions, key=lambda other: -SequenceMatcher(None, name, other).ratio())
+    nearest = sorted(
+        source.dimensions, key=lambda other: -SequenceMatcher(None, name, other).ratio()
+    )
     problem = f"{source.path} has no dimension {name!r}"
     raise ConfigError(key, problem, f"it has: {', '.join(nearest)}" if nearest else "it has none")
 
 
 def _known_points_per_line(
-    source: RecordSource, config: InputConfig, lines: str, columns: str, line_hz: float | None, shot_hz: float | None
+    source: RecordSource,
+    config: InputConfig,
+    lines: str,
+    columns: str,
+    line_hz: float | None,
+    shot_hz: float | None,
 ) -> tuple[int | None, str | None]:
     """Return M if known without reading, and why if it is not given."""
     given, recorded = config.points_per_line, source.facts.points_per_line
@@ -466,7 +533,9 @@ def _known_points_per_line(
     is_recorded = recorded is not None and recorded > 0
     if lines == "fixed" and not is_recorded:
         hint = f"give -M NUMBER; prc info {source.path} estimates it"
-        raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {source.path}", hint)
+        raise ConfigError(
+            key, f"lines = fixed needs the shots in a scan line of {source.path}", hint
+        )
     if line_hz is not None and shot_hz is not None:
         # round up: rounding down would drop shots at the end of lines
         m = max(math.ceil(shot_hz / line_hz - 0.01), 1)
@@ -484,16 +553,24 @@ def with_elevation(
     """Return the source with elevations as ``angle`` [rad] and line numbers, rules to use them, and what is assumed."""
     drop_deg = parse_rate(config.lines)
     if not 0 < abs(drop_deg) < 180:
-        raise ConfigError("input.lines", f"found {config.lines!r}, expected elevation:DEG with 0 < |DEG| < 180")
+        raise ConfigError(
+            "input.lines", f"found {config.lines!r}, expected elevation:DEG with 0 < |DEG| < 180"
+        )
     if config.range not in ("auto", "sensor-xyz"):
         problem = f"found {config.range!r}, expected sensor-xyz: the elevation is that of x, y, z from the scanner"
-        raise ConfigError("input.range", problem, "add --range sensor-xyz, or find lines in another way")
+        raise ConfigError(
+            "input.range", problem, "add --range sensor-xyz, or find lines in another way"
+        )
     if not set(XYZ) <= set(source.dimensions):
         problem = f"found {config.lines!r}, but {source.path} has no x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     rules = config.model_copy(update={"lines": f"dimension:{_LINE}", "range": "sensor-xyz"})
     why = "lines end where the elevation of x, y, z jumps back; the scan angle is the elevation"
-    return _WithElevation(source, math.radians(drop_deg)), rules, (Assumption("input.lines", config.lines, why),)
+    return (
+        _WithElevation(source, math.radians(drop_deg)),
+        rules,
+        (Assumption("input.lines", config.lines, why),),
+    )
 
 
 @dataclass(frozen=True)
@@ -535,30 +612,47 @@ class _WithElevation(DerivedSource):
             line = int(number[-1]) if chunk.n else line
             values = {name: chunk.values[name] for name in own}
             made = {"angle": angle, _LINE: number}
-            yield replace(chunk, values={name: made[name] if name in made else values[name] for name in names})
+            yield replace(
+                chunk, values={name: made[name] if name in made else values[name] for name in names}
+            )
 
 
 MAX_SHOTS = 1 << 22
 """Most shots that are looked at for a sweep."""
 
 
-def with_sweeps(source: RecordSource, config: InputConfig) -> tuple[InputConfig, tuple[Assumption, ...]]:
+def with_sweeps(
+    source: RecordSource, config: InputConfig
+) -> tuple[InputConfig, tuple[Assumption, ...]]:
     """Return the configuration with lines and columns by time, from the directions, where nothing else tells."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
-    knows = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(source.dimensions)
+    knows = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(
+        source.dimensions
+    )
     if not asks or not knows or not only_times_tell(source) or config.scanner != "none":
         return config, ()
     records = sorted_by_time(source) if config.order == "sort-time" else source
-    rule = open_ranges(config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt)
+    rule = open_ranges(
+        config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt
+    )
     found = _rates(records, rule)
     if found is None:
         return config, ()
-    rules: dict[str, object] = {"lines": f"time:{found.line_hz:.12g}", "columns": f"time:{found.shot_hz:.12g}"}
+    rules: dict[str, object] = {
+        "lines": f"time:{found.line_hz:.12g}",
+        "columns": f"time:{found.shot_hz:.12g}",
+    }
     why = f"the directions from the scanner sweep so, measured over {found.n_lines:.0f} lines"
     told = [Assumption(f"input.{key}", str(value), why) for key, value in rules.items()]
     if config.time_origin is None:
         rules["time_origin"] = found.time_origin_s
-        told.append(Assumption("input.time_origin", f"{found.time_origin_s!r}", "where the sweep has its largest gap"))
+        told.append(
+            Assumption(
+                "input.time_origin",
+                f"{found.time_origin_s!r}",
+                "where the sweep has its largest gap",
+            )
+        )
     return config.model_copy(update=rules), tuple(told)
 
 
@@ -570,4 +664,8 @@ def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:
         _, xyz = measure_ranges(shots, rule)
         times.append(np.asarray(shots["time"], np.float64))
         directions.append(np.empty((0, 3), np.float32) if xyz is None else xyz)
-    return measure_sweeps(np.concatenate(times), angles_in_planes(np.concatenate(directions))) if times else None
+    return (
+        measure_sweeps(np.concatenate(times), angles_in_planes(np.concatenate(directions)))
+        if times
+        else None
+    )

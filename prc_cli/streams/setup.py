@@ -146,8 +146,13 @@ def set_up(
             extents = _survey(source, rules, estimates, end, Estimates(steps=_usual_step(steps)))
             n_lines = sum(n for n, _, _ in extents.values())
             n_known = max(n_known, sum(n for _, n, _ in extents.values()))
-            sizes = {scanner: sizes.get(scanner) or max(extents[scanner][2], 1) for scanner in sorted(extents)}
-            images = {one: (lines, sizes[one] or 1, shots) for one, (lines, shots, _) in extents.items()}
+            sizes = {
+                scanner: sizes.get(scanner) or max(extents[scanner][2], 1)
+                for scanner in sorted(extents)
+            }
+            images = {
+                one: (lines, sizes[one] or 1, shots) for one, (lines, shots, _) in extents.items()
+            }
             check_image(rules.path, images, rules.scanner or "")
         why = _size_reason(rules, end, whole_pass=n_lines is not None)
         which = {one: "" if rules.scanner is None else f"scanner {one}: " for one in sorted(sizes)}
@@ -186,9 +191,14 @@ def _set_up_one(
     lines = replace(line_rules(rules, m, found), spent=rules.spent, n_known=n_known)
     # fixed lines: every shot has a cell, no limit needed
     if rules.lines != "fixed":
-        n_spare, max_gap = SPARE_CELLS if rules.scanner is None else MIN_CELLS, rules.config.max_gap_lines
+        n_spare, max_gap = (
+            SPARE_CELLS if rules.scanner is None else MIN_CELLS,
+            rules.config.max_gap_lines,
+        )
         # a raised limit for gaps needs some more cells
-        lines = replace(lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare)
+        lines = replace(
+            lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare
+        )
     recorded = _angles(rules, m, found, first)
     angle, told = _agreed_angles(rules, first, columns, recorded, scanner)
     if first is None or angle is None or not rules.height_names:
@@ -210,7 +220,9 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
     n_cells = sum(n_lines * n_columns for n_lines, n_columns, _ in sizes.values())
     is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
     # name the emptiest scanner
-    for scanner in sorted(sizes, key=lambda one: -sizes[one][0] * sizes[one][1] + most_cells(sizes[one][2])):
+    for scanner in sorted(
+        sizes, key=lambda one: -sizes[one][0] * sizes[one][1] + most_cells(sizes[one][2])
+    ):
         n_lines, n_columns, n_shots = sizes[scanner]
         if is_empty or n_columns > MAX_COLUMN:
             where = f"{path}: {which} {scanner}" if which else path
@@ -233,7 +245,9 @@ def check_found_columns(path: str, points_per_line: int, n_records: int | None) 
 def _size_reason(rules: GridRules, end: WindowEnd | None, *, whole_pass: bool) -> str:
     if not whole_pass:
         return "steps of the scan angle in a whole turn"
-    where = "" if end is None else f" up to the end of {end.window.option}; -M gives that of the drive"
+    where = (
+        "" if end is None else f" up to the end of {end.window.option}; -M gives that of the drive"
+    )
     if rules.columns == "order":
         return f"shots of the longest line{where}"
     return f"highest column in the input{where}"
@@ -259,7 +273,9 @@ def _survey(
 ) -> dict[int, tuple[int, int, int]]:
     """Read the input once for lines, shots and M of every scanner: the whole of it, or to the end of a window."""
     extents: dict[int, tuple[int, int, int]] = {}
-    for whole in whole_lines(source, rules, lambda one: line_rules(rules, None, estimates.get(one, unseen))):
+    for whole in whole_lines(
+        source, rules, lambda one: line_rules(rules, None, estimates.get(one, unseen))
+    ):
         if end is not None and extents and end.passed(whole.first_line, whole.records):
             break
         _, n_shots, size = extents.get(whole.scanner, (0, 0, 0))
@@ -296,26 +312,36 @@ def _agreed_angles(
         angle = mended
         taken = [Assumption(key, CONTINUED, f"{problem}: these follow from the other columns")]
     if rules.columns != "angle" and turns_back(angle):
-        return None, [Assumption(key, NOT_USED, "the scan angles run back within the line: none is used")]
+        return None, [
+            Assumption(key, NOT_USED, "the scan angles run back within the line: none is used")
+        ]
     share = _contradicted(rules, first, rule, angle)
     if share is None or share <= MOST_OFF:
         return angle, taken
     problem = f"x, y, z contradict range and scan angle in {share:.0%} of the columns"
     if rules.columns != "angle":
         measured = measure_step(_image(rules, first, rule, len(angle)))
-        agreed = None if measured is None else _contradicted(rules, first, rule, measured.angles(len(angle)))
+        agreed = (
+            None
+            if measured is None
+            else _contradicted(rules, first, rule, measured.angles(len(angle)))
+        )
         if agreed is not None and agreed <= MOST_OFF:
             return None, [Assumption(key, NOT_USED, f"{problem}: the recorded angles are not used")]
     return angle, [*taken, Assumption(key, CONTRADICTED, problem)]
 
 
-def _contradicted(rules: GridRules, first: WholeLines, rule: ColumnRule, angle: F64) -> float | None:
+def _contradicted(
+    rules: GridRules, first: WholeLines, rule: ColumnRule, angle: F64
+) -> float | None:
     """Return the share of columns whose x, y, z contradict range and angle; None where there are none."""
     if not rules.point_names:
         return None
     shots = take(first.records, first.records[START])
     range_m, _, _ = clean_measured(shots, replace(rules.ranges, sensor_xyz=False))
-    xyz_m = np.stack([np.asarray(shots[name], np.float64) for name in rules.point_names[1:]], axis=1)
+    xyz_m = np.stack(
+        [np.asarray(shots[name], np.float64) for name in rules.point_names[1:]], axis=1
+    )
     if looks_geographic(xyz_m):
         return None
     column = find_columns(first.records, rule, first.origin_s)
@@ -351,9 +377,15 @@ def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None,
     lines = np.unique(records[LINE][np.isfinite(range_m)])[:DOWN_LINES]
     first = np.isin(records[LINE], lines)
     try:
-        fit = fit_heights(records["angle"][first], range_m[first], records["z"][first], records[LINE][first])
+        fit = fit_heights(
+            records["angle"][first], range_m[first], records["z"][first], records[LINE][first]
+        )
     except NoDirectionError as error:
-        return None, 1.0, Assumption(key, "not found", f"z is there beside range and scan angle, but {error}")
+        return (
+            None,
+            1.0,
+            Assumption(key, "not found", f"z is there beside range and scan angle, but {error}"),
+        )
     why = f"found from z, range and scan angle of {fit.n_shots} shots, heights within {fit.off_m:.3f} m in the middle"
     shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
     return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
@@ -376,7 +408,11 @@ def _angles(rules: GridRules, size: int, found: Estimates, first: WholeLines | N
 
 def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) -> LineRules:
     """Return how the lines of a scanner are found."""
-    half_s, column, column_s = found.timing.shot_s / 2, rules.column_dimension, found.timing.column_s
+    half_s, column, column_s = (
+        found.timing.shot_s / 2,
+        rules.column_dimension,
+        found.timing.column_s,
+    )
     if rules.shot_hz is not None or not column_s > 0:
         column, column_s = None, 0.0
     shared = ("time" if rules.has("time") else None, rules.line_dimension, rules.column_dimension)
@@ -418,7 +454,9 @@ def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
 
 def _column_number_step(number: NDArray[Any], points_per_line: int | None) -> Step:
     """Return the step of column numbers; where they fit into a line of the M that is given, it is meant."""
-    is_meant = points_per_line is not None and np.all(columns_by_dimension(number) < points_per_line)
+    is_meant = points_per_line is not None and np.all(
+        columns_by_dimension(number) < points_per_line
+    )
     return ONE if is_meant else find_step(number)
 
 
@@ -434,7 +472,9 @@ RISE = "rise by"
 
 def setup_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
     """Return what a run tells of steps that it divides out, and of recorded angles that it does not use."""
-    return tuple(one.why for one in assumptions if RISE in one.why or one.value in (CONTINUED, NOT_USED))
+    return tuple(
+        one.why for one in assumptions if RISE in one.why or one.value in (CONTINUED, NOT_USED)
+    )
 
 
 def _step_assumptions(rules: GridRules, steps: dict[int, Steps]) -> list[Assumption]:
@@ -461,10 +501,20 @@ def _estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> 
         grid = found.angle_grid
         if grid is not None and rules.config.angle_start is None:
             shown = f"{math.degrees(grid.start_rad):.4f}"
-            taken.append(Assumption("input.angle_start", shown, f"earliest angle in the first records{which} [deg]"))
+            taken.append(
+                Assumption(
+                    "input.angle_start", shown, f"earliest angle in the first records{which} [deg]"
+                )
+            )
         if grid is not None and rules.config.angle_step is None:
             shown = f"{math.degrees(grid.step_rad):.6g}"
-            taken.append(Assumption("input.angle_step", shown, f"from shot to shot in the first records{which} [deg]"))
+            taken.append(
+                Assumption(
+                    "input.angle_step",
+                    shown,
+                    f"from shot to shot in the first records{which} [deg]",
+                )
+            )
     return taken
 
 
@@ -479,12 +529,16 @@ def _timing(rules: GridRules, records: Table) -> ShotTiming:
     """Estimate shot timing from the first records of a scanner."""
     assert rules.line_hz is not None
     m, name = rules.points_per_line, rules.column_dimension
-    records, starts, _ = whole_shots(records, ScanState(), line_rules(rules, m, Estimates()), final=True)
+    records, starts, _ = whole_shots(
+        records, ScanState(), line_rules(rules, m, Estimates()), final=True
+    )
     shots = take(records, starts)
     time_s, period_s = np.asarray(shots["time"], np.float64), 1 / rules.line_hz
     given_s = _given_timing(rules).shot_s
     if name is not None:
-        return ShotTiming(given_s, _column_step(time_s, columns_by_dimension(shots[name]), period_s) or given_s)
+        return ShotTiming(
+            given_s, _column_step(time_s, columns_by_dimension(shots[name]), period_s) or given_s
+        )
     return ShotTiming(given_s or _shot_step(time_s, period_s))
 
 
@@ -542,7 +596,9 @@ def probe(
     estimates: dict[int, Estimates] = {}
     probes: dict[int, WholeLines] = {}
     for scanner, records in first.items():
-        where = source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
+        where = (
+            source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
+        )
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
         timing = _timing(rules, records) if needs_timing else _given_timing(rules)
         found = Estimates(sweep, None, timing, steps.get(scanner) or _usual_step(steps))
@@ -561,7 +617,11 @@ def _with_grid(rules: GridRules, found: Estimates, whole: WholeLines, where: str
     """Add the columns of the scan angles, where columns are found by them."""
     if rules.columns != "angle":
         return found
-    shots, start, step = take(whole.records, whole.records[START]), rules.config.angle_start, rules.config.angle_step
+    shots, start, step = (
+        take(whole.records, whole.records[START]),
+        rules.config.angle_start,
+        rules.config.angle_step,
+    )
     grid = find_angle_grid(
         shots["angle"],
         shots[LINE],

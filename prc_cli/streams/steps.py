@@ -56,7 +56,9 @@ def find_step(numbers: NDArray[np.generic]) -> Step:
     """
     value = np.asarray(numbers, np.float64)
     with np.errstate(invalid="ignore"):
-        whole = value[np.isfinite(value) & (value == np.floor(value)) & (np.abs(value) < MOST_NUMBER)]
+        whole = value[
+            np.isfinite(value) & (value == np.floor(value)) & (np.abs(value) < MOST_NUMBER)
+        ]
     number, count = np.unique(whole.astype(np.int64), return_counts=True)
     usual = number[count >= RARE * np.median(count)] if len(number) else number
     if len(usual) < LEAST_NUMBERS:

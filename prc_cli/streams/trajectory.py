@@ -14,7 +14,16 @@ from prc_cli.core.types import F64, I64
 from prc_cli.formats.bags import FORMATS as BAGS
 from prc_cli.formats.clock import Unwrapped, unit_of_positions
 from prc_cli.formats.options import FACTORS
-from prc_cli.formats.trajectory import is_tum, project, read_poses, read_sbet, read_text, read_tum, read_turns, turned
+from prc_cli.formats.trajectory import (
+    is_tum,
+    project,
+    read_poses,
+    read_sbet,
+    read_text,
+    read_tum,
+    read_turns,
+    turned,
+)
 
 _WEEK_S, _HOUR_S = 604_800.0, 3600.0
 _ADJUSTED_S = 1e9
@@ -69,7 +78,11 @@ class Trajectory:
         if limit is None:
             # the lower of two medians: of 1 s and 1099 s, 1 s is the usual step
             middle = (len(steps) - 1) // 2
-            limit = max(_GAP_S, _GAP_STEPS * float(np.partition(steps, middle)[middle])) if len(steps) else _GAP_S
+            limit = (
+                max(_GAP_S, _GAP_STEPS * float(np.partition(steps, middle)[middle]))
+                if len(steps)
+                else _GAP_S
+            )
         object.__setattr__(self, "gap_limit_s", limit)
         object.__setattr__(self, "_gaps", np.flatnonzero(steps > limit))
 
@@ -187,7 +200,11 @@ def load_trajectory(
     try:
         size = path.stat().st_size
         if size == 0:
-            raise InputError(str(path), "empty file, expected a trajectory", "give a CSV or SBET file with positions")
+            raise InputError(
+                str(path),
+                "empty file, expected a trajectory",
+                "give a CSV or SBET file with positions",
+            )
         if path.suffix.lower() in SBET_SUFFIXES:
             time_s, position = read_sbet(path, size)
             xyz_m = project(path, position, crs or source_crs_wkt)
@@ -198,25 +215,33 @@ def load_trajectory(
         else:
             time_s, xyz_m = read_text(path)
         if with_turns:
-            quaternion = read_turns(path, crs or source_crs_wkt) if quaternion is None else quaternion
+            quaternion = (
+                read_turns(path, crs or source_crs_wkt) if quaternion is None else quaternion
+            )
             # q and -q are one turn: neighbours must be near each other to interpolate
             turns = np.sign((quaternion[1:] * quaternion[:-1]).sum(axis=1)).cumprod()
             quaternion = quaternion * np.append(1.0, turns)[: len(quaternion), None]
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
-        raise InputError(str(path), problem, "check the trajectory's name and permissions") from None
+        raise InputError(
+            str(path), problem, "check the trajectory's name and permissions"
+        ) from None
     if path.suffix.lower() not in SBET_SUFFIXES:
         xyz_m = xyz_m * np.array(unit_m)
     if lever_arm_m is not None:
         if quaternion is None:
             problem = "a lever arm needs the orientation of the vehicle, which this trajectory does not give"
-            hint = "give the positions of the scanner, or poses: TUM (time x y z qx qy qz qw) or a bag"
+            hint = (
+                "give the positions of the scanner, or poses: TUM (time x y z qx qy qz qw) or a bag"
+            )
             raise ConfigError("input.trajectory_lever_arm", problem, hint)
         xyz_m = xyz_m + turned(quaternion, np.array(lever_arm_m))
     with np.errstate(over="ignore"):
         time_s = Unwrapped().put(time_s * FACTORS[unit_of_positions(time_s)]) + time_offset
     _check(path, time_s)
-    return Trajectory(str(path), time_s, xyz_m, max_gap, lever_arm_m, quaternion if with_turns else None)
+    return Trajectory(
+        str(path), time_s, xyz_m, max_gap, lever_arm_m, quaternion if with_turns else None
+    )
 
 
 def _check(path: Path, time_s: F64) -> None:

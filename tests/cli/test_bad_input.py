@@ -54,12 +54,22 @@ def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
 def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()
-    mounted = patience.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True)
+    mounted = patience.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True
+    )
     if mounted.returncode:
         pytest.skip("mounting a small file system needs root")
     try:
         source = write_npz(tmp_path / "drive.npz", np.tile(street(), (20, 1)))
-        command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(small / "labels.las"), "-q"]
+        command = [
+            sys.executable,
+            "-m",
+            "prc_cli",
+            "classify",
+            str(source),
+            str(small / "labels.las"),
+            "-q",
+        ]
         result = patience.run(command, capture_output=True, text=True)
         assert result.returncode == 1
         assert result.stderr.startswith("error: ")
@@ -91,11 +101,16 @@ def test_names_with_brackets_are_printed_as_they_are(prc: Prc, tmp_path: Path) -
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("command", [["config", "show"], ["config", "schema"], ["completion", "bash"], ["--help"]])
+@pytest.mark.parametrize(
+    "command", [["config", "show"], ["config", "schema"], ["completion", "bash"], ["--help"]]
+)
 def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None:
     with Path("/dev/full").open("w") as full:
         result = patience.run(
-            [sys.executable, "-m", "prc_cli", *command], stdout=full, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", "prc_cli", *command],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
         )
     assert result.returncode == 1
     assert result.stderr == "error: the result cannot be printed (No space left on device)\n"
@@ -103,7 +118,9 @@ def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_a_file_that_laspy_refuses_is_classified_and_doubted(prc: Prc, tmp_path: Path, suffix: str) -> None:
+def test_a_file_that_laspy_refuses_is_classified_and_doubted(
+    prc: Prc, tmp_path: Path, suffix: str
+) -> None:
     drive = las(tmp_path, f"drive{suffix}")
     fine = prc("classify", drive, tmp_path / f"fine{suffix}", "--trust-order")
     data = bytearray(drive.read_bytes())
@@ -119,7 +136,9 @@ def test_a_file_that_laspy_refuses_is_classified_and_doubted(prc: Prc, tmp_path:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-@pytest.mark.parametrize(("option", "name"), [("--config", "x.toml"), ("--layout", "x.toml"), ("--metadata", "x.json")])
+@pytest.mark.parametrize(
+    ("option", "name"), [("--config", "x.toml"), ("--layout", "x.toml"), ("--metadata", "x.json")]
+)
 def test_settings_are_regular_files(prc: Prc, tmp_path: Path, option: str, name: str) -> None:
     os.mkfifo(tmp_path / name)
     drive = write_raw(tmp_path / "drive.bin", street())
@@ -139,9 +158,18 @@ def test_settings_are_regular_files(prc: Prc, tmp_path: Path, option: str, name:
             OSError(errno.EMFILE, "Too many open files"),
             "Too many open files; no output was left behind; raise the limit",
         ),
-        (OSError(errno.EFBIG, "File too large"), "File too large; no output was left behind; raise the limit of this"),
-        (OSError(errno.EACCES, "Permission denied", "a.csv"), "a.csv: Permission denied; check the file"),
-        (OSError(errno.EIO, "Input/output error"), "the result cannot be printed (Input/output error)"),
+        (
+            OSError(errno.EFBIG, "File too large"),
+            "File too large; no output was left behind; raise the limit of this",
+        ),
+        (
+            OSError(errno.EACCES, "Permission denied", "a.csv"),
+            "a.csv: Permission denied; check the file",
+        ),
+        (
+            OSError(errno.EIO, "Input/output error"),
+            "the result cannot be printed (Input/output error)",
+        ),
     ],
 )
 def test_what_the_system_refuses_is_named(
@@ -177,19 +205,43 @@ def test_interrupting_leaves_nothing_and_says_so(
 
 LAYOUT = "[layout]\n{}fields = [{{name = 'range', type = '{}'}}]\n"
 CASES = [
-    ("calibrate drive.npz --json --format markdown", 2, "--json and --format markdown contradict each other"),
-    ("evaluate codes.npy codes.npy --json --format csv", 2, "--json and --format csv contradict each other"),
+    (
+        "calibrate drive.npz --json --format markdown",
+        2,
+        "--json and --format markdown contradict each other",
+    ),
+    (
+        "evaluate codes.npy codes.npy --json --format csv",
+        2,
+        "--json and --format csv contradict each other",
+    ),
     ("explain drive.npz --at here", 2, "found 'here', expected LINE,COLUMN, both from 0"),
     ("classify drive.npz o.npy --only-lines x:y", 2, "A:B, lines A to B - 1 counted from 0"),
     ("classify drive.npz o.npy --only-lines 30:20", 2, "A:B, lines A to B - 1 counted from 0"),
-    ("classify drive.npz o.npy --first 5parsecs", 2, "a length with its unit, such as 30s, 2min or 500lines"),
+    (
+        "classify drive.npz o.npy --first 5parsecs",
+        2,
+        "a length with its unit, such as 30s, 2min or 500lines",
+    ),
     ("classify drive.npz o.npy --range dimension:none", 1, "no array 'none', the file has: "),
     ("classify view.pcd o.npy", 1, "VIEWPOINT needs seven numbers, x y z and a quaternion"),
     ("classify drive.csv o.npy --layout quote.toml", 2, "expected , ; a tab or a space"),
-    ("classify drive.bin o.npy --layout type.toml", 2, "a numpy number type such as f4, u2, i4, float64"),
-    ("classify drive.npz o.npy --set input.angle_step=0 --set input.angle_start=0", 2, "angle_step other than 0"),
+    (
+        "classify drive.bin o.npy --layout type.toml",
+        2,
+        "a numpy number type such as f4, u2, i4, float64",
+    ),
+    (
+        "classify drive.npz o.npy --set input.angle_step=0 --set input.angle_start=0",
+        2,
+        "angle_step other than 0",
+    ),
     ("transfer drive.las other.las o.las", 1, "are these the same drive?"),
-    ("classify old.las o.las --lines fixed -M 10 --range sensor-xyz", 1, "in LASzip's compatibility mode"),
+    (
+        "classify old.las o.las --lines fixed -M 10 --range sensor-xyz",
+        1,
+        "in LASzip's compatibility mode",
+    ),
 ]
 
 

@@ -77,9 +77,24 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     if "NUMBA_CACHE_DIR" in os.environ:
         environment["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"]
     elif "HOME" in os.environ:  # without a home, but not without what is compiled already
-        environment["XDG_CACHE_HOME"] = os.environ.get("XDG_CACHE_HOME", os.environ["HOME"] + "/.cache")
-    command = [*PRC, "batch", "archive", "out", "--preset", "urban", "--jobs", "1", "--log-json", "log.jsonl"]
-    result = patience.run(command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True)
+        environment["XDG_CACHE_HOME"] = os.environ.get(
+            "XDG_CACHE_HOME", os.environ["HOME"] + "/.cache"
+        )
+    command = [
+        *PRC,
+        "batch",
+        "archive",
+        "out",
+        "--preset",
+        "urban",
+        "--jobs",
+        "1",
+        "--log-json",
+        "log.jsonl",
+    ]
+    result = patience.run(
+        command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True
+    )
     assert result.returncode == 1, result.stderr
     assert result.stdout == b""
     (folder / "err.txt").write_bytes(result.stderr)
@@ -99,7 +114,9 @@ def test_one_line_a_file_without_control_characters(office: tuple[Path, Path]) -
 
 
 def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -> None:
-    lines = [json.loads(line) for line in (office[1].parent / "log.jsonl").read_bytes().splitlines()]
+    lines = [
+        json.loads(line) for line in (office[1].parent / "log.jsonl").read_bytes().splitlines()
+    ]
     # other tests go on in the same log
     lines = [line for line in lines if line["process"] == lines[0]["process"]]
     events = [line["event"] for line in lines]
@@ -124,7 +141,10 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     assert (found.code, found.out) == (0, "")
     nothing, trusted = found.err.splitlines()
     assert nothing == f"nothing to do: 2 files are done ({out})"
-    assert trusted == "files that were done before were judged by size and time; --verify compares their content"
+    assert (
+        trusted
+        == "files that were done before were judged by size and time; --verify compares their content"
+    )
     found = prc(*options, "--quiet")
     assert (found.code, found.out, found.err) == (0, "", "")
     codes = np.load(out / "drive.npz.labels.npy")
@@ -178,7 +198,10 @@ def test_retry_obeys_nobody_else_and_no_nonsense(
     assert command.stat().st_mode & 0o777 == 0o600
     command.chmod(0o666)
     found = prc("retry", "out")
-    assert (found.code, "could have been changed by others (its mode is 666)" in found.err) == (2, True)
+    assert (found.code, "could have been changed by others (its mode is 666)" in found.err) == (
+        2,
+        True,
+    )
     command.chmod(0o600)
     for content in (b"[" * 200_000, b"x" * (2 << 20), b"\xff"):
         command.write_bytes(content)
@@ -219,14 +242,18 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
-    child = patience.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    child = patience.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True
+    )
     mine = temporary_name(out / "night" / "a.laz")
     dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
     other = mine.with_name(".a.laz.00000000-1-01234567.part")
     kept = out / "night" / ".mine.part"
     for path in (mine, dead, other, kept):
         path.write_bytes(b"1234")
-    shared = out / ".prc" / "shared-0123456789abcdef"  # a run on Dask died while it looked at its workers
+    shared = (
+        out / ".prc" / "shared-0123456789abcdef"
+    )  # a run on Dask died while it looked at its workers
     shared.touch()
     assert prc("clean", out, "--dry-run").out.count("would remove") == 3
     assert dead.exists()
@@ -258,7 +285,9 @@ def done(name: str, n: int = 1_000_000) -> Done:
 
 
 def failed(name: str, kind: str = "InputError") -> Failed:
-    return Failed(name, None, 0.1, Problem(kind, f"/data/archive/{name}", "is cut short", "copy it again"))
+    return Failed(
+        name, None, 0.1, Problem(kind, f"/data/archive/{name}", "is cut short", "copy it again")
+    )
 
 
 def made_up(*events: Any, **changes: Any) -> Callable[..., BatchSummary]:
@@ -273,12 +302,19 @@ def made_up(*events: Any, **changes: Any) -> Callable[..., BatchSummary]:
                 raise event
             listener(event)
         summary = BatchSummary(
-            "r1", settings.archive, settings.out, "s", "f", 10.0, max(len(ended), changes.get("n_found", 0)), 0,
+            "r1",
+            settings.archive,
+            settings.out,
+            "s",
+            "f",
+            10.0,
+            max(len(ended), changes.get("n_found", 0)),
+            0,
             done=tuple(item for item in ended.values() if isinstance(item, Done)),
             failed=tuple(item for item in ended.values() if isinstance(item, Failed)),
             alarms=tuple(event for event in events if isinstance(event, Alarm)),
             doubts=tuple(event for event in events if isinstance(event, Doubted)),
-        )  # fmt: skip
+        )
         return replace(summary, **changes)
 
     return run_batch
@@ -287,7 +323,9 @@ def made_up(*events: Any, **changes: Any) -> Callable[..., BatchSummary]:
 @pytest.fixture
 def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]:
     monkeypatch.chdir(tmp_path)
-    return lambda *events, **changes: monkeypatch.setattr(run_module, "run_batch", made_up(*events, **changes))
+    return lambda *events, **changes: monkeypatch.setattr(
+        run_module, "run_batch", made_up(*events, **changes)
+    )
 
 
 DOUBTED = Doubted("a.laz", "units", "units: odd; check the unit")
@@ -320,12 +358,16 @@ def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[...,
     assert lines[0].endswith("failed b.laz: is cut short; copy it again")
     assert lines[1] == "alarm b.laz: ground 1 %, usually 40 %"
     assert lines[2].endswith("failed c.laz: is cut short; copy it again")
-    assert lines[3].startswith("1 done, 2 failed, 1 alarm of 3 in 10.0 s; 1,000,000 shots, 0.1 million")
+    assert lines[3].startswith(
+        "1 done, 2 failed, 1 alarm of 3 in 10.0 s; 1,000,000 shots, 0.1 million"
+    )
     assert len(lines) == 4
 
 
 @pytest.mark.parametrize("options", [(), ("-q",), ("-v",)])
-def test_doubts_are_told_quiet_or_not(prc: Run, play: Callable[..., None], options: tuple[str, ...]) -> None:
+def test_doubts_are_told_quiet_or_not(
+    prc: Run, play: Callable[..., None], options: tuple[str, ...]
+) -> None:
     play(replace(done("a.laz"), notices=("a note", "doubt units: odd; check the unit")), DOUBTED)
     found = prc("a", "o", "--log-json", "log", *options)
     told = "warning a.laz: units: odd; check the unit (to accept it: --accept-doubt units)"
@@ -348,7 +390,12 @@ def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]
 def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) -> None:
     play(done(ODD))
     lines = prc("a", "o", "--log-json", "-").out.splitlines()
-    assert [json.loads(line)["event"] for line in lines] == ["run_start", "plan", "file_done", "run_end"]
+    assert [json.loads(line)["event"] for line in lines] == [
+        "run_start",
+        "plan",
+        "file_done",
+        "run_end",
+    ]
     assert json.loads(lines[2])["name"] == ODD
     assert prc("a", "o", "--log-json", "-", "--json").code == 2
 
@@ -357,21 +404,32 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     play()
     Path("ref").mkdir()
     options = "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 --threads 5 --retry 2 "
-    options += (
-        "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
-    )
+    options += "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
     options += "--keep-version 0.0.9 --accept-doubt standing "
-    options += (
-        "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
-    )
+    options += "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
     assert prc("a", "o", *options.split()).code in (0, 3)
     found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
     expected = {
-        "archive": Path("a"), "out": Path("o"), "include": ("x", "y"), "exclude": ("z",), "since": "7d", "limit": 3,
-        "jobs": 4, "threads": 5, "retry": 2, "fail_fast": True, "overwrite": True, "adopt": True, "verify": True,
-        "stall_s": 9.0, "memory_limit_mib": 800, "to": "laz", "drift": False, "only_failed": True,
+        "archive": Path("a"),
+        "out": Path("o"),
+        "include": ("x", "y"),
+        "exclude": ("z",),
+        "since": "7d",
+        "limit": 3,
+        "jobs": 4,
+        "threads": 5,
+        "retry": 2,
+        "fail_fast": True,
+        "overwrite": True,
+        "adopt": True,
+        "verify": True,
+        "stall_s": 9.0,
+        "memory_limit_mib": 800,
+        "to": "laz",
+        "drift": False,
+        "only_failed": True,
         "keep_versions": ("0.0.9",),
-    }  # fmt: skip
+    }
     assert {key: getattr(found, key) for key in expected} == expected
     assert str(found.shard) == "2/3"
     assert found.config.preset == "forest"
@@ -394,11 +452,16 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         (["a", "o", "--split", "5"], "No such option"),
         (["a", "o", "--shard", "4/3"], "shard"),
         (["a", "o", "--reference", "none"], "no such folder"),
-        (["a", "status"], "did you mean prc batch status FOLDER? A folder of this name is ./status"),
+        (
+            ["a", "status"],
+            "did you mean prc batch status FOLDER? A folder of this name is ./status",
+        ),
         (["retry", "o", "--shard", "x"], "i/n"),
     ],
 )
-def test_wrong_usage_is_exit_code_2(prc: Run, play: Callable[..., None], options: list[str], expected: str) -> None:
+def test_wrong_usage_is_exit_code_2(
+    prc: Run, play: Callable[..., None], options: list[str], expected: str
+) -> None:
     play()
     if options[0] == "retry":
         Path("o/.prc").mkdir(parents=True)
@@ -415,8 +478,21 @@ def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None
 
 
 @pytest.mark.slow
-def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple[Path, Path], tmp_path: Path) -> None:
-    command = [*PRC, "batch", str(office[0]), "out", "--preset", "urban", "--exclude", "night", "--log-json", "-"]
+def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(
+    office: tuple[Path, Path], tmp_path: Path
+) -> None:
+    command = [
+        *PRC,
+        "batch",
+        str(office[0]),
+        "out",
+        "--preset",
+        "urban",
+        "--exclude",
+        "night",
+        "--log-json",
+        "-",
+    ]
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "wb") as pipe:

@@ -31,21 +31,39 @@ from tests.jobs.test_transfer import Drive, N, write_las
 from tests.jobs.test_transfer import write_raw as write_raw_drive
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.patience import HANGS_S, wait_until
-from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_endless, write_npz, write_raw
+from tests.street import (
+    N_LINES,
+    POINTS_PER_LINE,
+    angles,
+    street,
+    write_endless,
+    write_npz,
+    write_raw,
+)
 
 
 def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
     source = write_raw(tmp_path / "drive.bin", street())
     layout = tmp_path / "layout.toml"
     layout.write_text('[layout]\nfields = [{name = "range", type = "f4"}]\n')
-    options = ["--set", "prc.support.zeta_p=0.25", "--segment-ids", "--max-range", "80", "--layout", layout]
+    options = [
+        "--set",
+        "prc.support.zeta_p=0.25",
+        "--segment-ids",
+        "--max-range",
+        "80",
+        "--layout",
+        layout,
+    ]
     options += ["-M", POINTS_PER_LINE]
     result = prc("classify", source, tmp_path / "out.las", "--json", "-q", *options)
     config = json.loads(result.out)["config"]
     assert config["prc"]["support"]["zeta_p"] == 0.25
     assert config["output"]["segment_ids"] is True
     assert config["input"]["max_range"] == 80
-    assert config["layout"]["fields"] == [{"name": "range", "type": "f4", "scale": 1.0, "offset": 0.0, "unit": ""}]
+    assert config["layout"]["fields"] == [
+        {"name": "range", "type": "f4", "scale": 1.0, "offset": 0.0, "unit": ""}
+    ]
     las = laspy.read(tmp_path / "out.las")
     assert las["segment_id"].max() > 1
     assert las["range"].max() <= 80
@@ -64,7 +82,9 @@ def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[ob
 
 
 @pytest.mark.slow
-def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc: Prc, tmp_path: Path) -> None:
+def test_info_doubts_what_classify_doubts_where_heights_explain_it(
+    prc: Prc, tmp_path: Path
+) -> None:
     """Ranges in feet beside heights in metres look like a leaning plane; PRC does not ask for directions."""
     made, feet = tmp_path / "drive.laz", tmp_path / "feet.laz"
     assert prc("simulate", "street", made, "--lines", 60, "--seed", 72, "-q").code == 0
@@ -96,8 +116,13 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     assert result.code == 1
     assert "no such file" in found[0]["error"]
     assert found[1]["classifiable"] is True
-    (tmp_path / "layout.toml").write_text("[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n")
-    for files in ((source, none), (none, source)):  # a layout for a format that has none is wrong usage, 2
+    (tmp_path / "layout.toml").write_text(
+        "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
+    )
+    for files in (
+        (source, none),
+        (none, source),
+    ):  # a layout for a format that has none is wrong usage, 2
         assert prc("info", *files, "--layout", tmp_path / "layout.toml").code == 2
 
 
@@ -121,9 +146,15 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
             assert found[method]["classes"][name]["precision"] > 0.6, (method, name)
     names = {path.name for path in folder.iterdir()}
     assert names == {
-        "street.npz", "street.npz.prc.json", "street.laz", "street.laz.prc.json", "street.png", "street.html",
-        "street_report.html", "more",
-    }  # fmt: skip
+        "street.npz",
+        "street.npz.prc.json",
+        "street.laz",
+        "street.laz.prc.json",
+        "street.png",
+        "street.html",
+        "street_report.html",
+        "more",
+    }
     more = {path.name for path in (folder / "more").iterdir()}
     for stem in ("urban", "static_scan", "forest"):
         assert more >= {f"{stem}.png", f"{stem}_labels.npy", f"{stem}_report.html", f"{stem}.toml"}
@@ -149,7 +180,17 @@ def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
     import signal
 
     source = write_endless(tmp_path / "drive.bin")
-    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.laz"), "-M", "2000", "-q"]
+    command = [
+        sys.executable,
+        "-m",
+        "prc_cli",
+        "classify",
+        str(source),
+        str(tmp_path / "a.laz"),
+        "-M",
+        "2000",
+        "-q",
+    ]
     with patience.start(command) as run:
         wait_until(lambda: list(tmp_path.glob(".a.laz.*")) or run.poll() is not None)
         run.send_signal(signal.SIGTERM)
@@ -157,7 +198,9 @@ def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["drive.bin"]
 
 
-def test_what_takes_long_is_explained(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_takes_long_is_explained(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(report, "COMPILING_S", 0.0)
     with report.compiling_note(quiet=False):
         wait_until(lambda: "it is compiled, once" in capsys.readouterr().err)
@@ -173,18 +216,24 @@ def test_files_that_a_run_reads_are_never_its_output(prc: Prc, tmp_path: Path) -
     prc("classify", source, tmp_path / "drive.las")
     track = tmp_path / "track.csv"
     track.write_text("time,x,y,z\n0,0,0,0\n1,0,0,0\n")
-    result = prc("classify", tmp_path / "drive.las", track, "--overwrite", "--range", f"trajectory:{track}")
+    result = prc(
+        "classify", tmp_path / "drive.las", track, "--overwrite", "--range", f"trajectory:{track}"
+    )
     assert result.code == 2
     assert "the output is the input itself" in result.err
     assert track.read_text().startswith("time,x,y,z")
 
 
-def test_a_trajectory_starts_where_it_was_named(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trajectory_starts_where_it_was_named(
+    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "run.toml").write_text('[input]\nrange = "trajectory:track.csv"\n')
     monkeypatch.chdir(tmp_path)
     shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json").out)
-    assert Path(shown["config"]["input"]["range"].partition(":")[2]) == tmp_path / "conf" / "track.csv"
+    assert (
+        Path(shown["config"]["input"]["range"].partition(":")[2]) == tmp_path / "conf" / "track.csv"
+    )
     option = ["--range", "trajectory:track.csv"]
     shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json", *option).out)
     assert shown["config"]["input"]["range"] == "trajectory:track.csv"
@@ -206,11 +255,19 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     assert (result.code, np.load(tmp_path / "b2.npy").size) == (0, 600)
     assert "warning" not in result.err
     source.write_text("\n".join(["scan_line,column,range", *rows, *rows[-60:]]) + "\n")
-    assert "9.1% of the records met another shot" in prc("classify", source, tmp_path / "c.npy", "--trust-order").err
+    assert (
+        "9.1% of the records met another shot"
+        in prc("classify", source, tmp_path / "c.npy", "--trust-order").err
+    )
     source.write_text("scan_line,column,range\n" + "".join(f"{n},0,\n{n},1,\n" for n in range(90)))
     result = prc("classify", source, tmp_path / "d.npy", "-q")
-    assert (result.code, "warning: returns: 0.00% of the shots have a range" in result.err) == (4, True)
-    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(90)))
+    assert (result.code, "warning: returns: 0.00% of the shots have a range" in result.err) == (
+        4,
+        True,
+    )
+    source.write_text(
+        "scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(90))
+    )
     result = prc("classify", source, tmp_path / "e.npy", "-q")
     assert (result.code, "100.00% of the ranges lie beyond 20 km" in result.err) == (1, True)
 
@@ -219,7 +276,10 @@ def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_
     shuffled = np.random.default_rng(3).permuted(street(), axis=1)
     source = write_npz(tmp_path / "shuffled.npz", shuffled)
     result = prc("convert", source, tmp_path / "out.npy", "--json", "-q")
-    assert (result.code, np.array_equal(np.load(tmp_path / "out.npy"), shuffled, equal_nan=True)) == (4, True)
+    assert (
+        result.code,
+        np.array_equal(np.load(tmp_path / "out.npy"), shuffled, equal_nan=True),
+    ) == (4, True)
     assert result.err.startswith("warning: shot-order: ")
     found = json.loads(result.out)
     assert found["doubts"][0]["verdict"] == "against"
@@ -240,25 +300,43 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "street": ("street", {"lines": 160, "seed": 21, "scanner": {"points_per_line": 720}}),
         "static": (
             "street-scan",
-            {"seed": 22, "scanner": {"azimuth_step_deg": 1.5, "points_per_line": 313}, "station": {"turn_deg": 120.0}},
+            {
+                "seed": 22,
+                "scanner": {"azimuth_step_deg": 1.5, "points_per_line": 313},
+                "station": {"turn_deg": 120.0},
+            },
         ),
         "forest": (
-            "forest", {"lines": 150, "sight_m": 20.0, "seed": 931, "scanner": {"points_per_line": 712}},
+            "forest",
+            {"lines": 150, "sight_m": 20.0, "seed": 931, "scanner": {"points_per_line": 712}},
         ),
-    }  # fmt: skip
+    }
     for name, (kind, options) in scans.items():
         simulate(kind, place / f"{name}.npz", load_settings(kind, options=options))
     ranges, _ = street_lines(40, noise_m=0.0)
-    lines = np.concatenate([np.arange(8), np.arange(32, 128) // 4, np.full(40, 32)])  # slow, then standing
+    lines = np.concatenate(
+        [np.arange(8), np.arange(32, 128) // 4, np.full(40, 32)]
+    )  # slow, then standing
     noise = np.random.default_rng(3).normal(0, 0.002, (len(lines), len(BEAM)))
-    np.savez(place / "slow.npz", range_m=(ranges[lines] + noise).astype(np.float32), angle_deg=np.rad2deg(BEAM))
+    np.savez(
+        place / "slow.npz",
+        range_m=(ranges[lines] + noise).astype(np.float32),
+        angle_deg=np.rad2deg(BEAM),
+    )
     return place
 
 
 CASES = [
-    ("street", "urban"), ("street", "fused"), ("street", "street-scan"), ("street", None), ("static", "street-scan"),
-    ("forest", "forest"), ("forest", "fused-forest"), ("forest", "urban"), ("slow", "fused"),
-]  # fmt: skip
+    ("street", "urban"),
+    ("street", "fused"),
+    ("street", "street-scan"),
+    ("street", None),
+    ("static", "street-scan"),
+    ("forest", "forest"),
+    ("forest", "fused-forest"),
+    ("forest", "urban"),
+    ("slow", "fused"),
+]
 
 
 def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
@@ -276,13 +354,19 @@ def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: s
     source, output = folder / f"{name}.npz", folder / f"{name}-{preset}.parquet"
     summary = classify(source, output, loaded, overwrite=True)
     table = pq.read_table(output)
-    codes, reasons = (table[key].to_numpy().reshape(summary.counts.n_lines, -1) for key in ("class", "reason"))
+    codes, reasons = (
+        table[key].to_numpy().reshape(summary.counts.n_lines, -1) for key in ("class", "reason")
+    )
     for line, column in of_each(reasons, 23):
         told = explain(source, line, column, loaded)
         assert told.code == codes[line, column], (line, column)
         assert told.reason == reasons[line, column]
         rule_name, rule = rule_of(told.reason)
-        assert (told.rule, told.sentence, tuple(told.limits)) == (rule_name, rule.sentence, rule.limits)
+        assert (told.rule, told.sentence, tuple(told.limits)) == (
+            rule_name,
+            rule.sentence,
+            rule.limits,
+        )
         assert rule_name != "unknown"
         assert (told.range_m is None) == (told.label == Label.MISSING) == (not told.measures)
         json.dumps(told.as_dict())
@@ -302,7 +386,16 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
 ) -> None:
     image = street()
     source = write_raw(tmp_path / "drive.bin", image)
-    arguments = ("classify", source, tmp_path / "a.npy", "-M", POINTS_PER_LINE, "-q", "--json", *URBAN)
+    arguments = (
+        "classify",
+        source,
+        tmp_path / "a.npy",
+        "-M",
+        POINTS_PER_LINE,
+        "-q",
+        "--json",
+        *URBAN,
+    )
     assert run(*arguments, "--profile", "--threads", 2) == 0
     out, told = capsys.readouterr()
     assert told == ""
@@ -311,10 +404,14 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
     assert found.pop("doubts") == []
     assert found == json.loads((tmp_path / "a.npy.prc.json").read_text())
     assert (profile["threads"], profile["shots"]) == (2, image.size)
-    assert sum(row["cpu_s"] for row in profile["stages"]) == pytest.approx(profile["cpu_s"], rel=0.02)
+    assert sum(row["cpu_s"] for row in profile["stages"]) == pytest.approx(
+        profile["cpu_s"], rel=0.02
+    )
     assert sum(row["share_of_cpu"] for row in profile["stages"]) == pytest.approx(1, rel=0.02)
     rates = [
-        (row["mshots_per_cpu_s"], row["cpu_s"]) for row in profile["stages"] if row["mshots_per_cpu_s"] is not None
+        (row["mshots_per_cpu_s"], row["cpu_s"])
+        for row in profile["stages"]
+        if row["mshots_per_cpu_s"] is not None
     ]
     assert rates
     for rate, cpu_s in rates:
@@ -335,7 +432,14 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     np.save(tmp_path / "short.npy", np.ones(7, np.uint8))
     files = sorted(tmp_path.iterdir())
     result = prc(
-        "calibrate", source, "--method", "prc", "--reference", tmp_path / "short.npy", "-o", tmp_path / "new.toml"
+        "calibrate",
+        source,
+        "--method",
+        "prc",
+        "--reference",
+        tmp_path / "short.npy",
+        "-o",
+        tmp_path / "new.toml",
     )
     assert (result.code, result.out) == (1, "")
     assert result.err.startswith("error: ")
@@ -352,7 +456,10 @@ def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
         (["--plot", tmp_path / "curves.png"], "ends in .svg"),
         (["--json", "--format", "markdown"], "contradict"),
         (["--reference", source, "--objective", "beauty"], "found score 'beauty'"),
-        (["--reference", source, "--objective", "f1.houses"], "'f1.houses', expected one of: f1.noise, f1.ground, f1."),
+        (
+            ["--reference", source, "--objective", "f1.houses"],
+            "'f1.houses', expected one of: f1.noise, f1.ground, f1.",
+        ),
         (["--objective", "beauty"], "--objective needs --reference"),
         (["--objective", "mean_f1"], "--objective needs --reference"),
         (["--budget", 9], "--budget needs --reference"),
@@ -376,13 +483,18 @@ LAYOUT = "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
 
 
 @pytest.mark.parametrize("output", [".", "/", "", "sub"])
-def test_a_folder_is_no_output(prc: Prc, tmp_path: Path, output: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_is_no_output(
+    prc: Prc, tmp_path: Path, output: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()
     drive = write_raw(tmp_path / "drive.bin", street())
     found = prc("classify", drive, output, "-M", POINTS_PER_LINE)
     assert (found.code, found.out) == (1, "")
-    assert found.err == f"error: {output or '.'}: is a folder, expected a file name; name the file inside it\n"
+    assert (
+        found.err
+        == f"error: {output or '.'}: is a folder, expected a file name; name the file inside it\n"
+    )
 
 
 def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Path) -> None:
@@ -400,13 +512,24 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
     assert found.code in (0, 4)
     assert "input.range_scale" in found.err
     dump = write_raw(tmp_path / "drive.bin", street())
-    assert "not used" not in prc("classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE).err
+    assert (
+        "not used"
+        not in prc(
+            "classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE
+        ).err
+    )
 
 
 def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Path) -> None:
     """Numbers of the program and class codes cannot be mistaken for each other."""
     image = street()
-    prc("classify", write_raw(tmp_path / "drive.bin", image), tmp_path / "o.npy", "-M", POINTS_PER_LINE)
+    prc(
+        "classify",
+        write_raw(tmp_path / "drive.bin", image),
+        tmp_path / "o.npy",
+        "-M",
+        POINTS_PER_LINE,
+    )
     found = prc_cli.classify_ranges(image)
     np.testing.assert_array_equal(found.codes, np.load(tmp_path / "o.npy").reshape(image.shape))
     assert found.counts["ground"] == np.count_nonzero(found.codes == 2)
@@ -423,7 +546,9 @@ def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
         "import sys, prc_cli.cli.classify; "
         "print({'pyarrow', 'sqlite3', 'laspy', 'pye57', 'skimage', 'dask'} & set(sys.modules))"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
     assert found.stdout == "set()\n"
 
 
@@ -440,27 +565,37 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
     assert output_for(bag / "bag_0.db3") == tmp_path / "bag_labels.npy"
     monkeypatch.chdir(bag)  # which may be named by a dot
     assert output_for(Path("bag_0.db3")).resolve() == tmp_path / "bag_labels.npy"
-    assert prc("info", bag / "metadata.yaml").err.endswith(f"name the file beside it, {bag / 'bag_0.db3'}\n")
+    assert prc("info", bag / "metadata.yaml").err.endswith(
+        f"name the file beside it, {bag / 'bag_0.db3'}\n"
+    )
     (bag / "bag_1.db3").write_bytes(b"SQLite format 3\0")
     assert prc("info", bag).err.endswith(f"bag_0.db3, or {bag / 'bag_1.db3'}\n")
     drive = write_raw(tmp_path / "drive.bin", street())
     assert prc("info", tmp_path).err.endswith(f"name a file in it, for example {drive}\n")
     (tmp_path / "os.json").write_text("{}")
     (tmp_path / "os.pcap").write_bytes(b"x")
-    assert prc("info", tmp_path / "os.json").err.endswith(f"name the capture beside it, {tmp_path / 'os.pcap'}\n")
+    assert prc("info", tmp_path / "os.json").err.endswith(
+        f"name the capture beside it, {tmp_path / 'os.pcap'}\n"
+    )
 
 
 def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
     frame = np.stack([*frame_xyz(), np.full(64 * 900, 0.3)], axis=1).astype("<f4")
     frame.tofile(tmp_path / "frame.bin")
-    found = prc("classify", tmp_path / "frame.bin", tmp_path / "frame.laz", "--accept-doubt", "ground-below")
+    found = prc(
+        "classify", tmp_path / "frame.bin", tmp_path / "frame.laz", "--accept-doubt", "ground-below"
+    )
     assert "look like x, y, z and intensity of a frame" in found.err
     assert "points are in the order of the shots" in found.err
     assert "compare it" not in found.err
     ranges = street()
     np.abs(frame).tofile(tmp_path / "other.bin")
     (frame * np.array([1, 1, 1, 3e5], "<f4")).tofile(tmp_path / "third.bin")
-    for path in (write_raw(tmp_path / "drive.bin", ranges), tmp_path / "other.bin", tmp_path / "third.bin"):
+    for path in (
+        write_raw(tmp_path / "drive.bin", ranges),
+        tmp_path / "other.bin",
+        tmp_path / "third.bin",
+    ):
         refused = prc("classify", path, tmp_path / "labels.npy")
         assert refused.code == 1
         assert "no scan lines" in refused.err
@@ -471,23 +606,44 @@ def frame_xyz() -> np.ndarray:
     azimuth = np.tile(np.linspace(0.0, 2 * np.pi, 900, endpoint=False), 64)
     elevation = np.repeat(np.deg2rad(np.linspace(2.0, -24.8, 64)), 900)
     distance = np.minimum(
-        20.0 / np.cos(elevation), np.where(elevation < 0, 1.7 / np.sin(np.maximum(-elevation, 1e-3)), 99)
+        20.0 / np.cos(elevation),
+        np.where(elevation < 0, 1.7 / np.sin(np.maximum(-elevation, 1e-3)), 99),
     )
     flat = distance * np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])
 
 
 def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text('lines = 30\n[scanner]\nname = "sick-push-broom"\nslant_deg = 5\n')
-    options = ("--config", tmp_path / "a.toml", "--set", "scanner.slant_deg=6", "--mount-slant", "7", "--speed", "2")
-    result = prc("simulate", "street", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q")
+    (tmp_path / "a.toml").write_text(
+        'lines = 30\n[scanner]\nname = "sick-push-broom"\nslant_deg = 5\n'
+    )
+    options = (
+        "--config",
+        tmp_path / "a.toml",
+        "--set",
+        "scanner.slant_deg=6",
+        "--mount-slant",
+        "7",
+        "--speed",
+        "2",
+    )
+    result = prc(
+        "simulate", "street", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q"
+    )
     table = json.loads(result.out)["config"]["simulation"]
     assert (table["lines"], table["scanner"]["slant_deg"]) == (30, 7.0)
     assert (table["scanner"]["points_per_line"], table["trajectory"]["speed_m_s"]) == (361, 2.0)
 
 
 def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: Path) -> None:
-    options = ("--set", "scanner.name=profiler-1mhz", "--set", "scanner.slant_deg=30", "--set", "scene.name=suburb")
+    options = (
+        "--set",
+        "scanner.name=profiler-1mhz",
+        "--set",
+        "scanner.slant_deg=30",
+        "--set",
+        "scene.name=suburb",
+    )
     text = prc("simulate", "parameters", "street", *options).out
     assert [line for line in text.splitlines() if line.startswith("[")] == [
         "[scene]  # from: preset suburb",
@@ -508,13 +664,33 @@ def test_bad_input_of_simulate_is_one_line(prc: Prc, tmp_path: Path) -> None:
         (["street", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .bin"),
         (["street", tmp_path / "there.npz"], 2, "exists already"),
         (["street", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
-        (["street", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"], 2, ".csv or .sbet or .out"),
-        (["forest", tmp_path / "a.npz", "--stems", tmp_path / "s.txt"], 2, "found suffix '.txt', expected .csv"),
+        (
+            ["street", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"],
+            2,
+            ".csv or .sbet or .out",
+        ),
+        (
+            ["forest", tmp_path / "a.npz", "--stems", tmp_path / "s.txt"],
+            2,
+            "found suffix '.txt', expected .csv",
+        ),
         (["street"], 2, "Missing argument 'OUT'"),
-        (["street", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
-        (["street", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),
+        (
+            ["street", tmp_path / "a.npz", "--length", "5", "--lines", "3"],
+            2,
+            "--length and --lines contradict",
+        ),
+        (
+            ["street", tmp_path / "a.npz", "--scanner", "scanstation2"],
+            2,
+            "is not one of 'photon-80'",
+        ),
         (["street", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
-        (["street", tmp_path / "a.npz", "--set", "scene.trees=9"], 2, "see `prc simulate parameters street`"),
+        (
+            ["street", tmp_path / "a.npz", "--set", "scene.trees=9"],
+            2,
+            "see `prc simulate parameters street`",
+        ),
         (["meadow", tmp_path / "a.npz"], 2, "No such command 'meadow'"),
     ):
         result = prc("simulate", *options)
@@ -527,7 +703,12 @@ def test_bad_input_of_simulate_is_one_line(prc: Prc, tmp_path: Path) -> None:
 def transferred(tmp_path: Path) -> tuple[Drive, Path, Path, Path]:
     drive = Drive()
     raw = write_raw_drive(tmp_path / "drive.csv", drive)
-    return drive, raw.with_suffix(".npy"), raw, write_las(tmp_path / "registered.las", drive, drive.registered())
+    return (
+        drive,
+        raw.with_suffix(".npy"),
+        raw,
+        write_las(tmp_path / "registered.las", drive, drive.registered()),
+    )
 
 
 def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
@@ -536,19 +717,47 @@ def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
     extra = {"head": (rest % 3).astype(np.uint8), "segment_id": rest, "mine": drive.codes}
     labels = write_las(tmp_path / "labels.las", drive, np.arange(N), **extra)
     drive.time = drive.time + 100.0000004
-    registered = write_las(tmp_path / "registered.las", drive, np.arange(N), head=(rest % 3).astype(np.uint8))
-    options = ["--match", "time", "--tolerance", "1e-6", "--time-offset", "100", "--same", "head",
-               "--dimension", "mine", "--carry", "segment_id", "--min-matched", "0.9"]  # fmt: skip
+    registered = write_las(
+        tmp_path / "registered.las", drive, np.arange(N), head=(rest % 3).astype(np.uint8)
+    )
+    options = [
+        "--match",
+        "time",
+        "--tolerance",
+        "1e-6",
+        "--time-offset",
+        "100",
+        "--same",
+        "head",
+        "--dimension",
+        "mine",
+        "--carry",
+        "segment_id",
+        "--min-matched",
+        "0.9",
+    ]
     result = prc("transfer", labels, registered, tmp_path / "out.laz", "-q", *options)
     assert (result.code, result.err) == (0, "")
     las = laspy.read(tmp_path / "out.laz")
     assert np.array_equal(las.classification, drive.codes)
     assert np.array_equal(las["segment_id"], rest)
-    result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--time-offset", "100")
+    result = prc(
+        "transfer", labels, registered, tmp_path / "other.las", "-q", "--time-offset", "100"
+    )
     assert (result.code, result.err.count("\n")) == (1, 1)
     assert "--tolerance 1e-06" in result.err
-    result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--ignore-return",
-                 "--match", "record:head", "--min-matched", "0.1")  # fmt: skip
+    result = prc(
+        "transfer",
+        labels,
+        registered,
+        tmp_path / "other.las",
+        "-q",
+        "--ignore-return",
+        "--match",
+        "record:head",
+        "--min-matched",
+        "0.1",
+    )
     assert result.code == 0
 
 
@@ -557,13 +766,24 @@ def test_transfer_with_a_layout_and_wrong_usage(
 ) -> None:
     drive, labels, _, registered = transferred
     layout = tmp_path / "layout.toml"
-    layout.write_text('[layout]\nfields = [{name = "time", type = "f8"}, {name = "range", type = "f4"}]\n')
+    layout.write_text(
+        '[layout]\nfields = [{name = "time", type = "f8"}, {name = "range", type = "f4"}]\n'
+    )
     records = np.zeros(N, "<f8,<f4")
     records["f0"] = drive.time
     records.tofile(tmp_path / "drive.bin")
     np.save(tmp_path / "whole.npy", drive.codes)
-    result = prc("transfer", tmp_path / "whole.npy", registered, tmp_path / "out.las", "-q",
-                 "--points", tmp_path / "drive.bin", "--layout", layout)  # fmt: skip
+    result = prc(
+        "transfer",
+        tmp_path / "whole.npy",
+        registered,
+        tmp_path / "out.las",
+        "-q",
+        "--points",
+        tmp_path / "drive.bin",
+        "--layout",
+        layout,
+    )
     assert (result.code, result.err) == (0, "")
     for options, code, text in (
         (["--match", "space"], 2, "--match: found 'space'"),
@@ -588,6 +808,10 @@ def test_a_missing_choice_is_listed_in_one_line(prc: Prc, command: tuple[str, ..
 @pytest.mark.parametrize("width", ["60", "80", "100"])
 def test_names_of_scanners_are_whole_in_a_narrow_terminal(width: str) -> None:
     command = [sys.executable, "-m", "prc_cli", "simulate", "scanners"]
-    found = patience.run(command, env={**os.environ, "COLUMNS": width}, capture_output=True, text=True)
-    assert {line.split()[1] for line in found.stdout.splitlines() if line.startswith("│")} >= set(SCANNERS)
+    found = patience.run(
+        command, env={**os.environ, "COLUMNS": width}, capture_output=True, text=True
+    )
+    assert {line.split()[1] for line in found.stdout.splitlines() if line.startswith("│")} >= set(
+        SCANNERS
+    )
     assert "…" not in found.stdout

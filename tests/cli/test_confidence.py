@@ -44,7 +44,13 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
     command = ("evaluate", labels, folder / "truth.npy", "--mapping", "street")
     shown = prc(*command, "--by-confidence", "50,90,99")
     assert shown.code == 0
-    for text in ("by confidence", "50-89 %", "99-100 %", "expected calibration error", "of the 90 % with the most"):
+    for text in (
+        "by confidence",
+        "50-89 %",
+        "99-100 %",
+        "expected calibration error",
+        "of the 90 % with the most",
+    ):
         assert text in shown.out
     found = json.loads(prc(*command, "--by-confidence", "50,90,99", "--json").out)
     sure = values(labels)
@@ -64,7 +70,9 @@ def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
     assert result.code == 2
     assert "no confidence in" in result.err
     assert "output.confidence=true" in result.err
-    result = prc("evaluate", folder / "labels.npy", folder / "truth.npy", "--by-confidence", "90,80")
+    result = prc(
+        "evaluate", folder / "labels.npy", folder / "truth.npy", "--by-confidence", "90,80"
+    )
     assert (result.code, "expected whole per cents that rise" in result.err) == (2, True)
 
 
@@ -96,7 +104,14 @@ def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     las.classification[:] = 1
     las.remove_extra_dim("confidence")
     las.write(folder / "registered.laz")
-    command = ("transfer", labels, folder / "registered.laz", folder / "moved.laz", "--match", "record")
+    command = (
+        "transfer",
+        labels,
+        folder / "registered.laz",
+        folder / "moved.laz",
+        "--match",
+        "record",
+    )
     result = prc(*command, "--min-confidence", "95", "--carry", "confidence")
     assert result.code == 0
     assert "their label has a confidence below 95 %" in result.err
@@ -118,7 +133,15 @@ def test_render_draws_it(prc: Prc, folder: Path) -> None:
     for name in ("scan.png", "cloud.png"):
         with Image.open(folder / name) as picture:
             assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 50
-    refused = prc("render", folder / "scan.npz", folder / "no.png", "--preset", "urban", "--steps", "confidence")
+    refused = prc(
+        "render",
+        folder / "scan.npz",
+        folder / "no.png",
+        "--preset",
+        "urban",
+        "--steps",
+        "confidence",
+    )
     assert (refused.code, "no step of prc" in refused.err) == (2, True)
 
 
@@ -127,11 +150,16 @@ def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
         options = ("--preset", preset, *SET[2:])
         result = prc("classify", folder / "scan.npz", folder / "no.csv", *options)
         assert (result.code, result.err.count("\n")) == (2, 1)
-        assert "output.confidence: found a method that does not tell how sure its labels are" in result.err
+        assert (
+            "output.confidence: found a method that does not tell how sure its labels are"
+            in result.err
+        )
         assert not (folder / "no.csv").exists()
 
 
-def test_the_most_confident_of_a_real_strip_are_right(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+def test_the_most_confident_of_a_real_strip_are_right(
+    prc: Prc, real_data: Path, tmp_path: Path
+) -> None:
     strip = real_data / "oakland" / "oakland_1.csv.gz"
     labels = tmp_path / "labels.csv"
     options = ("--preset", "fused", "--set", "output.confidence=true", "-q")

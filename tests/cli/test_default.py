@@ -17,7 +17,16 @@ from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.evidence.test_estimates import forest_lines
 
 M = len(BEAM)
-ANGLES = ("-M", M, "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2", "--set", "input.nadir=0")
+ANGLES = (
+    "-M",
+    M,
+    "--set",
+    "input.angle_start=-150",
+    "--set",
+    "input.angle_step=0.2",
+    "--set",
+    "input.nadir=0",
+)
 
 
 @pytest.fixture
@@ -25,7 +34,12 @@ def scans(tmp_path: Path) -> Path:
     """A folder with a street and a forest as dumps without angles, and as arrays with them."""
     for name, ranges in (("street", street_lines(140)[0]), ("forest", forest_lines(140))):
         ranges.tofile(tmp_path / f"{name}.bin")
-        np.savez(tmp_path / f"{name}.npz", range_m=ranges, zenith_deg=180 - np.abs(np.rad2deg(BEAM)), side=0)
+        np.savez(
+            tmp_path / f"{name}.npz",
+            range_m=ranges,
+            zenith_deg=180 - np.abs(np.rad2deg(BEAM)),
+            side=0,
+        )
         np.savez(tmp_path / f"{name}.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
     return tmp_path
 
@@ -46,7 +60,9 @@ def test_the_default_is_a_preset_and_says_so(
     result = prc("classify", scans / name, scans / "a.npy", *given)
     assert result.code == 0, result.err
     assert f"method: {method} (--preset {preset}): " in result.err
-    assert prc("classify", scans / name, scans / "b.npy", *given, "--preset", preset, "-q").code == 0
+    assert (
+        prc("classify", scans / name, scans / "b.npy", *given, "--preset", preset, "-q").code == 0
+    )
     np.testing.assert_array_equal(np.load(scans / "a.npy"), np.load(scans / "b.npy"))
     record, named = (json.loads((scans / f"{one}.npy.prc.json").read_text()) for one in "ab")
     assert record["assumptions"][0]["key"] == "method"
@@ -61,8 +77,21 @@ def test_the_default_is_a_preset_and_says_so(
 @pytest.mark.slow
 def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
     down = ("--set", "input.nadir=0")
-    for given in (("--segment-ids",), ("--engine", "reference"), ("--set", "prc.support.zeta_p=0.5")):
-        result = prc("classify", scans / "street.npz", scans / "o.npy", "--json", "-q", "--overwrite", *down, *given)
+    for given in (
+        ("--segment-ids",),
+        ("--engine", "reference"),
+        ("--set", "prc.support.zeta_p=0.5"),
+    ):
+        result = prc(
+            "classify",
+            scans / "street.npz",
+            scans / "o.npy",
+            "--json",
+            "-q",
+            "--overwrite",
+            *down,
+            *given,
+        )
         assert result.code == 0, result.err
         assert json.loads(result.out)["config"]["method"] == "prc"
     result = prc("render", scans / "street.npz", scans / "o.png", "--block", "0", *down)
@@ -76,11 +105,25 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     (scans / "in").mkdir()
     for name in ("street.npz", "forest.npz"):
         (scans / name).rename(scans / "in" / name)
-    given = ("batch", scans / "in", scans / "out", "--set", "input.nadir=0", "--jobs", 1, "--to", "npy")
+    given = (
+        "batch",
+        scans / "in",
+        scans / "out",
+        "--set",
+        "input.nadir=0",
+        "--jobs",
+        1,
+        "--to",
+        "npy",
+    )
     result = prc(*given)
     assert result.code == 0, result.err
-    records = {path.name.split(".")[0]: json.loads(path.read_text()) for path in scans.rglob("*.prc.json")}
-    environments = {name: record["config"]["fused"]["environment"] for name, record in records.items()}
+    records = {
+        path.name.split(".")[0]: json.loads(path.read_text()) for path in scans.rglob("*.prc.json")
+    }
+    environments = {
+        name: record["config"]["fused"]["environment"] for name, record in records.items()
+    }
     assert environments == {"street": "urban", "forest": "forest"}
     assert all(record["config"]["method"] == "fused" for record in records.values())
     before = {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")}
@@ -131,7 +174,16 @@ def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scan
     for name, options in (("plain.npy", []), ("with.npy", ["--config", scans / "c.toml"])):
         assert prc("classify", scans / "street.npz", scans / name, *options, "-q").code == 0
     assert (scans / "plain.npy").read_bytes() == (scans / "with.npy").read_bytes()
-    result = prc("calibrate", scans / "street.npz", "--method", "prc", "-o", scans / "c.toml", "--overwrite", "-q")
+    result = prc(
+        "calibrate",
+        scans / "street.npz",
+        "--method",
+        "prc",
+        "-o",
+        scans / "c.toml",
+        "--overwrite",
+        "-q",
+    )
     assert (result.code, load_config(scans / "c.toml").config.method) == (0, "prc")
     np.save(scans / "few.npy", street_lines(140)[0][:, ::12])  # too few columns to measure angles
     result = prc("calibrate", scans / "few.npy", "-o", scans / "c.toml", "--overwrite")
@@ -151,13 +203,22 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
         image, angle = arrays["range_m"], arrays["angle_deg"]
     found = classify_ranges(image, angle_deg=angle + 40)
     np.testing.assert_array_equal(found.codes.ravel(), np.load(scans / "a.npy"))
-    named = classify_ranges(image, load_config(preset="fused", options={"input": {"nadir": 0.0}}), angle_deg=angle)
+    named = classify_ranges(
+        image, load_config(preset="fused", options={"input": {"nadir": 0.0}}), angle_deg=angle
+    )
     np.testing.assert_array_equal(named.labels, classify_ranges(image, beam_rad=BEAM).labels)
     with pytest.raises(InputError, match="expected finite angles of shape"):
         classify_ranges(image, angle_deg=angle[1:])
     matrix = prc_cli.evaluate(scans / "a.npy", scans / "b.npy")
     assert "car" in matrix.reference_names, "the mapping of fused"
-    for each in (run, matrix, run.record, load_config(), load_config(preset="forest").config, found):
+    for each in (
+        run,
+        matrix,
+        run.record,
+        load_config(),
+        load_config(preset="forest").config,
+        found,
+    ):
         assert (repr(each).count("\n"), len(repr(each)) < 300) == (0, True)
 
 

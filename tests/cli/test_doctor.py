@@ -35,7 +35,9 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 
 
 @pytest.mark.slow
-def test_this_installation_is_sound_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_this_installation_is_sound_from_end_to_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, out, _ = run(capsys, "--json", "--out", str(tmp_path / "new" / "folder"))
     found = json.loads(out)
     by_name = {check["name"]: check for check in found["checks"]}
@@ -57,8 +59,12 @@ def test_bounds_come_from_the_installed_metadata() -> None:
             assert found[name]["found"] == metadata.version(name)
 
 
-def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metadata, "requires", lambda name: ["numpy>=999.1", "no-such-thing>=2", "click>=8"])
+def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        metadata, "requires", lambda name: ["numpy>=999.1", "no-such-thing>=2", "click>=8"]
+    )
     found = checks()["packages"]
     assert found.status == "bad"
     assert "no-such-thing missing (expected 2 or newer)" in found.found
@@ -79,7 +85,9 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
     assert "differ" in found.found
 
 
-def test_a_file_system_without_locks_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_system_without_locks_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fcntl = pytest.importorskip("fcntl")
     assert checks(tmp_path)["locks in it"].status == "ok"
 
@@ -94,9 +102,20 @@ def test_a_file_system_without_locks_is_said(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.slow
 @pytest.mark.parametrize("package", ["lazrs", "numba"])
-def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_path: Path, package: str) -> None:
+def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(
+    tmp_path: Path, package: str
+) -> None:
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
-    command = [sys.executable, "-m", "prc_cli", "doctor", "--no-run", "--json", "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-m",
+        "prc_cli",
+        "doctor",
+        "--no-run",
+        "--json",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     ended = patience.run(command, env=environment, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (1, "")
@@ -130,7 +149,9 @@ def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
 
 def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> ClassifiedRanges:
-        return ClassifiedRanges(np.full(range_m.shape, engine == "compiled", np.uint8), ClassCodes())
+        return ClassifiedRanges(
+            np.full(range_m.shape, engine == "compiled", np.uint8), ClassCodes()
+        )
 
     monkeypatch.setattr("prc_cli.jobs.classify.classify_ranges", wrong)
     monkeypatch.setattr(doctor, "COMPARED", {"forest": doctor.COMPARED["forest"]})

@@ -48,11 +48,23 @@ def save(folder: Path, name: str, predicted: list[int], reference: list[int]) ->
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["--output", "report.pdf"], 2, "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .tex"),
+        (
+            ["--output", "report.pdf"],
+            2,
+            "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .tex",
+        ),
         (["--output", "none/report.md"], 1, "none: output folder does not exist"),
         (["--output", "r.md", "--output", "r.md"], 2, "r.md: found one output twice"),
-        (["--output", "reference/a.csv", "--overwrite"], 2, "reference/a.csv: the output is the input itself"),
-        (["--by-range", "5,3"], 2, "--by-range: found '5,3', expected ranges in metres that rise, such as 5,10,20,40"),
+        (
+            ["--output", "reference/a.csv", "--overwrite"],
+            2,
+            "reference/a.csv: the output is the input itself",
+        ),
+        (
+            ["--by-range", "5,3"],
+            2,
+            "--by-range: found '5,3', expected ranges in metres that rise, such as 5,10,20,40",
+        ),
         (["--by-range", "5,,8"], 2, "--by-range: found '5,,8'"),
         (["--by-range", "-5,8"], 2, "--by-range: found '-5,8'"),
         (["--by-range", "5,nan"], 2, "--by-range: found '5,nan'"),
@@ -60,7 +72,11 @@ def save(folder: Path, name: str, predicted: list[int], reference: list[int]) ->
         (["--min-matched", "1.5"], 2, "--min-matched"),
         (["--picture", "x.png"], 2, "--picture: pictures have their place in the HTML page alone"),
         (["--picture", "none.png", "--output", "r.html"], 1, "none.png: cannot be read"),
-        (["--picture", "reference/a.csv", "--output", "r.html"], 1, "reference/a.csv: is no PNG picture"),
+        (
+            ["--picture", "reference/a.csv", "--output", "r.html"],
+            1,
+            "reference/a.csv: is no PNG picture",
+        ),
         (["--fail-under", "recall.road=1", "--output", "r.html"], 2, "score: found class 'road'"),
         (
             ["--fail-under", "recall.noise=1", "--mapping", "oakland"],
@@ -74,7 +90,12 @@ def save(folder: Path, name: str, predicted: list[int], reference: list[int]) ->
     ],
 )
 def test_refusals_are_one_line_and_leave_nothing(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], code: int, message: str
+    prc: Prc,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     save(tmp_path, "a", [2, 6], [2, 6])
@@ -124,14 +145,25 @@ def test_codes_of_one_kind_of_data_have_the_mapping_of_the_method(prc: Prc, tmp_
     for method, kind in ((None, ""), ("fused", "street_"), ("sequential-angle", "street_scan_")):
         if method:
             record(tmp_path / "a.npy", method, fused={"environment": "urban"})
-        for name, mapping in (("a.label", f"{kind or 'semantic_'}kitti"), ("oakland.npy", f"{kind}oakland")):
+        for name, mapping in (
+            ("a.label", f"{kind or 'semantic_'}kitti"),
+            ("oakland.npy", f"{kind}oakland"),
+        ):
             code, out, err = prc(tmp_path / "a.npy", tmp_path / name, "--json")
-            assert (code, json.loads(out)["mapping"], "it lists the reference's codes" in err) == (0, mapping, True)
+            assert (code, json.loads(out)["mapping"], "it lists the reference's codes" in err) == (
+                0,
+                mapping,
+                True,
+            )
     np.save(tmp_path / "a.npy", np.zeros(3, np.uint8))
-    assert "none of 3 records has a class to score" in prc(tmp_path / "a.npy", tmp_path / "a.npy")[2]
+    assert (
+        "none of 3 records has a class to score" in prc(tmp_path / "a.npy", tmp_path / "a.npy")[2]
+    )
 
 
-def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc: Prc, tmp_path: Path) -> None:
+def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
+    prc: Prc, tmp_path: Path
+) -> None:
     for name in ("a", "b"):
         save(tmp_path, name, [2, 2, 65, 66], [2, 2, 65, 5])
         record(tmp_path / "run" / f"{name}.npy", "fused", fused={"environment": "urban"})
@@ -141,7 +173,9 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc: Prc,
     found = prc(tmp_path / "run", tmp_path / "reference", "--json")
     assert (json.loads(found[1])["mapping"], found[2]) == ("prc", "")
     (tmp_path / "run" / "b.npy.prc.json").write_text("[" * 100_000)
-    assert json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])["mapping"] == "prc"
+    assert (
+        json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])["mapping"] == "prc"
+    )
 
 
 @pytest.mark.parametrize(
@@ -170,7 +204,9 @@ def test_two_methods_are_compared_in_the_classes_of_both(
 
 def test_a_reference_of_class_names_is_read(prc: Prc, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([2, 6, 65], np.uint8))
-    (tmp_path / "names.csv").write_text("record,class\n0,ground\n1,building\n2,car\n", encoding="utf-8")
+    (tmp_path / "names.csv").write_text(
+        "record,class\n0,ground\n1,building\n2,car\n", encoding="utf-8"
+    )
     code, out, _ = prc(tmp_path / "a.npy", tmp_path / "names.csv", "--mapping", "street", "--json")
     assert (code, json.loads(out)["overall"]["accuracy"]) == (0, 1.0)
 
@@ -205,9 +241,14 @@ def test_rows_with_record_numbers_are_paired_by_them(prc: Prc, tmp_path: Path, f
     assert "matched by record number" in out
 
 
-def test_numbers_from_one_and_two_files_in_one_other_order_are_in_order(prc: Prc, tmp_path: Path) -> None:
+def test_numbers_from_one_and_two_files_in_one_other_order_are_in_order(
+    prc: Prc, tmp_path: Path
+) -> None:
     np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
-    assert "Matched by order" in prc(rows(tmp_path / "p.csv", CODES, list(range(8)), 1), tmp_path / "r.npy")[1]
+    assert (
+        "Matched by order"
+        in prc(rows(tmp_path / "p.csv", CODES, list(range(8)), 1), tmp_path / "r.npy")[1]
+    )
     both = rows(tmp_path / "p.csv", CODES, SHUFFLED), rows(tmp_path / "r.csv", CODES, SHUFFLED)
     assert "accuracy 1.000" in prc(*both)[1]
 
@@ -225,7 +266,9 @@ def test_lengths_are_compared_before_anything_is_read(
     """Equal labels take no bytes in a table: a small file may hold any number."""
     np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
     pq.write_table(pa.table({"class": np.full(9, 2, np.uint8)}), tmp_path / "p.parquet")
-    monkeypatch.setattr("prc_cli.formats.tables.read.read_batches", lambda *arguments: pytest.fail("it is read"))
+    monkeypatch.setattr(
+        "prc_cli.formats.tables.read.read_batches", lambda *arguments: pytest.fail("it is read")
+    )
     code, _, err = prc(tmp_path / "p.parquet", tmp_path / "r.npy", "--mapping", "prc")
     assert code == 1
     assert "9 records, but" in err
@@ -255,7 +298,9 @@ def test_odd_trees_and_areas_are_refused_in_one_line(
 ) -> None:
     make_las(tmp_path / "a.las", 6, n=20)
     (tmp_path / name).write_text(text)
-    code, _, err = prc(tmp_path / "a.las", tmp_path / "a.las", "--match", "nearest", option, tmp_path / name)
+    code, _, err = prc(
+        tmp_path / "a.las", tmp_path / "a.las", "--match", "nearest", option, tmp_path / name
+    )
     assert code == 1
     assert message in err
     assert err.count("\n") == 1

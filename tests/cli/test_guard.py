@@ -44,15 +44,21 @@ cli.main()
 """
 
 
-def prc(*words: str | Path, guarded: bool = True, **options: object) -> subprocess.CompletedProcess[str]:
+def prc(
+    *words: str | Path, guarded: bool = True, **options: object
+) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), guard.SWITCH: "1" if guarded else "0"}
     command = [sys.executable, "-m", "prc_cli", *map(str, words)]
-    return patience.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, **options)
+    return patience.run(
+        command, capture_output=True, text=True, env=environment, cwd=ROOT, **options
+    )
 
 
 def crashed(number: int, *words: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", CRASH, str(number), *map(str, words)]
-    return patience.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    return patience.run(
+        command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGKILL])
@@ -62,7 +68,9 @@ def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None
     assert ended.returncode == 1
     first, line, *rest = ended.stderr.splitlines()
     assert (first, rest) == ("from Python", [])
-    assert line.startswith(f"error: {tmp_path}/a\\x1b.laz: the process that read it was ended by signal {int(number)}")
+    assert line.startswith(
+        f"error: {tmp_path}/a\\x1b.laz: the process that read it was ended by signal {int(number)}"
+    )
     assert "it said: thread overflowed\\x1b[2J its stack; no output was left behind; " in line
     assert ("memory is short" in line) == (number == signal.SIGKILL)
     assert os.listdir(tmp_path) == ["a\x1b.laz"]
@@ -71,7 +79,9 @@ def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1])
-def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_of_somebody_ends_it_as_it_would_without(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     ended = crashed(number, "classify", tmp_path / "a.laz", tmp_path / "o.laz")
     assert (ended.returncode, ended.stderr) == (-number, "from Python\n")
     assert os.listdir(tmp_path) == []
@@ -79,7 +89,12 @@ def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path: Path, number
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words", [("info", "{case}"), ("classify", "{case}", "{out}/o.laz", *URBAN), ("convert", "{case}", "{out}/o.las")]
+    "words",
+    [
+        ("info", "{case}"),
+        ("classify", "{case}", "{out}/o.laz", *URBAN),
+        ("convert", "{case}", "{out}/o.las"),
+    ],
 )
 def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> None:
     case, out = tmp_path / "a.laz", tmp_path / "out"
@@ -91,11 +106,15 @@ def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> No
     else:
         assert ended.returncode == 1
         # a busy machine is told that loading takes long
-        (line,) = [one for one in ended.stderr.splitlines() if not one.startswith("loading the classifier")]
+        (line,) = [
+            one for one in ended.stderr.splitlines() if not one.startswith("loading the classifier")
+        ]
         assert line.startswith(f"error: {case}: the process that read it was ended by signal")
     assert os.listdir(out) == []
     if words[0] == "convert":
-        assert prc(*(word.format(case=case, out=out) for word in words), guarded=False).returncode < 0
+        assert (
+            prc(*(word.format(case=case, out=out) for word in words), guarded=False).returncode < 0
+        )
 
 
 @pytest.mark.slow
@@ -112,19 +131,27 @@ def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_bytes(seed("a.npz"))
-    found = [prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)]
+    found = [
+        prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)
+    ]
     assert found[0].stdout == found[1].stdout != ""
     assert prc("info", "--no-such-option").returncode == 2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)])
+@pytest.mark.parametrize(
+    ("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)]
+)
 def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> None:
     """As ``kill`` and a scheduler send them: to the process that was started, or to all of its group."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
     with patience.start(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment,
     ) as process:
         assert process.stdin is not None
         process.stdin.write(np.ones((400, 40), "<f4").tobytes())
@@ -168,27 +195,38 @@ cli.main()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("numbers", [(signal.SIGTERM,), (signal.SIGINT,), (signal.SIGINT, signal.SIGTERM)])
-def test_a_library_that_never_returns_ends_all_the_same(tmp_path: Path, numbers: tuple[signal.Signals, ...]) -> None:
+@pytest.mark.parametrize(
+    "numbers", [(signal.SIGTERM,), (signal.SIGINT,), (signal.SIGINT, signal.SIGTERM)]
+)
+def test_a_library_that_never_returns_ends_all_the_same(
+    tmp_path: Path, numbers: tuple[signal.Signals, ...]
+) -> None:
     """After one signal and some patience, or at once after the second."""
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "600", "info", str(tmp_path / "a.db3")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with patience.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+    with patience.start(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
         assert process.stdout is not None
         process.stdout.read(1)
         for number in numbers:
             os.kill(process.pid, number)
             time.sleep(2 * guard.REPEATED_S)
         _, said = process.communicate()
-        assert (process.returncode, said) == (128 + numbers[0], b"error: interrupted; no output was left behind\n")
+        assert (process.returncode, said) == (
+            128 + numbers[0],
+            b"error: interrupted; no output was left behind\n",
+        )
 
 
 @pytest.mark.slow
 def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "1", "info", str(tmp_path / "a.db3")]
-    ended = patience.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    ended = patience.run(
+        command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
     said = f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time; no output was left behind"
     assert (ended.returncode, ended.stderr.startswith(said)) == (1, True), ended.stderr
 
@@ -196,7 +234,9 @@ def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
     path = huge_page(tmp_path / "a.parquet")
-    ended = prc("evaluate", path, path, "--predicted-dimension", "range", "--reference-dimension", "range")
+    ended = prc(
+        "evaluate", path, path, "--predicted-dimension", "range", "--reference-dimension", "range"
+    )
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr
     assert f"{path}: record 0 and on cannot be read (malloc of size" in ended.stderr
 
@@ -205,13 +245,17 @@ def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
 def test_the_work_ends_with_its_guard() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
-    with patience.start(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
+    with patience.start(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+    ) as process:
         place = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         patience.wait_until(lambda: place.read_text().split(), "the child")
         (child,) = place.read_text().split()
         time.sleep(0.2)  # it asks to be ended with its parent first of all
         process.kill()
-        patience.wait_until(lambda: not Path(f"/proc/{child}/cmdline").exists() or not _runs(child), "its end")
+        patience.wait_until(
+            lambda: not Path(f"/proc/{child}/cmdline").exists() or not _runs(child), "its end"
+        )
 
 
 def _runs(process: str) -> bool:
@@ -223,12 +267,25 @@ def _runs(process: str) -> bool:
 
 def test_every_command_that_reads_files_is_guarded() -> None:
     assert set(COMMANDS) > guard.UNGUARDED
-    assert not guard.UNGUARDED & {"info", "classify", "batch", "stream", "evaluate", "transfer", "convert", "thin"}
+    assert not guard.UNGUARDED & {
+        "info",
+        "classify",
+        "batch",
+        "stream",
+        "evaluate",
+        "transfer",
+        "convert",
+        "thin",
+    }
 
 
 def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
     command = [sys.executable, "-m", "prc_cli", *arguments]
-    done = patience.run(["sh", "-c", f'"$@" {redirection}', "sh", *command], input=bytes(4 * 90), capture_output=True)
+    done = patience.run(
+        ["sh", "-c", f'"$@" {redirection}', "sh", *command],
+        input=bytes(4 * 90),
+        capture_output=True,
+    )
     return done.returncode, done.stdout, done.stderr.decode()
 
 

@@ -39,9 +39,17 @@ def cloud(tmp_path_factory: pytest.TempPathFactory, corridor: Corridor) -> Path:
 def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
     result = prc("info", cloud, "--range", "points")
     said = " ".join(result.out.split())
-    for words in ("m/s (median)", "m above the ground", "lines a second", "mm off their beams", "stand on their"):
+    for words in (
+        "m/s (median)",
+        "m above the ground",
+        "lines a second",
+        "mm off their beams",
+        "stand on their",
+    ):
         assert words in said, words
-    (figures,) = json.loads(prc("info", cloud, "--range", "points", "--json").out)["path_found"]["passes"]
+    (figures,) = json.loads(prc("info", cloud, "--range", "points", "--json").out)["path_found"][
+        "passes"
+    ]
     assert figures["lines_hz"] == pytest.approx(LINES_HZ, rel=2e-4)
     assert figures["shots_hz"] == pytest.approx(SHOTS_HZ, rel=1e-4)
     assert figures["points_per_line"] == SHOTS_HZ / LINES_HZ
@@ -69,13 +77,17 @@ def off_m(path: Path, crs: str | None = None) -> float:
     return float(np.abs(trajectory.xyz_m - stations(trajectory.time_s - BEGIN_S)).max())
 
 
-def test_the_path_is_written_with_its_uncertainty_and_read_again(prc: Prc, cloud: Path, tmp_path: Path) -> None:
+def test_the_path_is_written_with_its_uncertainty_and_read_again(
+    prc: Prc, cloud: Path, tmp_path: Path
+) -> None:
     output = tmp_path / "path.csv"
     assert prc("info", cloud, "--range", "points", "--path", output).code == 0
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert off_m(output) < 0.02
     assert 0.0 < np.median(table["sigma_x"]) < 0.01
-    told = json.loads(prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out)
+    told = json.loads(
+        prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out
+    )
     assert not told["problem"]
     before = output.read_bytes()
     refused = prc("info", cloud, "--range", "points", "--path", output)
@@ -85,7 +97,9 @@ def test_the_path_is_written_with_its_uncertainty_and_read_again(prc: Prc, cloud
     assert prc("info", cloud, "--range", "points", "--path", output, "--overwrite").code == 0
 
 
-def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(prc: Prc, cloud: Path, tmp_path: Path) -> None:
+def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(
+    prc: Prc, cloud: Path, tmp_path: Path
+) -> None:
     output = tmp_path / "path.sbet"
     assert prc("info", cloud, "--range", "points", "--path", output).code == 0
     assert off_m(output, f"EPSG:{EPSG}") < 0.02
@@ -109,7 +123,13 @@ def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(prc: Prc, clou
     ],
 )
 def test_a_path_that_cannot_be_written_is_refused(
-    prc: Prc, tmp_path: Path, corridor: Corridor, name: str, words: tuple[str, ...], code: int, said: str
+    prc: Prc,
+    tmp_path: Path,
+    corridor: Corridor,
+    name: str,
+    words: tuple[str, ...],
+    code: int,
+    said: str,
 ) -> None:
     cloud = write_cloud(tmp_path / "local.las", corridor)
     result = prc("info", cloud, *words, "--path", tmp_path / name)
@@ -118,15 +138,26 @@ def test_a_path_that_cannot_be_written_is_refused(
     assert [file.name for file in tmp_path.iterdir()] == ["local.las"]
 
 
-def test_a_path_never_replaces_an_input(prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor) -> None:
+def test_a_path_never_replaces_an_input(
+    prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor
+) -> None:
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     before = trajectory.read_bytes()
-    words = ("--range", f"trajectory:{trajectory}", "--check-path", "--path", trajectory, "--overwrite")
+    words = (
+        "--range",
+        f"trajectory:{trajectory}",
+        "--check-path",
+        "--path",
+        trajectory,
+        "--overwrite",
+    )
     assert prc("info", cloud, *words).code == 2
     assert trajectory.read_bytes() == before
 
 
-def test_the_path_of_a_cloud_in_feet_is_in_feet(prc: Prc, corridor: Corridor, tmp_path: Path) -> None:
+def test_the_path_of_a_cloud_in_feet_is_in_feet(
+    prc: Prc, corridor: Corridor, tmp_path: Path
+) -> None:
     foot = 1200 / 3937
     cloud = write_cloud(tmp_path / "feet.las", corridor, epsg=2263, metres=foot)
     output = tmp_path / "path.csv"
@@ -149,7 +180,9 @@ def test_two_passes_are_one_path_with_a_gap(prc: Prc, tmp_path: Path) -> None:
     assert told["method"] == "fused"
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert sorted(set(table["pass"])) == [0, 1]
-    again = json.loads(prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out)
+    again = json.loads(
+        prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out
+    )
     assert "gap" not in again["problem"]
     assert "outside" not in again["problem"]
 
@@ -180,7 +213,9 @@ def test_other_coordinates_are_refused_with_the_command_that_does_without(
     prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor
 ) -> None:
     trajectory = write_trajectory(tmp_path / "moved.csv", corridor, moved_m=(1000.0, -500.0, 0.0))
-    told = json.loads(prc("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json").out)
+    told = json.loads(
+        prc("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json").out
+    )
     assert "moved by x -1,000.0, y 500.0, z 0.0 m" in told["problem"]
     assert told["command"].endswith("--range points")
     assert not told["classifiable"]

@@ -36,16 +36,37 @@ def las(path: Path, version: str = "1.4") -> Path:
 
 def ply(path: Path, **changes: Any) -> Path:
     angle = angles()[COLUMN]
-    values = {"x": 0.2 * LINE, "y": RANGE * np.sin(angle), "z": -RANGE * np.cos(angle), "range": RANGE}
-    values |= {"scan_line": LINE, "column": COLUMN, "intensity": np.linspace(0, 1, len(LINE)), **changes}
-    table = np.empty(len(LINE), [(name, "u4" if name in ("scan_line", "column") else "f8") for name in values])
+    values = {
+        "x": 0.2 * LINE,
+        "y": RANGE * np.sin(angle),
+        "z": -RANGE * np.cos(angle),
+        "range": RANGE,
+    }
+    values |= {
+        "scan_line": LINE,
+        "column": COLUMN,
+        "intensity": np.linspace(0, 1, len(LINE)),
+        **changes,
+    }
+    table = np.empty(
+        len(LINE), [(name, "u4" if name in ("scan_line", "column") else "f8") for name in values]
+    )
     for name, column in values.items():
         table[name] = column
     plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")]).write(path)
     return path
 
 
-OPTIONS = ("--preset", "fused", "--set", "input.angle_start=0", "--set", "input.angle_step=2", "--set", "input.nadir=0")
+OPTIONS = (
+    "--preset",
+    "fused",
+    "--set",
+    "input.angle_start=0",
+    "--set",
+    "input.angle_step=2",
+    "--set",
+    "input.nadir=0",
+)
 
 
 def test_records_behind_the_count_of_the_header_are_a_warning(prc: Prc, tmp_path: Path) -> None:
@@ -79,7 +100,13 @@ def test_intensities_from_0_to_1_keep_their_steps(prc: Prc, tmp_path: Path) -> N
     assert "intensities from 0 to 1 are written as 0 to 65535" in found.err
     written = np.asarray(laspy.read(tmp_path / "a.las").intensity)
     np.testing.assert_allclose(written / 65535, np.linspace(0, 1, len(LINE)), atol=1e-5)
-    prc("classify", ply(tmp_path / "b.ply", intensity=np.arange(len(LINE)) % 2), tmp_path / "b.las", "-q", *OPTIONS)
+    prc(
+        "classify",
+        ply(tmp_path / "b.ply", intensity=np.arange(len(LINE)) % 2),
+        tmp_path / "b.las",
+        "-q",
+        *OPTIONS,
+    )
     assert set(np.asarray(laspy.read(tmp_path / "b.las").intensity)) == {0, 1}
 
 
@@ -100,7 +127,9 @@ def test_a_single_damaged_coordinate_is_counted(prc: Prc, tmp_path: Path, value:
 def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> None:
     points = grid_points(12, 30)
     turn = turn_x(180)
-    text = ptx_scan(points, shift=(6500, 4500, 120)) + ptx_scan(points, rotation=turn, shift=(6540, 4500, 120))
+    text = ptx_scan(points, shift=(6500, 4500, 120)) + ptx_scan(
+        points, rotation=turn, shift=(6540, 4500, 120)
+    )
     (tmp_path / "two.ptx").write_text(text)
     found = prc("classify", tmp_path / "two.ptx", tmp_path / "two.las", "-q", "--preset", "urban")
     assert found.code in (0, 4), found.err
@@ -115,16 +144,24 @@ def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> No
 
 def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
     shape = np.arange(IMAGE.size).reshape(IMAGE.shape)
-    rows = np.full(IMAGE.size, np.nan, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("range", "f4"), ("normal", "f4", 2)])
+    rows = np.full(
+        IMAGE.size,
+        np.nan,
+        [("x", "f4"), ("y", "f4"), ("z", "f4"), ("range", "f4"), ("normal", "f4", 2)],
+    )
     rows["x"], rows["range"] = 0.2 * (shape // IMAGE.shape[1]).ravel(), IMAGE.ravel()
     rows["y"], rows["z"] = (IMAGE * np.sin(angles())).ravel(), (-IMAGE * np.cos(angles())).ravel()
-    head = "VERSION 0.7\nFIELDS x y z range normal\nSIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 1 2\n"
+    head = (
+        "VERSION 0.7\nFIELDS x y z range normal\nSIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 1 2\n"
+    )
     head += f"WIDTH {IMAGE.shape[1]}\nHEIGHT {len(IMAGE)}\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {IMAGE.size}\nDATA binary\n"
     (tmp_path / "a.pcd").write_bytes(head.encode() + rows.tobytes())
     found = prc("classify", tmp_path / "a.pcd", tmp_path / "b.pcd", *OPTIONS)
     assert found.code in (0, 4), found.err
     written = (tmp_path / "b.pcd").read_bytes()[:900].decode("latin-1").splitlines()
-    assert {f"WIDTH {IMAGE.shape[1]}", f"HEIGHT {len(IMAGE)}", "VIEWPOINT 1 2 3 1 0 0 0"} <= set(written)
+    assert {f"WIDTH {IMAGE.shape[1]}", f"HEIGHT {len(IMAGE)}", "VIEWPOINT 1 2 3 1 0 0 0"} <= set(
+        written
+    )
     assert "not kept: field normal as one field" in found.err
 
 

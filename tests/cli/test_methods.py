@@ -53,7 +53,9 @@ def e57(folder: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [npz, ptx, e57])
-def test_every_format_of_a_scan_gets_the_same_labels(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
+def test_every_format_of_a_scan_gets_the_same_labels(
+    prc: Prc, tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
     source = make(tmp_path)
     labels = tmp_path / "labels.npy"
     result = prc("classify", source, labels, "--preset", "street-scan")
@@ -63,7 +65,15 @@ def test_every_format_of_a_scan_gets_the_same_labels(prc: Prc, tmp_path: Path, m
     found = np.load(labels)
     np.testing.assert_array_equal(found, np.load(tmp_path / "first.npy"))
     np.save(tmp_path / "reference.npy", points()[2].ravel())
-    result = prc("evaluate", labels, tmp_path / "reference.npy", "--mapping", "street_scan", "--format", "markdown")
+    result = prc(
+        "evaluate",
+        labels,
+        tmp_path / "reference.npy",
+        "--mapping",
+        "street_scan",
+        "--format",
+        "markdown",
+    )
     assert result.code == 0, result.err
     assert "| car " in result.out
     codes = ClassCodes()
@@ -94,7 +104,11 @@ def registered(folder: Path) -> Path:
     """Coordinates of a country's system beside ranges: no origin is known."""
     grid = points()[0][..., :3]
     ranges = np.linalg.norm(grid, axis=2)
-    np.savez(folder / "scan.npz", range_m=np.where(ranges > 0, ranges, np.nan), xyz=grid + np.array([3.5e5, 5.7e6, 80]))
+    np.savez(
+        folder / "scan.npz",
+        range_m=np.where(ranges > 0, ranges, np.nan),
+        xyz=grid + np.array([3.5e5, 5.7e6, 80]),
+    )
     return folder / "scan.npz"
 
 
@@ -121,7 +135,9 @@ REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("make", "words"), REFUSED, ids=lambda value: getattr(value, "__name__", ""))
+@pytest.mark.parametrize(
+    ("make", "words"), REFUSED, ids=lambda value: getattr(value, "__name__", "")
+)
 def test_one_clear_line_and_nothing_left(
     prc: Prc, tmp_path: Path, make: Callable[[Path], Path], words: list[str]
 ) -> None:
@@ -142,7 +158,9 @@ def two_scans(folder: Path, second: Array) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n_points", [0, 1])
-def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, n_points: int) -> None:
+def test_a_scan_of_nothing_does_no_harm_to_the_others(
+    prc: Prc, tmp_path: Path, n_points: int
+) -> None:
     nothing = np.zeros((20, 30, 4))
     nothing[3, 4] = n_points * np.array([3.0, 4.0, 1.0, 0.5])
     source = two_scans(tmp_path, nothing)
@@ -161,10 +179,26 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, 
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (("--preset", "street-scan", "--method", "prc"), 2, "--preset street-scan is for --method sequential-angle"),
-        (("--preset", "urban", "--method", "sequential-angle"), 2, "--preset urban is for --method prc"),
-        (("--preset", "street-scan", "--set", "sequential_angle.curb.min_lines=201"), 2, "equal to 200"),
-        (("--preset", "street-scan", "--set", "sequential_angle.curb.max_lines=2"), 2, "max_lines = 200"),
+        (
+            ("--preset", "street-scan", "--method", "prc"),
+            2,
+            "--preset street-scan is for --method sequential-angle",
+        ),
+        (
+            ("--preset", "urban", "--method", "sequential-angle"),
+            2,
+            "--preset urban is for --method prc",
+        ),
+        (
+            ("--preset", "street-scan", "--set", "sequential_angle.curb.min_lines=201"),
+            2,
+            "equal to 200",
+        ),
+        (
+            ("--preset", "street-scan", "--set", "sequential_angle.curb.max_lines=2"),
+            2,
+            "max_lines = 200",
+        ),
     ],
 )
 def test_what_contradicts_itself_is_refused(
@@ -177,14 +211,29 @@ def test_what_contradicts_itself_is_refused(
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_ground_that_leans_is_followed_around_the_kitti_frame(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+def test_ground_that_leans_is_followed_around_the_kitti_frame(
+    prc: Prc, real_data: Path, tmp_path: Path
+) -> None:
     config = Path(__file__).resolve().parents[2] / "sample_configs" / "kitti_frame.toml"
     flat = np.isin(np.fromfile(real_data / "kitti" / "000000.label", np.uint32) & 0xFFFF, (40, 48))
     shares = []
     for follow_m in (0.1, 0):
-        output, follow = tmp_path / f"{follow_m}.npy", f"sequential_angle.ground.follow_m={follow_m}"
+        output, follow = (
+            tmp_path / f"{follow_m}.npy",
+            f"sequential_angle.ground.follow_m={follow_m}",
+        )
         frame = real_data / "kitti" / "000000.bin"
-        result = prc("classify", frame, output, "--config", config, "--preset", "street-scan", "--set", follow)
+        result = prc(
+            "classify",
+            frame,
+            output,
+            "--config",
+            config,
+            "--preset",
+            "street-scan",
+            "--set",
+            follow,
+        )
         assert result.code in (0, 4), result.err
         shares.append((np.load(output)[flat] == ClassCodes().ground).mean())
     assert shares[0] > 0.95 > shares[1] + 0.3
@@ -210,14 +259,26 @@ def dump(ranges: F32, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: Path, preset: str) -> None:
-    given = ("--preset", preset, *ANGLES, "--set", "input.nadir=0", "--set", "fused.lines_per_block=32")
+def test_file_array_and_pipe_give_the_same_labels(
+    prc: Prc, ranges: F32, dump: Path, preset: str
+) -> None:
+    given = (
+        "--preset",
+        preset,
+        *ANGLES,
+        "--set",
+        "input.nadir=0",
+        "--set",
+        "fused.lines_per_block=32",
+    )
     out = dump.with_name("labels.npy")
     for threads in ("1", "3"):
         result = prc("classify", dump, out, "--overwrite", "--threads", threads, *given)
         assert result.code == 0, result.err
         config = load_config(preset=preset, options={"fused": {"lines_per_block": 32}})
-        codes = config.config.classes.lookup()[classify_ranges(ranges, config, beam_rad=BEAM).labels]
+        codes = config.config.classes.lookup()[
+            classify_ranges(ranges, config, beam_rad=BEAM).labels
+        ]
         np.testing.assert_array_equal(np.load(out).reshape(ranges.shape), codes)
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", *given]
     with dump.open("rb") as source:
@@ -228,7 +289,9 @@ def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: P
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("shape", [(1, 61), (40, 1), (40, 2), (3, 61)])
 @pytest.mark.parametrize("value", [np.nan, 5.0])
-def test_small_and_dull_images_are_labelled(preset: str, shape: tuple[int, int], value: float) -> None:
+def test_small_and_dull_images_are_labelled(
+    preset: str, shape: tuple[int, int], value: float
+) -> None:
     beam = np.deg2rad(np.linspace(-90, 90, shape[1]) if shape[1] > 1 else [0.0])
     found = classify_ranges(np.full(shape, value), load_config(preset=preset), beam_rad=beam).labels
     assert found.shape == shape
@@ -256,15 +319,21 @@ def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: P
         result = prc("classify", scan, output, "--preset", "fused")
         assert result.code in (0, 4), result.err
         rows = np.genfromtxt(scan, delimiter=",", names=True)
-        cars, found = np.isin(rows["label"], (1500, 1501)), np.load(output).ravel() == lookup[Label.CAR]
+        cars, found = (
+            np.isin(rows["label"], (1500, 1501)),
+            np.load(output).ravel() == lookup[Label.CAR],
+        )
         assert found[cars].mean() > least
         assert cars[found].mean() > 0.9
 
 
 @pytest.mark.parametrize(
-    ("file", "told"), [("ros/sick_lms1xx_ros1.bag", ("--set", "input.nadir=0")), ("organised/pumpA.e57", ())]
+    ("file", "told"),
+    [("ros/sick_lms1xx_ros1.bag", ("--set", "input.nadir=0")), ("organised/pumpA.e57", ())],
 )
-def test_rooms_are_doubted(prc: Prc, tmp_path: Path, real_data: Path, file: str, told: tuple[str, ...]) -> None:
+def test_rooms_are_doubted(
+    prc: Prc, tmp_path: Path, real_data: Path, file: str, told: tuple[str, ...]
+) -> None:
     """A laser that turns level in a room, and a pump."""
     output = tmp_path / "labels.npy"
     result = prc("classify", real_data / file, output, "--preset", "fused", *told)

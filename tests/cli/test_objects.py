@@ -24,7 +24,10 @@ def forest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     options = {"lines": 200, "sight_m": 25.0, "seed": 930, "scanner": {"points_per_line": 1424}}
     simulate(
-        "forest", folder / "walk.laz", load_settings("forest", options=options), beside=Beside(stems=folder / "s.csv")
+        "forest",
+        folder / "walk.laz",
+        load_settings("forest", options=options),
+        beside=Beside(stems=folder / "s.csv"),
     )
     return folder
 
@@ -35,14 +38,24 @@ def rows(text: str) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
-    result = prc("objects", forest / "walk.laz", "--preset", "fused-forest", "-o", forest / "o.csv", "--overwrite")
+    result = prc(
+        "objects",
+        forest / "walk.laz",
+        "--preset",
+        "fused-forest",
+        "-o",
+        forest / "o.csv",
+        "--overwrite",
+    )
     assert result.code == 0, result.err
     assert "stems in 200 lines" in result.err
     found = rows((forest / "o.csv").read_text())
     assert list(found[0]) == list(COLUMNS)
     assert [int(row["id"]) for row in found] == list(range(len(found)))
     assert {row["kind"] for row in found} == {"stem"}
-    stems = np.array([[float(row["x_m"]), float(row["y_m"])] for row in rows((forest / "s.csv").read_text())])
+    stems = np.array(
+        [[float(row["x_m"]), float(row["y_m"])] for row in rows((forest / "s.csv").read_text())]
+    )
     at = np.array([[float(row["x"]), float(row["y"])] for row in found])
     off = np.linalg.norm(at[:, None] - stems[None], axis=2).min(axis=1)
     assert np.median(off) < 0.5
@@ -69,16 +82,32 @@ def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
 @pytest.mark.slow
 def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: Path) -> None:
     result = prc("objects", forest / "walk.laz")
-    assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), result.err
+    assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), (
+        result.err
+    )
     assert {row["kind"] for row in rows(result.out)} == {"stem"}
-    assert prc("classify", forest / "walk.laz", forest / "urban.laz", "--preset", "urban", "-q").code == 0
+    assert (
+        prc("classify", forest / "walk.laz", forest / "urban.laz", "--preset", "urban", "-q").code
+        == 0
+    )
     result = prc("objects", forest / "urban.laz")
-    assert "note: the file has classes, but none of: stem, pole, car, curb; it is classified anew" in result.err
+    assert (
+        "note: the file has classes, but none of: stem, pole, car, curb; it is classified anew"
+        in result.err
+    )
 
 
 def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
     np.savez(tmp_path / "s.npz", range_m=street_lines(150)[0], angle_deg=np.rad2deg(BEAM))
-    given = ("objects", tmp_path / "s.npz", "--preset", "street-scan", "--set", "input.nadir=0", "-q")
+    given = (
+        "objects",
+        tmp_path / "s.npz",
+        "--preset",
+        "street-scan",
+        "--set",
+        "input.nadir=0",
+        "-q",
+    )
     result = prc(*given, "--kind", "car")
     assert result.code == 0, result.err
     cars = rows(result.out)
@@ -97,14 +126,19 @@ def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
     for given, words in (
         ((*m, "--preset", "urban"), "which tells none of: stem, pole, car, curb"),
         (("-M", 10, "--preset", "fused"), "no vertical direction known"),
-        ((*m, "--preset", "fused", "-o", tmp_path / "o.txt"), "expected one of .csv, .geojson, .parquet"),
+        (
+            (*m, "--preset", "fused", "-o", tmp_path / "o.txt"),
+            "expected one of .csv, .geojson, .parquet",
+        ),
     ):
         result = prc("objects", tmp_path / "s.bin", *given)
         assert result.code in (1, 2)
         assert words in result.err.splitlines()[-1]
     assert not list(tmp_path.glob("o.*"))
     (tmp_path / "o.csv").write_text("mine")
-    result = prc("objects", tmp_path / "s.bin", "-o", tmp_path / "o.csv", "--preset", "fused-forest")
+    result = prc(
+        "objects", tmp_path / "s.bin", "-o", tmp_path / "o.csv", "--preset", "fused-forest"
+    )
     assert (result.code, "exists already" in result.err) == (2, True)
     assert (tmp_path / "o.csv").read_text() == "mine"
 

@@ -19,20 +19,57 @@ from tests.cli.conftest import Prc
 
 READERS, WRITERS = (ReadPath, ReadText), (WritePath, WriteText)
 PLAIN = (
-    click.Choice, click.IntRange, click.FloatRange, click.types.IntParamType, click.types.FloatParamType,
+    click.Choice,
+    click.IntRange,
+    click.FloatRange,
+    click.types.IntParamType,
+    click.types.FloatParamType,
     click.types.BoolParamType,
-)  # fmt: skip
+)
 NO_PATHS = {
-    "--lines", "--columns", "--scanner", "--topic", "--return", "--only-lines", "--only-time", "--first", "--steps",
-    "--labels-dimension", "--reference-dimension", "--predicted-dimension", "--from", "--hide", "--at", "--match",
-    "--height", "--mount", "--by-range", "--by-confidence", "--fail-under", "--include", "--exclude", "--drive",
-    "--shard", "--scheduler", "--to", "--keep-version", "--objective", "--keep", "--spacing", "--drop", "--keep-only",
-    "--dimension", "--same", "--carry",
-}  # fmt: skip
+    "--lines",
+    "--columns",
+    "--scanner",
+    "--topic",
+    "--return",
+    "--only-lines",
+    "--only-time",
+    "--first",
+    "--steps",
+    "--labels-dimension",
+    "--reference-dimension",
+    "--predicted-dimension",
+    "--from",
+    "--hide",
+    "--at",
+    "--match",
+    "--height",
+    "--mount",
+    "--by-range",
+    "--by-confidence",
+    "--fail-under",
+    "--include",
+    "--exclude",
+    "--drive",
+    "--shard",
+    "--scheduler",
+    "--to",
+    "--keep-version",
+    "--objective",
+    "--keep",
+    "--spacing",
+    "--drop",
+    "--keep-only",
+    "--dimension",
+    "--same",
+    "--carry",
+}
 """Texts that never name a file."""
 
 
-def walk(command: click.Command, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+def walk(
+    command: click.Command, names: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], click.Command]]:
     yield names, command
     if isinstance(command, click.Group):
         context = click.Context(command)
@@ -65,12 +102,18 @@ def test_every_option_says_whether_it_reads_or_writes_a_file(name: str) -> None:
 
 def test_there_are_pairs_to_try() -> None:
     tried = {(name, writer.name) for name, _, writer in PAIRS}
-    assert {("classify", "output"), ("batch", "log_json"), ("calibrate", "plot"), ("evaluate", "outputs")} <= tried
+    assert {
+        ("classify", "output"),
+        ("batch", "log_json"),
+        ("calibrate", "plot"),
+        ("evaluate", "outputs"),
+    } <= tried
     assert len(PAIRS) > 100
 
 
 @pytest.mark.parametrize(
-    ("name", "reader", "writer"), [pytest.param(*one, id=f"{one[0]} {one[1].name} {one[2].name}") for one in PAIRS]
+    ("name", "reader", "writer"),
+    [pytest.param(*one, id=f"{one[0]} {one[1].name} {one[2].name}") for one in PAIRS],
 )
 @pytest.mark.parametrize("linked", [False, True])
 def test_no_path_is_both_read_and_written(
@@ -102,7 +145,9 @@ def test_no_path_is_both_read_and_written(
     assert source.read_bytes() == b"input"
 
 
-@pytest.mark.parametrize("text", ["trajectory:{}", "input.range=trajectory:{}", "Title={}", 'input.metadata="{}"'])
+@pytest.mark.parametrize(
+    "text", ["trajectory:{}", "input.range=trajectory:{}", "Title={}", 'input.metadata="{}"']
+)
 def test_files_named_within_texts_are_inputs(tmp_path: Path, text: str) -> None:
     source = tmp_path / "a.csv"
     source.touch()

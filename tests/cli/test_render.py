@@ -19,7 +19,9 @@ def drive(tmp_path: Path) -> Path:
 
 
 def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    result = prc("render", drive, "--html", tmp_path / "a.html", "--shots", 5000, "--hide", "noise", "--json")
+    result = prc(
+        "render", drive, "--html", tmp_path / "a.html", "--shots", 5000, "--hide", "noise", "--json"
+    )
     assert result.code == 0, result.err
     found = json.loads(result.out)
     assert found["files"] == [str(tmp_path / "a.html")]
@@ -43,26 +45,50 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     out = tmp_path / "a.png"
     np.save(tmp_path / "short.npy", np.full(100, 2, np.uint8))
     for options, code, parts in (
-        (["--steps", "coarse"], 2, ["'coarse', which is no step of fused", "possible here: range, intensity, classes"]),
+        (
+            ["--steps", "coarse"],
+            2,
+            ["'coarse', which is no step of fused", "possible here: range, intensity, classes"],
+        ),
         (["--block", 7], 2, ["--block: found 7, expected 0 to 1"]),
         (["--only-lines", "9-12"], 2, ["--only-lines: found '9-12', expected A:B"]),
         (["--only-lines", "500:600"], 2, ["found 500:600, expected A:B within 0:137"]),
         (["--labels", tmp_path / "short.npy"], 1, ["found 100 labels, expected 24,660"]),
         (["--labels", tmp_path / "none.npy"], 1, ["none.npy: no such file"]),
         (["--view", "top"], 1, ["no coordinates for a cloud"]),
-        (["--view", "perspective", "--from", "east"], 2, ["--from: found 'east', expected AZIMUTH,ELEVATION"]),
+        (
+            ["--view", "perspective", "--from", "east"],
+            2,
+            ["--from: found 'east', expected AZIMUTH,ELEVATION"],
+        ),
         (["--view", "perspective", "--from", "10,95"], 2, ["elevation from -90 to 90"]),
         (["--view", "top", "--figure1"], 2, ["--figure1: belongs to the scan view"]),
         (["--figure1", "--method", "sequential-angle"], 2, ["--figure1: belongs to prc"]),
-        (["--html", tmp_path / "b.html"], 2, ["--html: given together with OUT, expected one of them"]),
-        (["--hide", "rain"], 2, ["--hide: found 'rain', expected classes: unclassified, noise, ground"]),
-        (["--mapping", "nothing"], 2, ["class mapping: found 'nothing', expected a .toml file or one of"]),
+        (
+            ["--html", tmp_path / "b.html"],
+            2,
+            ["--html: given together with OUT, expected one of them"],
+        ),
+        (
+            ["--hide", "rain"],
+            2,
+            ["--hide: found 'rain', expected classes: unclassified, noise, ground"],
+        ),
+        (
+            ["--mapping", "nothing"],
+            2,
+            ["class mapping: found 'nothing', expected a .toml file or one of"],
+        ),
     ):
         refused(prc("render", drive, out, "--quiet", *options), code, *parts)
         assert not out.exists()
     refused(prc("render", drive, tmp_path / "a.jpg"), 2, "expected one of: .png .html")
     refused(prc("render", drive, drive), 2, "the output is the input itself")
-    refused(prc("render", drive), 2, "OUT: expected one output, found none; give OUT.png, OUT.html or --html PAGE.html")
+    refused(
+        prc("render", drive),
+        2,
+        "OUT: expected one output, found none; give OUT.png, OUT.html or --html PAGE.html",
+    )
     refused(prc("render", drive, "--html", tmp_path / "b.png"), 2, "expected .html")
     out.write_bytes(b"old")
     refused(prc("render", drive, out), 2, "exists already", "--overwrite")
@@ -74,21 +100,52 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("kitti/000000.bin", ["--preset", "street-scan", "--config", "sample_configs/kitti_frame.toml", "--reference",
-                              "kitti/000000.label", "--mapping", "street_scan_kitti"]),
-        ("kitti/000000.bin", ["--config", "sample_configs/kitti_frame.toml", "--view", "perspective"]),
-        ("oakland/oakland_1.csv.gz", ["--config", "sample_configs/sick_push_broom.toml", "--reference",
-                                      "oakland/oakland_1.csv.gz", "--mapping", "oakland"]),
-        ("oakland/oakland_1.csv.gz", ["--config", "sample_configs/sick_push_broom.toml", "--view", "top"]),
+        (
+            "kitti/000000.bin",
+            [
+                "--preset",
+                "street-scan",
+                "--config",
+                "sample_configs/kitti_frame.toml",
+                "--reference",
+                "kitti/000000.label",
+                "--mapping",
+                "street_scan_kitti",
+            ],
+        ),
+        (
+            "kitti/000000.bin",
+            ["--config", "sample_configs/kitti_frame.toml", "--view", "perspective"],
+        ),
+        (
+            "oakland/oakland_1.csv.gz",
+            [
+                "--config",
+                "sample_configs/sick_push_broom.toml",
+                "--reference",
+                "oakland/oakland_1.csv.gz",
+                "--mapping",
+                "oakland",
+            ],
+        ),
+        (
+            "oakland/oakland_1.csv.gz",
+            ["--config", "sample_configs/sick_push_broom.toml", "--view", "top"],
+        ),
         ("organised/pumpA.e57", ["--preset", "street-scan"]),
         ("organised/pumpA.e57", ["--view", "perspective", "--colour", "range"]),
         ("forest/tls_park.npz", ["--preset", "forest", "--only-lines", "0:255"]),
         ("las/als_strip_labelled.laz", ["--view", "top"]),
     ],
-)  # fmt: skip
-def test_real_files(prc: Prc, real_data: Path, tmp_path: Path, name: str, options: list[str]) -> None:
+)
+def test_real_files(
+    prc: Prc, real_data: Path, tmp_path: Path, name: str, options: list[str]
+) -> None:
     root = Path(__file__).resolve().parents[2]
-    given = [str(root / o) if o.startswith("sample") else str(real_data / o) if "/" in o else o for o in options]
+    given = [
+        str(root / o) if o.startswith("sample") else str(real_data / o) if "/" in o else o
+        for o in options
+    ]
     result = prc("render", real_data / name, tmp_path / "a.png", *given, "--json", "--quiet")
     assert result.code == 0, result.err
     found = json.loads(result.out)

@@ -49,7 +49,15 @@ def reference(tmp_path: Path, data: bytes, *arguments: str) -> bytes:
     """Labels of ``prc classify`` for the same bytes in a file."""
     (tmp_path / "drive.bin").write_bytes(data)
     with pytest.raises(SystemExit) as end:
-        main(["classify", str(tmp_path / "drive.bin"), str(tmp_path / "labels.npy"), "-q", *arguments])
+        main(
+            [
+                "classify",
+                str(tmp_path / "drive.bin"),
+                str(tmp_path / "labels.npy"),
+                "-q",
+                *arguments,
+            ]
+        )
     assert end.value.code == 0
     labels: bytes = np.load(tmp_path / "labels.npy").tobytes()
     return labels

@@ -38,9 +38,12 @@ URBAN = ("--preset", "urban", "-q", "--overwrite")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["d.npz", "d.laz", "d.csv", "d.ply"])
 @pytest.mark.parametrize(
-    "window", [("--only-lines", "13:41"), ("--only-time", "1001.3:1004.1"), ("--only-time", "+1.28:+4.08")]
+    "window",
+    [("--only-lines", "13:41"), ("--only-time", "1001.3:1004.1"), ("--only-time", "+1.28:+4.08")],
 )
-def test_a_window_is_a_drive_of_its_own(prc: Prc, folder: Path, name: str, window: tuple[str, str]) -> None:
+def test_a_window_is_a_drive_of_its_own(
+    prc: Prc, folder: Path, name: str, window: tuple[str, str]
+) -> None:
     whole = np.load(folder / "d.npz")["range_m"][13:41]
     np.save(folder / "part.npy", whole)
     assert prc("classify", folder / "part.npy", folder / "expected.npy", *URBAN).code == 0
@@ -70,24 +73,37 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
         xyz = np.stack([found.x, found.y, found.z])
         assert np.allclose(found.header.mins, xyz.min(axis=1), atol=1e-9)
         assert np.allclose(found.header.maxs, xyz.max(axis=1), atol=1e-9)
-        assert found.header.number_of_points_by_return[0] == np.count_nonzero(found.return_number == 1)
-    assert prc("classify", folder / "d.laz", folder / "w.npy", "--only-lines", "13:41", *URBAN).code == 0
+        assert found.header.number_of_points_by_return[0] == np.count_nonzero(
+            found.return_number == 1
+        )
+    assert (
+        prc("classify", folder / "d.laz", folder / "w.npy", "--only-lines", "13:41", *URBAN).code
+        == 0
+    )
     assert np.array_equal(laspy.read(folder / "w.laz").classification, np.load(folder / "w.npy"))
-    told = prc("classify", folder / "d.laz", folder / "w.laz", "--only-lines", "13:41", "--overwrite").err
+    told = prc(
+        "classify", folder / "d.laz", folder / "w.laz", "--only-lines", "13:41", "--overwrite"
+    ).err
     assert "draw it: prc render" in told
     assert f"--labels {folder / 'w.laz'}" in " ".join(told.split())
     assert "compare it" not in told
     # codes above 31 make the point format a larger one; segment ids are appended
-    result = prc("classify", folder / "d.laz", folder / "s.laz", "--first", "2s", "--segment-ids", *URBAN)
+    result = prc(
+        "classify", folder / "d.laz", folder / "s.laz", "--first", "2s", "--segment-ids", *URBAN
+    )
     assert result.code == 0, result.err
-    assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(source.scan_line < 20)
+    assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(
+        source.scan_line < 20
+    )
 
 
 @pytest.mark.slow
 def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 20) & (source.scan_line < 30)
-    result = prc("convert", folder / "d.laz", folder / "c.las", "--only-time", "+1.98:+2.98", "--overwrite")
+    result = prc(
+        "convert", folder / "d.laz", folder / "c.las", "--only-time", "+1.98:+2.98", "--overwrite"
+    )
     assert result.code == 0, result.err
     found = laspy.read(folder / "c.las")
     assert np.array_equal(found.points.array, source.points.array[inside])
@@ -95,14 +111,27 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
     result = prc("convert", folder / "d.csv", folder / "c.csv", "--first", "50lines", "--overwrite")
     assert "only lines 0 to 49 were taken" in result.err
     for name in ("c.csv", "c.npz", "c.e57"):
-        assert prc("convert", folder / "d.laz", folder / name, "--only-lines", "20:30", "--overwrite", "-q").code == 0
+        assert (
+            prc(
+                "convert",
+                folder / "d.laz",
+                folder / name,
+                "--only-lines",
+                "20:30",
+                "--overwrite",
+                "-q",
+            ).code
+            == 0
+        )
         blocks = list(open_stream(folder / name, load_config(preset="urban")).blocks())
         ranges = np.concatenate([block.range_m for block in blocks])
         assert np.array_equal(ranges, np.load(folder / "d.npz")["range_m"][20:30], equal_nan=True)
 
 
 @pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])
-def test_commands_that_take_files_whole_refuse(prc: Prc, folder: Path, command: tuple[str, str]) -> None:
+def test_commands_that_take_files_whole_refuse(
+    prc: Prc, folder: Path, command: tuple[str, str]
+) -> None:
     source = folder / command[1]
     output = folder / ("out.png" if command[0] == "render" else "out.laz")
     result = prc(command[0], source, output, "--preset", "urban", "--set", "input.first=2s")
@@ -116,16 +145,26 @@ def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     lines = (source.scan_line >= 20) & (source.scan_line < 50)
     since = source.gps_time - source.gps_time[0]
     given = ("evaluate", folder / "e.laz", folder / "e.laz")
-    for window, inside in ((("--only-lines", "20:50"), lines), (("--only-time", "+2:+5"), (since >= 2) & (since < 5))):
+    for window, inside in (
+        (("--only-lines", "20:50"), lines),
+        (("--only-time", "+2:+5"), (since >= 2) & (since < 5)),
+    ):
         result = prc(*given, *window, "--json")
         assert result.code == 0, result.err
         assert json.loads(result.out)["n_scored"] == np.count_nonzero(inside)
     result = prc(*given, "--only-lines", "20:50", "--by-lines", "10", "--json")
     assert [part["name"] for part in json.loads(result.out)["splits"]["lines"]] == [
-        "lines 20-29", "lines 30-39", "lines 40-49",
-    ]  # fmt: skip
+        "lines 20-29",
+        "lines 30-39",
+        "lines 40-49",
+    ]
     assert prc(*given, "--only-lines", "200:").code == 1
     labels = folder / "e.npy"
     np.save(labels, np.full(N_LINES * M, 2, np.uint8))
     assert prc("evaluate", labels, labels, "--first", "2s").code == 2
-    assert json.loads(prc("evaluate", labels, labels, "-M", M, "--first", "5lines", "--json").out)["n_scored"] == 5 * M
+    assert (
+        json.loads(prc("evaluate", labels, labels, "-M", M, "--first", "5lines", "--json").out)[
+            "n_scored"
+        ]
+        == 5 * M
+    )

@@ -29,7 +29,12 @@ def stream(n_lines: int, m: int, *, scanner: int = 0, dense: bool = False) -> Sc
         xyz_m=np.stack([flat, -flat, 2 * flat], axis=-1).astype(np.float32),
         intensity=(flat + 0.5).astype(np.float32),
         angle_rad=np.linspace(0, 1, m),
-        extra=ExtraReturns(line, column, (line * m + column + 0.25).astype(np.float32), np.arange(len(line)) + 10_000),
+        extra=ExtraReturns(
+            line,
+            column,
+            (line * m + column + 0.25).astype(np.float32),
+            np.arange(len(line)) + 10_000,
+        ),
     )
 
 
@@ -74,7 +79,9 @@ def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:
     sizes=st.lists(st.integers(1, 15), min_size=1, max_size=5),
     dense=st.booleans(),
 )
-def test_any_cut_gives_the_same_blocks(n_lines: int, m: int, k: int, sizes: list[int], dense: bool) -> None:
+def test_any_cut_gives_the_same_blocks(
+    n_lines: int, m: int, k: int, sizes: list[int], dense: bool
+) -> None:
     whole = stream(n_lines, m, dense=dense)
     parts = list(pieces(whole, sizes))
     found = list(regroup(iter(parts), k))

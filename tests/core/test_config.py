@@ -30,11 +30,19 @@ def test_the_presets_hold_the_published_values() -> None:
     urban = load_config(preset="urban").config.prc
     assert (urban.lines_per_block, urban.support.zeta_s, urban.support.zeta_p) == (99, 1.0, 1.0)
     assert (urban.surfaces.area, urban.surfaces.gamma, urban.environment) == (30.0, 2, "urban")
-    assert (urban.background.alpha, urban.background.d_c, urban.background.form) == (0.3, 0.05, "centred")
+    assert (urban.background.alpha, urban.background.d_c, urban.background.form) == (
+        0.3,
+        0.05,
+        "centred",
+    )
     assert urban.support.rho_c == 1 / 3
     assert urban.components.min_votes == 3
     forest = load_config(preset="forest").config.prc
-    assert (forest.lines_per_block, forest.support.zeta_s, forest.support.zeta_p) == (255, 0.01, 0.01)
+    assert (forest.lines_per_block, forest.support.zeta_s, forest.support.zeta_p) == (
+        255,
+        0.01,
+        0.01,
+    )
     assert (forest.forest.column_step, forest.forest.density) == (10, 1 / 3)
 
 
@@ -42,20 +50,38 @@ def test_the_presets_hold_the_published_values() -> None:
     ("table", "message"),
     [
         ({"prc": {"suport": {}}}, "unknown key 'prc.suport'; did you mean 'support'?"),
-        ({"prc": {"support": {"zeta_q": 1.0}}}, "unknown key 'prc.support.zeta_q'; did you mean 'zeta_"),
+        (
+            {"prc": {"support": {"zeta_q": 1.0}}},
+            "unknown key 'prc.support.zeta_q'; did you mean 'zeta_",
+        ),
         ({"input": {"point_per_line": 3}}, "did you mean 'points_per_line'?"),
         ({"prc": {"background": {"alpha": 0.7}}}, "prc.background.alpha: found 0.7, expected:"),
         ({"prc": {"surfaces": {"area": -3}}}, "prc.surfaces.area"),
         ({"input": {"lines": "sometimes"}}, "input.lines"),
         ({"input": {"range": "origin:1,2"}}, "origin:X,Y,Z with three numbers"),
-        ({"input": {"max_range": 2.0, "min_range": 2.0}}, "max_range (2.0 m) above min_range (2.0 m)"),
+        (
+            {"input": {"max_range": 2.0, "min_range": 2.0}},
+            "max_range (2.0 m) above min_range (2.0 m)",
+        ),
         ({"layout": {"fields": [{"name": "range", "type": "complex"}]}}, "layout.fields.0.type"),
         ({"classes": {"ground": 300}}, "classes.ground: found 300"),
-        ({"fused": {"walls": {"roof_m": 5}}}, "fused.walls is a constant now, expected no such key; leave it out"),
+        (
+            {"fused": {"walls": {"roof_m": 5}}},
+            "fused.walls is a constant now, expected no such key; leave it out",
+        ),
         ({"fused": {"sensor": {"again": False}}}, "it is fused.sensor.again = true"),
-        ({"fused": {"noise": {"sparse_shots": 4}}}, "fused.noise.sparse_shots = gone with noise.sparse"),
-        ({"fused": {"votes": {"near_m": 2, "enabled": True}}}, "fused.votes.near_m = 1.5, fused.votes.enabled = true"),
-        ({"fused": {"forest": {"flat": {"cover_m": 0.2}}}}, "it is fused.forest.flat.cover_m = 0.15"),
+        (
+            {"fused": {"noise": {"sparse_shots": 4}}},
+            "fused.noise.sparse_shots = gone with noise.sparse",
+        ),
+        (
+            {"fused": {"votes": {"near_m": 2, "enabled": True}}},
+            "fused.votes.near_m = 1.5, fused.votes.enabled = true",
+        ),
+        (
+            {"fused": {"forest": {"flat": {"cover_m": 0.2}}}},
+            "it is fused.forest.flat.cover_m = 0.15",
+        ),
         ({"fused": {"wals": {"roof_m": 5}}}, "unknown key 'fused.wals'"),
     ],
 )
@@ -69,7 +95,10 @@ def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message
 @pytest.mark.parametrize("preset", [None, *PRESETS])
 @pytest.mark.parametrize("comments", [True, False])
 def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_path: Path) -> None:
-    layout = {"fields": [{"name": "range", "type": "i4", "scale": 0.001, "missing": 0}], "endian": "big"}
+    layout = {
+        "fields": [{"name": "range", "type": "i4", "scale": 0.001, "missing": 0}],
+        "endian": "big",
+    }
     loaded = load_config(preset=preset, options={"layout": layout, "input": {"max_range": 99.5}})
     path = tmp_path / "shown.toml"
     path.write_text(to_toml(loaded, comments=comments))

@@ -15,7 +15,13 @@ import pytest
 
 from prc_cli.core import files
 from prc_cli.core.errors import OutputError, OutputExistsError
-from prc_cli.core.files import atomic_output, atomic_outputs, check_output, is_left_behind, temporary_name
+from prc_cli.core.files import (
+    atomic_output,
+    atomic_outputs,
+    check_output,
+    is_left_behind,
+    temporary_name,
+)
 from tests import patience
 from tests.patience import wait_until
 
@@ -31,7 +37,9 @@ def test_a_finished_file_takes_its_name_and_leaves_nothing_else(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("overwrite", [None, False])
-def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path: Path, overwrite: bool | None) -> None:
+def test_a_file_that_appears_meanwhile_is_not_replaced(
+    tmp_path: Path, overwrite: bool | None
+) -> None:
     target = tmp_path / "labels.npy"
     with (
         pytest.raises(OutputExistsError, match="appeared while it was being written"),
@@ -57,7 +65,9 @@ def test_of_several_files_all_appear_or_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.ENOTSUP])
-def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+def test_a_file_system_without_hard_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
     def refused(source: Path, target: Path) -> None:
         raise OSError(number, os.strerror(number))
 
@@ -83,7 +93,9 @@ def test_every_byte_is_on_the_disk_before_the_name_and_the_name_before_the_end(
 
     monkeypatch.setattr(files.os, "fsync", synced)
     monkeypatch.setattr(files.os, "link", lambda *names: (trace.append("link"), link(*names)))
-    monkeypatch.setattr(files.Path, "replace", lambda *names: (trace.append("rename"), replace(*names)))
+    monkeypatch.setattr(
+        files.Path, "replace", lambda *names: (trace.append("rename"), replace(*names))
+    )
     for naming in ("link", "rename"):
         with atomic_output(tmp_path / "a") as temporary:
             temporary.write_bytes(b"x")
@@ -117,7 +129,9 @@ def test_a_full_disk_is_said_so(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_check_output_refuses_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_output_refuses_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = tmp_path / "drive.las"
     source.write_bytes(b"x")
     with pytest.raises(OutputExistsError, match="the output is the input itself"):
@@ -126,7 +140,9 @@ def test_check_output_refuses_before_any_work(tmp_path: Path, monkeypatch: pytes
     link.hardlink_to(source)
     with pytest.raises(OutputExistsError, match="the output is the input itself"):
         check_output(link, overwrite=True, inputs=(source,))
-    with pytest.raises(OutputExistsError, match="exists already; choose another name or add --overwrite"):
+    with pytest.raises(
+        OutputExistsError, match="exists already; choose another name or add --overwrite"
+    ):
         check_output(source, overwrite=False)
     check_output(source, overwrite=True)
     with pytest.raises(OutputError, match="output folder does not exist; create it: mkdir -p"):
@@ -162,12 +178,16 @@ def test_a_dead_process_that_nobody_waits_for_is_dead(tmp_path: Path) -> None:
     """As in a container whose first process does not."""
     with patience.start([sys.executable, "-c", ""]) as process:
         wait_until(lambda: b") Z" in Path(f"/proc/{process.pid}/stat").read_bytes())
-        part = temporary_name(tmp_path / "a.npy").name.replace(f"-{os.getpid()}-", f"-{process.pid}-")
+        part = temporary_name(tmp_path / "a.npy").name.replace(
+            f"-{os.getpid()}-", f"-{process.pid}-"
+        )
         assert is_left_behind(tmp_path / part)
 
 
 @pytest.mark.skipif(not Path("/proc/uptime").exists(), reason="needs /proc")
-def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(tmp_path: Path) -> None:
+def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(
+    tmp_path: Path,
+) -> None:
     """As after a restart of the machine, when the numbers begin anew."""
     part = temporary_name(tmp_path / "a.npy")
     part.touch()
@@ -177,7 +197,9 @@ def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(tmp
     assert is_left_behind(part) is True
 
 
-def test_to_begin_a_flush_changes_nothing_and_never_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_begin_a_flush_changes_nothing_and_never_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with (tmp_path / "a").open("w+b") as handle:
         handle.write(b"abc")
         files.begin_flush(handle, 0, 3)
@@ -193,7 +215,9 @@ def test_an_output_onto_a_device_or_a_pipe_is_refused() -> None:
         check_output(Path(os.devnull), overwrite=True)
 
 
-def test_what_a_library_does_not_say_of_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_library_does_not_say_of_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "o.e57"
     path.write_bytes(b"half")
     assert files.why_not_written(path) == 0

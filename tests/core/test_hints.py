@@ -35,7 +35,16 @@ TYPED = {
     "max_range": 50.0,
 }
 """Keys that hints name, and a value for each."""
-SAMPLES = ("a.npy", "a.npz", "a.ptx", "a.e57", "plain.bag", "cloud.bag", "velodyne.pcap", "frame.bin")
+SAMPLES = (
+    "a.npy",
+    "a.npz",
+    "a.ptx",
+    "a.e57",
+    "plain.bag",
+    "cloud.bag",
+    "velodyne.pcap",
+    "frame.bin",
+)
 
 
 def make_sample(folder: Path, name: str) -> Path:
@@ -54,7 +63,12 @@ def make_frame(path: Path) -> Path:
     elevation = np.repeat(np.deg2rad(np.linspace(2, -24, 16)), 400)
     range_m = np.random.default_rng(2).uniform(5, 6, 6400)
     flat = range_m * np.cos(elevation)
-    xyz = [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation), np.ones(6400)]
+    xyz = [
+        flat * np.cos(azimuth),
+        flat * np.sin(azimuth),
+        range_m * np.sin(elevation),
+        np.ones(6400),
+    ]
     np.stack(xyz, axis=1).astype("<f4").tofile(path)
     return path
 
@@ -64,7 +78,9 @@ def open_sample(path: Path, **changes: object) -> frozenset[str]:
     from prc_cli.config import load_config, with_layout_beside
 
     loaded = with_layout_beside(path, load_config())
-    config = InputConfig.model_validate({**loaded.config.input.model_dump(by_alias=True), **changes})
+    config = InputConfig.model_validate(
+        {**loaded.config.input.model_dump(by_alias=True), **changes}
+    )
     stream = open_input(path, config, loaded.config.layout)
     for _ in stream.blocks():
         pass
@@ -96,7 +112,11 @@ def hints_of_the_program() -> tuple[str, ...]:
     for path in sorted([*folder.glob("evidence/*.py"), folder / "beams.py", folder / "order.py"]):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.JoinedStr):
-                texts.append("".join(one.value if isinstance(one, ast.Constant) else "1" for one in node.values))
+                texts.append(
+                    "".join(
+                        one.value if isinstance(one, ast.Constant) else "1" for one in node.values
+                    )
+                )
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 texts.append(node.value)
     return tuple(text for text in texts if named_keys(text))
@@ -111,10 +131,20 @@ def test_no_hint_names_what_the_input_refuses(tmp_path: Path, name: str) -> None
 
 
 def test_a_hint_keeps_the_parts_that_can_be_typed() -> None:
-    finding = Finding("ranges", Verdict.AGAINST, "", "", "if so: --set input.range_scale=0.001; else check --range", "")
+    finding = Finding(
+        "ranges",
+        Verdict.AGAINST,
+        "",
+        "",
+        "if so: --set input.range_scale=0.001; else check --range",
+        "",
+    )
     assert fitting_finding(finding, {"range"}).hint == "if so: --set input.range_scale=0.001"
     assert fitting_finding(finding, {"range_scale"}).hint == "check --range"
-    assert fitting_finding(finding, {"range_scale", "range"}, "export it again").hint == "export it again"
+    assert (
+        fitting_finding(finding, {"range_scale", "range"}, "export it again").hint
+        == "export it again"
+    )
 
 
 def test_a_bag_in_millimetres_is_read_with_the_scale_that_is_offered(tmp_path: Path) -> None:

@@ -55,15 +55,21 @@ print(first, left())
 """
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library"
+)
 def test_what_is_read_to_look_at_an_input_is_returned() -> None:
-    done = patience.run([sys.executable, "-c", RETURNED], capture_output=True, text=True, check=True)
+    done = patience.run(
+        [sys.executable, "-c", RETURNED], capture_output=True, text=True, check=True
+    )
     returned, kept = map(int, done.stdout.split())
     assert returned < 2
     assert kept > 20
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library"
+)
 def test_arrays_that_follow_each_other_share_memory() -> None:
     done = patience.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 20 * 16, "20 arrays of 256 pages"

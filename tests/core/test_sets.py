@@ -10,7 +10,13 @@ import pytest
 
 from prc_cli.core import files, paths
 from prc_cli.core.errors import OutputError, OutputExistsError
-from prc_cli.core.files import atomic_output, left_words, prepare_outputs, remove_unfinished, whole_set
+from prc_cli.core.files import (
+    atomic_output,
+    left_words,
+    prepare_outputs,
+    remove_unfinished,
+    whole_set,
+)
 
 NAMES = ("o.json", "o.csv", "o.html")
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")
@@ -65,7 +71,9 @@ def killed_at(number: int, work: Callable[[], None]) -> bool:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.name != "in.npy"}
+    return {
+        path.name: path.read_text() for path in sorted(folder.iterdir()) if path.name != "in.npy"
+    }
 
 
 WHOLE = {name: f"new {name}" for name in sorted(NAMES)}

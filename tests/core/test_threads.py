@@ -12,7 +12,14 @@ from pathlib import Path
 import pytest
 
 from prc_cli.core import threads as module
-from prc_cli.core.threads import Relay, RelayBrokenError, default_threads, ordered, read_ahead, write_behind
+from prc_cli.core.threads import (
+    Relay,
+    RelayBrokenError,
+    default_threads,
+    ordered,
+    read_ahead,
+    write_behind,
+)
 from tests.patience import HANGS_S, wait_until
 
 THREADS = [0, 1, 2, 5]
@@ -55,7 +62,9 @@ def test_results_come_in_order(threads: int) -> None:
     assert list(ordered(uneven, [], threads=threads)) == []
 
 
-@pytest.mark.parametrize(("threads", "ahead", "most"), [(1, None, 1), (2, None, 4), (2, 3, 3), (3, 1, 1)])
+@pytest.mark.parametrize(
+    ("threads", "ahead", "most"), [(1, None, 1), (2, None, 4), (2, 3, 3), (3, 1, 1)]
+)
 def test_few_items_are_in_flight(threads: int, ahead: int | None, most: int) -> None:
     source = Source(40)
     taken = []

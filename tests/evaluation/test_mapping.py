@@ -109,7 +109,9 @@ def test_reference_codes_of_presets(name: str, code: int, expected: str | None) 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.int64])
 def test_indices_do_not_depend_on_the_integer_type(dtype: type[np.integer[Any]]) -> None:
-    mapping = made(unlisted="other", ignore=[0], reference={"ground": [2, "10-20"], "wire": ["30-31"]})
+    mapping = made(
+        unlisted="other", ignore=[0], reference={"ground": [2, "10-20"], "wire": ["30-31"]}
+    )
     codes = np.array([0, 1, 2, 9, 10, 15, 20, 21, 30, 31, 32, 127], dtype=dtype)
     expected = [-1, 2, 0, 2, 0, 0, 0, 2, 1, 1, 2, 2]
     assert mapping.class_indices(codes, "reference").tolist() == expected
@@ -118,7 +120,9 @@ def test_indices_do_not_depend_on_the_integer_type(dtype: type[np.integer[Any]])
 def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
     with pytest.raises(InputError) as caught:
         made().class_indices(np.array([2, 9, 9, 5]), "reference")
-    assert str(caught.value).startswith("reference codes: found 3 records with codes that the class mapping does not")
+    assert str(caught.value).startswith(
+        "reference codes: found 3 records with codes that the class mapping does not"
+    )
     assert "5, 9" in str(caught.value)
     assert 'unlisted = "other"' in caught.value.hint
 
@@ -146,7 +150,9 @@ def test_training_ids_are_named_and_have_a_mapping() -> None:
         ),
     ],
 )
-def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[int], side: Side, fits: str) -> None:
+def test_a_refusal_names_the_presets_that_list_the_codes(
+    name: str, codes: list[int], side: Side, fits: str
+) -> None:
     with pytest.raises(InputError) as caught:
         load_mapping(name).class_indices(np.array(codes), side)
     assert caught.value.hint.startswith(f"a mapping that lists them: {fits}")
@@ -155,8 +161,10 @@ def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[
 
 def test_other_is_never_scored_even_if_both_sides_list_it() -> None:
     mapping = made(
-        predicted={"ground": [2], "other": [1]}, reference={"ground": [2], "other": [9]}, unlisted="other"
-    )  # fmt: skip
+        predicted={"ground": [2], "other": [1]},
+        reference={"ground": [2], "other": [9]},
+        unlisted="other",
+    )
     assert mapping.scored_names == ("ground",)
     assert mapping.names("predicted") == ("ground", "other")
 
@@ -169,7 +177,10 @@ def test_other_is_never_scored_even_if_both_sides_list_it() -> None:
         ({"reference": {"ground": [-2]}}, "found -2"),
         ({"reference": {"ground": [2**32]}}, "codes from 0 to 4294967295"),
         ({"ignore": ["1-"]}, "found '1-'"),
-        ({"reference": {"ground": [2], "road": ["1-3"]}}, "2 stands under 'road' and again under 'ground'"),
+        (
+            {"reference": {"ground": [2], "road": ["1-3"]}},
+            "2 stands under 'road' and again under 'ground'",
+        ),
         ({"reference": {"ground": [2, "1-3"]}}, "2 stands under 'ground' and again under 'ground'"),
         ({"ignore": [2]}, "predicted code listed once, but 2"),
         ({"ignore_reference": [2]}, "reference code listed once, but 2"),

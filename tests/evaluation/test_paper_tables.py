@@ -16,22 +16,38 @@ from prc_cli.evaluation.reports import as_json, as_markdown
 from prc_cli.evaluation.scores import gate_value, scores
 
 FOREST = ("noise", "ground", "stem")
-TABLE_II = np.array([[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]])
+TABLE_II = np.array(
+    [[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]]
+)
 """Lehtola et al. (2019), Table II, right half: reference in rows."""
 
 TABLE_I = {
-    "1.0": ((0.541, 0.286, 0.095, 0.077), (0.003, 0.964, 0.010, 0.023), (0.113, 0.084, 0.665, 0.137),
-            (0.042, 0.222, 0.125, 0.611), (0.165, 0.592, 0.120, 0.123)),
-    "0.1": ((0.614, 0.263, 0.058, 0.065), (0.159, 0.804, 0.014, 0.023), (0.373, 0.024, 0.467, 0.136),
-            (0.169, 0.025, 0.119, 0.687), (0.222, 0.340, 0.153, 0.285)),
-}  # fmt: skip
+    "1.0": (
+        (0.541, 0.286, 0.095, 0.077),
+        (0.003, 0.964, 0.010, 0.023),
+        (0.113, 0.084, 0.665, 0.137),
+        (0.042, 0.222, 0.125, 0.611),
+        (0.165, 0.592, 0.120, 0.123),
+    ),
+    "0.1": (
+        (0.614, 0.263, 0.058, 0.065),
+        (0.159, 0.804, 0.014, 0.023),
+        (0.373, 0.024, 0.467, 0.136),
+        (0.169, 0.025, 0.119, 0.687),
+        (0.222, 0.340, 0.153, 0.285),
+    ),
+}
 """Lehtola et al. (2019), Table I, by zeta_p: shares of noise, ground, vegetation, building; the last row is "other"."""
 
 STREET = ("vegetation", "vertical", "car", "horizontal")
 TABLE_1 = np.array(
-    [[1054145, 57293, 2917, 56784], [266093, 4083600, 5399, 443426], [12128, 13674, 360891, 29817],
-     [3635, 12753, 5927, 905052]]
-)  # fmt: skip
+    [
+        [1054145, 57293, 2917, 56784],
+        [266093, 4083600, 5399, 443426],
+        [12128, 13674, 360891, 29817],
+        [3635, 12753, 5927, 905052],
+    ]
+)
 """Stamos et al. (2012), Table 1."""
 
 
@@ -131,11 +147,15 @@ def test_scikit_learn_reads_the_papers_the_same_way() -> None:
         reference, predicted = (axis.ravel() for axis in np.indices((n, n)))
         weights = matrix.counts.ravel()
         found = scores(matrix)
-        precision, recall, f1, _ = metrics.precision_recall_fscore_support(reference, predicted, sample_weight=weights)
+        precision, recall, f1, _ = metrics.precision_recall_fscore_support(
+            reference, predicted, sample_weight=weights
+        )
         iou = metrics.jaccard_score(reference, predicted, average=None, sample_weight=weights)
         for i, item in enumerate(found.classes):
             values = item.precision, item.recall, item.f1, item.iou
             assert values == pytest.approx((precision[i], recall[i], f1[i], iou[i]))
-        assert found.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted, sample_weight=weights))
+        assert found.accuracy == pytest.approx(
+            metrics.accuracy_score(reference, predicted, sample_weight=weights)
+        )
         kappa = metrics.cohen_kappa_score(reference, predicted, sample_weight=weights)
         assert found.kappa == pytest.approx(kappa)

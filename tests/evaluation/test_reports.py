@@ -59,7 +59,9 @@ def test_agreement_of_chance_is_told() -> None:
     rng = np.random.default_rng(4)
     codes = rng.choice(2, 5000, p=[0.9, 0.1])
     counts = np.bincount(codes * 2 + rng.permutation(codes), minlength=4).reshape(2, 2)
-    shuffled = replace(found, matrix=ConfusionMatrix(("a", "b"), ("a", "b"), counts), splits={}, intervals={})
+    shuffled = replace(
+        found, matrix=ConfusionMatrix(("a", "b"), ("a", "b"), counts), splits={}, intervals={}
+    )
     (told,) = doubts(shuffled)
     assert "about that of chance" in told
     assert told in as_html(shuffled)
@@ -76,7 +78,9 @@ NASTY = '50%_a&b {x} $y$ #1 ^~\\end{table} <|>"\n%.npy'
 
 def test_every_row_has_as_many_cells_as_its_table_columns() -> None:
     text = as_latex(samples.evaluation(part=NASTY))
-    for columns, body in re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL):
+    for columns, body in re.findall(
+        r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL
+    ):
         rows = [line for line in body.splitlines() if line.endswith(r"\\")]
         assert rows
         assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {len(columns)}
@@ -97,7 +101,13 @@ def test_latex_takes_the_tables(tmp_path: Path) -> None:
         f"{as_latex(found)}\\end{{document}}\n"
     )
     (tmp_path / "page.tex").write_text(document, encoding="utf-8")
-    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "page.tex"]
+    command = [
+        "pdflatex",
+        "-interaction=nonstopmode",
+        "-halt-on-error",
+        "-no-shell-escape",
+        "page.tex",
+    ]
     result = patience.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout[-2000:]
 
@@ -148,7 +158,9 @@ class Page(HTMLParser):
 
 def full_page() -> tuple[Evaluation, str]:
     found = samples.evaluation()
-    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    gates = check_gates(
+        scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)]
+    )
     pictures = [("Predicted", PNG)]
     return found, as_html(found, gates, mapping=load_mapping("oakland"), pictures=pictures)
 
@@ -174,7 +186,9 @@ def test_page_is_well_formed_and_needs_nothing_else() -> None:
 
 
 def test_text_of_users_is_shown_and_never_read_as_html() -> None:
-    found = samples.evaluation(predicted=NASTY_NAME, mapping=NASTY_NAME, note=NASTY_NAME, part=NASTY_NAME)
+    found = samples.evaluation(
+        predicted=NASTY_NAME, mapping=NASTY_NAME, note=NASTY_NAME, part=NASTY_NAME
+    )
     text = as_html(found, pictures=[(NASTY_NAME, PNG)], title=NASTY_NAME)
     page = Page(text)
     assert "<b>.npy" not in text
@@ -190,16 +204,25 @@ def test_pictures_that_are_not_png_are_refused() -> None:
 
 @pytest.mark.slow
 @given(
-    names=st.lists(st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]), min_size=1, unique=True),
+    names=st.lists(
+        st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]),
+        min_size=1,
+        unique=True,
+    ),
     seed=st.integers(0, 2**32 - 1),
 )
 def test_any_matrix_has_a_page(names: list[str], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    counts = rng.integers(0, 10**6, (len(names), len(names))) * (rng.random((len(names), len(names))) < 0.6)
+    counts = rng.integers(0, 10**6, (len(names), len(names))) * (
+        rng.random((len(names), len(names))) < 0.6
+    )
     mapping = ClassMapping.model_construct(
-        unlisted="other", ignore=(), ignore_reference=(), predicted=dict.fromkeys(names, (1,)),
+        unlisted="other",
+        ignore=(),
+        ignore_reference=(),
+        predicted=dict.fromkeys(names, (1,)),
         reference=dict.fromkeys(names, ("2-3",)),
-    )  # fmt: skip
+    )
     page = Page(as_html(ConfusionMatrix(tuple(names), tuple(names[::-1]), counts), mapping=mapping))
     shown = ConfusionMatrix(tuple(names), tuple(names[::-1]), counts).trimmed()
     assert all(f"{count:,}" in page.text for count in shown.counts.ravel().tolist())
@@ -209,7 +232,12 @@ def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
     values = (0.1, 0.9, math.nan, 0.5, math.nan, 1.0, 0.0)
     names = [f"{i} <m>" for i in range(7)]
     chart = line_chart(
-        "recall by range", "range [m]", names, [5, 0, 3, 9, 1, 0, 2], [Curve("ground", values, 0)], names
+        "recall by range",
+        "range [m]",
+        names,
+        [5, 0, 3, 9, 1, 0, 2],
+        [Curve("ground", values, 0)],
+        names,
     )
     Page(chart)
     lines = re.findall(r'<polyline points="([^"]*)"', chart)
@@ -223,6 +251,11 @@ def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
 
 def test_curves_break_where_the_next_file_begins() -> None:
     names = list("abcdef")
-    chart = line_chart("recall", "line", names, [1] * 6, [Curve("car", (0.5,) * 6, 2)], names, {2, 5})
-    assert [len(line.split()) for line in re.findall(r'<polyline points="([^"]*)"', chart)] == [2, 3]
+    chart = line_chart(
+        "recall", "line", names, [1] * 6, [Curve("car", (0.5,) * 6, 2)], names, {2, 5}
+    )
+    assert [len(line.split()) for line in re.findall(r'<polyline points="([^"]*)"', chart)] == [
+        2,
+        3,
+    ]
     assert chart.count('class="break"') == 2

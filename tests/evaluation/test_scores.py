@@ -24,7 +24,9 @@ from prc_cli.evaluation.scores import (
 from tests.evaluation.samples import MATRIX
 
 FOREST = ("noise", "ground", "stem")
-TABLE_II = np.array([[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]])
+TABLE_II = np.array(
+    [[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]]
+)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -35,7 +37,8 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     reference = rng.choice(4, 3000, p=[0.6, 0.25, 0.1, 0.05])
     predicted = np.where(rng.random(3000) < 0.7, reference, rng.integers(0, 4, 3000))
     mapping = ClassMapping(
-        predicted={name: (i,) for i, name in enumerate(names)}, reference={name: (i,) for i, name in enumerate(names)}
+        predicted={name: (i,) for i, name in enumerate(names)},
+        reference={name: (i,) for i, name in enumerate(names)},
     )
     matrix = accumulate(ConfusionMatrix.empty(mapping), predicted, reference, mapping)
     found = scores(matrix)
@@ -45,9 +48,13 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     for i, item in enumerate(found.classes):
         assert (item.recall, item.precision) == pytest.approx((recall[i], precision[i]))
         assert (item.f1, item.iou, item.n_reference) == pytest.approx((f1[i], iou[i], support[i]))
-        assert item.accuracy == pytest.approx(metrics.accuracy_score(reference == i, predicted == i))
+        assert item.accuracy == pytest.approx(
+            metrics.accuracy_score(reference == i, predicted == i)
+        )
     assert found.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted))
-    assert found.balanced_accuracy == pytest.approx(metrics.balanced_accuracy_score(reference, predicted))
+    assert found.balanced_accuracy == pytest.approx(
+        metrics.balanced_accuracy_score(reference, predicted)
+    )
     assert found.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
 
 
@@ -55,7 +62,10 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     ("name", "expected"),
     [
         ("recall.road", "score: found class 'road', expected one of: noise, ground, stem"),
-        ("recal.ground", "score: found score 'recal.ground', expected one of: accuracy, balanced_accuracy, kappa"),
+        (
+            "recal.ground",
+            "score: found score 'recal.ground', expected one of: accuracy, balanced_accuracy, kappa",
+        ),
         ("recall", "recall.CLASS"),
         ("kappa.ground", "found score 'kappa.ground'"),
         ("", "found score ''"),
@@ -76,7 +86,9 @@ MAPPING = ClassMapping(
 
 
 @given(
-    pairs=st.lists(st.tuples(st.sampled_from([0, 1, 2, 7]), st.sampled_from([0, 2, 7, 65, 66])), max_size=60),
+    pairs=st.lists(
+        st.tuples(st.sampled_from([0, 1, 2, 7]), st.sampled_from([0, 2, 7, 65, 66])), max_size=60
+    ),
     cut=st.integers(0, 60),
 )
 def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -> None:
@@ -91,8 +103,15 @@ def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -
 
 
 def test_passed_and_failed() -> None:
-    results = check_gates(scores(MATRIX), [Gate("recall.ground", 0.9), Gate("accuracy", 1.0), Gate("recall.stem", 0.0)])
-    assert [item.passed for item in results] == [True, False, False]  # undefined has reached nothing
+    results = check_gates(
+        scores(MATRIX),
+        [Gate("recall.ground", 0.9), Gate("accuracy", 1.0), Gate("recall.stem", 0.0)],
+    )
+    assert [item.passed for item in results] == [
+        True,
+        False,
+        False,
+    ]  # undefined has reached nothing
     refuse_failed(results[:1])
     with pytest.raises(GateError) as caught:
         refuse_failed(results)
@@ -103,7 +122,9 @@ def test_passed_and_failed() -> None:
     assert caught.value.exit_code == 3
 
 
-@pytest.mark.parametrize("text", ["recall.ground", "recall.ground=", "recall.ground=x", "accuracy=1.1", "kappa=nan"])
+@pytest.mark.parametrize(
+    "text", ["recall.ground", "recall.ground=", "recall.ground=x", "accuracy=1.1", "kappa=nan"]
+)
 def test_limits_that_make_no_sense(text: str) -> None:
     with pytest.raises(ConfigError, match="--fail-under: found"):
         parse_gate(text, load_mapping("prc"))
@@ -118,7 +139,9 @@ def test_scores_and_classes_that_are_not_there(text: str) -> None:
 @pytest.mark.parametrize("score", ["recall", "precision", "f1", "iou", "accuracy"])
 def test_classes_of_one_side_have_no_gate_and_are_not_offered(score: str) -> None:
     mapping = ClassMapping(
-        unlisted="other", predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "car": (65,)}
+        unlisted="other",
+        predicted={"ground": (2,), "noise": (7,)},
+        reference={"ground": (2,), "car": (65,)},
     )
     for name in ("other", "noise", "car"):
         with pytest.raises(ConfigError) as caught:
@@ -147,7 +170,8 @@ def blocks_of(n: int, seed: int = 0, size: int = 400) -> np.ndarray:
 def test_jackknife_by_hand(name: str) -> None:
     blocks = blocks_of(9)
     left_out = [
-        gate_value(scores(ConfusionMatrix(*NAMES, np.delete(blocks, k, axis=0).sum(axis=0))), name) for k in range(9)
+        gate_value(scores(ConfusionMatrix(*NAMES, np.delete(blocks, k, axis=0).sum(axis=0))), name)
+        for k in range(9)
     ]
     error = np.sqrt(8 / 9 * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))
     value = gate_value(scores(ConfusionMatrix(*NAMES, blocks.sum(axis=0))), name)
@@ -178,7 +202,9 @@ def test_bounds_and_undefined_scores() -> None:
 
 
 TWO_CLASSES = ClassMapping(
-    ignore=[0], predicted={"ground": [2], "building": [6]}, reference={"ground": [2], "building": [6], "car": [65]}
+    ignore=[0],
+    predicted={"ground": [2], "building": [6]},
+    reference={"ground": [2], "building": [6], "car": [65]},
 )
 
 
@@ -197,7 +223,9 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     blocks = []
     for name in counts.groups:
         here = group == name
-        expected = accumulate(ConfusionMatrix.empty(TWO_CLASSES), predicted[here], reference[here], TWO_CLASSES)
+        expected = accumulate(
+            ConfusionMatrix.empty(TWO_CLASSES), predicted[here], reference[here], TWO_CLASSES
+        )
         np.testing.assert_array_equal(counts.matrix(name).counts, expected.counts)
         assert counts.matrix(name).n_ignored == expected.n_ignored
         blocks.append(expected.counts)

@@ -74,12 +74,18 @@ class Archive:
 
     @property
     def names(self) -> set[str]:
-        return {path.relative_to(self.folder).as_posix() for path in self.folder.rglob("*") if path.is_file()}
+        return {
+            path.relative_to(self.folder).as_posix()
+            for path in self.folder.rglob("*")
+            if path.is_file()
+        }
 
 
 def make_archive(folder: Path, names: Sequence[str] = NAMES) -> Archive:
     """Simulate the inputs and classify them undisturbed."""
-    load_classifier(LoadedConfig(RunConfig()))  # how long a run takes is not how long compiling takes
+    load_classifier(
+        LoadedConfig(RunConfig())
+    )  # how long a run takes is not how long compiling takes
     inputs = folder / "archive"
     config = folder / "archive.toml"
     for number, name in enumerate(NAMES):
@@ -87,13 +93,19 @@ def make_archive(folder: Path, names: Sequence[str] = NAMES) -> Archive:
             continue
         path = inputs / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        options = {"seed": number + 1, "lines": 30 if "long" in name else 10, "scanner": {"points_per_line": 1600}}
+        options = {
+            "seed": number + 1,
+            "lines": 30 if "long" in name else 10,
+            "scanner": {"points_per_line": 1600},
+        }
         simulate("street", path, load_settings("street", options=options), threads=2)
         for extra in (*path.parent.glob("*.prc.json"), *path.parent.glob("*_reference.npy")):
             extra.unlink()
     config.write_text(ACCEPTED)
     for raw in inputs.rglob("*.bin.toml"):
-        config.write_text(ACCEPTED + RAW + "[override.layout]" + raw.read_text().partition("[layout]")[2])
+        config.write_text(
+            ACCEPTED + RAW + "[override.layout]" + raw.read_text().partition("[layout]")[2]
+        )
         raw.unlink()
     before = time.monotonic()
     run = Batch(inputs, folder / "undisturbed", config)
@@ -111,7 +123,9 @@ def part_of(archive: Archive, folder: Path, names: Sequence[str] = FAST) -> Arch
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(archive.folder / name, path)
-    whole = {name: content for name, content in archive.whole.items() if name.startswith(tuple(names))}
+    whole = {
+        name: content for name, content in archive.whole.items() if name.startswith(tuple(names))
+    }
     return Archive(folder, archive.config, whole, archive.seconds)
 
 
@@ -119,18 +133,39 @@ class Batch:
     """A run of ``prc batch`` as a process of its own session."""
 
     def __init__(
-        self, archive: Path, out: Path, config: Path | None, *options: str, jobs: int = 2,
-        plain_user: bool = False, environment: Mapping[str, str] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        archive: Path,
+        out: Path,
+        config: Path | None,
+        *options: str,
+        jobs: int = 2,
+        plain_user: bool = False,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.out = out
         self._mark = secrets.token_hex(8)
         words = [] if config is None else ["--config", str(config)]
         self.process = patience.popen(
-            [sys.executable, *(["-c", AS_PLAIN_USER] if plain_user else []), "-m", "prc_cli", "batch",
-             str(archive), str(out), "--jobs", str(jobs), *words, *options],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="surrogateescape",
-            start_new_session=True, env={**os.environ, MARK: self._mark, **(environment or {})},
-        )  # fmt: skip
+            [
+                sys.executable,
+                *(["-c", AS_PLAIN_USER] if plain_user else []),
+                "-m",
+                "prc_cli",
+                "batch",
+                str(archive),
+                str(out),
+                "--jobs",
+                str(jobs),
+                *words,
+                *options,
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="surrogateescape",
+            start_new_session=True,
+            env={**os.environ, MARK: self._mark, **(environment or {})},
+        )
 
     def members(self) -> list[int]:
         """Return all living processes of the run."""
@@ -222,7 +257,9 @@ def tree(out: Path) -> dict[str, bytes]:
 
 def parts(out: Path) -> list[Path]:
     """Return all temporary files but those whose number belongs to another process by now: machines are busy."""
-    return sorted(path for path in out.rglob("*.part") if not is_younger(int(path.name.split("-")[-2]), path))
+    return sorted(
+        path for path in out.rglob("*.part") if not is_younger(int(path.name.split("-")[-2]), path)
+    )
 
 
 def entries(out: Path) -> dict[str, Entry]:
@@ -237,14 +274,20 @@ def check_nothing_half(archive: Archive, out: Path) -> None:
         assert archive.whole.get(name) == content, f"{name!r} is not what an undisturbed run writes"
     for entry in entries(out).values() if (out / OWN_FOLDER).exists() else ():
         if entry.state == "done":
-            outputs = [name for name in found if name.startswith(entry.name) and not name.endswith(".prc.json")]
+            outputs = [
+                name
+                for name in found
+                if name.startswith(entry.name) and not name.endswith(".prc.json")
+            ]
             assert len(outputs) == 1, f"{entry.name!r} is done, its output is {outputs}"
 
 
 def check_known(archive: Archive, out: Path) -> None:
     """What a run left that was killed is an output, our own state, or removed by ``prc batch clean``."""
     if not out.exists() or not journal_paths(out / OWN_FOLDER):
-        left = [path for path in out.rglob("*") if path.is_file() and path.parent.name != OWN_FOLDER]
+        left = [
+            path for path in out.rglob("*") if path.is_file() and path.parent.name != OWN_FOLDER
+        ]
         assert not left, left
         return
     end = time.monotonic() + _DYING_S
@@ -281,7 +324,9 @@ def check_whole(archive: Archive, out: Path) -> None:
     known = entries(out)
     assert set(known) == archive.names
     assert {entry.state for entry in known.values()} == {"done"}
-    known_to_clean = set(clean(out, dry_run=True).files)  # what runs on Dask asked their workers for
+    known_to_clean = set(
+        clean(out, dry_run=True).files
+    )  # what runs on Dask asked their workers for
     found = set((out / OWN_FOLDER).rglob("*")) - known_to_clean
     left = {path.name for path in found if not path.name.endswith(("-wal", "-shm"))}
     assert left <= {"journal.sqlite", "command.json"}, left
@@ -299,7 +344,11 @@ def moments(rng: random.Random, archive: Archive, out: Path, batch: Batch) -> It
     end = time.monotonic() + 2 * archive.seconds
     n_more = rng.randrange(3)
     while time.monotonic() < end and batch.process.poll() is None:
-        new = {path for path in out.rglob("*") if OWN_FOLDER not in path.parts} - known if out.exists() else set()
+        new = (
+            {path for path in out.rglob("*") if OWN_FOLDER not in path.parts} - known
+            if out.exists()
+            else set()
+        )
         if any(path.suffix == wanted or not wanted for path in new):
             if not n_more:
                 break

@@ -40,9 +40,15 @@ LONGEST_CHAIN = 10
 
 
 def kill_many(
-    archive: Archive, folder: Path, n_kills: int, seed: int, *, engine: str = "local", seconds: float = 1e9,
+    archive: Archive,
+    folder: Path,
+    n_kills: int,
+    seed: int,
+    *,
+    engine: str = "local",
+    seconds: float = 1e9,
     tell: bool = False,
-) -> Tally:  # fmt: skip
+) -> Tally:
     """Kill until there were so many kills or seconds; every chain of kills ends with a run that resumes."""
     rng = random.Random(seed)
     tally = Tally()
@@ -51,7 +57,10 @@ def kill_many(
         out = fresh(folder / "out")
         with Machines(folder) if engine == "dask" else nullcontext() as machines:
             for _ in range(rng.randint(1, LONGEST_CHAIN)):
-                if _kill_one(archive, out, rng, tally, engine, machines) or sum(tally.kills.values()) >= n_kills:
+                if (
+                    _kill_one(archive, out, rng, tally, engine, machines)
+                    or sum(tally.kills.values()) >= n_kills
+                ):
                     break
         code, said = Batch(archive.folder, out, archive.config).end()
         assert code == 0, said
@@ -63,7 +72,12 @@ def kill_many(
 
 
 def _kill_one(
-    archive: Archive, out: Path, rng: random.Random, tally: Tally, engine: str, machines: Machines | None
+    archive: Archive,
+    out: Path,
+    rng: random.Random,
+    tally: Tally,
+    engine: str,
+    machines: Machines | None,
 ) -> bool:
     """Start a run and strike it; tell whether it came to its end all the same."""
     kind = rng.choice(KINDS if machines is None else (*KINDS, "scheduler"))
@@ -77,7 +91,9 @@ def _kill_one(
         struck = {
             "everything": batch.strike_all,
             "parent": batch.strike,
-            "worker": lambda: batch.strike_worker(rng) if machines is None else machines.strike_worker(rng, batch),
+            "worker": lambda: (
+                batch.strike_worker(rng) if machines is None else machines.strike_worker(rng, batch)
+            ),
             "scheduler": lambda: machines is not None and machines.strike_scheduler(batch),
         }[kind]()
     if kind == "worker" or not struck:
@@ -90,7 +106,9 @@ def _kill_one(
         # 2: it was killed before the run had found it
         assert kind != "scheduler" or batch.process.returncode in (0, 1, 2), said
         tally.longest_orphan_s = max(tally.longest_orphan_s, batch.wait_until_gone())
-        if machines is not None:  # workers of others go on until they see that nobody wants what they do
+        if (
+            machines is not None
+        ):  # workers of others go on until they see that nobody wants what they do
             machines.close()
         check_nothing_half(archive, out)
         check_known(archive, out)
@@ -110,14 +128,21 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1e9)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
-    parser.add_argument("--all", action="store_true", help="All eight inputs, not the three quick ones.")
+    parser.add_argument(
+        "--all", action="store_true", help="All eight inputs, not the three quick ones."
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="prc-faults-") as folder:
         archive = make_archive(Path(folder), NAMES if options.all else FAST)
         tally = kill_many(
-            archive, Path(folder), options.kills, options.seed,
-            engine=options.engine, seconds=options.seconds, tell=True,
-        )  # fmt: skip
+            archive,
+            Path(folder),
+            options.kills,
+            options.seed,
+            engine=options.engine,
+            seconds=options.seconds,
+            tell=True,
+        )
     json.dump({**asdict(tally), "undisturbed_s": round(archive.seconds, 1)}, sys.stdout, indent=1)
     sys.stdout.write("\n")
 

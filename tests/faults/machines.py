@@ -38,7 +38,12 @@ class Machines:
     def __enter__(self) -> Machines:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
     def start(self) -> None:
@@ -47,20 +52,37 @@ class Machines:
         if self._scheduler is None or self._scheduler.poll() is not None:
             self.close()
             found.unlink(missing_ok=True)
-            words = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+            words = (
+                "distributed.cli.dask_scheduler",
+                "--host",
+                "127.0.0.1",
+                "--port",
+                "0",
+                "--no-dashboard",
+            )
             self._scheduler = self._begin(*words, "--scheduler-file", str(found))
             wait_until(lambda: found.exists() and found.read_text().endswith("}"))
             self.address = json.loads(found.read_text())["address"]
         self._workers = [worker for worker in self._workers if worker.poll() is None]
         while len(self._workers) < 2:
-            words = ("distributed.cli.dask_worker", self.address, "--nthreads", "1", "--no-dashboard", "--no-nanny")
+            words = (
+                "distributed.cli.dask_worker",
+                self.address,
+                "--nthreads",
+                "1",
+                "--no-dashboard",
+                "--no-nanny",
+            )
             self._workers.append(self._begin(*words, "--local-directory", str(self._folder / "w")))
 
     def _begin(self, *words: str) -> subprocess.Popen[Any]:
         return patience.popen(
-            [sys.executable, "-m", *words], env={**os.environ, **_QUIET}, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            [sys.executable, "-m", *words],
+            env={**os.environ, **_QUIET},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
 
     def strike_worker(self, rng: random.Random, batch: Batch) -> bool:
         """Kill one worker; tell whether the run was still at work."""

@@ -49,7 +49,9 @@ def run_to(archive: Archive, out: Path, strike: Strike) -> tuple[Batch, int]:
     batch = Batch(archive.folder, out, archive.config, jobs=1, environment=environment)
     code, said = batch.end()
     # the guard of the process that did the work lives on and tells
-    assert code in (-9, 0) or (code == 1 and "was ended by signal 9" in said), f"{strike}: {code}, {said}"
+    assert code in (-9, 0) or (code == 1 and "was ended by signal 9" in said), (
+        f"{strike}: {code}, {said}"
+    )
     batch.wait_until_gone()
     return batch, counter.stat().st_size
 

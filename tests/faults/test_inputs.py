@@ -127,7 +127,9 @@ def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
     resume(few, out)
 
 
-def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few: Archive, tmp_path: Path) -> None:
+def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(
+    few: Archive, tmp_path: Path
+) -> None:
     out, rng = tmp_path / "out", random.Random(6)
     bad = few.folder / "bad"
     bad.mkdir()
@@ -163,9 +165,13 @@ def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few: A
     lines = failures(said)
     for name in made:
         shown = name.replace("\n", "\\n")
-        assert sum(f"bad/{shown}" in line.split(": ")[0] for line in lines) == 1 or "flipped" in name, (name, said)
+        assert (
+            sum(f"bad/{shown}" in line.split(": ")[0] for line in lines) == 1 or "flipped" in name
+        ), (name, said)
     found = tree(out)
-    assert {name: content for name, content in found.items() if not name.startswith("bad/")} == few.whole
+    assert {
+        name: content for name, content in found.items() if not name.startswith("bad/")
+    } == few.whole
     assert not [name for name in found if name.startswith("bad/") and "flipped" not in name]
     assert parts(out) == []
     shutil.rmtree(bad)
@@ -176,7 +182,9 @@ def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few: A
 
 
 @pytest.mark.long
-def test_too_little_memory_is_said_so_and_the_rest_goes_on(few: Archive, archive: Archive, tmp_path: Path) -> None:
+def test_too_little_memory_is_said_so_and_the_rest_goes_on(
+    few: Archive, archive: Archive, tmp_path: Path
+) -> None:
     both = part_of(archive, few.folder, [*FAST, "2026/day 1/drive.csv"])
     out = tmp_path / "out"
     code, said = Batch(both.folder, out, both.config, "--memory-limit", "60").end()
@@ -188,7 +196,9 @@ def test_too_little_memory_is_said_so_and_the_rest_goes_on(few: Archive, archive
 
 
 @pytest.mark.long
-def test_a_folder_that_cannot_be_entered_to_its_end_is_waited_for(few: Archive, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_entered_to_its_end_is_waited_for(
+    few: Archive, tmp_path: Path
+) -> None:
     """A chain of links that bites its tail ends, too."""
     (few.folder / "2026" / "again").symlink_to(few.folder, target_is_directory=True)
     (few.folder / "2026" / "out of it").symlink_to("/", target_is_directory=True)
@@ -202,7 +212,11 @@ def small_disk(folder: Path, kib: int) -> Iterator[Path]:
     command = ["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder)]
     result = patience.run(command, capture_output=True, text=True) if os.getuid() == 0 else None
     if result is None or result.returncode:
-        pytest.skip("only root can mount a small disk" if result is None else f"cannot mount: {result.stderr}")
+        pytest.skip(
+            "only root can mount a small disk"
+            if result is None
+            else f"cannot mount: {result.stderr}"
+        )
     try:
         yield folder
     finally:
@@ -214,7 +228,8 @@ def change(disk: Path, options: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "share", [pytest.param(0.02, marks=pytest.mark.long), 0.5, pytest.param(0.9, marks=pytest.mark.long)]
+    "share",
+    [pytest.param(0.02, marks=pytest.mark.long), 0.5, pytest.param(0.9, marks=pytest.mark.long)],
 )
 def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
     few: Archive, tmp_path: Path, share: float
@@ -248,7 +263,9 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
         assert "ead-only file system" in line
         assert tree(out) == before
         status = patience.run(
-            [sys.executable, "-m", "prc_cli", "batch", "status", str(out)], capture_output=True, text=True
+            [sys.executable, "-m", "prc_cli", "batch", "status", str(out)],
+            capture_output=True,
+            text=True,
         )
         assert status.returncode == 0, status.stderr
         change(disk, "rw")
@@ -290,14 +307,20 @@ def test_outputs_of_somebody_else_stay(few: Archive, tmp_path: Path) -> None:
         assert (out / "rückweg.las").read_bytes() == b"mine"
     (out / "rückweg.las").unlink()
     # what runs leave that are killed just before they rename a file of their own
-    for path in (out / "summary.json", out / OWN_FOLDER / "command.json", out / OWN_FOLDER / "lock.json"):
+    for path in (
+        out / "summary.json",
+        out / OWN_FOLDER / "command.json",
+        out / OWN_FOLDER / "lock.json",
+    ):
         name = temporary_name(path).name.replace(f"-{os.getpid()}-", f"-{dead_process()}-")
         path.with_name(name).write_bytes(b"half")
     resume(few, out)
 
 
 @pytest.mark.long
-def test_a_lost_or_damaged_journal_costs_no_output_and_no_work(few: Archive, tmp_path: Path) -> None:
+def test_a_lost_or_damaged_journal_costs_no_output_and_no_work(
+    few: Archive, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     resume(few, out)
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.l*")}

@@ -15,7 +15,17 @@ import pytest
 from prc_cli.jobs.batch.journal import read_runs
 from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
 from tests.faults import step_kills
-from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, hooked, part_of, parts
+from tests.faults.harness import (
+    FAST,
+    Archive,
+    Batch,
+    check_nothing_half,
+    check_whole,
+    entries,
+    hooked,
+    part_of,
+    parts,
+)
 from tests.faults.kills import kill_many
 from tests.faults.step_kills import Strike, strike_step
 from tests.patience import wait_until
@@ -55,8 +65,12 @@ def test_kills_with_dask(fast: Archive, tmp_path: Path) -> None:
     kill_many(fast, tmp_path, 4, seed=13, engine="dask")
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12))])
-def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path: Path, seed: int) -> None:
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12))]
+)
+def test_a_kill_just_before_a_step_in_the_output_folder(
+    fast: Archive, tmp_path: Path, seed: int
+) -> None:
     """``python -m tests.faults.step_kills`` takes every step."""
     rng = random.Random(seed)
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
@@ -65,18 +79,25 @@ def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path:
 
 @pytest.mark.long
 @pytest.mark.parametrize("victims", ["all", "self"])
-def test_a_kill_right_after_a_file_got_its_name(fast: Archive, tmp_path: Path, victims: str) -> None:
+def test_a_kill_right_after_a_file_got_its_name(
+    fast: Archive, tmp_path: Path, victims: str
+) -> None:
     """``python -m tests.faults.step_kills --names`` takes every name."""
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
     strike_step(two, tmp_path / "out", Strike(4, victims, names=True))
 
 
-def run_into(archive: Archive, out: Path, names: Sequence[str], *options: str, jobs: int = 2) -> Batch:
+def run_into(
+    archive: Archive, out: Path, names: Sequence[str], *options: str, jobs: int = 2
+) -> Batch:
     """Start a run and return when its workers are about to open all these inputs, which :func:`release` lets them."""
     held = [Path(f"{_release(out)}.{number}") for number in range(len(names))]
     for path in (_release(out), *held):
         path.unlink(missing_ok=True)
-    hold = hooked("PRC_FAULTS_HOLD", os.pathsep.join([str(_release(out)), *(str(archive.folder / n) for n in names)]))
+    hold = hooked(
+        "PRC_FAULTS_HOLD",
+        os.pathsep.join([str(_release(out)), *(str(archive.folder / n) for n in names)]),
+    )
     batch = Batch(archive.folder, out, archive.config, *options, jobs=jobs, environment=hold)
     wait_until(lambda: all(path.exists() for path in held) or batch.process.poll() is not None)
     return batch
@@ -103,7 +124,9 @@ def known(out: Path) -> list[Entry]:
         pytest.param(signal.SIGINT, 3, marks=pytest.mark.long),
     ],
 )
-def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, number: int, n_times: int) -> None:
+def test_a_signal_ends_the_run_within_seconds(
+    few: Archive, tmp_path: Path, number: int, n_times: int
+) -> None:
     out = tmp_path / "out"
     batch = run_into(few, out, FAST[1:])
     assert batch.strike(number)
@@ -141,7 +164,9 @@ def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive: Archive, tmp_path: Path) -> None:
+def test_a_file_that_kills_every_worker_costs_itself_alone(
+    few: Archive, archive: Archive, tmp_path: Path
+) -> None:
     """As the system does where memory is short: whoever works on the long file is killed."""
     long = "2026/day 3/long.laz"
     both = part_of(archive, few.folder, [*FAST, long])
@@ -155,11 +180,17 @@ def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive
     code, said = batch.end()
     assert code == 1, said
     assert n_killed >= 2
-    (line,) = [line for line in said.splitlines() if "failed" in line and "long.laz" in line and "again" not in line]
+    (line,) = [
+        line
+        for line in said.splitlines()
+        if "failed" in line and "long.laz" in line and "again" not in line
+    ]
     assert "SIGKILL" in line
     assert "memory" in line
     check_nothing_half(both, out)
-    assert {name: entry.state for name, entry in entries(out).items() if entry.state != "done"} == {long: "failed"}
+    assert {name: entry.state for name, entry in entries(out).items() if entry.state != "done"} == {
+        long: "failed"
+    }
     code, said = Batch(both.folder, out, both.config).end()
     assert code == 0, said
     assert parts(out) == []
@@ -172,7 +203,11 @@ def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, said = run_into(few, out, FAST[2:], "--stall", "20", jobs=1).end()
     assert code == 1, said
-    assert [line for line in said.splitlines() if "failed" in line and "no progress for 20 s, given up" in line], said
+    assert [
+        line
+        for line in said.splitlines()
+        if "failed" in line and "no progress for 20 s, given up" in line
+    ], said
     check_nothing_half(few, out)
     assert sorted(entry.state for entry in known(out)) == ["done", "done", "failed"]
     code, said = Batch(few.folder, out, few.config).end()
@@ -187,22 +222,31 @@ def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
     ended = sorted(run.end() for run in runs)
     assert [code for code, _ in ended] == [0, 5] or [code for code, _ in ended] == [0, 0], ended
     if ended[1][0] == 5:
-        (line,) = [line for line in ended[1][1].splitlines() if "another run is at work here" in line]
+        (line,) = [
+            line for line in ended[1][1].splitlines() if "another run is at work here" in line
+        ]
         assert re.search(r"kill \d+", line)
     check_whole(few, out)
     assert {entry.attempts for entry in known(out)} == {1}
 
 
 @pytest.mark.long
-def test_shards_side_by_side_and_killed_end_with_the_same_bytes(archive: Archive, tmp_path: Path) -> None:
+def test_shards_side_by_side_and_killed_end_with_the_same_bytes(
+    archive: Archive, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     for _ in range(2):
-        runs = [Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]
+        runs = [
+            Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1)
+            for i in (1, 2, 3)
+        ]
         time.sleep(archive.seconds / 2)
         runs[1].strike_all()
         for run in runs:
             run.process.communicate()
-    runs = [Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]
+    runs = [
+        Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)
+    ]
     assert [run.end()[0] for run in runs] == [0, 0, 0]
     assert {entry.state for entry in known(out)} == {"done"}
     # the whole archive knows what the shards did

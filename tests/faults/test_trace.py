@@ -33,7 +33,11 @@ def traced(folder: Path, *words: str | Path) -> list[tuple[str, list[str]]]:
         pytest.skip("strace is not installed")
     trace = folder / "trace"
     command = [strace, "-f", "-y", "-s", "4096", "-o", str(trace), "-e", f"trace={CALLS}"]
-    ended = patience.run([*command, sys.executable, "-m", "prc_cli", *map(str, words)], capture_output=True, text=True)
+    ended = patience.run(
+        [*command, sys.executable, "-m", "prc_cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+    )
     if "PTRACE" in ended.stderr or "ptrace" in ended.stderr:
         pytest.skip("this user may not trace processes")
     assert ended.returncode == 0, ended.stderr
@@ -57,7 +61,13 @@ def calls(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
         call, words = found["call"], found["words"]
         names = (_QUOTED if call.startswith(("link", "rename")) else _OPEN).findall(words)
         # bytes that are not ASCII are octal
-        yield call, [os.fsdecode(name.encode().decode("unicode_escape").encode("latin-1")) for name in names]
+        yield (
+            call,
+            [
+                os.fsdecode(name.encode().decode("unicode_escape").encode("latin-1"))
+                for name in names
+            ],
+        )
 
 
 def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
@@ -69,11 +79,17 @@ def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
         source, target = names[0], names[-1]
         before = [(each, of[0]) for each, of in found[:number] if of and of[0] == source]
         assert before, f"{target}: nothing was written"
-        assert before[-1][0] in ("fsync", "fdatasync"), f"{target}: {before[-1][0]} after the last flush"
+        assert before[-1][0] in ("fsync", "fdatasync"), (
+            f"{target}: {before[-1][0]} after the last flush"
+        )
         folder = str(Path(target).parent)
         after = [each for each, of in found[number + 1 :] if each == "fsync" and of[:1] == [folder]]
         assert after, f"{target}: its folder was not flushed"
-        written = [each for each, of in found[number + 1 :] if of[:1] in ([source], [target]) and "write" in each]
+        written = [
+            each
+            for each, of in found[number + 1 :]
+            if of[:1] in ([source], [target]) and "write" in each
+        ]
         assert not written, f"{target}: written to after it had its name"
         given.add(Path(target).relative_to(out).as_posix())
     return given
@@ -82,12 +98,21 @@ def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
 @pytest.mark.parametrize(
     ("words", "outputs"),
     [
-        (("classify", "{seeds}/pf6.laz", "{out}/o.laz", "--preset", "urban", "-q"), ("o.laz", "o.laz.prc.json")),
+        (
+            ("classify", "{seeds}/pf6.laz", "{out}/o.laz", "--preset", "urban", "-q"),
+            ("o.laz", "o.laz.prc.json"),
+        ),
         *(
             pytest.param((*words, "-q"), outputs, marks=pytest.mark.long)
             for words, outputs in (
-                (("classify", "{seeds}/a.npz", "{out}/o.npy", "--preset", "urban"), ("o.npy", "o.npy.prc.json")),
-                (("classify", "{seeds}/a.csv", "{out}/o.parquet", "--preset", "urban"), ("o.parquet",)),
+                (
+                    ("classify", "{seeds}/a.npz", "{out}/o.npy", "--preset", "urban"),
+                    ("o.npy", "o.npy.prc.json"),
+                ),
+                (
+                    ("classify", "{seeds}/a.csv", "{out}/o.parquet", "--preset", "urban"),
+                    ("o.parquet",),
+                ),
                 (("convert", "{seeds}/a.csv", "{out}/o.las", "--trust-order"), ("o.las",)),
                 (("convert", "{seeds}/a.csv", "{out}/o.e57", "--trust-order"), ("o.e57",)),
                 (("convert", "{seeds}/a.csv", "{out}/o.npz", "--trust-order"), ("o.npz",)),
@@ -123,7 +148,12 @@ def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
 
 def test_what_is_out_of_order_is_seen(tmp_path: Path) -> None:
     part, name, out = "/out/.a.part", "/out/a", Path("/out")
-    write, flush, link, sync = ("write", [part]), ("fsync", [part]), ("link", [part, name]), ("fsync", ["/out"])
+    write, flush, link, sync = (
+        ("write", [part]),
+        ("fsync", [part]),
+        ("link", [part, name]),
+        ("fsync", ["/out"]),
+    )
     assert check_order([write, flush, link, sync], out) == {"a"}
     for wrong in (
         [write, link, sync],

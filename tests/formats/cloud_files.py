@@ -10,18 +10,33 @@ import numpy as np
 
 Array = np.ndarray[Any, Any]
 PLY_NAMES = {
-    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
     "f8": "double",
-}  # fmt: skip
+}
 
 
-def ply(columns: dict[str, Array], form: str = "binary_little_endian", comments: tuple[str, ...] = ()) -> bytes:
+def ply(
+    columns: dict[str, Array], form: str = "binary_little_endian", comments: tuple[str, ...] = ()
+) -> bytes:
     """A PLY file of one column per property."""
     n = len(next(iter(columns.values())))
     kinds = {name: PLY_NAMES[column.dtype.str[1:]] for name, column in columns.items()}
-    head = ["ply", f"format {form} 1.0", *(f"comment {text}" for text in comments), f"element vertex {n}"]
+    head = [
+        "ply",
+        f"format {form} 1.0",
+        *(f"comment {text}" for text in comments),
+        f"element vertex {n}",
+    ]
     head += [*(f"property {kind} {name}" for name, kind in kinds.items()), "end_header", ""]
-    return "\n".join(head).encode() + body(columns, {"ascii": "", "binary_big_endian": ">"}.get(form, "<"))
+    return "\n".join(head).encode() + body(
+        columns, {"ascii": "", "binary_big_endian": ">"}.get(form, "<")
+    )
 
 
 def body(columns: dict[str, Array], order: str) -> bytes:
@@ -36,7 +51,12 @@ def body(columns: dict[str, Array], order: str) -> bytes:
     return records.tobytes()
 
 
-def pcd(columns: dict[str, Array], data: str = "binary", height: int = 1, viewpoint: str = "0 0 0 1 0 0 0") -> bytes:
+def pcd(
+    columns: dict[str, Array],
+    data: str = "binary",
+    height: int = 1,
+    viewpoint: str = "0 0 0 1 0 0 0",
+) -> bytes:
     """A PCD file of one column per field."""
     n = len(next(iter(columns.values())))
     kinds = [column.dtype for column in columns.values()]
@@ -47,7 +67,9 @@ def pcd(columns: dict[str, Array], data: str = "binary", height: int = 1, viewpo
     )
     if data != "binary_compressed":
         return head.encode() + body(columns, "<" if data == "binary" else "")
-    raw = b"".join(column.astype(column.dtype.newbyteorder("<")).tobytes() for column in columns.values())
+    raw = b"".join(
+        column.astype(column.dtype.newbyteorder("<")).tobytes() for column in columns.values()
+    )
     packed = lzf(raw)
     return head.encode() + struct.pack("<II", len(packed), len(raw)) + packed
 

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTally, ScanBlock, StageLabels
+from prc_cli.core.stream import (
+    Assumption,
+    ExtraReturns,
+    LabelledBlock,
+    ReadTally,
+    ScanBlock,
+    StageLabels,
+)
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import StagedWriter
@@ -48,13 +55,19 @@ def labelled(
     if range_m is None:
         range_m = np.where(labels == Label.MISSING, np.nan, 10.0).astype(np.float32)
     block = ScanBlock(
-        first_line=first_line, range_m=range_m, record=record, extra=extra or ExtraReturns.none(), **fields
+        first_line=first_line,
+        range_m=range_m,
+        record=record,
+        extra=extra or ExtraReturns.none(),
+        **fields,
     )
     extra_labels = np.empty(0, np.uint8) if extra_labels is None else extra_labels
     return LabelledBlock(block, labels, extra_labels, segments, stages)
 
 
-def record_blocks(labels: U8, m: int = 20, *, order: I64 | None = None, **fields: Any) -> list[LabelledBlock]:
+def record_blocks(
+    labels: U8, m: int = 20, *, order: I64 | None = None, **fields: Any
+) -> list[LabelledBlock]:
     """Blocks of two lines that give record i the label i; ``order`` is the scan order of the records."""
     order = np.arange(len(labels)) if order is None else order
     cells = np.full(-(-len(labels) // (2 * m)) * 2 * m, -1, np.int64)
@@ -63,7 +76,9 @@ def record_blocks(labels: U8, m: int = 20, *, order: I64 | None = None, **fields
     for first in range(0, len(cells), 2 * m):
         record = cells[first : first + 2 * m].reshape(2, m)
         values = np.where(record >= 0, labels[record], Label.MISSING).astype(np.uint8)
-        own: dict[str, Any] = {name: np.where(record >= 0, field[record], 0) for name, field in fields.items()}
+        own: dict[str, Any] = {
+            name: np.where(record >= 0, field[record], 0) for name, field in fields.items()
+        }
         if "range_m" in own:
             own["range_m"] = np.where(record >= 0, own["range_m"], np.nan).astype(np.float32)
         blocks.append(labelled(values, first_line=first // m, record=record, **own))
@@ -71,12 +86,18 @@ def record_blocks(labels: U8, m: int = 20, *, order: I64 | None = None, **fields
 
 
 def writer(path: Path, source: Path, *, overwrite: bool = False, **changes: Any) -> StagedWriter:
-    output = LabelOutput(path=path, source=source, n_records=None, points_per_line=20, codes=ClassCodes())
+    output = LabelOutput(
+        path=path, source=source, n_records=None, points_per_line=20, codes=ClassCodes()
+    )
     return open_writer(replace(output, **changes), overwrite=overwrite)
 
 
 def write(
-    path: Path, source: Path, blocks: list[LabelledBlock], record: RunRecord | None = None, **changes: Any
+    path: Path,
+    source: Path,
+    blocks: list[LabelledBlock],
+    record: RunRecord | None = None,
+    **changes: Any,
 ) -> RunRecord:
     """Write a whole output."""
     with writer(path, source, **changes) as opened:

@@ -37,7 +37,11 @@ def turn_x(degrees: float) -> Array:
 
 
 def ptx_header(
-    n_lines: int, m: int, rotation: Array | None = None, shift: Sequence[float] = (0, 0, 0), position: Any = None
+    n_lines: int,
+    m: int,
+    rotation: Array | None = None,
+    shift: Sequence[float] = (0, 0, 0),
+    position: Any = None,
 ) -> str:
     """The ten lines of a scan; ``rotation`` turns column vectors."""
     rows = (np.eye(3) if rotation is None else rotation).T
@@ -52,7 +56,10 @@ def ptx_header(
 def ptx_rows(points: Array, colour: bool = False) -> str:
     """One line a point, columns outermost."""
     tail = " 10 20 30" if colour else ""
-    return "".join(" ".join(f"{v:.4f}" for v in point) + tail + "\n" for point in points.reshape(-1, points.shape[-1]))
+    return "".join(
+        " ".join(f"{v:.4f}" for v in point) + tail + "\n"
+        for point in points.reshape(-1, points.shape[-1])
+    )
 
 
 def ptx_scan(points: Array, colour: bool = False, **header: Any) -> str:
@@ -81,7 +88,9 @@ def e57_fields(
 ) -> dict[str, Array]:
     """Fields of a grid's points, columns outermost; missing cells have no point unless they are to be kept."""
     n_lines, m = points.shape[:2]
-    column, row = (index.ravel() for index in np.meshgrid(np.arange(n_lines), np.arange(m), indexing="ij"))
+    column, row = (
+        index.ravel() for index in np.meshgrid(np.arange(n_lines), np.arange(m), indexing="ij")
+    )
     flat = points.reshape(-1, 4)
     there = np.ones(len(flat), bool) if keep_missing else flat[:, :3].any(axis=1)
     return {
@@ -122,7 +131,12 @@ def _write_scan(image: Any, data: Any, scan: Scan) -> None:
         node = libe57.StructureNode(image)
         for name, value in values.items():
             whole = isinstance(value, (int, np.integer))
-            node.set(name, libe57.IntegerNode(image, int(value)) if whole else libe57.FloatNode(image, float(value)))
+            node.set(
+                name,
+                libe57.IntegerNode(image, int(value))
+                if whole
+                else libe57.FloatNode(image, float(value)),
+            )
         return node
 
     node = libe57.StructureNode(image)
@@ -136,7 +150,9 @@ def _write_scan(image: Any, data: Any, scan: Scan) -> None:
     if scan.rotation is not None:
         pose = libe57.StructureNode(image)
         pose.set("rotation", structure(**dict(zip("wxyz", map(float, scan.rotation), strict=True))))
-        pose.set("translation", structure(**dict(zip("xyz", map(float, scan.translation), strict=True))))
+        pose.set(
+            "translation", structure(**dict(zip("xyz", map(float, scan.translation), strict=True)))
+        )
         node.set("pose", pose)
     prototype = libe57.StructureNode(image)
     n = len(next(iter(scan.fields.values())))
@@ -182,7 +198,8 @@ def with_checksums(raw: bytes) -> bytes:
     """The file with the checksum of every page made right, so that a change in it reaches the decoder."""
     pages = [raw[start : start + 1024] for start in range(0, len(raw), 1024)]
     return b"".join(
-        page[:1020] + struct.pack(">I", crc32c(page[:1020])) if len(page) == 1024 else page for page in pages
+        page[:1020] + struct.pack(">I", crc32c(page[:1020])) if len(page) == 1024 else page
+        for page in pages
     )
 
 
@@ -202,7 +219,10 @@ def replace_xml(raw: bytes, old: bytes, new: bytes) -> bytes:
     xml = xml.replace(old, new)
     payload = before + xml
     payload += b"\0" * (-len(payload) % 1020)
-    made = bytearray(pages + b"".join(payload[at : at + 1020] + b"\0\0\0\0" for at in range(0, len(payload), 1020)))
+    made = bytearray(
+        pages
+        + b"".join(payload[at : at + 1020] + b"\0\0\0\0" for at in range(0, len(payload), 1020))
+    )
     struct.pack_into("<Q", made, 16, len(made))
     struct.pack_into("<QQ", made, 24, start, len(xml))
     return with_checksums(bytes(made))

@@ -81,7 +81,9 @@ def test_trajectories_have_other_units_and_begin_anew_as_well(tmp_path: Path) ->
     path.write_text("time,x,y,z\n" + "\n".join(rows))
     track = load_trajectory(path, crs=None, source_crs_wkt=None, time_offset=0.0)
     np.testing.assert_array_equal(track.time_s, 3595.0 + np.arange(10))
-    path.write_text("time,x,y,z\n" + "\n".join(f"{(1_700_000_000 + t) * 10**9},{t},0,1" for t in range(10)))
+    path.write_text(
+        "time,x,y,z\n" + "\n".join(f"{(1_700_000_000 + t) * 10**9},{t},0,1" for t in range(10))
+    )
     track = load_trajectory(path, crs=None, source_crs_wkt=None, time_offset=0.0)
     np.testing.assert_array_equal(track.time_s, 1.7e9 + np.arange(10))
 

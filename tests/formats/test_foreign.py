@@ -27,7 +27,9 @@ from prc_cli.formats import check_input
         ("a.foo", ("rename the file or convert it",)),
     ],
 )
-def test_the_maker_and_the_export_are_named(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
+def test_the_maker_and_the_export_are_named(
+    tmp_path: Path, name: str, words: tuple[str, ...]
+) -> None:
     path = tmp_path / name
     path.write_bytes(b"1234")
     with pytest.raises(InputError) as caught:

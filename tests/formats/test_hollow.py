@@ -14,7 +14,9 @@ from prc_cli.formats import check_input
 def test_a_copy_that_never_ended_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     with path.open("wb") as handle:
-        np.lib.format.write_array_header_1_0(handle, {"descr": "<f4", "fortran_order": False, "shape": (1 << 20, 1024)})
+        np.lib.format.write_array_header_1_0(
+            handle, {"descr": "<f4", "fortran_order": False, "shape": (1 << 20, 1024)}
+        )
         handle.truncate(handle.tell() + (1 << 32))
     if getattr(path.stat(), "st_blocks", 1 << 40) * 512 > 1 << 20:
         pytest.skip("this file system has no holes")

@@ -42,7 +42,10 @@ def test_bags_of_one_drive(tmp_path: Path) -> None:
 def test_captures_of_one_drive(tmp_path: Path) -> None:
     frames = captures.framed(captures.vlp16())
     whole = captures.write_pcap(tmp_path / "a.pcap", frames)
-    parts = [captures.write_pcap(tmp_path / f"a_{k}.pcap", frames[10 * k : 10 * k + 10]) for k in range(2)]
+    parts = [
+        captures.write_pcap(tmp_path / f"a_{k}.pcap", frames[10 * k : 10 * k + 10])
+        for k in range(2)
+    ]
     assert check_joined(whole, parts) == [0, 10 * 384, 20 * 384]
 
 

@@ -23,9 +23,24 @@ from tests.street import angles, street
 
 DUMP = Layout.model_validate(tomllib.loads(LAYOUT)["layout"])
 SAMPLES = (
-    "plain.las", "pf6.laz", "copc7.laz", "a.npy", "a.npz", "a.csv.gz", "a.3d", "a.ply", "text.ply", "lzf.pcd", "a.xyz",
-    "a.bin", "a.ptx", "a.e57", "plain.bag", "plain.mcap", "velodyne.pcap",
-)  # fmt: skip
+    "plain.las",
+    "pf6.laz",
+    "copc7.laz",
+    "a.npy",
+    "a.npz",
+    "a.csv.gz",
+    "a.3d",
+    "a.ply",
+    "text.ply",
+    "lzf.pcd",
+    "a.xyz",
+    "a.bin",
+    "a.ptx",
+    "a.e57",
+    "plain.bag",
+    "plain.mcap",
+    "velodyne.pcap",
+)
 
 
 @pytest.mark.parametrize("suffix", by_suffix("streams"))

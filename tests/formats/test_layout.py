@@ -38,13 +38,22 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
             "layout.record_bytes: found 7, but the fields take 8 bytes; leave it out or give 8 or more",
         ),
         (layout({"name": "range", "unit": "deg"}), "field 'range': found unit 'deg', expected m"),
-        (layout({"name": "angle", "unit": "m"}), "field 'angle': found unit 'm', expected deg or rad"),
+        (
+            layout({"name": "angle", "unit": "m"}),
+            "field 'angle': found unit 'm', expected deg or rad",
+        ),
         (
             layout({"name": "range", "type": "u2", "missing": -1}),
             "field 'range': found missing = -1, which u2 cannot hold; give the value as it is stored",
         ),
-        (layout({"name": "range", "type": "i4", "missing": 0.5}), "missing = 0.5, which i4 cannot hold"),
-        (layout({"name": "range", "type": "f4", "missing": 1e39}), "missing = 1e+39, which f4 cannot hold"),
+        (
+            layout({"name": "range", "type": "i4", "missing": 0.5}),
+            "missing = 0.5, which i4 cannot hold",
+        ),
+        (
+            layout({"name": "range", "type": "f4", "missing": 1e39}),
+            "missing = 1e+39, which f4 cannot hold",
+        ),
     ],
 )
 def test_layouts_that_contradict_themselves(given: Layout, found: str) -> None:
@@ -84,7 +93,12 @@ SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "layouts"
     ],
 )
 def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, n: int, share_missing: float, value: float
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    n: int,
+    share_missing: float,
+    value: float,
 ) -> None:
     sample = (SAMPLES / f"{name}.toml").read_text(encoding="utf-8")
     given = Layout.model_validate(tomllib.loads(sample)["layout"])
@@ -103,7 +117,9 @@ def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
 
 
 def test_every_sample_layout_is_tried_above() -> None:
-    tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[0].args[1]  # type: ignore[attr-defined]
+    tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[
+        0
+    ].args[1]  # type: ignore[attr-defined]
     assert {path.stem for path in SAMPLES.glob("*.toml")} == {case[0] for case in tried}
 
 
@@ -124,13 +140,17 @@ def test_bounds_are_judged_the_same_for_float32_float64_and_integers() -> None:
         np.testing.assert_array_equal(narrow, wide)
         assert tally_narrow == tally_wide
     whole, _ = clean_ranges(millimetres, 5.0, 30_000.0)
-    np.testing.assert_array_equal(whole, clean_ranges(millimetres.astype(np.float64), 5.0, 30_000.0)[0])
+    np.testing.assert_array_equal(
+        whole, clean_ranges(millimetres.astype(np.float64), 5.0, 30_000.0)[0]
+    )
 
 
 NAN = np.nan
 
 
-def shots(time: list[float], number_of_returns: list[int], return_number: list[int] | None = None) -> list[int]:
+def shots(
+    time: list[float], number_of_returns: list[int], return_number: list[int] | None = None
+) -> list[int]:
     """Return the shot of every record."""
     continues = continues_run((np.array(time),), np.array(number_of_returns))
     starts = mark_shots(continues, None if return_number is None else np.array(return_number))
@@ -146,11 +166,15 @@ def shots(time: list[float], number_of_returns: list[int], return_number: list[i
         ([1, 1, 1, 1, 1, 1], [1, 2, 3, 4, 5, 6]),
     ],
 )
-def test_return_numbers_tell_shots_of_one_stamp_apart(numbers: list[int], expected: list[int]) -> None:
+def test_return_numbers_tell_shots_of_one_stamp_apart(
+    numbers: list[int], expected: list[int]
+) -> None:
     assert shots([5.0] * 6, [3] * 6, numbers) == expected
 
 
-def choose(rule: Any, range_m: list[float], intensity: list[float] | None, number: list[int] | None) -> list[int]:
+def choose(
+    rule: Any, range_m: list[float], intensity: list[float] | None, number: list[int] | None
+) -> list[int]:
     starts = np.array([True, False, False, True])
     chosen = choose_returns(
         starts,
@@ -198,10 +222,16 @@ def forest() -> dict[str, NDArray[Any]]:
 @pytest.mark.parametrize("chunk_records", [1, 3])
 @pytest.mark.parametrize(
     ("rule", "standing"),
-    [("strongest", [[0, 2, 4], [7, 8, 9]]), ("first", [[0, 1, 4], [6, 8, 9]]), ("last", [[0, 3, 5], [7, 8, 9]])],
+    [
+        ("strongest", [[0, 2, 4], [7, 8, 9]]),
+        ("first", [[0, 1, 4], [6, 8, 9]]),
+        ("last", [[0, 3, 5], [7, 8, 9]]),
+    ],
 )
 @pytest.mark.parametrize("columns", ["order", "time:1", "dimension:column"])
-def test_one_return_a_shot_in_the_image(rule: str, standing: list[list[int]], columns: str, chunk_records: int) -> None:
+def test_one_return_a_shot_in_the_image(
+    rule: str, standing: list[list[int]], columns: str, chunk_records: int
+) -> None:
     records = forest()
     records["column"] = np.array([0, 1, 1, 1, 2, 2, 0, 0, 1, 2])
     whole = read(open_records(records, chunk_records, columns=columns, return_=rule))
@@ -222,7 +252,14 @@ def _frame(n_fields: int) -> np.ndarray:
     elevation = np.deg2rad(2.0 - 1.7 * ring)
     range_m = np.random.default_rng(2).uniform(5, 6, len(ring))
     flat = range_m * np.cos(elevation)
-    columns = [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation), 0.1 * ring, ring, azimuth]
+    columns = [
+        flat * np.cos(azimuth),
+        flat * np.sin(azimuth),
+        range_m * np.sin(elevation),
+        0.1 * ring,
+        ring,
+        azimuth,
+    ]
     return np.stack(columns[:n_fields], axis=1).astype("<f4")
 
 

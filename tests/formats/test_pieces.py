@@ -26,10 +26,14 @@ def lines_of(data: bytes) -> list[bytes]:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("read", [1, 7])
-def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, seed: int, read: int) -> None:
+def test_skipping_lines_equals_reading_them(
+    monkeypatch: pytest.MonkeyPatch, seed: int, read: int
+) -> None:
     monkeypatch.setattr(ptx, "BLOCK_BYTES", read)
     rng = np.random.default_rng(seed)
-    data = b"\n".join(b"x" * n for n in rng.integers(0, 6, 9).tolist()) + (b"" if seed % 3 else b"\n")
+    data = b"\n".join(b"x" * n for n in rng.integers(0, 6, 9).tolist()) + (
+        b"" if seed % 3 else b"\n"
+    )
     every = lines_of(data)
     for n in range(11):
         one: Any = ptx._Survey.__new__(ptx._Survey)
@@ -43,7 +47,16 @@ def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, see
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [(1, 1), (0, None), (-3, None), (True, None), (2.0, None), ("5", None), (2154, 2154), (None, None)],
+    [
+        (1, 1),
+        (0, None),
+        (-3, None),
+        (True, None),
+        (2.0, None),
+        ("5", None),
+        (2154, 2154),
+        (None, None),
+    ],
 )
 def test_points_per_line_of_the_own_record(value: object, expected: int | None) -> None:
     header: Any = SimpleNamespace(
@@ -67,7 +80,11 @@ def chunks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     las.gps_time = np.arange(25.0)
     raw = las.points.array.tobytes()
     vlr = lazrs.LazVlr.new_for_compression(1, 0)
-    data = bytearray(vlr.record_data().tobytes() if hasattr(vlr.record_data(), "tobytes") else bytes(vlr.record_data()))
+    data = bytearray(
+        vlr.record_data().tobytes()
+        if hasattr(vlr.record_data(), "tobytes")
+        else bytes(vlr.record_data())
+    )
     struct.pack_into("<I", data, 12, 10)
     vlr = lazrs.LazVlr(bytes(data))
     las.write(path)
@@ -98,9 +115,16 @@ def test_batches_hold_every_record_once(
         assert records.table.first_byte[-1] == records.table.start
         assert records.table.n_unread == 0
         found = [(first, bytes(raw)) for first, raw in records.batches(n_max, 0xFFFFFFFF)]
-    assert [first for first, _ in found] == list(np.cumsum([0, *(len(raw) // 28 for _, raw in found)]))[:-1]
+    assert [first for first, _ in found] == list(
+        np.cumsum([0, *(len(raw) // 28 for _, raw in found)])
+    )[:-1]
     assert max(len(raw) for _, raw in found) <= n_max * 28
-    times = np.frombuffer(b"".join(raw for _, raw in found), np.uint8).reshape(25, 28)[:, 20:].copy().view("<f8")
+    times = (
+        np.frombuffer(b"".join(raw for _, raw in found), np.uint8)
+        .reshape(25, 28)[:, 20:]
+        .copy()
+        .view("<f8")
+    )
     assert times.ravel().tolist() == list(range(25))
 
 
@@ -122,7 +146,10 @@ def test_counts_agree_with_laspy(real_data: Path) -> None:
     assert found.time_s == pytest.approx((las.gps_time.min(), las.gps_time.max()))
     for told, values in ((found.classes, las.classification), (found.sources, las.point_source_id)):
         assert told == dict(
-            zip(*map(np.ndarray.tolist, np.unique(np.asarray(values), return_counts=True)), strict=True)
+            zip(
+                *map(np.ndarray.tolist, np.unique(np.asarray(values), return_counts=True)),
+                strict=True,
+            )
         )
     both = (np.asarray(las.return_number) == 2) & (np.asarray(las.number_of_returns) == 3)
     assert found.returns["2 of 3"] == np.count_nonzero(both)
@@ -138,7 +165,9 @@ def test_counts_agree_with_laspy(real_data: Path) -> None:
         ([1900, 2000], [0, 1], False),
     ],
 )
-def test_coordinates_beyond_a_scanner_are_registered(x: list[float], y: list[float], is_registered: bool) -> None:
+def test_coordinates_beyond_a_scanner_are_registered(
+    x: list[float], y: list[float], is_registered: bool
+) -> None:
     found = Contents()
     assert found.is_registered is None
     found.see({"x": np.array(x, float), "y": np.array(y, float)})

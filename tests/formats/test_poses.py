@@ -34,7 +34,9 @@ def tum(path: Path, rows: np.ndarray) -> Path:
     return path
 
 
-def odometry(rows: np.ndarray, *, version: int = 2, kind: str = "nav_msgs/msg/Odometry", topic: str = "/odom") -> Any:
+def odometry(
+    rows: np.ndarray, *, version: int = 2, kind: str = "nav_msgs/msg/Odometry", topic: str = "/odom"
+) -> Any:
     """Messages with poses; times after a second, since stamps are not negative."""
     store = made.STORES[version]
     types = store.types
@@ -42,7 +44,8 @@ def odometry(rows: np.ndarray, *, version: int = 2, kind: str = "nav_msgs/msg/Od
     for row in rows:
         time_ns = round((row[0] + 1) * 1e9)
         pose = types["geometry_msgs/msg/Pose"](
-            types["geometry_msgs/msg/Point"](*row[1:4]), types["geometry_msgs/msg/Quaternion"](*row[4:])
+            types["geometry_msgs/msg/Point"](*row[1:4]),
+            types["geometry_msgs/msg/Quaternion"](*row[4:]),
         )
         head = made.header(store, time_ns, "odom")
         if kind.endswith("PoseStamped"):
@@ -78,19 +81,42 @@ def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> N
     points.write_bytes(seed("a.csv"))
     rows, arm = poses(), (0.5, -0.2, 1.5)
     moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
-    lines = [f"{t:.9f},{x:.9f},{y:.9f},{z:.9f}\n" for t, (x, y, z) in zip(rows[:, 0], moved, strict=True)]
+    lines = [
+        f"{t:.9f},{x:.9f},{y:.9f},{z:.9f}\n" for t, (x, y, z) in zip(rows[:, 0], moved, strict=True)
+    ]
     track.write_text("time,x,y,z\n" + "".join(lines))
-    bag = made.write_bag(tmp_path / "poses.bag", [*odometry(rows, version=1), *odometry(rows, version=1, topic="/x")])
+    bag = made.write_bag(
+        tmp_path / "poses.bag", [*odometry(rows, version=1), *odometry(rows, version=1, topic="/x")]
+    )
     lever = ("--set", "input.trajectory_lever_arm=[0.5, -0.2, 1.5]")
     found = []
     for name, more in (
         (track, ()),
         (tum(tmp_path / "a.tum", rows), lever),
-        (bag, (*lever, "--set", "input.trajectory_topic=/odom", "--set", "input.trajectory_time_offset=-1")),
+        (
+            bag,
+            (
+                *lever,
+                "--set",
+                "input.trajectory_topic=/odom",
+                "--set",
+                "input.trajectory_time_offset=-1",
+            ),
+        ),
     ):
         output = tmp_path / f"{name.name}.npz"
-        words = ["convert", str(points), str(output), "--range", f"trajectory:{name}", "--trust-order", *more]
-        result = runner().invoke(cli, [*words, "--lines", "time:50", "--columns", "time:1200", "-M", "24"])
+        words = [
+            "convert",
+            str(points),
+            str(output),
+            "--range",
+            f"trajectory:{name}",
+            "--trust-order",
+            *more,
+        ]
+        result = runner().invoke(
+            cli, [*words, "--lines", "time:50", "--columns", "time:1200", "-M", "24"]
+        )
         assert result.exit_code in (0, 4), result.output + result.stderr
         with np.load(output) as arrays:
             found.append(arrays["range_m"])
@@ -113,7 +139,9 @@ def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
     assert not is_tum(_written(tmp_path / "b.csv", "time x y z a b c d\n1 2 3 4 5 6 7 8\n"))
     assert not is_tum(_written(tmp_path / "c.csv", "\n# nothing\n"))
     two = made.write_db3(tmp_path / "two.db3", [*odometry(rows), *odometry(rows, topic="/x")])
-    with pytest.raises(ConfigError, match=r"several topics with poses in two.db3, it has: /odom, /x"):
+    with pytest.raises(
+        ConfigError, match=r"several topics with poses in two.db3, it has: /odom, /x"
+    ):
         read_poses(two, None)
     with pytest.raises(ConfigError, match=r"no poses on '/y' in two.db3, it has: /odom, /x"):
         read_poses(two, "/y")
@@ -136,7 +164,9 @@ def test_clocks_that_differ_are_named(tmp_path: Path, ahead: float, offset: int,
     rows = poses()
     rows[:, 0] = np.linspace(1_700_000_000, 1_700_000_010, len(rows))
     track = load_trajectory(tum(tmp_path / "a.tum", rows), **HEAD)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=rf"differ by {name}: try --set input.trajectory_time_offset={offset}$"):
+    with pytest.raises(
+        InputError, match=rf"differ by {name}: try --set input.trajectory_time_offset={offset}$"
+    ):
         track.positions(np.linspace(1_700_000_001, 1_700_000_009, 5) + ahead)
 
 

@@ -114,9 +114,12 @@ def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("shots", [1, 7, 13, 50])
 @pytest.mark.parametrize("text_bytes", [70, 333])
-def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, text_bytes: int) -> None:
+def test_chunks_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, text_bytes: int
+) -> None:
     path = write_text(
-        tmp_path / "a.ptx", ptx_scan(grid_points(8, 6), rotation=turn_x(20)) + ptx_scan(grid_points(3, 9))
+        tmp_path / "a.ptx",
+        ptx_scan(grid_points(8, 6), rotation=turn_x(20)) + ptx_scan(grid_points(3, 9)),
     )
     whole = scans_of(PtxStream(path, AUTO))
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
@@ -150,30 +153,62 @@ GOOD = ptx_scan(grid_points(4, 5, missing=0))
 @pytest.mark.parametrize(
     ("text", "parts"),
     {
-        "too few": (GOOD[: GOOD[:-1].rfind("\n") + 1], ("line 29", "ends after 19 points", "4 columns x 5 rows = 20")),
-        "too many": (GOOD + "1 2 3 0.5\n", ("line 31", "'1 2 3 0.5'", "line 1", "4 columns x 5 rows = 20 points")),
+        "too few": (
+            GOOD[: GOOD[:-1].rfind("\n") + 1],
+            ("line 29", "ends after 19 points", "4 columns x 5 rows = 20"),
+        ),
+        "too many": (
+            GOOD + "1 2 3 0.5\n",
+            ("line 31", "'1 2 3 0.5'", "line 1", "4 columns x 5 rows = 20 points"),
+        ),
         "too few before a scan": (
             GOOD.replace("5\n", "6\n", 1) + GOOD,
             ("line 31", "next scan begins after 20 points", "line 1 says 4 columns x 6 rows = 24"),
         ),
-        "too few, far before the end": (GOOD.replace("4\n5\n", "4\n7\n", 1) + GOOD * 3, ("line 31", "after 20 points")),
-        "a blank line": (GOOD.replace("\n", "\n\n", 15).replace("\n\n", "\n", 13), ("a blank line", "expected 4")),
+        "too few, far before the end": (
+            GOOD.replace("4\n5\n", "4\n7\n", 1) + GOOD * 3,
+            ("line 31", "after 20 points"),
+        ),
+        "a blank line": (
+            GOOD.replace("\n", "\n\n", 15).replace("\n\n", "\n", 13),
+            ("a blank line", "expected 4"),
+        ),
         "no number": (GOOD[:-20] + "x" + GOOD[-19:], ("line 30", "expected a number")),
-        "a row too short": (GOOD[: GOOD[:-1].rfind(" ")] + "\n", ("line 30", "found 3 numbers", "point 20")),
+        "a row too short": (
+            GOOD[: GOOD[:-1].rfind(" ")] + "\n",
+            ("line 30", "found 3 numbers", "point 20"),
+        ),
         "two numbers": (ptx_header(1, 1) + "1 2\n", ("line 11", "found 2 numbers")),
         "not PTX": ("hello\n" * 30, ("line 1", "'hello'", "number of columns")),
-        "header cut short": ("\n".join(GOOD.splitlines()[:6]), ("line 6", "found ''", "expected 4 numbers")),
-        "header not finite": (GOOD.replace("1.000000000", "nan", 1), ("line 4", "expected 3 numbers")),
-        "stretched": (ptx_scan(grid_points(2, 2), rotation=0.001 * np.eye(3)), ("line 7", "no rotation")),
-        "mirrored": (ptx_scan(grid_points(2, 2), rotation=np.diag([1.0, 1, -1])), ("line 7", "no rotation")),
+        "header cut short": (
+            "\n".join(GOOD.splitlines()[:6]),
+            ("line 6", "found ''", "expected 4 numbers"),
+        ),
+        "header not finite": (
+            GOOD.replace("1.000000000", "nan", 1),
+            ("line 4", "expected 3 numbers"),
+        ),
+        "stretched": (
+            ptx_scan(grid_points(2, 2), rotation=0.001 * np.eye(3)),
+            ("line 7", "no rotation"),
+        ),
+        "mirrored": (
+            ptx_scan(grid_points(2, 2), rotation=np.diag([1.0, 1, -1])),
+            ("line 7", "no rotation"),
+        ),
         "huge rows": (ptx_header(10, 10**15) + "1 2 3 1\n", ("line 2", "at most 10000000")),
         "huge columns": (ptx_header(10**17, 10) + "1 2 3 1\n", ("line 1", "at most 10000000")),
-        "large, not there": (ptx_header(10**6, 10**6) + "1 2 3 1\n", ("ends after 1 points", "= 1000000000000")),
+        "large, not there": (
+            ptx_header(10**6, 10**6) + "1 2 3 1\n",
+            ("ends after 1 points", "= 1000000000000"),
+        ),
         "negative": (ptx_header(-4, 5) + "1 2 3 1\n", ("line 1", "'-4'")),
         "header alone": (ptx_header(4, 5), ("line 11", "found 0 numbers")),
     }.values(),
-)  # fmt: skip
-def test_a_file_that_lies_is_refused_in_one_line(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
+)
+def test_a_file_that_lies_is_refused_in_one_line(
+    tmp_path: Path, text: str, parts: tuple[str, ...]
+) -> None:
     message = refused(write_text(tmp_path / "a.ptx", text))
     for part in parts:
         assert part in message
@@ -209,7 +244,9 @@ def peak_bytes(path: Path) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ptx", "e57", "e57 row by row"])
-def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+def test_memory_does_not_grow_with_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", 2048)
     monkeypatch.setattr(e57_read, "CHUNK_POINTS", 1024)
     monkeypatch.setattr(ptx, "BLOCK_BYTES", 1 << 15)
@@ -261,7 +298,9 @@ def test_a_shot_without_return_that_meets_another_is_no_return(
         output = tmp_path / f"{command[0]}.laz"
         assert Prc(capsys)(*command, path, output).code in (0, 4)  # 4: such echoes are no street
         points = laspy.read(output)
-        np.testing.assert_array_equal(np.sort(points["range"]), np.sort(np.fromfile(path.parent / ECHOES, "<f4")))
+        np.testing.assert_array_equal(
+            np.sort(points["range"]), np.sort(np.fromfile(path.parent / ECHOES, "<f4"))
+        )
 
 
 @pytest.mark.data
@@ -275,8 +314,12 @@ def test_the_standing_car(real_data: Path) -> None:
     assert stream.info.points_per_line == 2917
     assert abs(shots - np.count_nonzero(count)) <= 438  # of 291 970, shots that met another one
     assert tally.n_collisions <= 438
-    assert EchoPulseSource(folder / "pulse-uint8-n_echo.bin").n_records == np.maximum(count, 1).sum()
+    assert (
+        EchoPulseSource(folder / "pulse-uint8-n_echo.bin").n_records == np.maximum(count, 1).sum()
+    )
     ranges = np.sort(np.fromfile(folder / "echo-float32-range.bin", "<f4"))
-    seen = [block.range_m[np.isfinite(block.range_m)] for block in blocks] + [block.extra.range_m for block in blocks]
+    seen = [block.range_m[np.isfinite(block.range_m)] for block in blocks] + [
+        block.extra.range_m for block in blocks
+    ]
     flat = np.concatenate(seen)
     np.testing.assert_array_equal(np.sort(flat[np.isfinite(flat)])[-1000:], ranges[-1000:])

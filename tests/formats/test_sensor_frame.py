@@ -31,17 +31,24 @@ def test_the_own_frame_of_a_scanner_stays() -> None:
 @pytest.mark.parametrize(
     ("turn_deg", "apex_m"),
     [
-        ((0, 1), (0, 0, 0)), ((0, 0), (0, 0, 0.8)), ((0, 0), (0.3, 0, 0)), ((-6, 3), (1.2, -0.4, 1.9)),
+        ((0, 1), (0, 0, 0)),
+        ((0, 0), (0, 0, 0.8)),
+        ((0, 0), (0.3, 0, 0)),
+        ((-6, 3), (1.2, -0.4, 1.9)),
         ((30, 35), (0, 0, 0)),
     ],
-)  # fmt: skip
-def test_axis_and_apex_are_found(turn_deg: tuple[float, float], apex_m: tuple[float, float, float]) -> None:
+)
+def test_axis_and_apex_are_found(
+    turn_deg: tuple[float, float], apex_m: tuple[float, float, float]
+) -> None:
     xyz, ring = shots()
     elsewhere = moved(xyz, turn_deg, apex_m)
     frame = find_frame(elsewhere, ring)
     assert frame is not None
     np.testing.assert_allclose(frame.apex_m, apex_m, atol=0.03)
-    assert frame.lean_deg == pytest.approx(np.degrees(np.linalg.norm(np.radians(turn_deg))), abs=0.1)
+    assert frame.lean_deg == pytest.approx(
+        np.degrees(np.linalg.norm(np.radians(turn_deg))), abs=0.1
+    )
     # heights and distances are those of the scanner; the azimuth may begin elsewhere
     np.testing.assert_allclose(frame.own(elsewhere)[:, 2], xyz[:, 2], atol=0.1)
 

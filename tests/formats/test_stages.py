@@ -41,7 +41,11 @@ class Drive:
 
 
 def drive(
-    *, seed: int = 3, order: np.ndarray | None = None, missing: bool = False, without: tuple[int, ...] = ()
+    *,
+    seed: int = 3,
+    order: np.ndarray | None = None,
+    missing: bool = False,
+    without: tuple[int, ...] = (),
 ) -> Drive:
     """Blocks of four lines; the blocks numbered in ``without`` have no stages."""
     rng = np.random.default_rng(seed)
@@ -61,7 +65,12 @@ def drive(
     for number, first in enumerate(range(0, LINES, 4)):
         rows = slice(first, first + 4)
         stages: StageLabels | None = StageLabels(
-            surface[rows], car_surface[rows], height[rows], trigger[rows], interval[rows], test[rows]
+            surface[rows],
+            car_surface[rows],
+            height[rows],
+            trigger[rows],
+            interval[rows],
+            test[rows],
         )
         if number in without:
             stages = None
@@ -73,19 +82,28 @@ def drive(
 
 
 def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
-    return np.array_equal(np.asarray(found, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4"))
+    return np.array_equal(
+        np.asarray(found, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4")
+    )
 
 
 @pytest.mark.parametrize("extra", [False, True])
-@pytest.mark.parametrize(("form", "before", "after"), [(1, ".las", ".laz"), (3, ".laz", ".las"), (6, ".laz", ".laz")])
-def test_rewritten_files_hold_them(tmp_path: Path, form: int, before: str, after: str, extra: bool) -> None:
+@pytest.mark.parametrize(
+    ("form", "before", "after"), [(1, ".las", ".laz"), (3, ".laz", ".las"), (6, ".laz", ".laz")]
+)
+def test_rewritten_files_hold_them(
+    tmp_path: Path, form: int, before: str, after: str, extra: bool
+) -> None:
     source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
     make_las(source, form, extra=extra)
     order = np.random.default_rng(8).permutation(N)
     given = drive(order=order)
     write(output, source, given.blocks, options=STAGES)
     old, new = laspy.read(source), laspy.read(output)
-    assert list(new.point_format.extra_dimension_names) == [*old.point_format.extra_dimension_names, *NAMES]
+    assert list(new.point_format.extra_dimension_names) == [
+        *old.point_format.extra_dimension_names,
+        *NAMES,
+    ]
     for name, expected in zip(NAMES, given.columns(), strict=True):
         assert same_bits(new[name][order], expected.ravel())
     for name in old.point_format.dimension_names:
@@ -114,4 +132,6 @@ def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewri
         assert np.array_equal(asked.records, plain.records)
         assert asked.kept_vlrs() == plain.kept_vlrs()
     else:
-        assert (tmp_path / f"asked{suffix}").read_bytes() == (tmp_path / f"plain{suffix}").read_bytes()
+        assert (tmp_path / f"asked{suffix}").read_bytes() == (
+            tmp_path / f"plain{suffix}"
+        ).read_bytes()

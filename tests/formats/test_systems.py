@@ -49,7 +49,9 @@ def test_unknown_systems_tell_nothing(crs: str | None) -> None:
 
 def points(scale: float) -> F64:
     rng = np.random.default_rng(1)
-    return np.stack([25 + scale * rng.random(500), 60 + scale * rng.random(500), 12 * rng.random(500)], axis=1)
+    return np.stack(
+        [25 + scale * rng.random(500), 60 + scale * rng.random(500), 12 * rng.random(500)], axis=1
+    )
 
 
 def source_of(xyz: F64, crs: str | None) -> MemorySource:
@@ -59,9 +61,17 @@ def source_of(xyz: F64, crs: str | None) -> MemorySource:
 
 @pytest.mark.parametrize(
     ("scale", "crs", "is_refused"),
-    [(1e-3, None, True), (1e-3, GEO, True), (30.0, GEO, True), (30.0, None, False), (1e-3, METRE, False)],
+    [
+        (1e-3, None, True),
+        (1e-3, GEO, True),
+        (30.0, GEO, True),
+        (30.0, None, False),
+        (1e-3, METRE, False),
+    ],
 )
-def test_degrees_are_refused_with_the_reason(scale: float, crs: str | None, is_refused: bool) -> None:
+def test_degrees_are_refused_with_the_reason(
+    scale: float, crs: str | None, is_refused: bool
+) -> None:
     source = source_of(points(scale), crs)
     assert looks_geographic(points(scale)) == (scale < 1)
     if not is_refused:

@@ -46,7 +46,9 @@ def test_leaving_without_finish_leaves_nothing(
     source = source_for(tmp_path, kind)
 
     def run() -> None:
-        with writer(out / f"a{suffix}", source, options=OutputConfig(segment_ids=True, range=True)) as opened:
+        with writer(
+            out / f"a{suffix}", source, options=OutputConfig(segment_ids=True, range=True)
+        ) as opened:
             for block in record_blocks(random_labels(300)):
                 opened.add(block)
             assert list(out.iterdir())
@@ -63,7 +65,9 @@ def test_leaving_without_finish_leaves_nothing(
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("kind", [".laz", ".bin"])
-def test_a_failed_replacement_keeps_the_old_output(tmp_path: Path, out: Path, kind: str, suffix: str) -> None:
+def test_a_failed_replacement_keeps_the_old_output(
+    tmp_path: Path, out: Path, kind: str, suffix: str
+) -> None:
     source = source_for(tmp_path, kind)
     path = out / f"a{suffix}"
     path.write_bytes(b"old")
@@ -108,7 +112,9 @@ def test_a_write_that_fails_leaves_nothing(
             raise
 
     monkeypatch.setattr(Target, "write", failing)
-    with pytest.raises(OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"):
+    with pytest.raises(
+        OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"
+    ):
         write(out / f"a{suffix}", source, record_blocks(random_labels(300)))
     assert list(out.iterdir()) == []
 
@@ -120,7 +126,9 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
         pytest.skip("mounting a tiny disk needs Linux and root")
     folder = tmp_path / "disk"
     folder.mkdir()
-    mounted = patience.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", folder], capture_output=True)
+    mounted = patience.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", folder], capture_output=True
+    )
     if mounted.returncode:
         pytest.skip(f"cannot mount a tiny disk: {mounted.stderr.decode().strip()}")
     yield folder
@@ -141,14 +149,19 @@ def test_full_disk(tmp_path: Path, tiny_disk: Path, kind: str, suffix: str, n: i
     path = tiny_disk / f"a{suffix}"
     ranges = np.random.default_rng(1).random(n).astype(np.float32)
     blocks = record_blocks(random_labels(n), 1000, range_m=ranges)
-    with pytest.raises(OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"):
+    with pytest.raises(
+        OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"
+    ):
         write(path, source, blocks)
     assert list(tiny_disk.iterdir()) == []
 
 
 @pytest.mark.parametrize("late", ["a.npy", "a.npy.prc.json"])
 def test_a_file_that_appears_while_labels_are_written_stays(tmp_path: Path, late: str) -> None:
-    with pytest.raises(OutputExistsError, match="appeared"), writer(tmp_path / "a.npy", Path("in.bin")) as opened:
+    with (
+        pytest.raises(OutputExistsError, match="appeared"),
+        writer(tmp_path / "a.npy", Path("in.bin")) as opened,
+    ):
         for block in record_blocks(random_labels(30)):
             opened.add(block)
         (tmp_path / late).write_bytes(b"theirs")

@@ -48,7 +48,10 @@ class Tally:
         """Add one input."""
         outcomes = self.ways.setdefault(way, {})
         outcomes[str(answer["code"])] = outcomes.get(str(answer["code"]), 0) + 1
-        self.slowest, self.grown = max(self.slowest, answer["seconds"]), max(self.grown, answer["grown"])
+        self.slowest, self.grown = (
+            max(self.slowest, answer["seconds"]),
+            max(self.grown, answer["grown"]),
+        )
 
 
 def kind_of(fault: str) -> str:
@@ -128,12 +131,18 @@ class Campaign:
     def _try(self, name: str, target: Target, chosen: str, data: bytes, way: str) -> int:
         words: tuple[str, ...] = ()
         if way != "read":
-            words = LABELLED if name in INPUTS and self._rng.random() < 0.3 else self._rng.choice(target.commands)
+            words = (
+                LABELLED
+                if name in INPUTS and self._rng.random() < 0.3
+                else self._rng.choice(target.commands)
+            )
         finding = Found(name, chosen, way, words)
         answer = self._answer(finding, data)
         tally = self.tallies[name]
         tally.count(way, answer)
-        self._is_new = way == "read" and self.corpora[name].add(chosen, data, answer.get("fresh", []))
+        self._is_new = way == "read" and self.corpora[name].add(
+            chosen, data, answer.get("fresh", [])
+        )
         for fault in answer["faults"]:
             kind = kind_of(fault)
             self.n_faults += 1
@@ -148,10 +157,14 @@ class Campaign:
 
     def _keep(self, finding: Found, data: bytes, kind: str, fault: str) -> None:
         small = minimise(
-            data, seed(finding.seed), lambda trial: kind in map(kind_of, self._answer(finding, trial)["faults"])
+            data,
+            seed(finding.seed),
+            lambda trial: kind in map(kind_of, self._answer(finding, trial)["faults"]),
         )
         stem = keep(self._found, finding, small, kind, fault)
-        print(f"{stem}: {len(small)} of {len(data)} bytes, {finding.way} {' '.join(finding.words)}\n{fault[:1500]}\n")
+        print(
+            f"{stem}: {len(small)} of {len(data)} bytes, {finding.way} {' '.join(finding.words)}\n{fault[:1500]}\n"
+        )
         sys.stdout.flush()
 
 
@@ -191,7 +204,9 @@ def main() -> None:
     n = own.run(given.runs, given.seconds)
     times = os.times()
     used = times.user + times.system + times.children_user + times.children_system
-    print(f"{n} inputs in {time.monotonic() - begun:.0f} s, {used:.0f} s of processor time; {own.n_faults} faults")
+    print(
+        f"{n} inputs in {time.monotonic() - begun:.0f} s, {used:.0f} s of processor time; {own.n_faults} faults"
+    )
 
 
 if __name__ == "__main__":

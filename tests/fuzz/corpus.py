@@ -50,7 +50,9 @@ class Corpus:
         else:
             name, data = rng.choice(self.kept[-_NEWEST:] if rng.random() < 0.3 else self.kept)
         if rng.random() < _CROSS_SHARE:
-            others = [each for own, each in self.kept if suffix_of_seed(own) == suffix_of_seed(name)]
+            others = [
+                each for own, each in self.kept if suffix_of_seed(own) == suffix_of_seed(name)
+            ]
             data = _cross(data, rng.choice(others), rng) if others else data
         return name, mutate(data, suffix_of_seed(name), rng.getrandbits(60))
 
@@ -113,7 +115,16 @@ def add_up(corpus: Path, tallies: Mapping[str, Any], corpora: Mapping[str, Any])
     table = _read(corpus)
     for name, tally in tallies.items():
         row = table.setdefault(
-            name, {"ways": {}, "faults": {}, "slowest": 0.0, "grown": 0, "seconds": 0.0, "steps": 0, "kept": 0}
+            name,
+            {
+                "ways": {},
+                "faults": {},
+                "slowest": 0.0,
+                "grown": 0,
+                "seconds": 0.0,
+                "steps": 0,
+                "kept": 0,
+            },
         )
         for way, outcomes in tally.ways.items():
             counts = row["ways"].setdefault(way, {})
@@ -121,7 +132,10 @@ def add_up(corpus: Path, tallies: Mapping[str, Any], corpora: Mapping[str, Any])
                 counts[code] = counts.get(code, 0) + n
         for kind, n in tally.faults.items():
             row["faults"][kind] = row["faults"].get(kind, 0) + n
-        row["slowest"], row["grown"] = max(row["slowest"], tally.slowest), max(row["grown"], tally.grown)
+        row["slowest"], row["grown"] = (
+            max(row["slowest"], tally.slowest),
+            max(row["grown"], tally.grown),
+        )
         row["steps"], row["kept"] = len(corpora[name].steps), len(corpora[name].kept)
         tally.ways.clear()
         tally.faults.clear()
@@ -133,7 +147,13 @@ def _outcomes(ways: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
     found = dict.fromkeys(("accepted", "doubt", "refused", "ended", "none"), 0)
     for counts in ways.values():
         for code, n in counts.items():
-            word = {"0": "accepted", "4": "doubt", "1": "refused", "2": "refused", "None": "none"}.get(code, "ended")
+            word = {
+                "0": "accepted",
+                "4": "doubt",
+                "1": "refused",
+                "2": "refused",
+                "None": "none",
+            }.get(code, "ended")
             found[word] += n
     return found
 
@@ -163,9 +183,16 @@ def report(corpus: Path) -> str:
     n = sum(total.values())
     share = {word: f"{100 * count / max(n, 1):.1f} %" for word, count in total.items()}
     return _PAGE.format(
-        n=n, **by_way, accepted=share["accepted"], looked=share["doubt"], refused=share["refused"],
-        died=total["ended"], faulty=n_faults, kinds=len(kinds), rows="\n".join(rows),
-    )  # fmt: skip
+        n=n,
+        **by_way,
+        accepted=share["accepted"],
+        looked=share["doubt"],
+        refused=share["refused"],
+        died=total["ended"],
+        faulty=n_faults,
+        kinds=len(kinds),
+        rows="\n".join(rows),
+    )
 
 
 FOUND = Path(__file__).parent / "found"

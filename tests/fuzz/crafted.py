@@ -64,7 +64,10 @@ class _Coder:
     def _shift(self) -> None:
         while self._length < _LEAST:
             self.out.append(self._base >> 24)
-            self._base, self._length = (self._base << 8) & 0xFFFFFFFF, (self._length << 8) & 0xFFFFFFFF
+            self._base, self._length = (
+                (self._base << 8) & 0xFFFFFFFF,
+                (self._length << 8) & 0xFFFFFFFF,
+            )
 
     def _add(self, step: int) -> None:
         self._base += step
@@ -129,7 +132,9 @@ def _vlrs(data: bytes) -> list[bytes]:
 def endless_rows(path: Path, table: str) -> Path:
     """Let every pointer of a table's pages in a ``.db3`` lead to one child: some 10^13 rows in five more pages."""
     with sqlite3.connect(path) as base:
-        (root,) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        (root,) = base.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)
+        ).fetchone()
         (size,) = base.execute("PRAGMA page_size").fetchone()
     data = bytearray(path.read_bytes())
     leaf = bytes(data[(root - 1) * size : root * size])
@@ -158,7 +163,9 @@ def endless_column(path: Path) -> Path:
     column = "data BLOB/**/AS/**/(instr(hex(zeroblob(4000000)), hex(zeroblob(2000000)) || 1))"
     with sqlite3.connect(path) as base:
         base.execute("PRAGMA writable_schema = ON")
-        base.execute("UPDATE sqlite_master SET sql = replace(sql, 'data BLOB NOT NULL', ?)", (column,))
+        base.execute(
+            "UPDATE sqlite_master SET sql = replace(sql, 'data BLOB NOT NULL', ?)", (column,)
+        )
     base.close()
     return path
 
@@ -169,15 +176,30 @@ def huge_page(path: Path) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    columns = {"class": np.zeros(5000, np.uint8), "range": np.random.default_rng(1).normal(size=5000)}
+    columns = {
+        "class": np.zeros(5000, np.uint8),
+        "range": np.random.default_rng(1).normal(size=5000),
+    }
     pq.write_table(pa.table(columns), path, use_dictionary=False, compression="snappy")
     data = path.read_bytes()
     with pq.ParquetFile(path) as file:
         at = file.metadata.row_group(0).column(1).data_page_offset
     # type, size and stored size of the page; the longer size takes two bytes from its end
-    kind, size, stored, rest = data[at : at + 3], data[at + 3 : at + 6], data[at + 6 : at + 10], data[at + 10 :]
+    kind, size, stored, rest = (
+        data[at : at + 3],
+        data[at + 3 : at + 6],
+        data[at + 6 : at + 10],
+        data[at + 10 :],
+    )
     assert (kind[2], stored[0], size[2] >> 7, stored[3] >> 7) == (0x15, 0x15, 0, 0)
     stored = bytes([stored[0], stored[1] - 4, *stored[2:]])
     end = at + 10 + (stored[1] & 0x7F | (stored[2] & 0x7F) << 7 | stored[3] << 14) // 2
-    path.write_bytes(data[:at] + kind + b"\xfe\xff\xff\xff\x0f" + stored + rest[: end - at - 10] + data[end + 2 :])
+    path.write_bytes(
+        data[:at]
+        + kind
+        + b"\xfe\xff\xff\xff\x0f"
+        + stored
+        + rest[: end - at - 10]
+        + data[end + 2 :]
+    )
     return path

@@ -42,7 +42,9 @@ CHANGES = {
 """Events whose first arguments are names of files that are changed."""
 OWN = (compiling.__file__, thresholds.__file__)
 """The one begins processes that compile loops, once after installation; the other reads types of its own fields."""
-TEMPLATES = tuple(Path(prc_cli.__path__[0], room, "templates") for room in ("evaluation", "imaging"))
+TEMPLATES = tuple(
+    Path(prc_cli.__path__[0], room, "templates") for room in ("evaluation", "imaging")
+)
 """The program's own pages, which jinja2 turns into code."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
 
@@ -88,7 +90,11 @@ class Guard:
             return f"open {name!r} to write" if flags & _WRITES and not self._allowed(name) else ""
         if event in CHANGES:
             # what is relative to an open folder was judged when its parent was opened
-            names = arguments[: CHANGES[event]] if arguments[-1] in (-1, None) or event.startswith("shutil") else ()
+            names = (
+                arguments[: CHANGES[event]]
+                if arguments[-1] in (-1, None) or event.startswith("shutil")
+                else ()
+            )
             outside = [name for name in names if not self._allowed(name)]
             return f"{event} {outside!r}" if outside else ""
         if event.startswith(FORBIDDEN):
@@ -110,7 +116,10 @@ class Guard:
         path = os.path.abspath(os.fsdecode(name))  # noqa: PTH100 - links are not to be followed to the end
         # the folder itself is opened for a file without a name (O_TMPFILE)
         places = Path(path).resolve(), Path(path).parent.resolve()
-        return any(f"{place}{os.sep}".startswith(self._folders) for place in places) or path == os.devnull
+        return (
+            any(f"{place}{os.sep}".startswith(self._folders) for place in places)
+            or path == os.devnull
+        )
 
 
 def _is_import() -> bool:

@@ -66,7 +66,17 @@ def _left_out(data: bytes, sound: bytes) -> Iterator[bytes]:
 
 
 _ROOT = Path(prc_cli.__file__).parent
-ROOMS = ("core", "formats", "streams", "matching", "evaluation", "imaging", "simulation", "jobs", "cli")
+ROOMS = (
+    "core",
+    "formats",
+    "streams",
+    "matching",
+    "evaluation",
+    "imaging",
+    "simulation",
+    "jobs",
+    "cli",
+)
 """Parts of the program that are traced: all but the methods and their compiled loops."""
 _TRACED = (*(f"{_ROOT / room}/" for room in ROOMS), str(_ROOT / "config.py"))
 
@@ -78,11 +88,18 @@ class Tracer:
         self._known: dict[str, set[int]] = {}
         self._data: dict[str, set[int]] = {}
         tracer: Any = native.CTracer()
-        tracer.data, tracer.trace_arcs, tracer.should_trace, tracer.should_trace_cache = self._data, True, _choose, {}
+        tracer.data, tracer.trace_arcs, tracer.should_trace, tracer.should_trace_cache = (
+            self._data,
+            True,
+            _choose,
+            {},
+        )
         tracer.warn = tracer.disable_plugin = _ignore
         tracer.lock_data = tracer.unlock_data = _ignore
         # unset ones end the process
-        tracer.check_include = tracer.should_start_context = tracer.switch_context = tracer.concur_id_func = None
+        tracer.check_include = tracer.should_start_context = tracer.switch_context = (
+            tracer.concur_id_func
+        ) = None
         tracer.file_tracers = {}
         self._tracer = tracer
 

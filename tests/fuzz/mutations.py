@@ -43,7 +43,20 @@ NUMBERS = (
     2**63,
     2**64 - 1,
 )
-FLOATS = (0.0, -0.0, 1e-300, 5e-324, 1e300, -1e300, float("nan"), float("inf"), float("-inf"), 1e19, -1e19, 2.0**53)
+FLOATS = (
+    0.0,
+    -0.0,
+    1e-300,
+    5e-324,
+    1e300,
+    -1e300,
+    float("nan"),
+    float("inf"),
+    float("-inf"),
+    1e19,
+    -1e19,
+    2.0**53,
+)
 WORDS = (
     b"nan",
     b"inf",
@@ -134,7 +147,8 @@ def insert_run(data: bytearray, rng: random.Random) -> bytearray:
     at = rng.randrange(len(data) + 1)
     return (
         data[:at]
-        + bytes([rng.choice((0, 0xFF, 0x0A, 0x20, 0x39))]) * rng.choice((10, 1000, 100_000, 1_200_000))
+        + bytes([rng.choice((0, 0xFF, 0x0A, 0x20, 0x39))])
+        * rng.choice((10, 1000, 100_000, 1_200_000))
         + data[at:]
     )
 
@@ -144,7 +158,11 @@ def set_number(data: bytearray, rng: random.Random) -> bytearray:
     size, code = rng.choice(((1, "<B"), (2, "<H"), (4, "<I"), (8, "<Q"), (4, ">I"), (8, ">Q")))
     if len(data) <= size:
         return data
-    at = rng.randrange(min(len(data), rng.choice((64, 400, 10**9))) - size + 1) if len(data) > size else 0
+    at = (
+        rng.randrange(min(len(data), rng.choice((64, 400, 10**9))) - size + 1)
+        if len(data) > size
+        else 0
+    )
     value = rng.choice((*NUMBERS, len(data), rng.randrange(2 * len(data))))
     struct.pack_into(code, data, at, value % (1 << (8 * size)))
     return data
@@ -165,7 +183,11 @@ def set_float(data: bytearray, rng: random.Random) -> bytearray:
     if len(data) <= size:
         return data
     value = rng.choice(FLOATS)
-    value = value if size == 8 or abs(value) < 3e38 or value != value or abs(value) == float("inf") else 3e38
+    value = (
+        value
+        if size == 8 or abs(value) < 3e38 or value != value or abs(value) == float("inf")
+        else 3e38
+    )
     struct.pack_into(code, data, rng.randrange(len(data) - size), value)
     return data
 
@@ -281,10 +303,17 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
         struct.pack_into("<d", data, at, rng.choice(FLOATS))
         return data
     old = struct.unpack_from("<" + code, data, at)[0]
-    value = rng.choice((*NUMBERS, old + 1, old - 1, old * 2, len(data), len(data) - 1, rng.randrange(len(data))))
+    value = rng.choice(
+        (*NUMBERS, old + 1, old - 1, old * 2, len(data), len(data) - 1, rng.randrange(len(data)))
+    )
     bits = 8 * size
     value %= 1 << bits
-    struct.pack_into("<" + code, data, at, value - (1 << bits) if code == "q" and value >= 1 << (bits - 1) else value)
+    struct.pack_into(
+        "<" + code,
+        data,
+        at,
+        value - (1 << bits) if code == "q" and value >= 1 << (bits - 1) else value,
+    )
     return data
 
 
@@ -302,9 +331,17 @@ def las_grow_vlr(data: bytearray, rng: random.Random) -> bytearray:
     """One more VLR, as large as they come, with a name that should not reach a terminal."""
     if len(data) < 375:
         return data
-    size, start, count = (struct.unpack_from(code, data, at)[0] for code, at in (("<H", 94), ("<I", 96), ("<I", 100)))
+    size, start, count = (
+        struct.unpack_from(code, data, at)[0] for code, at in (("<H", 94), ("<I", 96), ("<I", 100))
+    )
     content = rng.choice(
-        (b"\xff" * 65535, b"\x1b[2J" * 100, b"A" * 192 * 300, b"\0" * 192 * 3, bytes(rng.randbytes(400)))
+        (
+            b"\xff" * 65535,
+            b"\x1b[2J" * 100,
+            b"A" * 192 * 300,
+            b"\0" * 192 * 3,
+            bytes(rng.randbytes(400)),
+        )
     )
     user, number = rng.choice(
         (
@@ -363,7 +400,9 @@ def npy_header(data: bytearray, rng: random.Random) -> bytearray:
     version = rng.choice(((1, 0), (1, 0), (2, 0), (3, 0), (9, 9)))
     raw = text.encode() + b"\n"
     code = "<H" if version[0] == 1 else "<I"
-    length = rng.choice((len(raw), len(raw), len(raw), 0, 2**16 - 1)) % (2**16 if code == "<H" else 2**32)
+    length = rng.choice((len(raw), len(raw), len(raw), 0, 2**16 - 1)) % (
+        2**16 if code == "<H" else 2**32
+    )
     start = 10 + (struct.unpack_from("<H", data, 8)[0] if len(data) > 10 else 0)
     return bytearray(b"\x93NUMPY" + bytes(version) + struct.pack(code, length) + raw) + data[start:]
 
@@ -401,7 +440,10 @@ def zip_member(data: bytearray, rng: random.Random) -> bytearray:
     elif how == 4:
         n = rng.choice((10**6, 4 * 10**6))
         head = _header(shape=f"({n // 96}, 24)") + "\n"
-        members[at] = name, b"\x93NUMPY\x01\0" + struct.pack("<H", len(head)) + head.encode() + bytes(n // 96 * 96)
+        members[at] = (
+            name,
+            b"\x93NUMPY\x01\0" + struct.pack("<H", len(head)) + head.encode() + bytes(n // 96 * 96),
+        )
     else:
         members.pop(at)
     out = io.BytesIO()
@@ -419,7 +461,10 @@ def inside_gzip(data: bytearray, rng: random.Random) -> bytearray:
     if rng.random() < 0.1:
         return bytearray(
             gzip.compress(
-                rng.choice((b"0" * 8_000_000, b"1\n" * 2_000_000, b"\n" * 4_000_000, b"," * 4_000_000)), mtime=0
+                rng.choice(
+                    (b"0" * 8_000_000, b"1\n" * 2_000_000, b"\n" * 4_000_000, b"," * 4_000_000)
+                ),
+                mtime=0,
             )
         )
     try:
@@ -432,7 +477,11 @@ def inside_gzip(data: bytearray, rng: random.Random) -> bytearray:
 def inside_zstd(data: bytearray, rng: random.Random) -> bytearray:
     codec = pa.Codec("zstd")
     if rng.random() < 0.1:
-        return bytearray(bytes(codec.compress(rng.choice((b"0" * 8_000_000, b"1\n" * 2_000_000, b"," * 4_000_000)))))
+        return bytearray(
+            bytes(
+                codec.compress(rng.choice((b"0" * 8_000_000, b"1\n" * 2_000_000, b"," * 4_000_000)))
+            )
+        )
     from tests.fuzz.seeds import seed
 
     return bytearray(bytes(codec.compress(bytes(rng.choice(TEXT)(bytearray(seed("a.csv")), rng)))))
@@ -457,10 +506,17 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
         xml = payload[start % 1024 : start % 1024 + length]
         how = rng.randrange(4)
         if how == 0:
-            entities = b"".join(b'<!ENTITY a%d "%s">' % (i, b"&a%d;" % (i - 1) * 10 if i else b"x") for i in range(12))
+            entities = b"".join(
+                b'<!ENTITY a%d "%s">' % (i, b"&a%d;" % (i - 1) * 10 if i else b"x")
+                for i in range(12)
+            )
             new = xml.replace(b"?>", b"?><!DOCTYPE e [" + entities + b"]>", 1)
         elif how == 1:
-            new = bytes(rng.choice((flip_bits, set_bytes, repeat, cut_middle, insert_word))(bytearray(xml), rng))
+            new = bytes(
+                rng.choice((flip_bits, set_bytes, repeat, cut_middle, insert_word))(
+                    bytearray(xml), rng
+                )
+            )
         elif how == 2:
             numbers = list(re.finditer(rb">-?[0-9.e+-]+<|\"-?[0-9.e+-]+\"", xml))
             if not numbers:
@@ -468,7 +524,15 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
             found = rng.choice(numbers)
             ends = found.group()[:1], found.group()[-1:]
             word = rng.choice(
-                (b"%d" % rng.choice(NUMBERS), b"-%d" % rng.choice(NUMBERS), b"nan", b"inf", b"1e999", b"x", b"")
+                (
+                    b"%d" % rng.choice(NUMBERS),
+                    b"-%d" % rng.choice(NUMBERS),
+                    b"nan",
+                    b"inf",
+                    b"1e999",
+                    b"x",
+                    b"",
+                )
             )
             new = xml[: found.start()] + ends[0] + word + ends[1] + xml[found.end() :]
         else:
@@ -486,7 +550,15 @@ def head_word(data: bytearray, rng: random.Random) -> bytearray:
         return data
     found = rng.choice(words)
     word = rng.choice(
-        (b"%d" % rng.choice(NUMBERS), b"-1", b"nan", b"x", b"", b"list uchar int", rng.choice(words).group())
+        (
+            b"%d" % rng.choice(NUMBERS),
+            b"-1",
+            b"nan",
+            b"x",
+            b"",
+            b"list uchar int",
+            rng.choice(words).group(),
+        )
     )
     return data[: found.start()] + word + data[found.end() :]
 

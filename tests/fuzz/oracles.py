@@ -45,7 +45,11 @@ def judge_las(command: str, case: Path, out: Path) -> list[str]:
         found, error = read_las(path)
         if error is not None:
             # headers that it refuses and we do not are copied as they are; records must be sound
-            if type(refusal) is not type(error) or "Lazrs" in type(error).__name__ or "Panic" in type(error).__name__:
+            if (
+                type(refusal) is not type(error)
+                or "Lazrs" in type(error).__name__
+                or "Panic" in type(error).__name__
+            ):
                 faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
         elif before is not None and command in ("classify", "convert"):
             faults += _differences(before, found)
@@ -74,7 +78,9 @@ def _items(path: Path) -> list[LabelledBlock]:
     return list(label_blocks(stream.blocks(), classifier))
 
 
-def judge_labels(case: Path, sound: Path, labels: Path, classify: Classify, scratch: Path) -> list[str]:
+def judge_labels(
+    case: Path, sound: Path, labels: Path, classify: Classify, scratch: Path
+) -> list[str]:
     """Compare the labels of ``prc classify CASE LABELS.npy`` with those made in three other ways.
 
     In memory by the library; for LAS and LAZ by the same command on what laspy read, written anew; and with those of
@@ -93,8 +99,12 @@ def judge_labels(case: Path, sound: Path, labels: Path, classify: Classify, scra
                 expected[numbers[there]] = codes[found[there]]
         if not np.array_equal(written.ravel(), expected):
             n = np.count_nonzero(written.ravel() != expected)
-            faults.append(f"labels: {n} of {expected.size} records have another class than in memory")
-    elif items and not np.array_equal(np.concatenate([codes[item.labels].ravel() for item in items]), written.ravel()):
+            faults.append(
+                f"labels: {n} of {expected.size} records have another class than in memory"
+            )
+    elif items and not np.array_equal(
+        np.concatenate([codes[item.labels].ravel() for item in items]), written.ravel()
+    ):
         faults.append("labels: another image than in memory")
     return faults + _judge_untouched(items, sound) + _judge_read(case, written, classify, scratch)
 
@@ -116,7 +126,9 @@ def _judge_untouched(items: list[LabelledBlock], sound: Path) -> list[str]:
         if untouched.issuperset(places[max(0, i - 1) : i + 2]):
             _, expected = undamaged[scanner, line]
             if not np.array_equal(expected, blocks[scanner, line].labels):
-                return [f"labels: the block of line {line} and its neighbours have their ranges but not their labels"]
+                return [
+                    f"labels: the block of line {line} and its neighbours have their ranges but not their labels"
+                ]
     return []
 
 
@@ -133,7 +145,10 @@ def _sound_blocks(sound: str) -> dict[tuple[int, int], tuple[Any, Any]]:
         found = _items(Path(sound))
     except PrcError:  # a seed for other commands
         return {}
-    return {(item.block.scanner, item.block.first_line): (item.block.range_m, item.labels) for item in found}
+    return {
+        (item.block.scanner, item.block.first_line): (item.block.range_m, item.labels)
+        for item in found
+    }
 
 
 def _judge_read(case: Path, written: Any, classify: Classify, scratch: Path) -> list[str]:

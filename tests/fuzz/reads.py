@@ -34,7 +34,9 @@ def blocks(path: Path, layout: Layout | None = None, **options: object) -> None:
     fixed = {"lines": "fixed", "columns": "order", "points_per_line": 24}
     for rules in ({}, fixed, {**fixed, "partial_line": "pad", "range": "origin:0,0,2"}):
         try:
-            for block in open_input(path, InputConfig(order="trust", **options, **rules), layout).blocks():
+            for block in open_input(
+                path, InputConfig(order="trust", **options, **rules), layout
+            ).blocks():
                 del block
         except PrcError as error:
             refused.append(error)

@@ -123,7 +123,12 @@ def _flat() -> dict[str, np.ndarray]:
 
 
 def _las(
-    version: str, point_format: int, *, compressed: bool, with_range: bool = True, minor: int | None = None
+    version: str,
+    point_format: int,
+    *,
+    compressed: bool,
+    with_range: bool = True,
+    minor: int | None = None,
 ) -> bytes:
     points = _flat()
     header = laspy.LasHeader(version=version, point_format=point_format)
@@ -131,7 +136,9 @@ def _las(
     if with_range:
         header.add_extra_dim(laspy.ExtraBytesParams("range", np.float32))
         header.add_extra_dim(
-            laspy.ExtraBytesParams("scan_line", np.uint16, scales=np.array([1.0]), offsets=np.zeros(1))
+            laspy.ExtraBytesParams(
+                "scan_line", np.uint16, scales=np.array([1.0]), offsets=np.zeros(1)
+            )
         )
         header.add_extra_dim(laspy.ExtraBytesParams("column", np.uint16))
     header.vlrs.append(laspy.VLR("hello", 7, "a description", b"some text"))
@@ -149,7 +156,9 @@ def _las(
         data.range = points["range"]
         data.scan_line, data.column = points["line"], points["column"]
     if version == "1.4":
-        data.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("extended", 9, "an extended one", b"y" * 40)])
+        data.evlrs = laspy.vlrs.vlrlist.VLRList(
+            [laspy.VLR("extended", 9, "an extended one", b"y" * 40)]
+        )
     out = io.BytesIO()
     data.write(out, do_compress=compressed)
     raw = bytearray(out.getvalue())
@@ -162,7 +171,10 @@ def _csv() -> bytes:
     rows = ["scan_line,column,angle_deg,range,x,y,z,time,class"]
     points = _flat()
     columns = zip(
-        *(points[name].tolist() for name in ("line", "column", "angle", "range", "x", "y", "z", "time", "class")),
+        *(
+            points[name].tolist()
+            for name in ("line", "column", "angle", "range", "x", "y", "z", "time", "class")
+        ),
         strict=True,
     )
     rows += [",".join(map(repr, row)) for row in columns]
@@ -196,7 +208,9 @@ def _npz(*, packed: bool = True) -> bytes:
 
 def _parquet() -> bytes:
     points = _flat()
-    table = pa.table({name: points[name] for name in ("line", "column", "range", "class", "time", "x", "y", "z")})
+    table = pa.table(
+        {name: points[name] for name in ("line", "column", "range", "class", "time", "x", "y", "z")}
+    )
     out = io.BytesIO()
     parquet.write_table(table, out)
     return out.getvalue()
@@ -208,7 +222,9 @@ def _e57() -> bytes:
     from tests.formats.organised_files import Scan, e57_fields, grid_points, write_e57
 
     fields = e57_fields(grid_points(N_LINES, M))
-    scan = Scan(fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0))
+    scan = Scan(
+        fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0)
+    )
     with tempfile.TemporaryDirectory() as folder:
         return write_e57(Path(folder) / "a.e57", [scan]).read_bytes()
 
@@ -234,7 +250,8 @@ def _sbet() -> bytes:
 def _uos() -> bytes:
     points = _flat()
     return "".join(
-        f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in zip(points["x"], points["y"], points["z"], strict=True)
+        f"{x:.3f} {y:.3f} {z:.3f}\n"
+        for x, y, z in zip(points["x"], points["y"], points["z"], strict=True)
     ).encode()
 
 
@@ -257,15 +274,33 @@ def _recorded(name: str) -> bytes:
     from tests.formats.bags import recordings as made
     from tests.formats.bags.test_read import drive, messages
 
-    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "u1"), ("t", "<u4")])
+    dtype = np.dtype(
+        [
+            ("x", "<f4"),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("intensity", "<f4"),
+            ("ring", "u1"),
+            ("t", "<u4"),
+        ]
+    )
     clouds = messages(drive(60), dtype, every=20)
     stem = name.partition(".")[0]
-    sent = clouds if stem == "cloud" else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    sent = (
+        clouds
+        if stem == "cloud"
+        else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    )
     if name.startswith("mixed"):
         lists = [[[3.0, 5.0 + i], [], [7.0]] for i in range(12)]
         kind = "sensor_msgs/msg/MultiEchoLaserScan"
-        many = [made.echoes(made.STORES[2], made.START_NS + i, one, one) for i, one in enumerate(lists)]
-        sent = [*clouds, *(made.Sent("/echoes", kind, made.START_NS + i, one) for i, one in enumerate(many))]
+        many = [
+            made.echoes(made.STORES[2], made.START_NS + i, one, one) for i, one in enumerate(lists)
+        ]
+        sent = [
+            *clouds,
+            *(made.Sent("/echoes", kind, made.START_NS + i, one) for i, one in enumerate(many)),
+        ]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         if name.endswith(".mcap"):
@@ -293,11 +328,15 @@ def _captured(name: str) -> bytes:
             every = [made.hesai(model, 6, mode=mode)[0] for model, mode in models]
             every.append(made.velodyne(9, 0xA1))
             sources = [made.framed(packets, 2368 + i) for i, packets in enumerate(every)]
-            return made.write_pcap(path, [frame for frames in sources for frame in frames]).read_bytes()
+            return made.write_pcap(
+                path, [frame for frames in sources for frame in frames]
+            ).read_bytes()
         frames = made.framed(made.vlp16(6))
         body = made.udp(made.vlp16(7)[6])
         for offset in (0, 600):
-            part = made.ip4(body[offset : offset + 600 * (1 + offset)], offset=offset, more=not offset, number=9)
+            part = made.ip4(
+                body[offset : offset + 600 * (1 + offset)], offset=offset, more=not offset, number=9
+            )
             frames.append((frames[-1][0] + 1e-3, made.ethernet(part)))
         write = made.write_pcapng if name.endswith("ng") else made.write_pcap
         return write(path, frames).read_bytes()
@@ -313,7 +352,9 @@ def _poses(name: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         rows = poses()
-        return (tum(path, rows) if name.endswith("tum") else made.write_mcap(path, odometry(rows))).read_bytes()
+        return (
+            tum(path, rows) if name.endswith("tum") else made.write_mcap(path, odometry(rows))
+        ).read_bytes()
 
 
 def _metadata() -> bytes:
@@ -323,7 +364,12 @@ def _metadata() -> bytes:
 
 
 PULSES = (
-    *("pulse-float32-theta.bin", "pulse-uint8-n_echo.bin", "echo-float32-range.bin", "echo-float32-amplitude.bin"),
+    *(
+        "pulse-float32-theta.bin",
+        "pulse-uint8-n_echo.bin",
+        "echo-float32-range.bin",
+        "echo-float32-amplitude.bin",
+    ),
     "time.txt",
 )
 """Files of a folder of pulses and echoes."""
@@ -385,9 +431,14 @@ def _state() -> dict[str, bytes]:
             journal.finish(done("a.laz"))
             journal.finish(failed("b.laz"))
         lock = {
-            "host": "elsewhere", "pid": 2**22 + 7, "user": "me", "since": "2026-11-23T00:00:00+00:00", "shard": "",
-            "version": "0.1.0", "token": "0" * 32,
-        }  # fmt: skip
+            "host": "elsewhere",
+            "pid": 2**22 + 7,
+            "user": "me",
+            "since": "2026-11-23T00:00:00+00:00",
+            "shard": "",
+            "version": "0.1.0",
+            "token": "0" * 32,
+        }
         typed = ["pulses", "out", "--preset", "urban", "--jobs", "1", "-q", "--include", "*.bin"]
         command = {"schema": 2, "folder": "/", "arguments": typed}
         return {
@@ -398,7 +449,17 @@ def _state() -> dict[str, bytes]:
 
 
 RECORDINGS = (
-    *("plain.bag", "bz2.bag", "lz4.bag", "plain.mcap", "zstd.mcap", "lz4.mcap", "plain.db3", "zstd.db3", "cloud.db3"),
+    *(
+        "plain.bag",
+        "bz2.bag",
+        "lz4.bag",
+        "plain.mcap",
+        "zstd.mcap",
+        "lz4.mcap",
+        "plain.db3",
+        "zstd.db3",
+        "cloud.db3",
+    ),
     *("mixed.mcap", "velodyne.pcap", "velodyne.pcapng", "hesai.pcap", "ouster.pcap"),
 )
 
@@ -410,7 +471,11 @@ def _cloud(*, with_nan: bool = False) -> dict[str, np.ndarray]:
     columns |= {name: np.ones(len(points["range"]), "u1") for name in ("num_echo", "nb_of_echo")}
     if with_nan:
         image = ranges()
-        columns = {"x": np.full(image.size, 3.0, "f4"), "y": np.full(image.size, 1.0, "f4"), "z": image.ravel()}
+        columns = {
+            "x": np.full(image.size, 3.0, "f4"),
+            "y": np.full(image.size, 1.0, "f4"),
+            "z": image.ravel(),
+        }
     return columns
 
 
@@ -430,10 +495,15 @@ def _frame() -> dict[str, np.ndarray]:
 
 SEEDS: dict[str, Callable[[], bytes]] = {
     **{
-        f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False)
+        f"pf{n}.las": lambda n=n: _las(
+            "1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False
+        )
         for n in range(11)
     },
-    **{f"pf{n}.laz": lambda n=n: _las("1.2" if n < 4 else "1.4", n, compressed=True) for n in (0, 1, 2, 3, 6, 7, 8)},
+    **{
+        f"pf{n}.laz": lambda n=n: _las("1.2" if n < 4 else "1.4", n, compressed=True)
+        for n in (0, 1, 2, 3, 6, 7, 8)
+    },
     "v10.las": lambda: _las("1.2", 1, compressed=False, minor=0),
     "v11.las": lambda: _las("1.1", 1, compressed=False),
     "plain.las": lambda: _las("1.4", 6, compressed=False, with_range=False),
@@ -471,7 +541,10 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "text_layout.toml": lambda: TEXT_LAYOUT.encode(),
     "config.toml": lambda: CONFIG.encode(),
     "mapping.toml": lambda: MAPPING.encode(),
-    **{name: lambda name=name: _captured(name) if "pcap" in name else _recorded(name) for name in RECORDINGS},
+    **{
+        name: lambda name=name: _captured(name) if "pcap" in name else _recorded(name)
+        for name in RECORDINGS
+    },
     "ouster.json": _metadata,
     **{f"copc{n}.laz": lambda n=n: _copc(n) for n in (6, 7)},
     **{f"pulses/{name}": lambda name=name: _pulses(name) for name in PULSES},

@@ -33,7 +33,16 @@ _SMALL = ("--width", "300", "--height", "300")
 _P = ("--preset", "urban", "--trust-order")
 LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
 """The command whose labels are compared with those of other ways."""
-_UPRIGHT = ("classify", "{case}", "{out}/o.npy", *_P, "--range", "sensor-xyz", "--lines", "elevation:20")
+_UPRIGHT = (
+    "classify",
+    "{case}",
+    "{out}/o.npy",
+    *_P,
+    "--range",
+    "sensor-xyz",
+    "--lines",
+    "elevation:20",
+)
 TAKEN = {"uos": ("info", "{case}"), "clouds": _UPRIGHT, "copc": ("info", "{case}")}
 """First commands of inputs that :data:`LABELLED` refuses sound: it names no lines, no columns, no ranges."""
 STATE = "state"
@@ -51,14 +60,66 @@ READ: tuple[tuple[str, ...], ...] = (
     ("convert", "{case}", "{out}/o.csv.gz", "--trust-order"),
     ("convert", "-v", "{case}", "{out}/o.las", "--trust-order"),
     ("convert", "{case}", "{out}/o.e57", "--trust-order"),
-    ("convert", "{case}", "{out}/o.bin", "--trust-order", "--lines", "dimension:scan_line", "--columns", "order"),
-    ("convert", "{case}", "{out}/o.npz", "--lines", "time:50", "--columns", "time:1200", "--sort-by-time"),
-    ("convert", "{case}", "{out}/o.npz", "--lines", "angle-wrap", "--columns", "angle", "--trust-order"),
-    ("convert", "{case}", "{out}/o.npz", "--range", "sensor-xyz", "--lines", "elevation:20", "--trust-order"),
-    ("convert", "{case}", "{out}/o.npz", "--range", "sensor-xyz", "--lines", "rings", "--trust-order"),
+    (
+        "convert",
+        "{case}",
+        "{out}/o.bin",
+        "--trust-order",
+        "--lines",
+        "dimension:scan_line",
+        "--columns",
+        "order",
+    ),
+    (
+        "convert",
+        "{case}",
+        "{out}/o.npz",
+        "--lines",
+        "time:50",
+        "--columns",
+        "time:1200",
+        "--sort-by-time",
+    ),
+    (
+        "convert",
+        "{case}",
+        "{out}/o.npz",
+        "--lines",
+        "angle-wrap",
+        "--columns",
+        "angle",
+        "--trust-order",
+    ),
+    (
+        "convert",
+        "{case}",
+        "{out}/o.npz",
+        "--range",
+        "sensor-xyz",
+        "--lines",
+        "elevation:20",
+        "--trust-order",
+    ),
+    (
+        "convert",
+        "{case}",
+        "{out}/o.npz",
+        "--range",
+        "sensor-xyz",
+        "--lines",
+        "rings",
+        "--trust-order",
+    ),
     ("convert", "{case}", "{out}/o.npz", "--range", "origin:0,0,2", "--trust-order"),
     ("convert", "{case}", "{out}/o.npz", "--scanner", "user_data", "--trust-order"),
-    ("convert", "{case}", "{out}/o.npz", "--range", "trajectory:{seeds}/track.csv", "--trust-order"),
+    (
+        "convert",
+        "{case}",
+        "{out}/o.npz",
+        "--range",
+        "trajectory:{seeds}/track.csv",
+        "--trust-order",
+    ),
     ("evaluate", "{case}", "{case}"),
     ("evaluate", "{case}", "{case}", "--match", "nearest", "--tolerance", "0.1"),
     ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by-range", "5,10"),
@@ -132,7 +193,10 @@ class Target:
 
 TARGETS: dict[str, Target] = {
     **{
-        name: Target(seeds, (TAKEN.get(name, LABELLED), *READ, *(LAS if name in ("las", "laz", "copc") else ())))
+        name: Target(
+            seeds,
+            (TAKEN.get(name, LABELLED), *READ, *(LAS if name in ("las", "laz", "copc") else ())),
+        )
         for name, seeds in INPUTS.items()
     },
     "echopulse": Target(
@@ -162,10 +226,14 @@ TARGETS: dict[str, Target] = {
     "raw": Target(
         ("a.bin", "f4.bin"),
         tuple(
-            (*command, "--layout", "{seeds}/layout.toml") for command in (LABELLED, *READ) if command[0] != "evaluate"
+            (*command, "--layout", "{seeds}/layout.toml")
+            for command in (LABELLED, *READ)
+            if command[0] != "evaluate"
         ),
     ),
-    "bag": Target(("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))),
+    "bag": Target(
+        ("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))
+    ),
     "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap", "mixed.mcap"), RECORDED),
     "db3": Target(("plain.db3", "zstd.db3", "cloud.db3"), RECORDED),
     "pcap": Target(("velodyne.pcap", "velodyne.pcapng", "hesai.pcap"), RECORDED),
@@ -181,7 +249,9 @@ TARGETS: dict[str, Target] = {
             )
         ),
     ),
-    "labels": Target(("labels.npy", "a.npz", "labels.csv", "a.csv", "a.parquet", "a.label", "pf6.laz"), LABELS),
+    "labels": Target(
+        ("labels.npy", "a.npz", "labels.csv", "a.csv", "a.parquet", "a.label", "pf6.laz"), LABELS
+    ),
     "trajectory": Target(
         ("track.csv", "track.sbet", "track.tum", "poses.mcap"),
         (
@@ -215,12 +285,21 @@ TARGETS: dict[str, Target] = {
     "mapping": Target(
         ("mapping.toml",),
         tuple(
-            ("evaluate", "{seeds}/labels.npy", "{seeds}/labels.npy", "--mapping", "{case}", "--format", form)
+            (
+                "evaluate",
+                "{seeds}/labels.npy",
+                "{seeds}/labels.npy",
+                "--mapping",
+                "{case}",
+                "--format",
+                form,
+            )
             for form in ("table", "csv", "markdown", "latex", "html", "json")
         ),
     ),
     "simulate": Target(
-        ("simulate.toml",), (("simulate", "street", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),)
+        ("simulate.toml",),
+        (("simulate", "street", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),),
     ),
     "stream": Target(
         ("a.bin", "f4.bin", "a.npz"),
@@ -267,4 +346,7 @@ def sound_of(seeds: Path, target: Target, name: str) -> Path:
 def arguments(command: tuple[str, ...], case: str, out: str, seeds: str) -> list[str]:
     """Return a command with its names filled in."""
     # not format(): file names may hold braces
-    return [part.replace("{case}", case).replace("{out}", out).replace("{seeds}", seeds) for part in command]
+    return [
+        part.replace("{case}", case).replace("{out}", out).replace("{seeds}", seeds)
+        for part in command
+    ]

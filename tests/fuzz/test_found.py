@@ -71,7 +71,9 @@ NAMES = [
 
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
-def test_names_of_files_command_no_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
+def test_names_of_files_command_no_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
     source = put(tmp_path / f"{name}.npz", seed("a.npz"))
     labels = tmp_path / f"{name}.npy"
     config = put(tmp_path / f"{name}.toml", "preset = 'urban'\n")
@@ -103,7 +105,9 @@ def test_laz_that_is_copied_is_checked_first(
     table = struct.unpack_from("<q", sound, start)[0]
     laszip = next(at for at in las_vlrs(sound) if sound[at + 2 : at + 16] == b"laszip encoded")
     many, no_items, no_records = (bytearray(sound) for _ in range(3))
-    struct.pack_into("<I", many, table + 4, 168_430_090)  # the library made room for all of them: 2.7 GB
+    struct.pack_into(
+        "<I", many, table + 4, 168_430_090
+    )  # the library made room for all of them: 2.7 GB
     struct.pack_into("<H", no_items, laszip + 54 + 32, 999)
     struct.pack_into("<I", no_records, laszip + 54 + 12, 0)
     for damaged, message in (
@@ -125,11 +129,16 @@ def zeroed(content: bytes, number: int, n_zeros: int = 64) -> bytes:
     return content[:at] + bytes(n_zeros) + content[at + n_zeros :]
 
 
-def test_damaged_laz_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_damaged_laz_does_not_come_out_damaged(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Layers that no classifier needs were copied undecoded: laspy refused a quarter of the outputs."""
     codes = {0: 0, 1: 0}
     for number in range(24):
-        case, output = put(tmp_path / f"{number}.laz", zeroed(seed("pf7.laz"), number, 30)), tmp_path / f"o{number}.laz"
+        case, output = (
+            put(tmp_path / f"{number}.laz", zeroed(seed("pf7.laz"), number, 30)),
+            tmp_path / f"o{number}.laz",
+        )
         code, printed = run(capfd, "classify", case, output, *URBAN, "-q")
         codes[min(code, 1)] += 1
         if code:
@@ -142,7 +151,9 @@ def test_damaged_laz_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Cap
     assert min(codes.values()) > 1, codes
 
 
-def test_damaged_copc_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_damaged_copc_does_not_come_out_damaged(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """``transfer`` decoded only the layers of the classes of an octree's chunks, and copied the others."""
     labels, codes = put(tmp_path / "labels.laz", seed("copc7.laz")), {0: 0, 1: 0}
     for number in range(16):
@@ -158,7 +169,16 @@ def test_damaged_copc_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Ca
     assert min(codes.values()) > 1, codes
 
 
-NUMBERS = ("seconds", "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "size", "mtime_ns")
+NUMBERS = (
+    "seconds",
+    "cpu_seconds",
+    "peak_mib",
+    "n_lines",
+    "n_shots",
+    "n_records",
+    "size",
+    "mtime_ns",
+)
 
 
 @pytest.mark.parametrize(
@@ -166,11 +186,19 @@ NUMBERS = ("seconds", "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_record
     [
         """UPDATE files SET outcome = json_set(outcome, '$.labels', json('[["GROUND", 1e999]]'))""",
         """UPDATE runs SET totals = '{"done": 1e999}'""",
-        *(f"UPDATE files SET outcome = replace(outcome, '\"{key}\": ', '\"{key}\": 9e999')" for key in NUMBERS),
-        *(f"UPDATE files SET outcome = replace(outcome, '\"{key}\": ', '\"{key}\": -9e999')" for key in NUMBERS),
+        *(
+            f"UPDATE files SET outcome = replace(outcome, '\"{key}\": ', '\"{key}\": 9e999')"
+            for key in NUMBERS
+        ),
+        *(
+            f"UPDATE files SET outcome = replace(outcome, '\"{key}\": ', '\"{key}\": -9e999')"
+            for key in NUMBERS
+        ),
     ],
 )
-def test_a_journal_with_numbers_without_end(tmp_path: Path, capfd: pytest.CaptureFixture[str], statement: str) -> None:
+def test_a_journal_with_numbers_without_end(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], statement: str
+) -> None:
     """Infinity is no integer: a traceback."""
     (tmp_path / ".prc").mkdir()
     journal = put(tmp_path / ".prc" / "journal.sqlite", seed("state/.prc/journal.sqlite"))

@@ -43,9 +43,14 @@ def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[WatchedWo
 
 
 @pytest.mark.parametrize("name", TARGETS)
-@settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=6,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 @given(number=st.integers(0, 2**32))
-def test_damaged_files_are_refused_or_read(worker: tuple[WatchedWorker, Path], name: str, number: int) -> None:
+def test_damaged_files_are_refused_or_read(
+    worker: tuple[WatchedWorker, Path], name: str, number: int
+) -> None:
     watched, folder = worker
     target = TARGETS[name]
     chosen = target.seeds[number % len(target.seeds)]
@@ -69,12 +74,16 @@ def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], na
     assert not [answer["faults"] for answer in answers if answer["faults"]]
 
 
-@pytest.mark.parametrize(("stem", "table"), [pytest.param(*each, id=each[0]) for each in all_found()])
+@pytest.mark.parametrize(
+    ("stem", "table"), [pytest.param(*each, id=each[0]) for each in all_found()]
+)
 def test_what_a_campaign_found_is_mended(
     worker: tuple[WatchedWorker, Path], stem: str, table: dict[str, object]
 ) -> None:
     watched, folder = worker
-    finding = Found(str(table["target"]), str(table["seed"]), str(table["way"]), tuple(table["words"]))  # type: ignore[arg-type]
+    finding = Found(
+        str(table["target"]), str(table["seed"]), str(table["way"]), tuple(table["words"])
+    )  # type: ignore[arg-type]
     answer = attempt(watched, folder, finding, (FOUND / f"{stem}.data").read_bytes())
     assert not answer["faults"]
     expected: dict[str, int] = table["expected"]  # type: ignore[assignment]
@@ -110,7 +119,9 @@ def test_the_guard_sees(tmp_path: Path, text: str) -> None:
     script = tmp_path / "attack.py"
     script.write_text(program)
     root = Path(__file__).resolve().parents[2]
-    assert patience.run([sys.executable, str(script)], env={"PYTHONPATH": str(root)}).returncode == 0
+    assert (
+        patience.run([sys.executable, str(script)], env={"PYTHONPATH": str(root)}).returncode == 0
+    )
 
 
 class Evil:
@@ -129,11 +140,16 @@ def test_a_pickle_is_never_loaded(tmp_path: Path, suffix: str) -> None:
     array = np.array([[Evil(str(victim))] * 24] * 14, dtype=object)
     path = tmp_path / f"a{suffix}"
     np.save(path, array) if suffix == ".npy" else np.savez(path, range_m=array)
-    for read in (lambda: open_codes(path), lambda: next(iter(ArrayFile(path).headers.values())).check_numbers()):
+    for read in (
+        lambda: open_codes(path),
+        lambda: next(iter(ArrayFile(path).headers.values())).check_numbers(),
+    ):
         with pytest.raises(PrcError, match="Python objects"):
             read()
     assert not victim.exists()
-    np.load(path, allow_pickle=True)[...] if suffix == ".npy" else np.load(path, allow_pickle=True)["range_m"]
+    np.load(path, allow_pickle=True)[...] if suffix == ".npy" else np.load(path, allow_pickle=True)[
+        "range_m"
+    ]
     assert victim.exists(), "the attack itself is not one"
 
 
@@ -151,7 +167,9 @@ def test_names_inside_an_archive_are_no_paths(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*.npy")] == []
 
 
-@pytest.mark.parametrize("name", [name for name in SEEDS if f".{name.split('.', 1)[1]}" in by_suffix("codes")])
+@pytest.mark.parametrize(
+    "name", [name for name in SEEDS if f".{name.split('.', 1)[1]}" in by_suffix("codes")]
+)
 def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
     """At every power of two, around every structure of a LAS file, and one byte early."""
     data = seed(name)
@@ -167,7 +185,9 @@ def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
     for edge in sorted(edge for edge in edges if 0 < edge < len(data)):
         path.write_bytes(data[:edge])
         try:
-            source = open_source(path) if path.suffix != ".label" and path.suffix != ".parquet" else None
+            source = (
+                open_source(path) if path.suffix != ".label" and path.suffix != ".parquet" else None
+            )
             for chunk in source.chunks(source.dimensions) if source is not None else ():
                 assert chunk.n
             for codes in open_codes(path).chunks():
@@ -188,7 +208,9 @@ def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> No
         try:
             stream = open_images(path, InputConfig())
             n_lines = sum(block.n_lines for block in stream.blocks())
-            found.append((n_lines, any("read up to there" in note for note in stream.info.facts.notes)))
+            found.append(
+                (n_lines, any("read up to there" in note for note in stream.info.facts.notes))
+            )
         except PrcError as error:
             told.append(error.where)
     whole = found[-1][0]
@@ -200,7 +222,11 @@ def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> No
 
 
 @settings(max_examples=60)
-@given(number=st.integers(0, 2**64), suffix=st.sampled_from([*MUTATIONS, ".bin"]), data=st.binary(max_size=80))
+@given(
+    number=st.integers(0, 2**64),
+    suffix=st.sampled_from([*MUTATIONS, ".bin"]),
+    data=st.binary(max_size=80),
+)
 def test_the_same_damage_can_be_made_again(number: int, suffix: str, data: bytes) -> None:
     assert mutate(data, suffix, number) == mutate(data, suffix, number) != b""
 
@@ -218,7 +244,12 @@ def test_what_is_unprintable(text: str) -> None:
 def test_real_scans_damaged(worker: tuple[WatchedWorker, Path], real_data: Path) -> None:
     watched, folder = worker
     for number, name in enumerate(
-        ("profiler/jakarto_0.02s.las", "las/plane.laz", "las/fullwave_pf10.laz", "las/mls_not_in_time_order.las")
+        (
+            "profiler/jakarto_0.02s.las",
+            "las/plane.laz",
+            "las/fullwave_pf10.laz",
+            "las/mls_not_in_time_order.las",
+        )
     ):
         data = (real_data / name).read_bytes()
         suffix = Path(name).suffix

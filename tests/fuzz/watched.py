@@ -54,8 +54,12 @@ class WatchedWorker:
         told = ended.stderr.decode("utf-8", "replace")
         if ended.returncode not in (0, 1, 2, 4):
             faults.append(f"guard: exit code {ended.returncode}, printed {told[-300:]!r}")
-        if ended.returncode in (1, 2) and (left or told.count("error: ") != 1 or "Traceback" in told):
-            faults.append(f"guard: exit code {ended.returncode}, left {left}, printed {told[-300:]!r}")
+        if ended.returncode in (1, 2) and (
+            left or told.count("error: ") != 1 or "Traceback" in told
+        ):
+            faults.append(
+                f"guard: exit code {ended.returncode}, left {left}, printed {told[-300:]!r}"
+            )
         return {"code": ended.returncode, "seconds": 0.0, "grown": 0, "faults": faults}
 
     def _ask(self, job: dict[str, Any], command: tuple[str, ...], case: Path) -> dict[str, Any]:
@@ -96,18 +100,32 @@ class WatchedWorker:
             command = ("info", "{case}")
         ended, left = self._end_of(command, case)
         lines = ended.stderr.decode("utf-8", "replace").splitlines()
-        if ended.returncode in (1, 2) and len(lines) == 1 and lines[0].startswith("error: ") and not left:
+        if (
+            ended.returncode in (1, 2)
+            and len(lines) == 1
+            and lines[0].startswith("error: ")
+            and not left
+        ):
             return []
-        if ended.returncode in (0, 4) and "panicked at" not in "".join(lines):  # what a library tried and failed at
+        if ended.returncode in (0, 4) and "panicked at" not in "".join(
+            lines
+        ):  # what a library tried and failed at
             return []
-        return [f"died, and under the guard: exit code {ended.returncode}, printed {lines[:3]}, left {left}"]
+        return [
+            f"died, and under the guard: exit code {ended.returncode}, printed {lines[:3]}, left {left}"
+        ]
 
-    def _end_of(self, command: tuple[str, ...], case: Path) -> tuple[subprocess.CompletedProcess[bytes], list[str]]:
+    def _end_of(
+        self, command: tuple[str, ...], case: Path
+    ) -> tuple[subprocess.CompletedProcess[bytes], list[str]]:
         with tempfile.TemporaryDirectory(prefix="out-", dir=self._folder) as out:
             words = arguments(command, str(case), out, str(self._folder / "seeds"))
             with case.open("rb") if command[0] == "stream" else open(os.devnull, "rb") as source:  # noqa: PTH123
                 ended = subprocess.run(
-                    [sys.executable, "-m", "prc_cli", *words], stdin=source, capture_output=True, check=False
+                    [sys.executable, "-m", "prc_cli", *words],
+                    stdin=source,
+                    capture_output=True,
+                    check=False,
                 )
             return ended, os.listdir(out)
 

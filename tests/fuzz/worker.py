@@ -58,7 +58,11 @@ class Worker:
 
     def __init__(self, folder: Path) -> None:
         own = f"of-{os.getppid()}"
-        self._seeds, self._out, self._scratch = folder / "seeds", folder / f"out-{own}", folder / f"tmp-{own}"
+        self._seeds, self._out, self._scratch = (
+            folder / "seeds",
+            folder / f"out-{own}",
+            folder / f"tmp-{own}",
+        )
         for made in (self._out, self._scratch):
             shutil.rmtree(made, ignore_errors=True)  # of one that died
             made.mkdir()
@@ -109,9 +113,14 @@ class Worker:
             panicked = "panicked at" in said
             faults += found
         return {
-            "code": code, "seconds": seconds, "grown": grown, "faults": faults, "fresh": self._tracer.fresh(),
-            "panicked": panicked, "said": said[-300:],
-        }  # fmt: skip
+            "code": code,
+            "seconds": seconds,
+            "grown": grown,
+            "faults": faults,
+            "fresh": self._tracer.fresh(),
+            "panicked": panicked,
+            "said": said[-300:],
+        }
 
     def _read(self, job: dict[str, Any]) -> int:
         self._tracer.start()
@@ -140,9 +149,16 @@ class Worker:
         held = sys.stdin, sys.stdout, sys.stderr
         is_stream = job["command"][0] == "stream"
         sink = self._scratch / "stdout"
-        with Path(job["case"] if is_stream else os.devnull).open("rb") as source, sink.open("wb") as binary:
+        with (
+            Path(job["case"] if is_stream else os.devnull).open("rb") as source,
+            sink.open("wb") as binary,
+        ):
             sys.stdin = io.TextIOWrapper(source)
-            sys.stdout = io.TextIOWrapper(binary) if is_stream else os.fdopen(os.dup(1), "w", encoding="utf-8")
+            sys.stdout = (
+                io.TextIOWrapper(binary)
+                if is_stream
+                else os.fdopen(os.dup(1), "w", encoding="utf-8")
+            )
             sys.stderr = os.fdopen(os.dup(2), "w", encoding="utf-8", errors="backslashreplace")
             try:
                 yield
@@ -169,7 +185,9 @@ class Worker:
             faults.append(f"exit code {code} without a message: {text[-200:]!r}")
         faults += self._judge_content(job) if code in DONE else []
         left = sorted(path.name for path in self._out.iterdir())
-        if any(name.startswith(".") or name.endswith(".part") for name in left) or (code not in DONE and left):
+        if any(name.startswith(".") or name.endswith(".part") for name in left) or (
+            code not in DONE and left
+        ):
             faults.append(f"exit code {code} left {left}")
         for path in self._out.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -183,7 +201,9 @@ class Worker:
                 return faults
             if tuple(job["command"]) != LABELLED:
                 return []
-            return judge_labels(case, Path(job["sound"]), self._out / "o.npy", self._classify_again, self._scratch)
+            return judge_labels(
+                case, Path(job["sound"]), self._out / "o.npy", self._classify_again, self._scratch
+            )
         except Exception:
             return ["not judged\n" + "".join(traceback.format_exc().splitlines(True)[-8:])]
 

@@ -11,16 +11,57 @@ ONE_LINE_A_FILE = 60
 """Cases of more files keep one hash for all of them."""
 
 PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
-CSV, LAS, BARE, STREET = "../made/drive.csv", "../made/f6.las", "../made/bare6.laz", "../sim-street/s.npz"
+CSV, LAS, BARE, STREET = (
+    "../made/drive.csv",
+    "../made/f6.las",
+    "../made/bare6.laz",
+    "../sim-street/s.npz",
+)
 M = "-M 90 --set input.angle_start=-180 --set input.angle_step=4 --set input.nadir=0"
 TIMES = "--lines time:50 --columns time:4500 -M 90 --set input.time_origin=1000"
-WRITABLE = ("bin", "csv", "csv.gz", "csv.zst", "parquet", "npz", "npy", "las", "laz", "e57", "ply", "pcd")
+WRITABLE = (
+    "bin",
+    "csv",
+    "csv.gz",
+    "csv.zst",
+    "parquet",
+    "npz",
+    "npy",
+    "las",
+    "laz",
+    "e57",
+    "ply",
+    "pcd",
+)
 COMMANDS = (
-    "info", "classify", "batch", "stream", "evaluate", "transfer", "convert", "render", "thin", "simulate", "doctor",
-    "config", "calibrate", "completion", "demo", "objects", "batch status", "batch retry", "batch clean",
-    "simulate street", "simulate forest", "simulate street-scan", "simulate scanners", "simulate parameters",
-    "config show", "config check", "config schema",
-)  # fmt: skip
+    "info",
+    "classify",
+    "batch",
+    "stream",
+    "evaluate",
+    "transfer",
+    "convert",
+    "render",
+    "thin",
+    "simulate",
+    "doctor",
+    "config",
+    "calibrate",
+    "completion",
+    "demo",
+    "objects",
+    "batch status",
+    "batch retry",
+    "batch clean",
+    "simulate street",
+    "simulate forest",
+    "simulate street-scan",
+    "simulate scanners",
+    "simulate parameters",
+    "config show",
+    "config check",
+    "config schema",
+)
 
 
 TABLE = Path(__file__).with_name("cases.txt")
@@ -36,7 +77,14 @@ def all_cases() -> dict[str, str]:
 
 def _table() -> Iterator[str]:
     """Yield the lines of ``cases.txt`` with the short names put in."""
-    names = {"{CSV}": CSV, "{LAS}": LAS, "{BARE}": BARE, "{STREET}": STREET, "{M}": M, "{TIMES}": TIMES}
+    names = {
+        "{CSV}": CSV,
+        "{LAS}": LAS,
+        "{BARE}": BARE,
+        "{STREET}": STREET,
+        "{M}": M,
+        "{TIMES}": TIMES,
+    }
     for line in TABLE.read_text(encoding="utf-8").splitlines():
         for name, text in names.items():
             line = line.replace(name, text)
@@ -48,7 +96,10 @@ def _tables() -> Iterator[tuple[str, str]]:
     for words in COMMANDS:
         yield f"help-{words.replace(' ', '-')}", f"{words} --help"
     for preset in PRESETS:
-        yield f"config-{preset}", f"config show --preset {preset} ; config show --preset {preset} --json"
+        yield (
+            f"config-{preset}",
+            f"config show --preset {preset} ; config show --preset {preset} --json",
+        )
         yield f"street-{preset}", f"classify ../sim-street-laz/s.laz o.laz --preset {preset} -v"
         yield f"sick-{preset}", f"classify ../sim-sick/k.csv o.csv --preset {preset} --segment-ids"
         # a street is nothing but noise to the preset of forests
@@ -64,8 +115,14 @@ def _tables() -> Iterator[tuple[str, str]]:
             else f" ; classify {source} p.laz --preset fused --set input.nadir=0 --accept-doubt angle-step"
         )
         fused = f"classify {source} o.laz --preset fused{down}"
-        yield f"format-{form}", f"classify {source} o.las --preset forest --accept-doubt noise-share ; {fused}"
-        yield f"format-{form}-copy", f"convert {source} o.laz ; convert o.laz p.las ; info {source} --json"
+        yield (
+            f"format-{form}",
+            f"classify {source} o.las --preset forest --accept-doubt noise-share ; {fused}",
+        )
+        yield (
+            f"format-{form}-copy",
+            f"convert {source} o.laz ; convert o.laz p.las ; info {source} --json",
+        )
     for suffix in WRITABLE:
         yield f"convert-{suffix}", f"convert ../sim-sick/k.csv o.{suffix} -v"
         options = "-M 361" if suffix in ("bin", "npy") else ""
@@ -75,18 +132,35 @@ def _tables() -> Iterator[tuple[str, str]]:
             f"info {source} {options} ; classify {source} o.npy {options} ; convert {source} b.csv {options}",
         )
         yield f"convert-las-{suffix}", f"convert {LAS} o.{suffix} --json"
-        yield f"simulate-{suffix}", f"simulate street s.{suffix} --lines 12 --scanner sick-push-broom -q"
+        yield (
+            f"simulate-{suffix}",
+            f"simulate street s.{suffix} --lines 12 --scanner sick-push-broom -q",
+        )
     for suffix in ("npz", "las", "laz", "csv", "csv.gz", "parquet", "npy"):
-        yield f"labels-{suffix}", f"classify ../sim-forest/f.npz o.{suffix} --preset forest --segment-ids -q"
+        yield (
+            f"labels-{suffix}",
+            f"classify ../sim-forest/f.npz o.{suffix} --preset forest --segment-ids -q",
+        )
     for key, value in (
-        *(("background.form", form) for form in ("literal", "abs", "guard")), ("support.rounding", "floor"),
-        ("support.rho_c", "0.6"), ("support.zeta_p", "0.1"), ("background.d_c", "0.7"), ("background.alpha", "0.1"),
-        ("components.min_votes", "9"), ("surfaces.area", "auto"), ("surfaces.area", "77.5"), ("surfaces.gamma", "5"),
-        ("urban.ground", "block"), ("lines_per_block", "7"),
-    ):  # fmt: skip
+        *(("background.form", form) for form in ("literal", "abs", "guard")),
+        ("support.rounding", "floor"),
+        ("support.rho_c", "0.6"),
+        ("support.zeta_p", "0.1"),
+        ("background.d_c", "0.7"),
+        ("background.alpha", "0.1"),
+        ("components.min_votes", "9"),
+        ("surfaces.area", "auto"),
+        ("surfaces.area", "77.5"),
+        ("surfaces.gamma", "5"),
+        ("urban.ground", "block"),
+        ("lines_per_block", "7"),
+    ):
         yield f"prc-{key}-{value}", f"classify ../sim-sick/k.csv o.npy -q --set prc.{key}={value}"
     for key in ("column_step=3", "density=0.1", "noise_in_ground_columns=false"):
-        yield f"prc-forest-{key}", f"classify ../sim-forest/f.npz o.npy -q --preset forest --set prc.forest.{key}"
+        yield (
+            f"prc-forest-{key}",
+            f"classify ../sim-forest/f.npz o.npy -q --preset forest --set prc.forest.{key}",
+        )
 
 
 def _damaged() -> Iterator[tuple[str, str]]:
@@ -110,13 +184,30 @@ def _damaged() -> Iterator[tuple[str, str]]:
         yield f"damaged-{suffix}-magic", f"{copy} ; @poke d.{suffix} 0 585858585858 ; {last}"
         yield f"damaged-{suffix}-middle", f"{copy} ; @poke d.{suffix} 3000 {'ff00' * 40} ; {last}"
     for name, offset, data in (
-        ("version", 24, "0109"), ("header", 94, "ffff"), ("header-0", 94, "0000"), ("offset", 96, "ffffff7f"),
-        ("vlrs", 100, "ffffff7f"), ("format", 104, "0b"), ("length", 105, "0100"), ("length-long", 105, "ff00"),
-        ("legacy", 107, "ffffffff"), ("scale", 131, "00" * 8), ("scale-nan", 131, "ff" * 8), ("evlr", 235, "ff" * 8),
-        ("evlrs", 243, "ffffff7f"), ("count", 247, "ffffffffffffff00"), ("count-0", 247, "00" * 8),
-        ("vlr-length", 395, "ffff"), ("guid", 8, "aa" * 16), ("words", 26, "fcfdfeff" * 16), ("bounds", 179, "7f" * 48),
-    ):  # fmt: skip
+        ("version", 24, "0109"),
+        ("header", 94, "ffff"),
+        ("header-0", 94, "0000"),
+        ("offset", 96, "ffffff7f"),
+        ("vlrs", 100, "ffffff7f"),
+        ("format", 104, "0b"),
+        ("length", 105, "0100"),
+        ("length-long", 105, "ff00"),
+        ("legacy", 107, "ffffffff"),
+        ("scale", 131, "00" * 8),
+        ("scale-nan", 131, "ff" * 8),
+        ("evlr", 235, "ff" * 8),
+        ("evlrs", 243, "ffffff7f"),
+        ("count", 247, "ffffffffffffff00"),
+        ("count-0", 247, "00" * 8),
+        ("vlr-length", 395, "ffff"),
+        ("guid", 8, "aa" * 16),
+        ("words", 26, "fcfdfeff" * 16),
+        ("bounds", 179, "7f" * 48),
+    ):
         for suffix, source in (("las", LAS), ("laz", BARE)):
             options = "" if suffix == "las" else "--range origin:650000,6860000,0"
             last = f"info d.{suffix} {options} ; classify d.{suffix} o.laz {options} ; convert d.{suffix} o.las"
-            yield f"lying-{suffix}-{name}", f"@cp {source} d.{suffix} ; @poke d.{suffix} {offset} {data} ; {last}"
+            yield (
+                f"lying-{suffix}-{name}",
+                f"@cp {source} d.{suffix} ; @poke d.{suffix} {offset} {data} ; {last}",
+            )

@@ -41,7 +41,9 @@ def make(folder: Path) -> None:
     range_m[:-1].ravel()[:-7].tofile(folder / "short.bin")
     np.save(folder / "drive.npy", range_m)
     np.save(folder / "three.npy", range_m[None].repeat(3, 0))
-    np.savez(folder / "drive.npz", range_m=range_m, angle_deg=angles(), line_time=np.arange(N_LINES) / 50)
+    np.savez(
+        folder / "drive.npz", range_m=range_m, angle_deg=angles(), line_time=np.arange(N_LINES) / 50
+    )
     _layouts(folder, range_m)
     _tables(folder, range_m)
     for form in range(11):
@@ -59,17 +61,33 @@ def make(folder: Path) -> None:
 def _layouts(folder: Path, range_m: Array) -> None:
     centimetres = np.where(np.isnan(range_m), 65535, np.nan_to_num(range_m) * 100).astype(">u2")
     (folder / "u2.dat").write_bytes(b"SCAN v1".ljust(64, b"\0") + centimetres.tobytes())
-    shots = np.zeros(range_m.size, np.dtype([("range", "<i4"), ("intensity", "<u2"), ("padding", "V2")]))
-    shots["range"], shots["intensity"] = np.nan_to_num(range_m * 1000).ravel(), np.arange(range_m.size) % 900
+    shots = np.zeros(
+        range_m.size, np.dtype([("range", "<i4"), ("intensity", "<u2"), ("padding", "V2")])
+    )
+    shots["range"], shots["intensity"] = (
+        np.nan_to_num(range_m * 1000).ravel(),
+        np.arange(range_m.size) % 900,
+    )
     shots.tofile(folder / "i4.raw")
     timed = np.zeros(range_m.size, np.dtype([("range", "<f4"), ("angle", "<i4"), ("time", "<f8")]))
     number = np.arange(range_m.size)
     timed["range"] = np.nan_to_num(range_m, nan=-1).ravel()
     timed["angle"], timed["time"] = number % M * 40000, 400_000 + number / (50 * M)
     timed[number % 17 != 3].tofile(folder / "rat.raw")
-    rows = [f"{i / 27050:.6f}  {-1 if np.isnan(r) else round(r * 1000)}\t87  0" for i, r in enumerate(range_m.flat)]
-    (folder / "noheader.txt").write_text("% time  range  intensity  status\n" + "\n".join(rows) + "\n")
-    for name in ("big_endian_u2_cm", "faro_like_i4_mm", "csv_no_header", "range_angle_time", "ranges_f32"):
+    rows = [
+        f"{i / 27050:.6f}  {-1 if np.isnan(r) else round(r * 1000)}\t87  0"
+        for i, r in enumerate(range_m.flat)
+    ]
+    (folder / "noheader.txt").write_text(
+        "% time  range  intensity  status\n" + "\n".join(rows) + "\n"
+    )
+    for name in (
+        "big_endian_u2_cm",
+        "faro_like_i4_mm",
+        "csv_no_header",
+        "range_angle_time",
+        "ranges_f32",
+    ):
         text = (ROOT / "sample_configs" / "layouts" / f"{name}.toml").read_text()
         for m in (1080, 5120, 541, 2154):
             text = text.replace(f"points_per_line = {m}", f"points_per_line = {M}")
@@ -82,11 +100,18 @@ def _table(range_m: Array) -> dict[str, Array]:
     r = range_m.ravel().astype(np.float64)
     label = np.where(np.abs(angle) < 1.2, 2, np.where((column > 58) & (column < 76), 5, 6))
     return {
-        "line": line, "column": column, "angle_deg": angles()[column], "range_m": r.round(4),
-        "time_s": 1000 + (line * M + column) / (50 * M), "x": line * 0.1, "y": (r * np.sin(angle)).round(4),
-        "z": (-r * np.cos(angle)).round(4), "intensity": column * 7,
-        "id": np.arange(range_m.size), "class": np.where(np.isnan(r), 0, label),
-    }  # fmt: skip
+        "line": line,
+        "column": column,
+        "angle_deg": angles()[column],
+        "range_m": r.round(4),
+        "time_s": 1000 + (line * M + column) / (50 * M),
+        "x": line * 0.1,
+        "y": (r * np.sin(angle)).round(4),
+        "z": (-r * np.cos(angle)).round(4),
+        "intensity": column * 7,
+        "id": np.arange(range_m.size),
+        "class": np.where(np.isnan(r), 0, label),
+    }
 
 
 def _rows(table: dict[str, Array], chosen: Array) -> dict[str, Array]:
@@ -94,7 +119,10 @@ def _rows(table: dict[str, Array], chosen: Array) -> dict[str, Array]:
 
 
 def _csv(path: Path, table: dict[str, Array]) -> None:
-    lines = (",".join("" if v != v else f"{v:.12g}" for v in row) for row in zip(*table.values(), strict=True))
+    lines = (
+        ",".join("" if v != v else f"{v:.12g}" for v in row)
+        for row in zip(*table.values(), strict=True)
+    )
     path.write_bytes(("\n".join([",".join(table), *lines]) + "\n").encode())
 
 
@@ -104,10 +132,16 @@ def _tables(folder: Path, range_m: Array) -> None:
     returned = _rows(table, there)
     _csv(folder / "drive.csv", table)
     _csv(folder / "shuffled.csv", _rows(table, np.random.default_rng(3).permutation(there)))
-    _csv(folder / "gaps.csv", {name: v for name, v in returned.items() if name not in ("line", "column")})
+    _csv(
+        folder / "gaps.csv",
+        {name: v for name, v in returned.items() if name not in ("line", "column")},
+    )
     _csv(folder / "xyz.csv", {name: returned[name] for name in "xyz"})
     path = _rows(table, np.arange(0, range_m.size, M // 3))
-    _csv(folder / "path.csv", {"time": path["time_s"], "x": path["x"], "y": 0 * path["x"], "z": 0 * path["x"]})
+    _csv(
+        folder / "path.csv",
+        {"time": path["time_s"], "x": path["x"], "y": 0 * path["x"], "z": 0 * path["x"]},
+    )
     np.save(folder / "reference.npy", table["class"].astype(np.uint8))
     steps = [f"{999 + i / 4},{i * 1.25 + 649_995},6860000,0" for i in range(40)]
     (folder / "line.csv").write_text("\n".join(["time,x,y,z", *steps]) + "\n")
@@ -124,12 +158,23 @@ def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
     second = np.r_[False, twice[1:] == twice[:-1]]
     double = second | np.r_[second[1:], False]
     table = _rows(table, twice)
-    header = laspy.LasHeader(point_format=form, version="1.4" if form >= 6 else "1.3" if form >= 4 else "1.2")
-    header.scales, header.offsets = np.array([0.001, 0.001, 0.0005]), np.array([650_000.0, 6_860_000.0, -3.5])
+    header = laspy.LasHeader(
+        point_format=form, version="1.4" if form >= 6 else "1.3" if form >= 4 else "1.2"
+    )
+    header.scales, header.offsets = (
+        np.array([0.001, 0.001, 0.0005]),
+        np.array([650_000.0, 6_860_000.0, -3.5]),
+    )
     header.creation_date, header.uuid = None, uuid.UUID(int=14)
     header.vlrs.append(VLR("golden", 7, "kept as it is", b"\x01\xff" * 30))
     if not bare:
-        for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u2"), ("amplitude", "2u2"), ("id", "u4")):
+        for name, kind in (
+            ("range", "f4"),
+            ("scan_line", "u4"),
+            ("column", "u2"),
+            ("amplitude", "2u2"),
+            ("id", "u4"),
+        ):
             header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     las = laspy.LasData(header)
     las.x, las.y, las.z = table["x"] + 650_000, table["y"] + 6_860_000 + second, table["z"]
@@ -138,13 +183,20 @@ def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
     head = (table["column"] % 2).astype(np.uint8)
     las.user_data, las.point_source_id = head, 3 + head
     if form >= 6:
-        las.scanner_channel, las.scan_angle = head, np.round(table["angle_deg"] / 0.006).astype(np.int16)
+        las.scanner_channel, las.scan_angle = (
+            head,
+            np.round(table["angle_deg"] / 0.006).astype(np.int16),
+        )
     else:
         las.scan_angle_rank = (table["angle_deg"] / 2).astype(np.int8)
     if form not in (0, 2):
         las.gps_time = table["time_s"]
     if not bare:
-        las.range, las.scan_line, las.column = table["range_m"] + second, table["line"], table["column"]
+        las.range, las.scan_line, las.column = (
+            table["range_m"] + second,
+            table["line"],
+            table["column"],
+        )
         las.id = np.arange(len(twice))
         las.amplitude = np.stack([twice % 99, twice % 7], axis=1)
     if form >= 6:
@@ -159,16 +211,31 @@ def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
 def _organised(folder: Path, range_m: Array) -> None:
     """Write a static scan as PTX (twice in one file), 3DTK and a frame of rings."""
     elevation = np.linspace(-70, 80, M)
-    azimuth, rise = np.deg2rad(np.linspace(0, 100, N_LINES))[:, None], np.deg2rad(elevation)[None, :]
+    azimuth, rise = (
+        np.deg2rad(np.linspace(0, 100, N_LINES))[:, None],
+        np.deg2rad(elevation)[None, :],
+    )
     r = np.clip(np.nan_to_num(range_m[:, ::-1]), 0, 60)
-    xyz = np.stack([r * np.cos(rise) * np.cos(azimuth), r * np.cos(rise) * np.sin(azimuth), r * np.sin(rise)], axis=-1)
+    xyz = np.stack(
+        [r * np.cos(rise) * np.cos(azimuth), r * np.cos(rise) * np.sin(azimuth), r * np.sin(rise)],
+        axis=-1,
+    )
     identity = "1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n"
     rows = "".join("{:.4f} {:.4f} {:.4f} 0.5\n".format(*point) for point in xyz.reshape(-1, 3))
     scan = f"{N_LINES}\n{M}\n0 0 0\n{identity}0 0 0 1\n{rows}"
     (folder / "scan.ptx").write_text(scan)
     (folder / "two.ptx").write_text(scan + scan.replace("0 0 0 1\n", "1 2 3 1\n", 1))
-    points = np.where(r[..., None] > 0, xyz, 40 * np.stack(np.broadcast_arrays(
-        np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)), axis=-1))  # fmt: skip
+    points = np.where(
+        r[..., None] > 0,
+        xyz,
+        40
+        * np.stack(
+            np.broadcast_arrays(
+                np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)
+            ),
+            axis=-1,
+        ),
+    )
     left = np.stack([-points[..., 1], points[..., 2], points[..., 0]], axis=-1) * 100
     rows = "".join("{:.3f} {:.3f} {:.3f}\n".format(*point) for point in left.reshape(-1, 3))
     (folder / "scan000.3d").write_text(rows)

@@ -59,7 +59,12 @@ _VARYING = [
 
 def plain(text: str, folder: Path) -> str:
     """Return what is printed or written without what differs between two runs of the same program."""
-    places = ((folder.resolve(), "<root>"), (folder, "<root>"), (data_folder(), "<data>"), (ROOT, "<repo>"))
+    places = (
+        (folder.resolve(), "<root>"),
+        (folder, "<root>"),
+        (data_folder(), "<data>"),
+        (ROOT, "<repo>"),
+    )
     for place, name in places:
         text = text.replace(str(place), name)
     for pattern, replacement in _VARYING:
@@ -68,7 +73,9 @@ def plain(text: str, folder: Path) -> str:
 
 
 def digest(data: bytes | str) -> str:
-    return hashlib.sha256(data.encode(errors="surrogateescape") if isinstance(data, str) else data).hexdigest()
+    return hashlib.sha256(
+        data.encode(errors="surrogateescape") if isinstance(data, str) else data
+    ).hexdigest()
 
 
 def text_or_digest(text: str) -> str:
@@ -84,7 +91,9 @@ def digest_of_file(path: Path, folder: Path) -> str:
             ).fetchall()
         return digest(plain(repr(rows), folder))
     data = path.read_bytes()
-    if (path.suffix in (".json", ".jsonl") and not path.name.endswith(".prc.json")) or path.name == "report.html":
+    if (
+        path.suffix in (".json", ".jsonl") and not path.name.endswith(".prc.json")
+    ) or path.name == "report.html":
         return digest(plain(data.decode(errors="surrogateescape"), folder))
     return digest(data)
 
@@ -155,7 +164,9 @@ def run_step(words: list[str], folder: Path) -> tuple[int, str, str]:
                 os.dup2(null.fileno(), number)
         sys.stdin, sys.stdout, sys.stderr = streams
         found = [name.read_bytes() for name in names]
-    out_text = f"<{len(found[0])} bytes {digest(found[0])}>" if words[0] == "stream" else found[0].decode()
+    out_text = (
+        f"<{len(found[0])} bytes {digest(found[0])}>" if words[0] == "stream" else found[0].decode()
+    )
     shown = code if isinstance(code, (int, str)) else int(code is not None)
     return shown, plain(out_text, folder), plain(found[1].decode(), folder)  # type: ignore[return-value]
 
@@ -180,9 +191,17 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
         for suffix, text in (("out", out), ("err", err)):  # to look at, with --folder
             Path(folder, f"{name}.{suffix}").write_text(text, encoding="utf-8")
         result |= {"stdout": text_or_digest(out), "stderr": text_or_digest(err)}
-        files = sorted(path for path in place.rglob("*") if path.is_file() and not path.name.endswith(("-wal", "-shm")))
-        found = {path.relative_to(place).as_posix(): digest_of_file(path, Path(folder)) for path in files}
-        result["files"] = found if len(found) <= ONE_LINE_A_FILE else {f"{len(found)} files": digest(repr(found))}
+        files = sorted(
+            path
+            for path in place.rglob("*")
+            if path.is_file() and not path.name.endswith(("-wal", "-shm"))
+        )
+        found = {
+            path.relative_to(place).as_posix(): digest_of_file(path, Path(folder)) for path in files
+        }
+        result["files"] = (
+            found if len(found) <= ONE_LINE_A_FILE else {f"{len(found)} files": digest(repr(found))}
+        )
     return name, result, time.monotonic() - begun
 
 
@@ -192,7 +211,9 @@ def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
 
     def visit(name: str) -> int:
         if name not in depth:
-            others = {other for other in re.findall(r"\.\./([\w.-]+)/", cases[name]) if other != name}
+            others = {
+                other for other in re.findall(r"\.\./([\w.-]+)/", cases[name]) if other != name
+            }
             depth[name] = 1 + max(map(visit, others), default=-1)
         return depth[name]
 
@@ -206,7 +227,9 @@ def run(
 ) -> tuple[dict[str, Result], list[str]]:
     """Run the cases whose names are in ``only``, or hold one of them; return results, and the names without data."""
     cases = all_cases()
-    chosen = [name for name in cases if (name in only if exact else any(part in name for part in only))]
+    chosen = [
+        name for name in cases if (name in only if exact else any(part in name for part in only))
+    ]
     skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
     depth = needed(cases, [name for name in chosen if name not in skipped])
     place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))
@@ -217,7 +240,10 @@ def run(
     for name, target in (("data", data_folder()), ("repo", ROOT)):
         (place / name).symlink_to(target.resolve(), target_is_directory=True)
     try:
-        with patch.dict(os.environ, TOLD), ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        with (
+            patch.dict(os.environ, TOLD),
+            ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool,
+        ):
             for level in range(max(depth.values(), default=-1) + 1):
                 names = [name for name in depth if depth[name] == level]
                 futures = [pool.submit(run_case, name, cases[name], str(place)) for name in names]
@@ -241,20 +267,25 @@ def differences(kept: dict[str, Result], found: dict[str, Result]) -> list[str]:
             lines.append(f"{name}: not kept")
             continue
         old, new = (
-            {**item, **{f"file {k}": v for k, v in item.get("files", {}).items()}} for item in (kept[name], found[name])
+            {**item, **{f"file {k}": v for k, v in item.get("files", {}).items()}}
+            for item in (kept[name], found[name])
         )
         for key in sorted((old.keys() | new.keys()) - {"files"}):
             if old.get(key) != new.get(key):
                 lines.append(f"{name}: {key}")
                 before, after = (str(item.get(key, "nothing")).splitlines() for item in (old, new))
-                lines += [f"    {row}" for row in difflib.unified_diff(before, after, lineterm="", n=0)][2:]
+                lines += [
+                    f"    {row}" for row in difflib.unified_diff(before, after, lineterm="", n=0)
+                ][2:]
     return lines
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
     parser.add_argument("what", choices=["make", "check", "list"])
-    parser.add_argument("--only", action="append", help="cases whose name holds this; may be given several times")
+    parser.add_argument(
+        "--only", action="append", help="cases whose name holds this; may be given several times"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 2)
     parser.add_argument("--folder", type=Path, help="new folder, which is kept")
     options = parser.parse_args()
@@ -269,7 +300,10 @@ def main() -> int:
     kept = json.loads(GOLDEN.read_text(encoding="utf-8")) if GOLDEN.exists() else {}
     lines = differences(kept, found)
     if not options.only:
-        lines += [f"{name}: kept, but no case any more" for name in sorted(kept.keys() - found.keys() - set(skipped))]
+        lines += [
+            f"{name}: kept, but no case any more"
+            for name in sorted(kept.keys() - found.keys() - set(skipped))
+        ]
     print("\n".join(lines))
     if skipped:
         print(f"skipped: {len(skipped)} cases on real scans, no folder {data_folder()}")

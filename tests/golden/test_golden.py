@@ -16,7 +16,9 @@ SHARED = ("made", "sim-street", "sim-sick", "sim-forest", "sim-scan", "sim-stree
 
 
 def half(name: str, commands: str) -> int:
-    read = [other for other in re.findall(r"\.\./([\w.-]+)/", commands) if other not in (*SHARED, name)]
+    read = [
+        other for other in re.findall(r"\.\./([\w.-]+)/", commands) if other not in (*SHARED, name)
+    ]
     return zlib.crc32((read or [name])[0].encode()) % 2
 
 

@@ -48,13 +48,15 @@ def panel(picture: U8, title: str = "range", **options: object) -> Panel:
 def test_ticks_mark_the_middle_of_their_cell_in_both_directions() -> None:
     forwards, backwards = Axis("line", 0, 100), Axis("line", 100, 0)
     assert forwards.ticks(1000, 90) == [(5 + 100 * i, str(10 * i)) for i in range(10)]
-    assert sorted(backwards.ticks(1000, 90)) == sorted((994 - 100 * i, str(10 * i)) for i in range(10)) or all(
-        abs(place - (995 - 10 * int(text))) <= 1 for place, text in backwards.ticks(1000, 90)
-    )
+    assert sorted(backwards.ticks(1000, 90)) == sorted(
+        (994 - 100 * i, str(10 * i)) for i in range(10)
+    ) or all(abs(place - (995 - 10 * int(text))) <= 1 for place, text in backwards.ticks(1000, 90))
     assert Axis("none", 0, 0).ticks(100, 10) == []
 
 
-@pytest.mark.parametrize(("width", "height"), [(2154, 99), (4270, 255), (389, 229), (16, 1), (1, 16), (2083, 64)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(2154, 99), (4270, 255), (389, 229), (16, 1), (1, 16), (2083, 64)]
+)
 def test_small_pictures_are_enlarged_and_large_ones_left_alone(width: int, height: int) -> None:
     across, down = zoom_for(width, height)
     assert across >= 1
@@ -80,7 +82,9 @@ def test_what_is_no_picture(picture: U8, expected: str) -> None:
 
 def test_a_page_holds_its_pictures_and_quotes_what_it_is_told() -> None:
     picture = panel(plain(10, 30, 77), "<b>title", caption="a & b")
-    page = html_page("<script>", "head", [("", [picture]), ("more", [picture])], (("x<y", (1, 2, 3)),), "foot")
+    page = html_page(
+        "<script>", "head", [("", [picture]), ("more", [picture])], (("x<y", (1, 2, 3)),), "foot"
+    )
     assert "<script>" not in page
     assert "&lt;b&gt;title" in page
     assert "a &amp; b" in page
@@ -126,7 +130,9 @@ def test_the_perspective_holds_the_points_upright(azimuth: float, elevation: flo
         assert up[1] < up[0]
     # the eye stands where it was told to
     away = view.eye - (points.min(axis=0) + points.max(axis=0)) / 2
-    assert math.degrees(math.asin(away[2] / np.linalg.norm(away))) == pytest.approx(elevation, abs=1.0)
+    assert math.degrees(math.asin(away[2] / np.linalg.norm(away))) == pytest.approx(
+        elevation, abs=1.0
+    )
     if abs(elevation) < 80:
         bearing = math.degrees(math.atan2(away[0], away[1]))
         assert (bearing - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=1.0)
@@ -170,12 +176,26 @@ def shots() -> Shots:
     xyz = rng.uniform(-20, 20, (7, 9, 3)) + np.array([650_000, 6_860_000, 40])
     xyz[2, 3] = np.nan
     xyz[4, 4] = (0, 0, 0)
-    entries = [ClassEntry(1, "</script><i>", (1, 2, 3), "1 %"), ClassEntry(2, "ground", (4, 5, 6), "99 %", True)]
+    entries = [
+        ClassEntry(1, "</script><i>", (1, 2, 3), "1 %"),
+        ClassEntry(2, "ground", (4, 5, 6), "99 %", True),
+    ]
     more = {
         "time": Values("time", 1e5 + np.arange(63.0).reshape(7, 9) * 1e-4, 1e-7, 4, "s", False),
         "surface": Values("coarse class", classes.astype(float), 1.0, 1, "", words={1: "vertical"}),
     }
-    return Shots(classes, range_m, xyz, classes > 0, (100, 0), (2, 3), entries, more, tuple(range(8, -1, -1)), True)
+    return Shots(
+        classes,
+        range_m,
+        xyz,
+        classes > 0,
+        (100, 0),
+        (2, 3),
+        entries,
+        more,
+        tuple(range(8, -1, -1)),
+        True,
+    )
 
 
 def decoded(page: str) -> tuple[dict[str, Any], dict[str, F64]]:
@@ -185,12 +205,16 @@ def decoded(page: str) -> tuple[dict[str, Any], dict[str, F64]]:
     about = json.loads(found[1])
     planes = {}
     for name, plane in about["planes"].items():
-        text = re.search(rf'<script type="text/plain" id="plane-{name}">([A-Za-z0-9+/=]+)</script>', page)
+        text = re.search(
+            rf'<script type="text/plain" id="plane-{name}">([A-Za-z0-9+/=]+)</script>', page
+        )
         assert text is not None
         whole = unpack(text[1], plane["bytes"])
         assert len(whole) == plane["n"]
         values = plane.get("offset", 1.0) + plane.get("scale", 1.0) * (whole - 1.0)
-        planes[name] = np.where(whole > 0, values, np.nan).reshape(about["lines"]["n"], about["columns"]["n"])
+        planes[name] = np.where(whole > 0, values, np.nan).reshape(
+            about["lines"]["n"], about["columns"]["n"]
+        )
     return about, planes
 
 
@@ -227,8 +251,10 @@ def test_the_page_is_escaped_and_runs_nothing_but_its_own_script() -> None:
     assert "http" not in page.replace("http-equiv", "")
     (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
     assert policy.startswith("default-src 'none'; ")
-    for kind, text in (("script", page.rsplit("<script>", 1)[1].split("</script>")[0]),
-                       ("style", page.split("<style>")[1].split("</style>")[0])):  # fmt: skip
+    for kind, text in (
+        ("script", page.rsplit("<script>", 1)[1].split("</script>")[0]),
+        ("style", page.split("<style>")[1].split("</style>")[0]),
+    ):
         digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         assert f"{kind}-src 'sha256-{digest}'" in policy
     assert " style=" not in page
@@ -239,7 +265,13 @@ def test_the_page_is_escaped_and_runs_nothing_but_its_own_script() -> None:
 def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
     nothing = np.full((2, 3), np.nan)
     given = Shots(
-        np.zeros((2, 3), np.uint8), nothing, np.full((2, 3, 3), np.nan), np.zeros((2, 3), bool), (0, 0), (1, 1), ()
+        np.zeros((2, 3), np.uint8),
+        nothing,
+        np.full((2, 3, 3), np.nan),
+        np.zeros((2, 3), bool),
+        (0, 0),
+        (1, 1),
+        (),
     )
     _, planes = decoded(page_of(given))
     assert all(np.isnan(plane).all() for plane in planes.values())
@@ -247,7 +279,9 @@ def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
 
 def test_a_browser_shows_long_values_and_keeps_the_cloud_in_view(tmp_path: Path) -> None:
     given = shots()
-    sentence = "it stands higher than anything near it, and the beams around it pass by on both sides " * 2
+    sentence = (
+        "it stands higher than anything near it, and the beams around it pass by on both sides " * 2
+    )
     words = {1: sentence, 2: sentence, 3: sentence}
     reason = Values("because", given.classes.astype(float), 1.0, 1, "", words=words)
     given = replace(given, more={**given.more, "reason": reason})
@@ -287,6 +321,10 @@ def test_a_browser_shows_long_values_and_keeps_the_cloud_in_view(tmp_path: Path)
 
 def unpack(text: str, n_bytes: int) -> Any:
     """Return the integers as the page decodes them."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(n_bytes, -1).astype(np.int64)
+    planes = (
+        np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8)
+        .reshape(n_bytes, -1)
+        .astype(np.int64)
+    )
     steps = sum(planes[k] << (8 * k) for k in range(n_bytes))
     return np.cumsum(steps) % 256**n_bytes

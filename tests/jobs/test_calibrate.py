@@ -78,19 +78,27 @@ def corridor(sigma_m: float, per_m: float, step_deg: float = 0.5, n_lines: int =
     angle = np.deg2rad(np.arange(-80.0, 130.0, step_deg))
     with np.errstate(divide="ignore"):
         ground = np.where(np.cos(angle) > 0.01, 2.0 / np.cos(angle), np.inf)
-        wall = np.where(np.sin(angle) > 0.01, 15.0 / np.sin(angle), 6.0 / np.maximum(-np.sin(angle), 0.01))
+        wall = np.where(
+            np.sin(angle) > 0.01, 15.0 / np.sin(angle), 6.0 / np.maximum(-np.sin(angle), 0.01)
+        )
     image = np.tile(np.minimum(ground, wall), (n_lines, 1))
-    return (image + rng.normal(size=image.shape) * np.hypot(sigma_m, per_m * image)).astype(np.float32)
+    return (image + rng.normal(size=image.shape) * np.hypot(sigma_m, per_m * image)).astype(
+        np.float32
+    )
 
 
 def measured(image: F32, **known: Any) -> SensorEstimate:
-    meter = SensorMeter(StreamInfo("drive", "array", image.shape[1], image.size, len(image), **known))
+    meter = SensorMeter(
+        StreamInfo("drive", "array", image.shape[1], image.size, len(image), **known)
+    )
     for block in regroup(iter([ScanBlock(0, image)]), 50):
         meter.add(block)
     return meter.finish()
 
 
-@pytest.mark.parametrize(("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)])
+@pytest.mark.parametrize(
+    ("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)]
+)
 def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: float) -> None:
     found = measured(corridor(sigma_m, per_m))
     for range_m in (2.5, 6.5, 15.0):
@@ -100,7 +108,13 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: 
 def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
     """A street and, as its reference, what the classifier says with parameters that are not the preset's."""
     source = write_npz(folder / "street.npz", street(n_lines))
-    wanted = {"prc": {"support": {"zeta_p": 0.1}, "surfaces": {"area": 4.0, "gamma": 1}, "lines_per_block": 20}}
+    wanted = {
+        "prc": {
+            "support": {"zeta_p": 0.1},
+            "surfaces": {"area": 4.0, "gamma": 1},
+            "lines_per_block": 20,
+        }
+    }
     classify(source, folder / "reference.npy", load_config(preset="urban", options=wanted))
     return source, folder / "reference.npy"
 
@@ -123,7 +137,9 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     assert found.search.n_training_groups + found.search.n_held_out_groups == 7
     again = calibrate(source, BLOCKS, options)
     assert as_json(again) == as_json(found)
-    other = calibrate(source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4))
+    other = calibrate(
+        source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4)
+    )
     assert other.search is not None
     assert other.search.n_trials == 2
 
@@ -131,10 +147,16 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
 def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     inputs = {"nadir": 0.0}
-    loaded = load_config(preset="street-scan", options={"prc": {"lines_per_block": 30}, "input": inputs})
+    loaded = load_config(
+        preset="street-scan", options={"prc": {"lines_per_block": 30}, "input": inputs}
+    )
     classify(source, tmp_path / "reference.npy", loaded)
     found = calibrate(
-        source, loaded, SearchOptions(tmp_path / "reference.npy", "sequential_angle", budget=3, objective="accuracy")
+        source,
+        loaded,
+        SearchOptions(
+            tmp_path / "reference.npy", "sequential_angle", budget=3, objective="accuracy"
+        ),
     )
     assert found.search is not None
     assert set(found.search.values) == {"sequential_angle.angles.range_noise_m"}
@@ -201,18 +223,37 @@ def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) ->
     assert kappa[0] < 0.5 < kappa[1] < 0.7 < kappa[2]
     for section, least in zip(others, (0.80, 0.80), strict=True):
         classify(section, tmp_path / "labels.npy", found.config, overwrite=True)
-        assert gate_value(scores(evaluate(tmp_path / "labels.npy", section, "oakland")), "kappa") > least
+        assert (
+            gate_value(scores(evaluate(tmp_path / "labels.npy", section, "oakland")), "kappa")
+            > least
+        )
 
 
 SENSOR = SensorEstimate(
-    points_per_line=2154, n_lines=500, n_shots=500 * 2154, n_missing=0,
-    range_quantiles_m={"5%": 2.0, "25%": 4.0, "50%": 6.0, "75%": 10.0, "95%": 30.0}, noise=(), sigma_m=0.001,
-    sigma_per_m=0.0, step_rad=None, step_source="", rounding_m=None, line_hz=None, in_line_m=None, across_lines_m=None,
-)  # fmt: skip
+    points_per_line=2154,
+    n_lines=500,
+    n_shots=500 * 2154,
+    n_missing=0,
+    range_quantiles_m={"5%": 2.0, "25%": 4.0, "50%": 6.0, "75%": 10.0, "95%": 30.0},
+    noise=(),
+    sigma_m=0.001,
+    sigma_per_m=0.0,
+    step_rad=None,
+    step_source="",
+    rounding_m=None,
+    line_hz=None,
+    in_line_m=None,
+    across_lines_m=None,
+)
 
 
 def advised(
-    sensor: SensorEstimate = SENSOR, *, low: float = 0.99, plateau: float = 0.9, zeta: float = 0.1, **params: object
+    sensor: SensorEstimate = SENSOR,
+    *,
+    low: float = 0.99,
+    plateau: float = 0.9,
+    zeta: float = 0.1,
+    **params: object,
 ) -> dict[str, Advice]:
     """Return the advice by key where thresholds below 1 m support ``low`` of what wide ones do."""
     used = PrcParams.model_validate({"support": {"zeta_s": zeta, "zeta_p": zeta}, **params})
@@ -227,7 +268,9 @@ def advised(
 
 @pytest.mark.parametrize(("environment", "share"), [("urban", 0.95), ("forest", 0.5)])
 @pytest.mark.parametrize("name", ["zeta_s", "zeta_p"])
-def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment: str, share: float, name: str) -> None:
+def test_thresholds_stay_where_they_support_a_share_of_the_plateau(
+    environment: str, share: float, name: str
+) -> None:
     key = f"prc.support.{name}"
     assert advised(low=share + 0.01, environment=environment)[key].value == 0.1
     raised = advised(low=share - 0.01, environment=environment)[key]
@@ -242,12 +285,18 @@ def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment: 
         ({"sigma_m": 0.1}, 1.7, "17 times the deviation of flat stretches, 1e+02 mm at 10 m"),
         ({"sigma_m": None}, 0.05, "the published value"),
         ({"rounding_m": 0.1}, 0.5, "ranges are stored in steps of 0.1 m"),
-        ({"step_rad": 0.01}, 0.2, "the three shots of eq. 9 span 0.2 m at 10 m under steps of 0.57 degrees"),
+        (
+            {"step_rad": 0.01},
+            0.2,
+            "the three shots of eq. 9 span 0.2 m at 10 m under steps of 0.57 degrees",
+        ),
         ({"step_rad": 0.01, "rounding_m": 0.1}, 0.5, "ranges are stored in steps of 0.1 m"),
         ({"step_rad": 0.04, "rounding_m": 0.1}, 0.8, "the three shots of eq. 9 span 0.8 m"),
     ],
 )
-def test_the_length_is_the_largest_that_is_asked_for(known: dict[str, float], value: float, reason: str) -> None:
+def test_the_length_is_the_largest_that_is_asked_for(
+    known: dict[str, float], value: float, reason: str
+) -> None:
     found = advised(replace(SENSOR, **known))["prc.background.d_c"]  # type: ignore[arg-type]
     assert found.value == pytest.approx(value)
     assert found.reason.startswith(reason)
@@ -265,12 +314,21 @@ def test_the_length_is_the_largest_that_is_asked_for(known: dict[str, float], va
     ],
 )
 def test_a_threshold_takes_the_other_along(
-    searched: set[str], key: str, given: tuple[float | None, float | None], expected: tuple[float | None, float | None]
+    searched: set[str],
+    key: str,
+    given: tuple[float | None, float | None],
+    expected: tuple[float | None, float | None],
 ) -> None:
     """zeta_s stays at least zeta_p; one that is not searched stays where it is configured, here at 2 m and 1.5 m."""
     config = with_values(RunConfig(), {ZETA_S: 2.0, ZETA_P: 1.5})
     mapping = load_mapping("oakland")
-    searcher = Searcher(config, mapping, (), "mean_f1", 5, tuple(axis for axis in PRC_AXES if axis.key in searched))
-    values = {name: value for name, value in zip((ZETA_S, ZETA_P), given, strict=True) if value is not None}
+    searcher = Searcher(
+        config, mapping, (), "mean_f1", 5, tuple(axis for axis in PRC_AXES if axis.key in searched)
+    )
+    values = {
+        name: value
+        for name, value in zip((ZETA_S, ZETA_P), given, strict=True)
+        if value is not None
+    }
     found = searcher._advisable(values, key)
     assert (found.get(ZETA_S), found.get(ZETA_P)) == expected

@@ -59,7 +59,9 @@ def test_an_input_that_changes_while_it_is_read_is_refused(tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a file has no time of its last change there")
-def test_an_input_that_is_edited_in_place_is_refused_though_its_time_was_put_back(tmp_path: Path) -> None:
+def test_an_input_that_is_edited_in_place_is_refused_though_its_time_was_put_back(
+    tmp_path: Path,
+) -> None:
     """Half of the outputs mixed two inputs under the fingerprint of the first."""
     source = write_raw(tmp_path / "drive.bin", street())
     status = source.stat()
@@ -87,7 +89,9 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
         prc_cli.classify_ranges(few, moves)
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = image
-    with pytest.warns(prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns") as told:
+    with pytest.warns(
+        prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns"
+    ) as told:
         prc_cli.classify_ranges(thin, load_config(preset="urban"))
     assert told[0].filename == __file__
     for odd in (thin, shuffled):
@@ -172,7 +176,8 @@ def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: 
 def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", piece())
     compiled, plain = (
-        json.loads(record_path(path).read_text()) for path in by_both(source, ".npy", "--preset", "urban")
+        json.loads(record_path(path).read_text())
+        for path in by_both(source, ".npy", "--preset", "urban")
     )
     assert plain.pop("engine") == "reference"
     assert plain == compiled
@@ -182,7 +187,10 @@ def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
 def every_format(folder: Path) -> dict[str, Path]:
     """Write the street in every format that is read, small."""
     image = piece()
-    made = {"npz": write_npz(folder / "drive.npz", image), "csv": write_csv(folder / "drive.csv", image)}
+    made = {
+        "npz": write_npz(folder / "drive.npz", image),
+        "csv": write_csv(folder / "drive.csv", image),
+    }
     made["csv.gz"] = write_csv(folder / "drive.csv.gz", image)
     made["bin"] = write_raw(folder / "drive.bin", image)
     made["npy"] = folder / "drive.npy"
@@ -211,5 +219,7 @@ def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:
     assert "prc classify --engine reference" in done.stderr
     assert not (tmp_path / "compiled.npy").exists()
     for name in ("npz", "csv", "laz"):
-        expected = classify(made[name], tmp_path / f"{name}.expected.npy", load_config(preset="urban")).output
+        expected = classify(
+            made[name], tmp_path / f"{name}.expected.npy", load_config(preset="urban")
+        ).output
         assert (tmp_path / f"{name}.out.npy").read_bytes() == expected.read_bytes()

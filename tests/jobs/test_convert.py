@@ -24,7 +24,9 @@ CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
 
 def config(path: Path | None = None, preset: str | None = None, **inputs: Any) -> LoadedConfig:
     beside = None if path is None or path.suffix != ".bin" else path.with_name(f"{path.name}.toml")
-    return load_config(beside, preset, {"input": {key.rstrip("_"): value for key, value in inputs.items()}})
+    return load_config(
+        beside, preset, {"input": {key.rstrip("_"): value for key, value in inputs.items()}}
+    )
 
 
 def scans(path: Path, loaded: LoadedConfig) -> dict[int, ScanBlock]:
@@ -57,12 +59,16 @@ def drive(tmp_path: Path) -> Path:
     # bits that no decimal of a few digits has
     image *= rng.uniform(0.99999, 1.00001, image.shape).astype(np.float32)
     angle = angles()
-    xyz = np.stack([image * 0.0, image * np.sin(angle), -image * np.cos(angle)], axis=-1).astype(np.float32)
+    xyz = np.stack([image * 0.0, image * np.sin(angle), -image * np.cos(angle)], axis=-1).astype(
+        np.float32
+    )
     shots = np.arange(image.size).reshape(image.shape)
     times = 302_400.0 + shots / (LINE_HZ * POINTS_PER_LINE)
     intensity = rng.integers(0, 65536, image.shape).astype(np.float32)
     path = tmp_path / "drive.npz"
-    np.savez(path, range_m=image, angle_deg=np.rad2deg(angle), time_s=times, xyz=xyz, intensity=intensity)
+    np.savez(
+        path, range_m=image, angle_deg=np.rad2deg(angle), time_s=times, xyz=xyz, intensity=intensity
+    )
     return path
 
 
@@ -73,7 +79,9 @@ def cloud(path: Path) -> Any:
     """x, y, z of the points of a file, those without coordinates left out."""
     records = open_source(path)
     assert records is not None
-    parts = [np.stack([chunk.values[axis] for axis in XYZ], axis=1) for chunk in records.chunks(XYZ)]
+    parts = [
+        np.stack([chunk.values[axis] for axis in XYZ], axis=1) for chunk in records.chunks(XYZ)
+    ]
     xyz = np.concatenate(parts)
     return xyz[np.isfinite(xyz).all(axis=1)]
 
@@ -85,25 +93,37 @@ def test_registered_coordinates_are_kept(tmp_path: Path, suffix: str, from_: str
     """Beside ranges in the file, and where ranges come from a trajectory."""
     seen = ~np.isnan(street())
     line, column = np.nonzero(seen)
-    beam, ranges, time_s = angles()[column], street()[seen].astype(float), line / LINE_HZ + column * 1e-4
+    beam, ranges, time_s = (
+        angles()[column],
+        street()[seen].astype(float),
+        line / LINE_HZ + column * 1e-4,
+    )
     way = 2.4e6 + 7.0 * time_s
     wanted = np.round(np.stack([way, ranges * np.sin(beam), 60 - ranges * np.cos(beam)], axis=1), 3)
-    (tmp_path / "t.csv").write_text("".join(f"{t},{2.4e6 + 7 * t},0,60\n" for t in (-1, 0, 1, 2, 3, 4)))
+    (tmp_path / "t.csv").write_text(
+        "".join(f"{t},{2.4e6 + 7 * t},0,60\n" for t in (-1, 0, 1, 2, 3, 4))
+    )
     (tmp_path / "t.csv").write_text("time,x,y,z\n" + (tmp_path / "t.csv").read_text())
     rows = zip(time_s.tolist(), *wanted.T.tolist(), line.tolist(), column.tolist(), strict=True)
     source = tmp_path / "reg.csv"
-    source.write_text("time,x,y,z,scan_line,column\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
+    source.write_text(
+        "time,x,y,z,scan_line,column\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n"
+    )
     loaded = config(range_=f"trajectory:{tmp_path / 't.csv'}", points_per_line=POINTS_PER_LINE)
     if from_ == ".laz":
         source = tmp_path / "reg.laz"
-        assert "read it with --range trajectory" in str(convert(tmp_path / "reg.csv", source, loaded).record.notices)
+        assert "read it with --range trajectory" in str(
+            convert(tmp_path / "reg.csv", source, loaded).record.notices
+        )
     output = tmp_path / f"out{suffix}"
     (classify if to == "classify" else convert)(source, output, loaded)
     np.testing.assert_allclose(cloud(output), wanted, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", CELLS)
-def test_a_format_of_cells_gives_the_same_blocks_back(drive: Path, tmp_path: Path, suffix: str) -> None:
+def test_a_format_of_cells_gives_the_same_blocks_back(
+    drive: Path, tmp_path: Path, suffix: str
+) -> None:
     out = tmp_path / f"out{suffix}"
     convert(drive, out)
     (before,), (after,) = scans(drive, config()).values(), scans(out, config(out)).values()
@@ -121,7 +141,9 @@ def test_a_format_of_cells_gives_the_same_blocks_back(drive: Path, tmp_path: Pat
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [*CELLS, ".npy", ".laz"])
 @pytest.mark.parametrize("preset", ["urban", "street-scan"])
-def test_labels_are_those_of_the_original(drive: Path, tmp_path: Path, suffix: str, preset: str) -> None:
+def test_labels_are_those_of_the_original(
+    drive: Path, tmp_path: Path, suffix: str, preset: str
+) -> None:
     out = tmp_path / f"out{suffix}"
     convert(drive, out)
     if preset == "street-scan" and suffix == ".npy":
@@ -145,7 +167,9 @@ def two_scanners(path: Path) -> Path:
                 distances = np.sort(rng.uniform(2.0, 60.0, n).astype(np.float32))
                 for number, distance in enumerate(distances, 1):
                     strength = int(rng.integers(1, 60_000))
-                    rows.append((time, line, column, distance, scanner, number, n, strength, column % 7))
+                    rows.append(
+                        (time, line, column, distance, scanner, number, n, strength, column % 7)
+                    )
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = [0.001] * 3, [500_000.0, 6_860_000.0, 0.0]
     for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
@@ -153,7 +177,15 @@ def two_scanners(path: Path) -> Path:
     las = laspy.LasData(header)
     table = [np.array(column) for column in zip(*rows, strict=True)]
     las.x, las.y, las.z = 500_000.0 + table[3], 6_860_000.0 + table[2], -table[3] / 3
-    names = ("gps_time", "scan_line", "column", "range", "point_source_id", "return_number", "number_of_returns")
+    names = (
+        "gps_time",
+        "scan_line",
+        "column",
+        "range",
+        "point_source_id",
+        "return_number",
+        "number_of_returns",
+    )
     for name, column in zip((*names, "intensity", "classification"), table, strict=True):
         las[name] = column
     las.write(path)
@@ -178,7 +210,10 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
         assert np.isnan(again[5]).all()
         assert np.isnan(after[scanner].range_m[:, m:]).all()
         for name in ("line", "column", "range_m"):
-            order = [np.lexsort((b.extra.range_m, b.extra.column, b.extra.line)) for b in (block, after[scanner])]
+            order = [
+                np.lexsort((b.extra.range_m, b.extra.column, b.extra.line))
+                for b in (block, after[scanner])
+            ]
             left, right = getattr(block.extra, name), getattr(after[scanner].extra, name)
             assert np.array_equal(left[order[0]], right[order[1]])
         assert after[scanner].points_per_line == m
@@ -192,7 +227,10 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     ("name", "inputs"),
     [
         ("organised/pumpA.e57", {}),
-        ("organised/scan000.3d", {"points_per_line": 360, "range_": "sensor-xyz", "max_range": 32.7}),
+        (
+            "organised/scan000.3d",
+            {"points_per_line": 360, "range_": "sensor-xyz", "max_range": 32.7},
+        ),
         ("oakland/oakland_1.csv.gz", {}),
         ("forest/tls_park.npz", {}),
     ],
@@ -223,7 +261,9 @@ def _several(tmp_path: Path) -> tuple[Path, LoadedConfig]:
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".bin"])
 def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, suffix: str) -> None:
     source, loaded = _several(tmp_path)
-    with pytest.raises(OutputError, match="found scanners 3 and 8, expected one: .* write .csv, .laz or .parquet"):
+    with pytest.raises(
+        OutputError, match="found scanners 3 and 8, expected one: .* write .csv, .laz or .parquet"
+    ):
         convert(source, tmp_path / f"out{suffix}", loaded)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.las"]
 

@@ -32,19 +32,27 @@ def drafted(path: Path, *options: str) -> dict[str, Any]:
 def ranges_read(path: Path) -> Any:
     out = path.with_name("again.npz")
     # a short file is doubted: few lines
-    assert run("convert", path, out, "-q", "--config", path.with_name("draft.toml"), "--overwrite") in (0, 4)
-    assert run("classify", path, path.with_name("l.npy"), "-q", "--config", path.with_name("draft.toml")) in (0, 4)
+    assert run(
+        "convert", path, out, "-q", "--config", path.with_name("draft.toml"), "--overwrite"
+    ) in (0, 4)
+    assert run(
+        "classify", path, path.with_name("l.npy"), "-q", "--config", path.with_name("draft.toml")
+    ) in (0, 4)
     with np.load(out) as arrays:
         return arrays["range_m"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("endian", ["little", "big"])
-@pytest.mark.parametrize("header", [b"", bytes(np.random.default_rng(0).integers(32, 127, 128, np.uint8)), bytes(128)])
+@pytest.mark.parametrize(
+    "header", [b"", bytes(np.random.default_rng(0).integers(32, 127, 128, np.uint8)), bytes(128)]
+)
 def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> None:
     """int32 millimetres, uint16 intensity, float64 seconds."""
     order = "<" if endian == "little" else ">"
-    shots = np.zeros(N_LINES * M, np.dtype([("r", f"{order}i4"), ("i", f"{order}u2"), ("t", f"{order}f8")]))
+    shots = np.zeros(
+        N_LINES * M, np.dtype([("r", f"{order}i4"), ("i", f"{order}u2"), ("t", f"{order}f8")])
+    )
     shots["r"] = np.nan_to_num(image() * 1000).ravel()
     shots["i"] = 300 + 50 * np.sin(np.arange(len(shots)) / 9)
     shots["t"] = 4000 + np.arange(len(shots)) / (50 * M)
@@ -54,8 +62,10 @@ def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> Non
     layout = found["layout"]
     assert (layout["header_bytes"], layout["endian"]) == (len(header), endian)
     assert [(field["name"], field["type"]) for field in layout["fields"]] == [
-        ("range", "i4"), ("field_4", "u2"), ("time", "f8"),
-    ]  # fmt: skip
+        ("range", "i4"),
+        ("field_4", "u2"),
+        ("time", "f8"),
+    ]
     assert found["input"]["points_per_line"] == M
     np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
     assert run("info", path, "--draft", path.with_name("draft.toml"), "-q") == 2
@@ -67,14 +77,18 @@ def test_a_dump_of_ranges_alone(tmp_path: Path, n_lines: int) -> None:
     path = tmp_path / "d.bin"
     image()[:n_lines].tofile(path)
     found = drafted(path)
-    assert [(field["name"], field["type"]) for field in found["layout"]["fields"]] == [("range", "f4")]
+    assert [(field["name"], field["type"]) for field in found["layout"]["fields"]] == [
+        ("range", "f4")
+    ]
     np.testing.assert_array_equal(ranges_read(path), image()[:n_lines])
 
 
 def test_empty_cells_are_missing_by_themselves(tmp_path: Path) -> None:
     path = tmp_path / "d.csv"
     cells = ["" if np.isnan(metres) else f"{1000 * metres:.0f}" for metres in image().ravel()]
-    path.write_text("".join(f"{cell};{4000 + shot / 4500:.6f}\n" for shot, cell in enumerate(cells)))
+    path.write_text(
+        "".join(f"{cell};{4000 + shot / 4500:.6f}\n" for shot, cell in enumerate(cells))
+    )
     assert drafted(path)["layout"]["fields"][0] == {"name": "range", "source": 0, "scale": 0.001}
 
 
@@ -105,7 +119,9 @@ def test_coordinates_and_times_without_names(
     time_s, _, column = drive(50.0, 300, 60)
     height = 2 + np.sin(column / 30)
     place = 8.0 * time_s
-    rows = np.column_stack([place + 3 * np.sin(time_s * 300) + offset_m, place - 9 - height + offset_m, height, time_s])
+    rows = np.column_stack(
+        [place + 3 * np.sin(time_s * 300) + offset_m, place - 9 - height + offset_m, height, time_s]
+    )
     path = tmp_path / "tile.txt"
     np.savetxt(path, rows, fmt=f"%.{decimals}f")
     assert run("classify", path, tmp_path / "o.npy") == 1
@@ -115,8 +131,15 @@ def test_coordinates_and_times_without_names(
         .endswith("--draft FILE.toml, which looks at the numbers, and --config FILE.toml")
     )
     assert run("info", path, "--draft", tmp_path / "draft.toml", "-q") == 0
-    fields = tomllib.loads((tmp_path / "draft.toml").read_text(encoding="utf-8"))["layout"]["fields"]
-    assert [(field["name"], field["source"]) for field in fields] == [("x", 0), ("y", 1), ("z", 2), ("time", 3)]
+    fields = tomllib.loads((tmp_path / "draft.toml").read_text(encoding="utf-8"))["layout"][
+        "fields"
+    ]
+    assert [(field["name"], field["source"]) for field in fields] == [
+        ("x", 0),
+        ("y", 1),
+        ("z", 2),
+        ("time", 3),
+    ]
 
 
 def test_a_dump_of_an_odd_number_of_small_numbers_is_drafted(tmp_path: Path) -> None:

@@ -69,7 +69,9 @@ def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
     found = list(classify_drive(parts, tmp_path / "out", URBAN, threads=1))
     assert [summary.output.name for summary in found] == [part.name for part in parts]
     written = [laspy.read(summary.output) for summary in found]
-    assert np.array_equal(np.concatenate([np.asarray(las.classification) for las in written]), expected)
+    assert np.array_equal(
+        np.concatenate([np.asarray(las.classification) for las in written]), expected
+    )
     for las, part in zip(written, parts, strict=True):
         assert np.array_equal(las.gps_time, laspy.read(part).gps_time)
     assert len(np.unique(expected)) >= 4
@@ -91,7 +93,10 @@ def test_other_columns_begin_a_stream_of_their_own(tmp_path: Path) -> None:
     text = (tmp_path / "b.csv").read_text().replace("angle_deg", "bearing")
     (tmp_path / "b.csv").write_text(text)
     found = list(classify_drive([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", URBAN))
-    assert any("it has other dimensions than the file before" in notice for notice in found[1].record.notices)
+    assert any(
+        "it has other dimensions than the file before" in notice
+        for notice in found[1].record.notices
+    )
 
 
 def test_what_is_refused(tmp_path: Path) -> None:
@@ -111,7 +116,16 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
 def test_one_command_takes_a_drive(tmp_path: Path) -> None:
     _, parts = cut_raw(tmp_path)
-    words = [*map(str, parts), str(tmp_path / "out"), "--preset", "urban", "-M", str(POINTS_PER_LINE), "--json", "-q"]
+    words = [
+        *map(str, parts),
+        str(tmp_path / "out"),
+        "--preset",
+        "urban",
+        "-M",
+        str(POINTS_PER_LINE),
+        "--json",
+        "-q",
+    ]
     done = runner().invoke(cli, ["classify", *words])
     assert done.exit_code in (0, 4), done.output
     records = json.loads(done.stdout)
@@ -127,7 +141,9 @@ def test_five_files_of_a_real_drive_are_one(real_data: Path, tmp_path: Path) -> 
     bodies = [part.read_bytes().partition(b"end_header\n")[2] for part in parts]
     n = sum(map(len, bodies)) // 86
     joined = tmp_path / "joined.ply"
-    joined.write_bytes(head.replace(b"vertex 30000", b"vertex %d" % n) + b"end_header\n" + b"".join(bodies))
+    joined.write_bytes(
+        head.replace(b"vertex 30000", b"vertex %d" % n) + b"end_header\n" + b"".join(bodies)
+    )
     classify(joined, tmp_path / "joined.npy")
     found = list(classify_drive(parts, tmp_path / "out", load_config()))
     labels = np.concatenate([np.load(summary.output) for summary in found])

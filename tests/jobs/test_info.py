@@ -19,7 +19,10 @@ from tests.streams.evidence.test_estimates import drive
 
 def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:
     """Return points (lines, M, 4) of a scanner that turns, in lines from below to above."""
-    azimuth, elevation = np.deg2rad(10.0 * np.arange(n_lines))[:, None], np.deg2rad(np.linspace(-60, 60, m))[None]
+    azimuth, elevation = (
+        np.deg2rad(10.0 * np.arange(n_lines))[:, None],
+        np.deg2rad(np.linspace(-60, 60, m))[None],
+    )
     length = 8.0 + 3.0 * np.sin(elevation)
     flat = length * np.cos(elevation)
     xyz = [flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation) + 0 * azimuth]
@@ -43,8 +46,17 @@ def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
     height = 2 + np.sin(column / 30)
     order = np.random.default_rng(0).permutation(len(time_s))
     rows = np.column_stack([time_s, height, height])
-    np.savetxt(tmp_path / "tile.csv", rows[order], delimiter=",", header="time,range,z", comments="", fmt="%.9f")
-    np.savetxt(tmp_path / "drive.csv", rows, delimiter=",", header="time,range,z", comments="", fmt="%.9f")
+    np.savetxt(
+        tmp_path / "tile.csv",
+        rows[order],
+        delimiter=",",
+        header="time,range,z",
+        comments="",
+        fmt="%.9f",
+    )
+    np.savetxt(
+        tmp_path / "drive.csv", rows, delimiter=",", header="time,range,z", comments="", fmt="%.9f"
+    )
     expected = inspect(tmp_path / "drive.csv", load_config()).rates
     assert "--sort-by-time" in inspect(tmp_path / "tile.csv", load_config()).hint
     found = inspect(tmp_path / "tile.csv", load_config(options={"input": {"order": "sort-time"}}))
@@ -56,7 +68,11 @@ def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
 def test_a_tile_without_times_has_lost_its_order(tmp_path: Path, told: dict[str, Any]) -> None:
     """It was told to give M and a place of the scanner, and then labelled."""
     np.savetxt(
-        tmp_path / "tile.csv", np.random.default_rng(0).normal(size=(50, 3)), delimiter=",", header="x,y,z", comments=""
+        tmp_path / "tile.csv",
+        np.random.default_rng(0).normal(size=(50, 3)),
+        delimiter=",",
+        header="x,y,z",
+        comments="",
     )
     found = inspect(tmp_path / "tile.csv", load_config(options={"input": told}))
     assert found.problem.startswith(

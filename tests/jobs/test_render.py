@@ -46,7 +46,10 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     assert block.beam_rad is not None
     assert block.xyz_m is not None
     np.savez(
-        folder / "static.npz", range_m=block.range_m, xyz=block.xyz_m, zenith_deg=180.0 - np.rad2deg(block.beam_rad)
+        folder / "static.npz",
+        range_m=block.range_m,
+        xyz=block.xyz_m,
+        zenith_deg=180.0 - np.rad2deg(block.beam_rad),
     )
     np.save(folder / "reference.npy", ClassCodes().lookup()[labels].ravel())
     return folder / "static.npz", folder / "reference.npy"
@@ -64,17 +67,24 @@ def has(picture: U8, label: Label) -> bool:
 
 def labels_of(source: Path, config: LoadedConfig) -> U8:
     return np.concatenate(
-        [i.labels for i in label_blocks(open_stream(source, config).blocks(), config.config.classifier)]
+        [
+            i.labels
+            for i in label_blocks(open_stream(source, config).blocks(), config.config.classifier)
+        ]
     )
 
 
-def test_the_whole_drive_shows_every_class_where_it_is(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+def test_the_whole_drive_shows_every_class_where_it_is(
+    drive: Path, urban: LoadedConfig, tmp_path: Path
+) -> None:
     drawing = draw_scan(drive, urban, RenderOptions(steps=("range", "classes")), tmp_path)
     (strip,) = drawing.strips
     labels = labels_of(drive, urban)
     colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
     assert np.array_equal(strip[1].picture, colours[labels])
-    assert drawing.counts == {label.name.lower(): n for label in Label if (n := int((labels == label).sum()))}
+    assert drawing.counts == {
+        label.name.lower(): n for label in Label if (n := int((labels == label).sum()))
+    }
     assert drawing.thinned_by == (1, 1)
     shares = {text.split()[0]: text for text, _ in strip[1].key}
     assert not drawing.key
@@ -83,7 +93,9 @@ def test_the_whole_drive_shows_every_class_where_it_is(drive: Path, urban: Loade
     assert shares["no"].startswith("no return")
 
 
-def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+def test_returns_that_are_not_scored_are_not_drawn_as_missing(
+    drive: Path, urban: LoadedConfig, tmp_path: Path
+) -> None:
     labels = labels_of(drive, urban)
     seen = labels != Label.MISSING
     codes = np.full(labels.shape, 1200)  # ground of oakland
@@ -94,9 +106,11 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban
     )
     np.save(tmp_path / "labels.npy", np.full(labels.size, 6))
     chosen = RenderOptions(
-        labels=tmp_path / "labels.npy", reference=tmp_path / "codes.npy", mapping=tmp_path / "m.toml",
+        labels=tmp_path / "labels.npy",
+        reference=tmp_path / "codes.npy",
+        mapping=tmp_path / "m.toml",
         steps=("classes", "reference", "difference"),
-    )  # fmt: skip
+    )
     classes, reference, difference = draw_scan(drive, urban, chosen, tmp_path).strips[0]
     assert (classes.picture == LABEL_COLOURS[Label.BUILDING]).all()
     for panel in (reference, difference):
@@ -109,7 +123,10 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban
 
 
 def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
-    source, read = two_scanners(tmp_path / "two.las"), config(preset="urban", scanner="point_source_id")
+    source, read = (
+        two_scanners(tmp_path / "two.las"),
+        config(preset="urban", scanner="point_source_id"),
+    )
     for number, station in enumerate((None, 8)):
         found = render(source, tmp_path / f"{number}.png", read, RenderOptions(station=station))
         assert f"scanner {station or 3} of 2" in found.drawn, found.drawn
@@ -119,7 +136,11 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
     ("preset", "options", "expected"),
     [
         ("urban", {"block": 0, "lines": (0, 5)}, "--block: given together with --only-lines"),
-        ("street-scan", {"block": 0}, "--block: the sequential-angle method has no blocks; give --only-lines A:B"),
+        (
+            "street-scan",
+            {"block": 0},
+            "--block: the sequential-angle method has no blocks; give --only-lines A:B",
+        ),
         (
             "street-scan",
             {"figure1": True},
@@ -127,12 +148,16 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
         ),
         ("urban", {"station": 4}, r"--station: found 4, but .*drive\.npz holds one, number 0"),
         ("urban", {"steps": ("intensity",)}, "--steps: found 'intensity', but the input has none"),
-        ("urban", {"view": "top", "block": 0}, "--block: belongs to the scan view, found --view top"),
+        (
+            "urban",
+            {"view": "top", "block": 0},
+            "--block: belongs to the scan view, found --view top",
+        ),
     ],
 )
 def test_options_that_contradict(
     drive: Path, tmp_path: Path, preset: str, options: dict[str, object], expected: str
-) -> None:  # fmt: skip
+) -> None:
     with pytest.raises(ConfigError, match=expected):
         render(drive, tmp_path / "a.png", load_config(preset=preset), RenderOptions(**options))  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
@@ -141,12 +166,16 @@ def test_options_that_contradict(
 @pytest.mark.parametrize("n", [N_LINES * POINTS_PER_LINE - 1, N_LINES * POINTS_PER_LINE + 1, 5])
 @pytest.mark.parametrize("side", ["labels", "reference"])
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
-def test_labels_of_another_length(urban: LoadedConfig, tmp_path: Path, n: int, side: str, suffix: str) -> None:
+def test_labels_of_another_length(
+    urban: LoadedConfig, tmp_path: Path, n: int, side: str, suffix: str
+) -> None:
     source = tmp_path / f"drive.{suffix}"
     (write_npz if suffix == "npz" else write_csv)(source, street())
     np.save(tmp_path / "labels.npy", np.full(n, 2, np.uint8))
     chosen = RenderOptions(**{side: tmp_path / "labels.npy"})  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=rf"labels\.npy: found {n:,} labels, .*; give the labels of this very file"):
+    with pytest.raises(
+        InputError, match=rf"labels\.npy: found {n:,} labels, .*; give the labels of this very file"
+    ):
         render(source, tmp_path / "a.png", urban, chosen)
     assert not (tmp_path / "a.png").exists()
 
@@ -154,7 +183,9 @@ def test_labels_of_another_length(urban: LoadedConfig, tmp_path: Path, n: int, s
 @pytest.mark.slow
 @pytest.mark.parametrize("view", ["top", "perspective"])
 @pytest.mark.parametrize("colour", [None, "class", "height", "range"])
-def test_clouds_of_static_scans(static: tuple[Path, Path], tmp_path: Path, view: str, colour: str | None) -> None:
+def test_clouds_of_static_scans(
+    static: tuple[Path, Path], tmp_path: Path, view: str, colour: str | None
+) -> None:
     chosen = RenderOptions(view=view, colour=colour, width=600, height=600)  # type: ignore[arg-type]
     result = render(static[0], tmp_path / "a.png", load_config(preset="street-scan"), chosen)
     picture = pixels(tmp_path / "a.png")
@@ -196,7 +227,9 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     codes = np.load(tmp_path / "labels.npy").reshape(N_LINES, POINTS_PER_LINE)
     lookup = ClassCodes().lookup()
     assert np.array_equal(lookup[np.nan_to_num(planes["class"]).astype(int)], codes)
-    assert np.allclose(planes["range"], np.where(codes > 0, street(), np.nan), atol=0.001, equal_nan=True)
+    assert np.allclose(
+        planes["range"], np.where(codes > 0, street(), np.nan), atol=0.001, equal_nan=True
+    )
     assert result.counts is not None
     assert {one["name"]: one["place"] for one in about["classes"]}["ground"] == Label.GROUND
     assert (result.lines, result.thinned_by) == ((0, N_LINES), (1, 1))
@@ -204,10 +237,14 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     # a result beside its input is shown, not made again
     given = RenderOptions(labels=tmp_path / "labels.npy")
     render_viewer(source, tmp_path / "b.html", config, given)
-    assert np.array_equal(decoded(read(tmp_path / "b.html"))[1]["class"], planes["class"], equal_nan=True)
+    assert np.array_equal(
+        decoded(read(tmp_path / "b.html"))[1]["class"], planes["class"], equal_nan=True
+    )
 
 
-def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(static: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(
+    static: tuple[Path, Path], tmp_path: Path
+) -> None:
     config = load_config(preset="street-scan")
     render_viewer(static[0], tmp_path / "a.html", config, RenderOptions(hide=("vegetation",)))
     about, planes = decoded(read(tmp_path / "a.html"))
@@ -222,10 +259,14 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(static: tup
     # the values of a result that was written with its stages
     stages = load_config(preset="street-scan", options={"output": {"stages": True}})
     classify(static[0], tmp_path / "out.csv", stages)
-    render_viewer(static[0], tmp_path / "b.html", config, RenderOptions(labels=tmp_path / "out.csv"))
+    render_viewer(
+        static[0], tmp_path / "b.html", config, RenderOptions(labels=tmp_path / "out.csv")
+    )
     again = decoded(read(tmp_path / "b.html"))[1]
     assert np.array_equal(again["class"], planes["class"], equal_nan=True)
-    assert np.allclose(again["height_above_ground"], planes["height_above_ground"], atol=0.002, equal_nan=True)
+    assert np.allclose(
+        again["height_above_ground"], planes["height_above_ground"], atol=0.002, equal_nan=True
+    )
     assert np.array_equal(again["surface"], planes["surface"], equal_nan=True)
 
 
@@ -244,7 +285,10 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         for width, dark in ((1280, False), (390, True)):
             browser.open(page, width=width, dark=dark)
             browser.wait("document.body.dataset.ready")
-            assert int(browser.run("return document.body.dataset.ready")) == np.isfinite(planes["x"]).sum()
+            assert (
+                int(browser.run("return document.body.dataset.ready"))
+                == np.isfinite(planes["x"]).sum()
+            )
             browser.settle()
             assert browser.run(drawn.format("cloud")) > 20
             assert browser.run(drawn.format("image")) > 3
@@ -252,11 +296,16 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         line, column = np.argwhere(np.isfinite(planes["x"]))[0]
         browser.run(f"location.hash = '{line},{column}'")
         browser.wait("document.querySelectorAll('#shot dd').length > 3")
-        shown = browser.run("return Array.from(document.querySelectorAll('#shot dd'), (each) => each.textContent)")
+        shown = browser.run(
+            "return Array.from(document.querySelectorAll('#shot dd'), (each) => each.textContent)"
+        )
         assert shown[:2] == [str(line), str(column)]
         assert f"{planes['range'][line, column]:.3f} m" in shown
         why = browser.run("return document.querySelector('#why').textContent")
-        assert why == f"Why this class? prc explain static.npz --preset street-scan --at {line},{column}"
+        assert (
+            why
+            == f"Why this class? prc explain static.npz --preset street-scan --at {line},{column}"
+        )
         names = {one["place"]: one["name"] for one in about["classes"]}
         assert shown[2] == names[int(planes["class"][line, column])]
         press = "document.getElementById('image').dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))"
@@ -278,15 +327,23 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
 def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path: Path) -> None:
     """As the demo draws its drive: planes that lean, drawn upright, would shear the facades."""
     settings = load_settings("street", options={"lines": 8})
-    drive, truth, path, codes = (tmp_path / name for name in ("a.npz", "a.csv", "path.csv", "codes.npy"))
+    drive, truth, path, codes = (
+        tmp_path / name for name in ("a.npz", "a.csv", "path.csv", "codes.npy")
+    )
     simulate("street", drive, settings, beside=Beside(trajectory=path, labels=codes))
     simulate("street", truth, settings)
-    options = RenderOptions(labels=codes, trajectory=path, mount=(0.0, settings.scanner.slant_deg, 0.0))
+    options = RenderOptions(
+        labels=codes, trajectory=path, mount=(0.0, settings.scanner.slant_deg, 0.0)
+    )
     render_viewer(drive, tmp_path / "a.html", load_config(preset="fused"), options)
     _, planes = decoded(read(tmp_path / "a.html"))
     assert "no trajectory" not in read(tmp_path / "a.html")
     table = np.loadtxt(
-        truth, delimiter=",", skiprows=1, usecols=(5, 6, 7), converters=lambda cell: float(cell or "nan")
+        truth,
+        delimiter=",",
+        skiprows=1,
+        usecols=(5, 6, 7),
+        converters=lambda cell: float(cell or "nan"),
     )
     shown = np.stack([planes[axis].ravel() for axis in "xyz"], axis=1)
     apart = shown - table
@@ -297,7 +354,11 @@ def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path: Path) -> None:
 
 def test_what_only_some_blocks_have_is_not_shown() -> None:
     kept = _Kept.__new__(_Kept)
-    kept.parts = {"range": [np.ones(3), np.ones(2)], "time": [np.ones(3)], "class": [np.ones(3), np.zeros(2)]}
+    kept.parts = {
+        "range": [np.ones(3), np.ones(2)],
+        "time": [np.ones(3)],
+        "class": [np.ones(3), np.zeros(2)],
+    }
     assert kept.take("time") is None
     found = kept.take("class")
     assert found is not None

@@ -33,7 +33,9 @@ def small(kind: Kind, **options: Any) -> Settings:
 
 
 def several_returns() -> Settings:
-    return small("street", scanner={"name": "profiler-1mhz", "points_per_line": 500, "line_hz": 20.0})
+    return small(
+        "street", scanner={"name": "profiler-1mhz", "points_per_line": 500, "line_hz": 20.0}
+    )
 
 
 def config(path: Path, preset: str | None = None, **inputs: Any) -> LoadedConfig:
@@ -59,7 +61,9 @@ def drive() -> tuple[ScanBlock, Any]:
 
 
 @pytest.mark.parametrize("lines", [1, 7, 64, 1000])
-def test_neither_blocks_nor_threads_change_anything(drive: tuple[ScanBlock, Any], lines: int) -> None:
+def test_neither_blocks_nor_threads_change_anything(
+    drive: tuple[ScanBlock, Any], lines: int
+) -> None:
     scan = open_simulation("street", small("street"), threads=2).scan
     items = list(scan.labelled_blocks(lines))
     assert max(item.block.n_lines for item in items) == min(lines, 64)
@@ -107,7 +111,8 @@ def test_ranges_from_the_trajectory_are_those_of_the_scanner(
 
 
 @pytest.mark.parametrize(
-    ("crs", "said"), [("EPSG:4326", "is not a projected one in metres"), ("EPSG:99999", "cannot be used")]
+    ("crs", "said"),
+    [("EPSG:4326", "is not a projected one in metres"), ("EPSG:99999", "cannot be used")],
 )
 @pytest.mark.parametrize("track", [None, "drive.sbet", "drive.csv"])
 def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
@@ -116,7 +121,9 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
     pytest.importorskip("pyproj")
     beside = Beside(trajectory=tmp_path / track if track else None)
     with pytest.raises(ConfigError, match=said) as error:
-        simulate("street", tmp_path / "drive.laz", small("street", frame={"crs": crs}), beside=beside)
+        simulate(
+            "street", tmp_path / "drive.laz", small("street", frame={"crs": crs}), beside=beside
+        )
     assert error.value.where == str(tmp_path / (track or "drive.laz"))
     assert not list(tmp_path.iterdir())
 
@@ -125,10 +132,18 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
 @pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".e57"])
 def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"station{suffix}"
-    settings = load_settings("street-scan", options={"seed": 3, "scanner": {"azimuth_step_deg": 0.5}, "lines": 200})
+    settings = load_settings(
+        "street-scan", options={"seed": 3, "scanner": {"azimuth_step_deg": 0.5}, "lines": 200}
+    )
     simulate("street-scan", out, settings)
-    labels = np.concatenate([item.labels for item in open_simulation("street-scan", settings).scan.labelled_blocks()])
-    inputs = {} if suffix in (".npz", ".e57") else {"range": "dimension:range" if suffix == ".laz" else "auto"}
+    labels = np.concatenate(
+        [item.labels for item in open_simulation("street-scan", settings).scan.labelled_blocks()]
+    )
+    inputs = (
+        {}
+        if suffix in (".npz", ".e57")
+        else {"range": "dimension:range" if suffix == ".laz" else "auto"}
+    )
     classify(out, tmp_path / "labels.npy", config(out, "street-scan", **inputs))
     codes = np.load(tmp_path / "labels.npy").ravel()
     truth = ClassCodes().lookup()[labels].ravel()
@@ -174,10 +189,26 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "options", "said"),
     [
-        ("street", {"scanner": {"name": "photon"}}, "scanner.name: found 'photon', expected one of: photon-80"),
-        ("street", {"scanner": {"slant": 3}}, "unknown key 'scanner.slant'; did you mean 'slant_deg'"),
-        ("street", {"scanner": {"name": "scanstation2"}}, "the scanner is static, expected one for a street"),
-        ("street-scan", {"scanner": {"name": "photon-80"}}, "none for a tripod.*choose from: scanstation2"),
+        (
+            "street",
+            {"scanner": {"name": "photon"}},
+            "scanner.name: found 'photon', expected one of: photon-80",
+        ),
+        (
+            "street",
+            {"scanner": {"slant": 3}},
+            "unknown key 'scanner.slant'; did you mean 'slant_deg'",
+        ),
+        (
+            "street",
+            {"scanner": {"name": "scanstation2"}},
+            "the scanner is static, expected one for a street",
+        ),
+        (
+            "street-scan",
+            {"scanner": {"name": "photon-80"}},
+            "none for a tripod.*choose from: scanstation2",
+        ),
         ("street-scan", {"trajectory": {}}, "unknown key 'trajectory'"),
         ("forest", {"scene": {"stems_per_ha": -1}}, "scene.stems_per_ha: found -1, expected: "),
         ("street", {"scene": 3}, "scene: found 3, expected: a table"),
@@ -193,9 +224,24 @@ def test_wrong_parameters_are_named(kind: Any, options: dict[str, Any], said: st
     ("kind", "output", "beside", "said"),
     [
         ("street", "a.npz", {"labels": "a.csv"}, "found suffix '.csv', expected .npy"),
-        ("street", "a.npz", {"trajectory": "w.txt"}, r"w.txt: found suffix '.txt', expected .csv or .sbet or .out"),
-        ("forest", "a.npz", {"trajectory": "w"}, r"w: found suffix '', expected .csv or .sbet or .out"),
-        ("forest", "a.npz", {"stems": "stems.txt"}, r"stems.txt: found suffix '.txt', expected .csv; write the stems"),
+        (
+            "street",
+            "a.npz",
+            {"trajectory": "w.txt"},
+            r"w.txt: found suffix '.txt', expected .csv or .sbet or .out",
+        ),
+        (
+            "forest",
+            "a.npz",
+            {"trajectory": "w"},
+            r"w: found suffix '', expected .csv or .sbet or .out",
+        ),
+        (
+            "forest",
+            "a.npz",
+            {"stems": "stems.txt"},
+            r"stems.txt: found suffix '.txt', expected .csv; write the stems",
+        ),
         ("street", "a.npz", {"stems": "a.csv"}, "asked for in a street, which has none"),
         ("street-scan", "a.npz", {"trajectory": "a.csv"}, "asked for of a tripod"),
         ("street", "a.csv", {"trajectory": "a.csv"}, "two of the files .* have one name"),

@@ -23,7 +23,8 @@ from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
 from tests.street import POINTS_PER_LINE, street
 
 URBAN = load_config(
-    preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 16}}
+    preset="urban",
+    options={"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 16}},
 )
 
 
@@ -81,7 +82,9 @@ def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -
     told, whole, cut = list[MethodChoice](), io.BytesIO(), io.BytesIO()
     config = load_config(options={"input": {"points_per_line": POINTS_PER_LINE}})
     stream(io.BytesIO(street().tobytes()), whole, config, chosen=told.append)
-    with pytest.raises(InputError, match=f"stdin: ended inside record {street().size}: found 2 bytes of 4"):
+    with pytest.raises(
+        InputError, match=f"stdin: ended inside record {street().size}: found 2 bytes of 4"
+    ):
         stream(io.BytesIO(street().tobytes() + b"ab"), cut, config, chosen=told.append)
     assert told[0] == told[1]
     assert cut.getvalue() == whole.getvalue()
@@ -102,9 +105,14 @@ def test_doubts_are_told_once_and_kept() -> None:
 
 def test_labels_are_checked_as_they_leave() -> None:
     stray = street(1100)
-    stray[:, ::2] = np.random.default_rng(1).uniform(1, 80, stray[:, ::2].shape)  # noise, whatever the order may be
+    stray[:, ::2] = np.random.default_rng(1).uniform(
+        1, 80, stray[:, ::2].shape
+    )  # noise, whatever the order may be
     others = [name for name in CHECK_NAMES if name != "noise-share"]
-    options = {"input": {"points_per_line": POINTS_PER_LINE, "accept_doubts": others}, "prc": {"lines_per_block": 16}}
+    options = {
+        "input": {"points_per_line": POINTS_PER_LINE, "accept_doubts": others},
+        "prc": {"lines_per_block": 16},
+    }
     sink = io.BytesIO()
     with pytest.raises(EvidenceError, match="of the returns are noise"):
         stream(io.BytesIO(stray.tobytes()), sink, load_config(preset="urban", options=options))
@@ -142,9 +150,13 @@ class SlowSink:
 def test_every_way_gives_the_same_bytes(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     width, k = int(rng.choice([1, 2, 3, 4, 9, 40])), int(rng.choice([1, 2, 3, 8]))
-    n = int(rng.integers(1, 40)) * width + int(rng.integers(0, width))  # the last line may be cut short
+    n = int(rng.integers(1, 40)) * width + int(
+        rng.integers(0, width)
+    )  # the last line may be cut short
     pool = np.array([5, 5.2, 10, 20, np.nan, -1, np.inf, 0, 1e9], np.float32)
-    shots = np.repeat(rng.choice(pool, n, p=[0.3, 0.3, 0.1, 0.1, 0.1, 0.03, 0.02, 0.03, 0.02]), 4)[:n]
+    shots = np.repeat(rng.choice(pool, n, p=[0.3, 0.3, 0.1, 0.1, 0.1, 0.03, 0.02, 0.03, 0.02]), 4)[
+        :n
+    ]
     source = tmp_path / "in.bin"
     shots.tofile(source)
     environment = "forest" if seed % 4 == 3 else "urban"
@@ -174,7 +186,11 @@ def block(first: int, n_lines: int = 20) -> ScanBlock:
 
 @pytest.mark.parametrize(
     ("window", "share"),
-    [(Window("", True, 10, 50), 0.75), (Window("", True, 10), None), (Window("", False, 1.0, 2.0), None)],
+    [
+        (Window("", True, 10, 50), 0.75),
+        (Window("", True, 10), None),
+        (Window("", False, 1.0, 2.0), None),
+    ],
 )
 def test_the_share_of_a_window(window: Window, share: float | None) -> None:
     assert share_done(block(20), INFO, window) == share

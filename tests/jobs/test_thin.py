@@ -61,9 +61,15 @@ QUARTER = parse_rules(["ground=1/4"])
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv.gz", ".npz", ".npy", ".bin"])
 @pytest.mark.parametrize("source", [".npz", ".laz"])
-def test_what_is_dropped_is_missing(drive: Path, labelled: Path, tmp_path: Path, suffix: str, source: str) -> None:
+def test_what_is_dropped_is_missing(
+    drive: Path, labelled: Path, tmp_path: Path, suffix: str, source: str
+) -> None:
     out = tmp_path / f"thin{suffix}"
-    summary = thin(drive, out, QUARTER, labels=CLASSIFY) if source == ".npz" else thin(labelled, out, QUARTER)
+    summary = (
+        thin(drive, out, QUARTER, labels=CLASSIFY)
+        if source == ".npz"
+        else thin(labelled, out, QUARTER)
+    )
     (block,) = scans(out, config(out)).values()
     assert same_bits(block.range_m, expected(drive, tmp_path))
     (noise,) = [item for item in summary.classes if item.name == "noise"]
@@ -78,7 +84,9 @@ def test_what_is_dropped_is_missing(drive: Path, labelled: Path, tmp_path: Path,
 def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
     summary = thin(labelled, tmp_path / "thin.laz", QUARTER)
     before, after = laspy.read(labelled), laspy.read(tmp_path / "thin.laz")
-    code, line, column = (np.asarray(before[name]) for name in ("classification", "scan_line", "column"))
+    code, line, column = (
+        np.asarray(before[name]) for name in ("classification", "scan_line", "column")
+    )
     stays = (code != 7) & ((code != 2) | keep_by_pattern(line, column, Fraction(1, 4)))
     assert np.array_equal(before.points.array[stays], after.points.array)
     assert sum(item.n_kept for item in summary.classes) == len(after) == int(stays.sum())
@@ -128,14 +136,18 @@ def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"out{suffix}"
     thin(source, out, rules, loaded)
     before = laspy.read(source)
-    code, line, column = (np.asarray(before[name]) for name in ("classification", "scan_line", "column"))
+    code, line, column = (
+        np.asarray(before[name]) for name in ("classification", "scan_line", "column")
+    )
     first = [block.first_line for block in scans(source, loaded).values()]
     assert first == [0, 0]
     stays = (code != 5) & ((code != 2) | keep_by_pattern(line, column, Fraction(1, 3)))
     if suffix == ".las":
         assert np.array_equal(laspy.read(out).points.array, before.points.array[stays])
     after = scans(out, loaded)
-    n_after = sum(int((~np.isnan(block.range_m)).sum()) + len(block.extra) for block in after.values())
+    n_after = sum(
+        int((~np.isnan(block.range_m)).sum()) + len(block.extra) for block in after.values()
+    )
     assert n_after == int(stays.sum())
     if suffix == ".csv":  # a table keeps its empty cells
         assert [block.points_per_line for block in after.values()] == [20, 33]
@@ -146,7 +158,10 @@ def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
     ("rules", "said"),
     [
         ({"keep": ["gruond=1/4"]}, "unknown class 'gruond'; did you mean 'ground'?"),
-        ({"spacing": ["xyzzy=1"]}, "unknown class 'xyzzy'; known classes: unclassified, noise, ground"),
+        (
+            {"spacing": ["xyzzy=1"]},
+            "unknown class 'xyzzy'; known classes: unclassified, noise, ground",
+        ),
         ({"drop": ["vegitation"]}, "did you mean 'vegetation'?"),
         ({"keep": ["ground=5/4"]}, "found 'ground=5/4', expected a fraction from 0 to 1"),
         ({"keep": ["ground=-1/4"]}, "expected a fraction from 0 to 1"),
@@ -168,22 +183,30 @@ def test_rules_that_make_no_sense(rules: dict[str, list[str]], said: str) -> Non
     assert said in str(caught.value)
 
 
-def test_bad_input_is_one_line_and_leaves_nothing(drive: Path, labelled: Path, tmp_path: Path) -> None:
+def test_bad_input_is_one_line_and_leaves_nothing(
+    drive: Path, labelled: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     out.mkdir()
     np.save(tmp_path / "short.npy", np.ones(77, np.uint8))
-    with pytest.raises(InputError, match=r"short.npy: found 77 labels, expected 24660, one a record of drive.npz"):
+    with pytest.raises(
+        InputError, match=r"short.npy: found 77 labels, expected 24660, one a record of drive.npz"
+    ):
         thin(drive, out / "a.npz", labels=tmp_path / "short.npy")
     with pytest.raises(InputError, match="found 77 labels, expected"):
         thin(labelled, out / "a.laz", labels=tmp_path / "short.npy")
-    everything = parse_rules(drop=["ground", "building", "vegetation", "unclassified", "car", "curb", "pole"])
+    everything = parse_rules(
+        drop=["ground", "building", "vegetation", "unclassified", "car", "curb", "pole"]
+    )
     with pytest.raises(ConfigError, match="returns would be dropped, expected some to stay"):
         thin(labelled, out / "a.laz", everything)
     with pytest.raises(ConfigError, match="the cells of shots follow from their order"):
         thin(labelled, out / "a.laz", config=config(columns="order"))
     np.savez(tmp_path / "bare.npz", range_m=street()[:, ::2])
     with pytest.raises(ConfigError, match="neither scan angles nor coordinates"):
-        thin(tmp_path / "bare.npz", out / "a.npz", parse_rules(spacing=["ground=1"]), labels=CLASSIFY)
+        thin(
+            tmp_path / "bare.npz", out / "a.npz", parse_rules(spacing=["ground=1"]), labels=CLASSIFY
+        )
     with pytest.raises(OutputExistsError, match="the output is the input itself"):
         thin(labelled, labelled, overwrite=True)
     with pytest.raises(OutputExistsError, match="the output is the input itself"):
@@ -193,14 +216,22 @@ def test_bad_input_is_one_line_and_leaves_nothing(drive: Path, labelled: Path, t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".laz", ".csv"])
-def test_a_thinned_file_is_doubted_where_it_is_classified(labelled: Path, tmp_path: Path, suffix: str) -> None:
+def test_a_thinned_file_is_doubted_where_it_is_classified(
+    labelled: Path, tmp_path: Path, suffix: str
+) -> None:
     """By the run record in the file or beside it, also of what was made of it."""
     thin(labelled, tmp_path / f"a{suffix}", QUARTER)
     convert(tmp_path / f"a{suffix}", tmp_path / "b.csv")
     others = config(accept_doubts=[name for name in CHECK_NAMES if name != "thinned"])
     for source in (tmp_path / f"a{suffix}", tmp_path / "b.csv"):
-        told = [one for one in classify(source, source.with_suffix(".npy"), others).doubts if one.check == "thinned"]
-        assert [one.found.endswith("returns were dropped and are missing in this file") for one in told] == [True]
+        told = [
+            one
+            for one in classify(source, source.with_suffix(".npy"), others).doubts
+            if one.check == "thinned"
+        ]
+        assert [
+            one.found.endswith("returns were dropped and are missing in this file") for one in told
+        ] == [True]
     (tmp_path / "a.laz.prc.json").unlink(missing_ok=True)
     doubts = classify(tmp_path / f"a{suffix}", tmp_path / "again.npy", others).doubts
     assert "thinned" in {one.check for one in doubts}
@@ -219,10 +250,15 @@ def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
 def frame(path: Path) -> Any:
     """A frame of 16 rings as KITTI stores it, with points that share a cell; x, y, z and intensity of every record."""
     turn, ring = np.meshgrid(np.linspace(-np.pi, np.pi, 720, endpoint=False), np.arange(16))
-    turn, ring = (np.insert(each.ravel(), [5, 900], each.ravel()[[5, 900]]) for each in (turn, ring))
+    turn, ring = (
+        np.insert(each.ravel(), [5, 900], each.ravel()[[5, 900]]) for each in (turn, ring)
+    )
     up, far = np.deg2rad(2.0 - ring * 2.0), 8 + np.sin(turn * 3)
     level = far * np.cos(up)
-    points = np.stack([level * np.cos(turn), -level * np.sin(turn), far * np.sin(up), np.arange(len(turn)) % 7], axis=1)
+    points = np.stack(
+        [level * np.cos(turn), -level * np.sin(turn), far * np.sin(up), np.arange(len(turn)) % 7],
+        axis=1,
+    )
     points[[5, 901], :3] *= 1.01
     points.astype("<f4").tofile(path)
     return points.astype("<f4")
@@ -244,7 +280,16 @@ def test_thinned_frames_are_points_and_nothing_else(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found[:, :3], left[:, :3])
     assert np.count_nonzero(found[:, 3] != left[:, 3]) <= 2, "a cell has one intensity"
     for name in ("thin.ply", "thin.pcd"):
-        np.testing.assert_array_equal(np.sort(cloud(tmp_path / name), axis=0), np.sort(left[:, :3], axis=0))
+        np.testing.assert_array_equal(
+            np.sort(cloud(tmp_path / name), axis=0), np.sort(left[:, :3], axis=0)
+        )
         assert (tmp_path / name).stat().st_size < (tmp_path / "f.bin").stat().st_size
-    thin(tmp_path / "f.bin", tmp_path / "grid.ply", rules, loaded, labels=tmp_path / "labels.npy", keep_empty=True)
+    thin(
+        tmp_path / "f.bin",
+        tmp_path / "grid.ply",
+        rules,
+        loaded,
+        labels=tmp_path / "labels.npy",
+        keep_empty=True,
+    )
     assert (tmp_path / "grid.ply").stat().st_size > 720 * 16 * 28

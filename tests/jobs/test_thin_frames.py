@@ -46,10 +46,17 @@ def read(path: Path) -> Any:
 def test_a_folder_of_frames_keeps_every_frame(tmp_path: Path) -> None:
     source, labels, points = folder_of(tmp_path)
     summary = thin(source, tmp_path / "ground", GROUND, labels=labels)
-    assert sorted(path.name for path in (tmp_path / "ground").iterdir()) == ["10.bin", "11.bin", "8.bin", "9.bin"]
+    assert sorted(path.name for path in (tmp_path / "ground").iterdir()) == [
+        "10.bin",
+        "11.bin",
+        "8.bin",
+        "9.bin",
+    ]
     left = np.arange(len(points[0])) % 3 != 0
     for name, k in (("8", 0), ("11", 3)):
-        np.testing.assert_array_equal(read(tmp_path / "ground" / f"{name}.bin")[:, :3], points[k][left, :3])
+        np.testing.assert_array_equal(
+            read(tmp_path / "ground" / f"{name}.bin")[:, :3], points[k][left, :3]
+        )
     assert not (tmp_path / "ground" / "9.bin").stat().st_size
     assert not (tmp_path / "ground" / "10.bin").stat().st_size
     record = json.loads((tmp_path / "ground.prc.json").read_text())
@@ -81,7 +88,9 @@ def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path: Path) -> None:
         thin(source, out, GROUND, labels=labels, overwrite=True)
     with pytest.raises(ConfigError, match="would be dropped, expected some to stay"):
         thin(source, out / "a", parse_rules(keep_only=["car"]), labels=labels)
-    with pytest.raises(InputError, match=r"velodyne: found no frames, expected frames of one kind; name a folder"):
+    with pytest.raises(
+        InputError, match=r"velodyne: found no frames, expected frames of one kind; name a folder"
+    ):
         (tmp_path / "root" / "velodyne").mkdir(parents=True)
         thin(tmp_path / "root" / "velodyne", out / "a", GROUND)
     with pytest.raises(InputError, match="give .*velodyne"):
@@ -102,7 +111,9 @@ def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path: Path) -> None:
 def test_without_classes_a_frame_is_classified_on_the_way(tmp_path: Path) -> None:
     points = frame(tmp_path / "f.bin")
     summary = thin(tmp_path / "f.bin", tmp_path / "thin.bin", config=DOUBTED)
-    assert any(text.startswith("classified on the way: method rings") for text in summary.record.notices)
+    assert any(
+        text.startswith("classified on the way: method rings") for text in summary.record.notices
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         classify(tmp_path / "f.bin", tmp_path / "f.labels.npy", DOUBTED)
@@ -113,11 +124,20 @@ def test_without_classes_a_frame_is_classified_on_the_way(tmp_path: Path) -> Non
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
 def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str) -> None:
     points = frame(tmp_path / "f.bin")
-    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f8")]
+    kinds = [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("ring", "<u2"),
+        ("time", "<f8"),
+    ]
     rows = np.zeros(len(points), kinds)
     for axis, name in enumerate(("x", "y", "z", "intensity")):
         rows[name] = points[:, axis]
-    rows["ring"] = np.round((2.0 - np.rad2deg(np.arcsin(rows["z"] / np.linalg.norm(points[:, :3], axis=1)))) / 2.0)
+    rows["ring"] = np.round(
+        (2.0 - np.rad2deg(np.arcsin(rows["z"] / np.linalg.norm(points[:, :3], axis=1)))) / 2.0
+    )
     rows["time"] = np.linspace(0.0, 0.1, len(rows))
     rows["x"][7] = np.nan
     types = {"<f4": "float", "<u2": "ushort", "<f8": "double"}
@@ -126,7 +146,13 @@ def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str
         head += [f"property {types[kind]} {name}" for name, kind in kinds] + ["end_header\n"]
     else:
         names, sizes = " ".join(name for name, _ in kinds), " ".join(kind[2] for _, kind in kinds)
-        head = ["VERSION 0.7", f"FIELDS {names}", f"SIZE {sizes}", "TYPE F F F F U F", "COUNT 1 1 1 1 1 1"]
+        head = [
+            "VERSION 0.7",
+            f"FIELDS {names}",
+            f"SIZE {sizes}",
+            "TYPE F F F F U F",
+            "COUNT 1 1 1 1 1 1",
+        ]
         head += [f"WIDTH {len(rows)}", "HEIGHT 1", f"POINTS {len(rows)}", "DATA binary\n"]
     source = tmp_path / f"f{suffix}"
     source.write_bytes("\n".join(head).encode() + rows.tobytes())
@@ -137,7 +163,10 @@ def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str
     thinned = open_source(tmp_path / f"thin{suffix}")
     assert thinned is not None
     assert set(thinned.dimensions) == {*(name for name, _ in kinds), "class"}
-    found = {name: np.concatenate([each.values[name] for each in thinned.chunks((name,))]) for name, _ in kinds}
+    found = {
+        name: np.concatenate([each.values[name] for each in thinned.chunks((name,))])
+        for name, _ in kinds
+    }
     for name, values in found.items():
         np.testing.assert_array_equal(values, rows[name][left])
 
@@ -156,7 +185,11 @@ def test_a_bag_loses_points_and_nothing_else(tmp_path: Path, suffix: str) -> Non
     first = 0
     for one, other in zip(before, after, strict=True):
         points, thinned = read_points(source, one), read_points(out, other)
-        stays = (codes[first : first + len(points)] == 2) & np.isfinite(points["x"]) & (points["x"] != 0)
+        stays = (
+            (codes[first : first + len(points)] == 2)
+            & np.isfinite(points["x"])
+            & (points["x"] != 0)
+        )
         first += len(points)
         for name in ("x", "y", "z", "ring", "t"):
             np.testing.assert_array_equal(thinned[name], points[name][stays])
@@ -164,7 +197,9 @@ def test_a_bag_loses_points_and_nothing_else(tmp_path: Path, suffix: str) -> Non
     assert set(read_codes(out).tolist()) == {2}
     # its own classes are taken from then on
     again = thin(out, out.with_name(f"again{suffix}"), parse_rules(keep_only=["ground"]))
-    assert [(item.name, item.n_kept) for item in again.classes] == [("ground", len(read_codes(out)))]
+    assert [(item.name, item.n_kept) for item in again.classes] == [
+        ("ground", len(read_codes(out)))
+    ]
 
 
 def messages_of(path: Path) -> list[Any]:
@@ -177,8 +212,12 @@ def read_points(path: Path, message: Any) -> Any:
     cloud, _ = codec.points(message.data, "x")
     names = {one.name: one for one in cloud.fields}
     kinds = {4: "<u2", 6: "<u4", 7: "<f4", 2: "u1"}
-    point: Any = {"names": list(names), "formats": [kinds[one.datatype] for one in names.values()],
-                  "offsets": [one.offset for one in names.values()], "itemsize": cloud.point_step}  # fmt: skip
+    point: Any = {
+        "names": list(names),
+        "formats": [kinds[one.datatype] for one in names.values()],
+        "offsets": [one.offset for one in names.values()],
+        "itemsize": cloud.point_step,
+    }
     return np.frombuffer(bytes(cloud.data), np.dtype(point))
 
 

@@ -80,7 +80,9 @@ def write_las(
     return path
 
 
-def write_raw(path: Path, drive: Drive, *, missing: int = 7, digits: int | None = None, **columns: Any) -> Path:
+def write_raw(
+    path: Path, drive: Drive, *, missing: int = 7, digits: int | None = None, **columns: Any
+) -> Path:
     """A raw CSV in which every ``missing``-th row more is a shot without return; its labels go to ``.npy`` beside."""
     rows, codes = [], []
     named = {"time": drive.time, "return_number": drive.returns, **columns}
@@ -88,7 +90,9 @@ def write_raw(path: Path, drive: Drive, *, missing: int = 7, digits: int | None 
     rows.append(",".join([*named, "range_m"]))
     for i in range(len(drive)):
         cells = [
-            repr(float(values[i])) if digits is None or name != "time" else f"{values[i]:.{digits}f}"
+            repr(float(values[i]))
+            if digits is None or name != "time"
+            else f"{values[i]:.{digits}f}"
             for name, values in named.items()
         ]
         rows.append(",".join([*cells, "12.5"]))
@@ -110,12 +114,18 @@ def drive() -> Drive:
     return Drive()
 
 
-def run(folder: Path, drive: Drive, record: NDArray[np.int64], *, codes: Any = 0, **options: Any) -> TransferSummary:
+def run(
+    folder: Path, drive: Drive, record: NDArray[np.int64], *, codes: Any = 0, **options: Any
+) -> TransferSummary:
     raw = write_raw(folder / "drive.csv", drive)
     registered = write_las(folder / "registered.las", drive, record, codes=codes)
     return transfer(
-        raw.with_suffix(".npy"), registered, folder / "out.las", TransferOptions(**options), points=raw
-    )  # fmt: skip
+        raw.with_suffix(".npy"),
+        registered,
+        folder / "out.las",
+        TransferOptions(**options),
+        points=raw,
+    )
 
 
 def test_raw_text_and_shuffled_tiles_with_a_fifth_removed(drive: Drive, tmp_path: Path) -> None:
@@ -123,18 +133,29 @@ def test_raw_text_and_shuffled_tiles_with_a_fifth_removed(drive: Drive, tmp_path
     summary = run(tmp_path, drive, record)
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
     counts = summary.counts
-    assert (counts.n_points, counts.n_matched, counts.n_labels) == (len(record), len(record), len(drive))
+    assert (counts.n_points, counts.n_matched, counts.n_labels) == (
+        len(record),
+        len(record),
+        len(drive),
+    )
     assert counts.n_labels_matched == len(record)
     assert counts.n_repeated == counts.n_shared == counts.n_other_return == 0
     assert counts.n_changed == np.count_nonzero(drive.codes[record] != 0)
 
 
 @pytest.mark.parametrize(("form", "suffix"), [(1, ".las"), (3, ".laz"), (6, ".laz"), (7, ".las")])
-def test_everything_else_stays_bit_for_bit(drive: Drive, tmp_path: Path, form: int, suffix: str) -> None:
+def test_everything_else_stays_bit_for_bit(
+    drive: Drive, tmp_path: Path, form: int, suffix: str
+) -> None:
     record = drive.registered()
     raw = write_raw(tmp_path / "drive.csv", drive)
     source = write_las(
-        tmp_path / f"registered{suffix}", drive, record, form=form, codes=12, mine=np.arange(len(record))
+        tmp_path / f"registered{suffix}",
+        drive,
+        record,
+        form=form,
+        codes=12,
+        mine=np.arange(len(record)),
     )
     with source.open("ab") as handle:
         handle.write(b"bytes behind the points")
@@ -144,7 +165,9 @@ def test_everything_else_stays_bit_for_bit(drive: Drive, tmp_path: Path, form: i
     class_byte = 16 if form >= 6 else 15
     mask = 0xFF if form >= 6 else 0x1F
     assert np.array_equal(new.records[:, class_byte] & mask, drive.codes[record])
-    assert np.array_equal(new.records[:, class_byte] & (0xFF ^ mask), old.records[:, class_byte] & (0xFF ^ mask))
+    assert np.array_equal(
+        new.records[:, class_byte] & (0xFF ^ mask), old.records[:, class_byte] & (0xFF ^ mask)
+    )
     new.records[:, class_byte] = old.records[:, class_byte]
     assert np.array_equal(new.records, old.records)
     assert new.kept_vlrs() == old.kept_vlrs()
@@ -183,7 +206,9 @@ def test_every_kind_of_labels_gives_the_same(drive: Drive, tmp_path: Path, suffi
         write_las(labels, drive, np.arange(len(drive)), codes=drive.codes)
     else:
         text = "record,class,name\n" + "".join(f"{i},{code},x\n" for i, code in enumerate(codes))
-        labels.write_bytes(gzip.compress(text.encode()) if suffix.endswith(".gz") else text.encode())
+        labels.write_bytes(
+            gzip.compress(text.encode()) if suffix.endswith(".gz") else text.encode()
+        )
     registered = write_las(tmp_path / "registered.las", drive, record)
     transfer(labels, registered, tmp_path / "out.las", points=None if suffix == ".las" else raw)
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
@@ -196,18 +221,30 @@ def test_seconds_of_week_against_adjusted_standard_time(drive: Drive, tmp_path: 
     offset = 2300 * 604_800.0 - 1e9
     record = drive.registered()
     raw = write_raw(tmp_path / "drive.csv", drive)
-    registered = write_las(tmp_path / "registered.las", drive, record, time=drive.time[record] + offset)
+    registered = write_las(
+        tmp_path / "registered.las", drive, record, time=drive.time[record] + offset
+    )
     labels = raw.with_suffix(".npy")
-    with pytest.raises(InputError, match=r"nothing overlaps; .*seconds of the GPS week: --time-offset 391040000$"):
+    with pytest.raises(
+        InputError, match=r"nothing overlaps; .*seconds of the GPS week: --time-offset 391040000$"
+    ):
         transfer(labels, registered, tmp_path / "out.las", points=raw)
-    transfer(labels, registered, tmp_path / "out.las", TransferOptions(time_offset_s=offset), points=raw)
+    transfer(
+        labels, registered, tmp_path / "out.las", TransferOptions(time_offset_s=offset), points=raw
+    )
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
-def test_labels_without_returns_give_every_return_of_a_shot_its_class(drive: Drive, tmp_path: Path) -> None:
+def test_labels_without_returns_give_every_return_of_a_shot_its_class(
+    drive: Drive, tmp_path: Path
+) -> None:
     first = drive.returns == 1
     shots = Drive()
-    shots.time, shots.codes, shots.returns = drive.time[first], drive.codes[first], drive.returns[first]
+    shots.time, shots.codes, shots.returns = (
+        drive.time[first],
+        drive.codes[first],
+        drive.returns[first],
+    )
     raw = write_raw(tmp_path / "drive.csv", shots, return_number=None)
     record = drive.registered()
     registered = write_las(tmp_path / "registered.las", drive, record)
@@ -221,10 +258,18 @@ def test_labels_without_returns_give_every_return_of_a_shot_its_class(drive: Dri
 def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     drive = Drive()
     both = Drive()
-    both.time, both.returns = np.concatenate([drive.time, drive.time]), np.concatenate([drive.returns, drive.returns])
-    both.xyz, both.codes = np.concatenate([drive.xyz, drive.xyz]), RNG(5).choice([2, 5, 6], 2 * N).astype(np.uint8)
+    both.time, both.returns = (
+        np.concatenate([drive.time, drive.time]),
+        np.concatenate([drive.returns, drive.returns]),
+    )
+    both.xyz, both.codes = (
+        np.concatenate([drive.xyz, drive.xyz]),
+        RNG(5).choice([2, 5, 6], 2 * N).astype(np.uint8),
+    )
     scanner = np.repeat([0, 1], N).astype(np.uint16)
-    labels = write_las(tmp_path / "labels.las", both, np.arange(2 * N), codes=both.codes, head=scanner)
+    labels = write_las(
+        tmp_path / "labels.las", both, np.arange(2 * N), codes=both.codes, head=scanner
+    )
     record = both.registered()
     registered = write_las(tmp_path / "registered.las", both, record, head=scanner[record])
     summary = transfer(labels, registered, tmp_path / "out.las", TransferOptions(same=("head",)))
@@ -243,12 +288,21 @@ def test_by_record_index_and_by_dimension(drive: Drive, tmp_path: Path, by: str)
     index = (record + (0 if by.startswith("record") else 10**12)).astype(np.int64)
     registered = write_las(tmp_path / "registered.las", drive, record, form=0, raw_index=index)
     everything = np.arange(N, dtype=np.int64) + 10**12
-    labels = write_las(tmp_path / "labels.las", drive, np.arange(N), codes=drive.codes, form=0, raw_index=everything)
+    labels = write_las(
+        tmp_path / "labels.las",
+        drive,
+        np.arange(N),
+        codes=drive.codes,
+        form=0,
+        raw_index=everything,
+    )
     transfer(labels, registered, tmp_path / "out.las", TransferOptions(match=by))
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
     if by.startswith("record"):  # labels alone have their order
         np.save(tmp_path / "labels.npy", drive.codes)
-        transfer(tmp_path / "labels.npy", registered, tmp_path / "again.las", TransferOptions(match=by))
+        transfer(
+            tmp_path / "labels.npy", registered, tmp_path / "again.las", TransferOptions(match=by)
+        )
         assert np.array_equal(codes_of(tmp_path / "again.las"), drive.codes[record])
 
 
@@ -264,7 +318,9 @@ def bare(folder: Path, drive: Drive, **changes: Any) -> tuple[Path, Path, Path]:
     return raw.with_suffix(".npy"), raw, registered
 
 
-def refused(folder: Path, text: str, *arguments: Any, kind: type[PrcError] = InputError, **more: Any) -> None:
+def refused(
+    folder: Path, text: str, *arguments: Any, kind: type[PrcError] = InputError, **more: Any
+) -> None:
     before = sorted(folder.iterdir())
     with pytest.raises(kind, match=text) as error:
         transfer(*arguments, **more)
@@ -277,18 +333,34 @@ def test_no_time_on_either_side(drive: Drive, tmp_path: Path) -> None:
     no_time = write_las(tmp_path / "form0.las", drive, np.arange(N), form=0)
     zero = write_las(tmp_path / "zero.las", drive, np.arange(N), time=np.zeros(N))
     for path in (no_time, zero):
-        refused(tmp_path, f"{path.name}: no time to match by", labels, path, tmp_path / "out.las", points=raw)
+        refused(
+            tmp_path,
+            f"{path.name}: no time to match by",
+            labels,
+            path,
+            tmp_path / "out.las",
+            points=raw,
+        )
     text = tmp_path / "ranges.csv"
     text.write_text("range_m\n1.0\n2.0\n")
-    refused(tmp_path, "ranges.csv: no time to match by, found: range", labels, registered, tmp_path / "out.las",
-            points=text)  # fmt: skip
+    refused(
+        tmp_path,
+        "ranges.csv: no time to match by, found: range",
+        labels,
+        registered,
+        tmp_path / "out.las",
+        points=text,
+    )
     refused(tmp_path, "holds classes alone.*--points RAW", labels, registered, tmp_path / "out.las")
 
 
 @pytest.mark.parametrize(
-    ("times", "overlaps"), [((3.0, 5.0), True), ((-5.0, -2.0), True), ((3.1, 5.0), False), ((-5.0, -2.1), False)]
+    ("times", "overlaps"),
+    [((3.0, 5.0), True), ((-5.0, -2.0), True), ((3.1, 5.0), False), ((-5.0, -2.1), False)],
 )
-def test_times_overlap_where_they_touch_within_the_tolerance(times: tuple[float, float], overlaps: bool) -> None:
+def test_times_overlap_where_they_touch_within_the_tolerance(
+    times: tuple[float, float], overlaps: bool
+) -> None:
     """Labels from -1 to 2 s, with a tolerance of 1 s."""
     labels, points = Survey(9, 9, -1.0, 2.0, True), Survey(9, 9, *times, True)
     named = SimpleNamespace(path="drive.las")
@@ -306,12 +378,16 @@ def test_times_overlap_where_they_touch_within_the_tolerance(times: tuple[float,
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_oakland_as_raw_text_and_as_shuffled_tiles(real_data: Path, tmp_path: Path, suffix: str) -> None:
+def test_oakland_as_raw_text_and_as_shuffled_tiles(
+    real_data: Path, tmp_path: Path, suffix: str
+) -> None:
     rows = np.genfromtxt(real_data / "oakland" / "oakland_1.csv.gz", delimiter=",", skip_header=1)
     time = 412_345.678901 + np.arange(len(rows)) / 9600.0
     raw = tmp_path / "drive.csv"
-    lines = (f"{t!r},{row[0]:g},{row[1]:g}," + ("" if np.isnan(row[3]) else f"{row[3]!r}")
-             for t, row in zip(time.tolist(), rows.tolist(), strict=True))  # fmt: skip
+    lines = (
+        f"{t!r},{row[0]:g},{row[1]:g}," + ("" if np.isnan(row[3]) else f"{row[3]!r}")
+        for t, row in zip(time.tolist(), rows.tolist(), strict=True)
+    )
     with raw.open("w") as handle:
         handle.write("time,line,column,range_m\n")
         handle.writelines(f"{line}\n" for line in lines)

@@ -25,7 +25,9 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with np.load(shell.here / "drive.npz") as drive:
         drive["range_m"].astype("<f4").tofile(shell.here / "drive.bin")
     # the street as an office has it: coordinates, times and classes, and the way of the scanner beside them
-    shell(f"prc simulate street registered.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}")
+    shell(
+        f"prc simulate street registered.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}"
+    )
     cloud = laspy.read(shell.here / "registered.laz")
     cloud.remove_extra_dims(list(cloud.point_format.extra_dimension_names))
     cloud.scan_angle[:] = 0

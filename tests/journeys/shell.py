@@ -49,11 +49,19 @@ class Shell:
         """Run a command line that begins with ``prc``; it must end with this exit code."""
         words = shlex.split(line)[1:]
         if self.installed:
-            done = subprocess.run([COMMAND, *words], cwd=self.here, capture_output=True, timeout=600, check=False)
-            said = Said(done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode())
+            done = subprocess.run(
+                [COMMAND, *words], cwd=self.here, capture_output=True, timeout=600, check=False
+            )
+            said = Said(
+                done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode()
+            )
         else:
             out, err = io.StringIO(), io.StringIO()
-            with contextlib.chdir(self.here), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            with (
+                contextlib.chdir(self.here),
+                contextlib.redirect_stdout(out),
+                contextlib.redirect_stderr(err),
+            ):
                 try:
                     main(words)
                 except SystemExit as left:

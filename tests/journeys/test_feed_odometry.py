@@ -24,12 +24,19 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A slow drive of a coarse scanner of 16 rings; its frames, thinned as the page says, in the folder ``still``."""
     folder = tmp_path_factory.mktemp("odometry")
     scanner = {"name": "vlp-16", "azimuth_step_deg": 1.0, "line_hz": 3600.0}
-    options = {"scanner": scanner, "duration_s": N_FRAMES / 10, "seed": 5, "trajectory": {"speed_m_s": 3.0}}
+    options = {
+        "scanner": scanner,
+        "duration_s": N_FRAMES / 10,
+        "seed": 5,
+        "trajectory": {"speed_m_s": 3.0},
+    }
     settings = load_settings("street", options={**options, "sight_m": 60.0})
     simulate("street", folder / "drive.npz", settings, beside=Beside(frames=folder / "frames"))
     (folder / "frames" / "velodyne").rename(folder / "velodyne")
     page = (ROOT / "docs" / "feed_odometry.md").read_text(encoding="utf-8")
-    command = next(line for line in page.splitlines() if line.startswith("$ prc thin velodyne/ still/"))
+    command = next(
+        line for line in page.splitlines() if line.startswith("$ prc thin velodyne/ still/")
+    )
     words = command.split()[2:]
     words[1:3] = [str(folder / "velodyne"), str(folder / "still")]
     result = runner().invoke(cli, [*words, "--accept-doubt", "few-rings"])
@@ -48,7 +55,9 @@ def way_m(folder: Path) -> float:
 def test_kiss_icp_reads_the_folder_as_it_is(frames: Path, tmp_path: Path) -> None:
     program = shutil.which("kiss_icp_pipeline")
     assert program is not None
-    done = subprocess.run([program, str(frames / "still")], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [program, str(frames / "still")], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     (poses,) = (tmp_path / "results" / "latest").glob("*poses_kitti.txt")
     found = np.loadtxt(poses).reshape(-1, 3, 4)
@@ -57,11 +66,15 @@ def test_kiss_icp_reads_the_folder_as_it_is(frames: Path, tmp_path: Path) -> Non
     assert np.linalg.norm(found[-1, :, 3] - found[0, :, 3]) == pytest.approx(way_m(frames), abs=0.8)
 
 
-def test_small_gicp_reads_the_folder_as_it_is(frames: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_small_gicp_reads_the_folder_as_it_is(
+    frames: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     page = (ROOT / "docs" / "feed_odometry.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(frames)
     exec(compile(code, "docs/feed_odometry.md", "exec"), {})
     found = np.loadtxt("poses.txt").reshape(-1, 4, 4)
     assert len(found) == N_FRAMES
-    assert np.linalg.norm(found[-1, :3, 3] - found[0, :3, 3]) == pytest.approx(way_m(frames), rel=0.2)
+    assert np.linalg.norm(found[-1, :3, 3] - found[0, :3, 3]) == pytest.approx(
+        way_m(frames), rel=0.2
+    )

@@ -63,7 +63,11 @@ def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc: Shell, w
 def test_2_a_wrong_unit_too(prc: Shell) -> None:
     with np.load(prc.here / "drive.npz") as drive:
         np.savez(prc.here / "mm.npz", range_m=1000 * drive["range_m"], angle_deg=drive["angle_deg"])
-        np.savez(prc.here / "radians.npz", range_m=drive["range_m"], angle_deg=np.deg2rad(drive["angle_deg"]))
+        np.savez(
+            prc.here / "radians.npz",
+            range_m=drive["range_m"],
+            angle_deg=np.deg2rad(drive["angle_deg"]),
+        )
     said = prc("prc classify mm.npz labels.npy", code=1)
     assert "--set input.range_scale=0.001" in said.err
     prc("prc classify mm.npz labels.npy -q --set input.range_scale=0.001")
@@ -91,7 +95,9 @@ def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: st
     assert min(np.ptp(xyz, axis=0)) > 5
     assert {2, 5, 6, 7, 65, 66, 69} <= set(codes.tolist())
     if suffix == "laz":
-        (names,) = [one.lookups for one in laspy.read(prc.here / "cloud.laz").vlrs if one.record_id == 0]
+        (names,) = [
+            one.lookups for one in laspy.read(prc.here / "cloud.laz").vlrs if one.record_id == 0
+        ]
         assert {65: "car", 66: "curb", 69: "pole"}.items() <= names.items()
 
 
@@ -107,7 +113,9 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
     for name in "abcd":
         shutil.copy(prc.here / "drive.npz", prc.here / "archive" / f"{name}.npz")
     night = [str(COMMAND), "batch", "archive", "out", "-q", "--jobs", "1"]
-    killed = subprocess.Popen(night, cwd=prc.here, start_new_session=True, stderr=subprocess.DEVNULL)
+    killed = subprocess.Popen(
+        night, cwd=prc.here, start_new_session=True, stderr=subprocess.DEVNULL
+    )
     wait_until((prc.here / "out/a.npz.labels.npy").exists)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
@@ -127,7 +135,10 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
     prc("prc batch archive out --accept-doubt thinned")
     prc("prc batch --verify out")
     prc("prc classify drive.npz alone.npy -q")
-    assert all(np.array_equal(prc.labels(f"out/{name}.npz.labels.npy"), prc.labels("alone.npy")) for name in "abcd")
+    assert all(
+        np.array_equal(prc.labels(f"out/{name}.npz.labels.npy"), prc.labels("alone.npy"))
+        for name in "abcd"
+    )
 
 
 def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
@@ -138,7 +149,9 @@ def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
     prc("prc transfer raw.laz car.laz labelled.laz -q")
     said = prc("prc evaluate labelled.laz car.laz --mapping lehtola_urban --json -q")
     table = json.loads(said.out)
-    assert table["n_scored"] == np.count_nonzero(~np.isnan(np.fromfile(prc.here / "drive.bin", "<f4")))
+    assert table["n_scored"] == np.count_nonzero(
+        ~np.isnan(np.fromfile(prc.here / "drive.bin", "<f4"))
+    )
     assert table["classes"]["ground"]["recall"] > 0.5
 
 
@@ -162,15 +175,23 @@ def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("preset", "drive", "lines"), [("urban", "drive", 40), ("forest", "forest", 40), ("street-scan", "scan", 6)]
+    ("preset", "drive", "lines"),
+    [("urban", "drive", 40), ("forest", "forest", 40), ("street-scan", "scan", 6)],
 )
-def test_9_the_papers_in_plain_numpy_have_the_same_labels(prc: Shell, preset: str, drive: str, lines: int) -> None:
+def test_9_the_papers_in_plain_numpy_have_the_same_labels(
+    prc: Shell, preset: str, drive: str, lines: int
+) -> None:
     with np.load(prc.here / f"{drive}.npz") as whole:
-        kept = {name: array[:lines] if array.ndim > 1 or name == "time_s" else array for name, array in whole.items()}
+        kept = {
+            name: array[:lines] if array.ndim > 1 or name == "time_s" else array
+            for name, array in whole.items()
+        }
     np.savez(prc.here / "short.npz", **kept)
     accepted = "--accept-doubt ground-below --accept-doubt few-lines"
     for engine in ("reference", "compiled"):
-        prc(f"prc classify short.npz {engine}.npy -q --preset {preset} --engine {engine} {accepted}")
+        prc(
+            f"prc classify short.npz {engine}.npy -q --preset {preset} --engine {engine} {accepted}"
+        )
     assert np.array_equal(prc.labels("reference.npy"), prc.labels("compiled.npy"))
 
 
@@ -197,9 +218,14 @@ def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
         ("forest", "fused-forest", "ground", 0.9),
     ],
 )
-def test_11_every_preset_labels_what_it_is_for(prc: Shell, drive: str, preset: str, name: str, least: float) -> None:
+def test_11_every_preset_labels_what_it_is_for(
+    prc: Shell, drive: str, preset: str, name: str, least: float
+) -> None:
     # as published little of the road is ground on this scan: the check ground-below says so
-    prc(f"prc classify {drive}.npz labels.npy -q --preset {preset}", code=4 if "published" in preset else 0)
+    prc(
+        f"prc classify {drive}.npz labels.npy -q --preset {preset}",
+        code=4 if "published" in preset else 0,
+    )
     assert prc.f1("labels.npy", f"{drive}.npz")[name] > least
 
 
@@ -222,7 +248,9 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
     told = prc("prc info tiles/t_0.laz").told("type")
     assert told == "prc classify tiles/t_0.laz tiles/t_0_classified.laz --range points"
     prc(told)
-    raw, reference = (np.asarray(laspy.read(prc.here / name).classification) for name in ("raw.laz", "drive.laz"))
+    raw, reference = (
+        np.asarray(laspy.read(prc.here / name).classification) for name in ("raw.laz", "drive.laz")
+    )
     tile = np.asarray(laspy.read(prc.here / "tiles/t_0_classified.laz").classification)
     assert f1_of(tile, reference[rows[0]]) > f1_of(raw[rows[0]], reference[rows[0]]) - 0.05
     (prc.here / "tiles/t_0_classified.laz").unlink()
@@ -244,7 +272,9 @@ def tiles_of(drive: laspy.LasData, folder: Path) -> list[NDArray[Any]]:
         own = np.flatnonzero(inside)
         own = own[np.lexsort((np.floor(drive.y[own]), np.floor(drive.x[own])))]
         tile = laspy.LasData(header)
-        tile.x, tile.y, tile.z, tile.gps_time = (np.asarray(drive[name])[own] for name in ("x", "y", "z", "gps_time"))
+        tile.x, tile.y, tile.z, tile.gps_time = (
+            np.asarray(drive[name])[own] for name in ("x", "y", "z", "gps_time")
+        )
         tile.write(folder / f"t_{number}.laz")
         rows.append(own)
     return rows
@@ -255,7 +285,9 @@ def f1_of(codes: NDArray[Any], truth: NDArray[Any]) -> float:
     scores = []
     for code in (2, 6, 5, 7):
         both = np.count_nonzero((codes == code) & (truth == code))
-        scores.append(2 * both / max(np.count_nonzero(codes == code) + np.count_nonzero(truth == code), 1))
+        scores.append(
+            2 * both / max(np.count_nonzero(codes == code) + np.count_nonzero(truth == code), 1)
+        )
     return float(np.mean(scores))
 
 
@@ -268,12 +300,18 @@ def points_of(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
     if path.suffix == ".ply":
         head, body = data.split(b"end_header\n", 1)
         kinds = {"float": "<f4", "double": "<f8", "uint": "<u4", "uchar": "u1"}
-        fields = [(name, kinds[kind]) for kind, name in re.findall(r"property (\w+) (\w+)", head.decode())]
+        fields = [
+            (name, kinds[kind]) for kind, name in re.findall(r"property (\w+) (\w+)", head.decode())
+        ]
     else:
         head, body = data.split(b"DATA binary\n", 1)
         names, sizes, kinds_ = (
-            re.search(rf"^{key} (.*)$", head.decode(), re.MULTILINE)[1].split() for key in ("FIELDS", "SIZE", "TYPE")
+            re.search(rf"^{key} (.*)$", head.decode(), re.MULTILINE)[1].split()
+            for key in ("FIELDS", "SIZE", "TYPE")
         )
-        fields = [(name, f"<{kind.lower()}{size}") for name, size, kind in zip(names, sizes, kinds_, strict=True)]
+        fields = [
+            (name, f"<{kind.lower()}{size}")
+            for name, size, kind in zip(names, sizes, kinds_, strict=True)
+        ]
     records = np.frombuffer(body, fields)
     return np.stack([records[axis] for axis in "xyz"], axis=-1), records["class"]

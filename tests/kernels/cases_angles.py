@@ -9,7 +9,11 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64, I32
-from prc_cli.methods.sequential_angle.thresholds import ChordThresholds, MarkovThresholds, SurfaceThresholds
+from prc_cli.methods.sequential_angle.thresholds import (
+    ChordThresholds,
+    MarkovThresholds,
+    SurfaceThresholds,
+)
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
 
@@ -55,12 +59,17 @@ def signed(rng: Generator, n_rows: int, n: int) -> F32:
     kinds = rng.integers(0, 4, (n_rows, n + 1))
     kind = np.take_along_axis(kinds, changes, axis=1)
     foliage = rng.choice([-150.0, -90.0, -45.0, 0.0, 45.0, 90.0, 150.0], (n_rows, n))
-    values = np.choose(kind, [np.full((n_rows, n), 90.0), np.zeros((n_rows, n)), foliage, np.full((n_rows, n), 45.0)])
+    values = np.choose(
+        kind,
+        [np.full((n_rows, n), 90.0), np.zeros((n_rows, n)), foliage, np.full((n_rows, n), 45.0)],
+    )
     if rng.random() < 0.5:
         values = np.clip(values + rng.normal(0, 15, (n_rows, n)), -180, 180)
     else:
         values = values + rng.choice([-15.0, 0.0, 15.0], (n_rows, n))
-    values[rng.random((n_rows, n)) < rng.choice([0.0, 0.1, 0.7, 1.0], p=[0.5, 0.2, 0.2, 0.1])] = np.nan
+    values[rng.random((n_rows, n)) < rng.choice([0.0, 0.1, 0.7, 1.0], p=[0.5, 0.2, 0.2, 0.1])] = (
+        np.nan
+    )
     return values.astype(np.float32)
 
 
@@ -75,14 +84,20 @@ def line_angle_case(rng: Generator) -> tuple[Any, ...]:
     ranges = rng.choice([1.0, 1.5, 2.0, 40.0], (n_rows, n)).astype(np.float32)
     ahead = np.arange(n) + rng.integers(1, 4, (n_rows, n))
     ahead[(ahead >= n) | (rng.random((n_rows, n)) < 0.2)] = -1
-    surface = rng.choice([0, 1, 2, 3, 4], p=[0.05, 0.1, 0.7, 0.1, 0.05], size=(n_rows, n)).astype(np.uint8)
+    surface = rng.choice([0, 1, 2, 3, 4], p=[0.05, 0.1, 0.7, 0.1, 0.05], size=(n_rows, n)).astype(
+        np.uint8
+    )
     surface[rng.random(n_rows) < 0.2] = 3
     steps = rng.choice([0.0, 0.002, 0.1], (n_sides, n))
     return ranges, ahead.astype(np.int32), surface, np.minimum(np.cumsum(steps, axis=1), np.pi)
 
 
 MODELS = [
-    ([-90, 0, 90], [30, 30, 30], [[0.05, 0.475, 0.475], [0.05, 0.875, 0.075], [0.05, 0.075, 0.875]]),
+    (
+        [-90, 0, 90],
+        [30, 30, 30],
+        [[0.05, 0.475, 0.475], [0.05, 0.875, 0.075], [0.05, 0.075, 0.875]],
+    ),
     ([-150, 0, 150], [30, 30, 30], [[0.1, 0.8, 0.1]] * 3),
     ([90, 15, -90], [12, 2, 2], [[0.9, 0.1, 0], [0.1, 0.9, 0], [0, 0, 1]]),
     ([-90, 0, 90], [20, 25, 30], [[0.9, 0.05, 0.05], [0.05, 0.9, 0.05], [0.05, 0.05, 0.9]]),
@@ -114,11 +129,15 @@ def surface_case(rng: Generator) -> tuple[Any, ...]:
     n_rows, n = shape(rng)
     angles = signed(rng, n_rows, n)
     vegetation = np.cumsum(rng.random((n_rows, n)) < 0.1, axis=1) % 2 == 1
-    ranges = np.where(np.isnan(angles) & (rng.random((n_rows, n)) < 0.5), np.nan, 5.0).astype(np.float32)
+    ranges = np.where(np.isnan(angles) & (rng.random((n_rows, n)) < 0.5), np.nan, 5.0).astype(
+        np.float32
+    )
     drifts = rng.choice([30.0, 45.0, 60.0], 2)
     thresholds = rng.choice([0.0, 15.0, 30.0, 45.0, 90.0], 2)
     flags = (bool(flag) for flag in rng.random(3) < 0.5)
-    cusum = SurfaceThresholds(float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1]), *flags)
+    cusum = SurfaceThresholds(
+        float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1]), *flags
+    )
     return angles, vegetation, ranges, lengths(rng, n_rows, n), cusum
 
 
@@ -144,7 +163,9 @@ VALUES = [1e-45, 0.001, 0.1, float(np.float32(0.1)), 0.0625, 0.5, 1.0, 1e9]
 def _window(rng: Generator, n_lines: int, n_columns: int) -> F32:
     reach = max(n_columns + 1, 4)
     size = n_lines * n_columns + 2 * reach
-    ranges = rng.choice([5.0, 5.1, 6.0, 6.1], size) + rng.integers(-3, 4, size) * rng.choice([0.001, 0.0625])
+    ranges = rng.choice([5.0, 5.1, 6.0, 6.1], size) + rng.integers(-3, 4, size) * rng.choice(
+        [0.001, 0.0625]
+    )
     ranges[rng.random(size) < rng.choice([0.0, 0.1, 0.6, 1.0])] = np.nan
     ranges[: rng.integers(0, reach + 1)] = np.nan
     return ranges.astype(np.float32)
@@ -157,7 +178,14 @@ def _thresholds(rng: Generator) -> F64:
 def support_case(rng: Generator) -> tuple[Any, ...]:
     n_lines, n_columns = SHAPES_OF_CALIBRATION[rng.integers(len(SHAPES_OF_CALIBRATION))]
     counts = (int(rng.integers(0, 9)), int(rng.integers(0, 7)))
-    return (_window(rng, n_lines, n_columns), n_lines, n_columns, _thresholds(rng), _thresholds(rng), *counts)
+    return (
+        _window(rng, n_lines, n_columns),
+        n_lines,
+        n_columns,
+        _thresholds(rng),
+        _thresholds(rng),
+        *counts,
+    )
 
 
 def bend_case(rng: Generator) -> tuple[Any, ...]:

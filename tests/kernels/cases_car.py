@@ -9,14 +9,20 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64, I32, U8
-from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds, WindowThresholds
+from prc_cli.methods.sequential_angle.thresholds import (
+    DividerThresholds,
+    FourierThresholds,
+    WindowThresholds,
+)
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
 
 
 def surfaces(rng: Generator, n_rows: int, n: int) -> tuple[U8, I32]:
     """Labels that stay for a while, and the beams of every row; what comes after them is fill."""
-    codes = rng.choice([MISSING, DENSE, H, V, UNDECIDED], (n_rows, n), p=rng.dirichlet([2, 0.2, 4, 4, 0.1]))
+    codes = rng.choice(
+        [MISSING, DENSE, H, V, UNDECIDED], (n_rows, n), p=rng.dirichlet([2, 0.2, 4, 4, 0.1])
+    )
     stay = rng.random((n_rows, n)) < rng.choice([0.0, 0.5, 0.8])
     for k in range(1, n):
         codes[:, k] = np.where(stay[:, k], codes[:, k - 1], codes[:, k])
@@ -31,7 +37,9 @@ def size(rng: Generator) -> tuple[int, int]:
 
 def trigger_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
-    increments = rng.integers(-8, 9, (3, 3)) / 4.0 if rng.random() < 0.5 else rng.normal(0, 1, (3, 3))
+    increments = (
+        rng.integers(-8, 9, (3, 3)) / 4.0 if rng.random() < 0.5 else rng.normal(0, 1, (3, 3))
+    )
     return surface, n_beams, increments, float(rng.choice([0.0, 1.0, 2.5]))
 
 
@@ -40,11 +48,17 @@ def geometry(rng: Generator, surface: U8) -> tuple[F32, F32, F32]:
     n_rows, n = surface.shape
     flat = rng.random() < 0.4
     steps = rng.choice([0.0, 0.25, 0.25, 0.5, 1.0, -0.25, 3.0, 4.0, 4.25, -4.25], (n_rows, n))
-    climbs = np.where(rng.random((n_rows, n)) < 0.1, 0.25, 0.0) if flat else rng.integers(-2, 4, (n_rows, n)) / 4.0
+    climbs = (
+        np.where(rng.random((n_rows, n)) < 0.1, 0.25, 0.0)
+        if flat
+        else rng.integers(-2, 4, (n_rows, n)) / 4.0
+    )
     h = np.maximum(0.25, 2.0 + np.cumsum(np.abs(steps) if flat else steps, axis=1))
     z = -2.0 + np.minimum(np.cumsum(climbs, axis=1), rng.choice([2.0, 6.0]))
     turned = rng.integers(2, size=(n_rows, 1)) == 1
-    xyz = np.stack([np.where(turned, 0.0, h), np.where(turned, -h, 0.0), z], axis=-1).astype(np.float32)
+    xyz = np.stack([np.where(turned, 0.0, h), np.where(turned, -h, 0.0), z], axis=-1).astype(
+        np.float32
+    )
     gone = surface == MISSING
     xyz[gone] = np.nan
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
@@ -115,7 +129,9 @@ def intervals(rng: Generator, surface: U8) -> I32:
     found = []
     for row, codes in enumerate(surface):
         returns = np.flatnonzero(codes != MISSING)
-        edges = np.sort(rng.choice(returns, min(len(returns), 2 * int(rng.integers(4))) // 2 * 2, replace=False))
+        edges = np.sort(
+            rng.choice(returns, min(len(returns), 2 * int(rng.integers(4))) // 2 * 2, replace=False)
+        )
         found += [(row, first, last) for first, last in edges.reshape(-1, 2)]
     return np.array(found, np.int32).reshape(-1, 3)
 
@@ -124,17 +140,32 @@ def cut_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
     _, xyz, horizontal = geometry(rng, surface)
     cuts = intervals(rng, surface)
-    return surface, xyz, horizontal, n_beams, cuts, heights(rng, len(surface)), divider_thresholds(rng)
+    return (
+        surface,
+        xyz,
+        horizontal,
+        n_beams,
+        cuts,
+        heights(rng, len(surface)),
+        divider_thresholds(rng),
+    )
 
 
 def firm_case(rng: Generator) -> tuple[Any, ...]:
     surface, _ = surfaces(rng, *size(rng))
-    return surface, intervals(rng, surface), float(rng.choice([0.0, 0.25, 0.5, 1.0])), int(rng.choice([0, 1, 4]))
+    return (
+        surface,
+        intervals(rng, surface),
+        float(rng.choice([0.0, 0.25, 0.5, 1.0])),
+        int(rng.choice([0, 1, 4])),
+    )
 
 
 def layer_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
-    layered = rng.choice([5.0, 5.25, 5.5, 6.0, 9.0], surface.shape) + rng.choice([0.0, 0.0, 0.25], surface.shape)
+    layered = rng.choice([5.0, 5.25, 5.5, 6.0, 9.0], surface.shape) + rng.choice(
+        [0.0, 0.0, 0.25], surface.shape
+    )
     horizontal = np.where(surface == MISSING, np.nan, layered).astype(np.float32)
     thresholds = WindowThresholds(
         width_m=float(rng.choice([0.0, 0.25, 0.5])),
@@ -166,7 +197,13 @@ def wall_case(rng: Generator) -> tuple[Any, ...]:
 
 def high_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
-    return surface, geometry(rng, surface)[1], n_beams, heights(rng, len(surface)), float(rng.choice([0.5, 2.5]))
+    return (
+        surface,
+        geometry(rng, surface)[1],
+        n_beams,
+        heights(rng, len(surface)),
+        float(rng.choice([0.5, 2.5])),
+    )
 
 
 def spectrum_case(rng: Generator) -> tuple[Any, ...]:
@@ -177,7 +214,11 @@ def spectrum_case(rng: Generator) -> tuple[Any, ...]:
     signal += rng.choice([0.0, 10.0, 60.0]) * rng.standard_normal((2, n))
     signal *= np.where(rng.random((2, n)) < rng.choice([0.0, 0.1, 0.5]), -1, 1)
     signal[rng.random((2, n)) < rng.choice([0.0, 0.3])] = np.nan
-    edges = np.sort(rng.integers(0, n, (5, 2)), axis=1) if rng.random() < 0.7 else np.array([[0, n - 1]])
+    edges = (
+        np.sort(rng.integers(0, n, (5, 2)), axis=1)
+        if rng.random() < 0.7
+        else np.array([[0, n - 1]])
+    )
     rows = rng.integers(0, 2, (len(edges), 1))
     found = np.hstack([rows, edges]).astype(np.int32)
     thresholds = FourierThresholds(

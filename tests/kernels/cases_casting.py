@@ -26,8 +26,12 @@ def one_body(rng: Generator) -> tuple[int, F64]:
     numbers = rounded(rng, (9,))
     kind = rng.random()
     if shape == 0:
-        if kind < 0.2:  # a degenerate triangle: two corners or all three in one place or on one line
-            numbers[6:] = numbers[:3] if kind < 0.1 else numbers[:3] + 2.0 * (numbers[3:6] - numbers[:3])
+        if (
+            kind < 0.2
+        ):  # a degenerate triangle: two corners or all three in one place or on one line
+            numbers[6:] = (
+                numbers[:3] if kind < 0.1 else numbers[:3] + 2.0 * (numbers[3:6] - numbers[:3])
+            )
         elif kind < 0.4:  # a long one
             numbers[3:6] += rng.choice([-500.0, 500.0], 3) * (rng.random(3) < 0.5)
         elif kind < 0.6:  # level
@@ -47,13 +51,17 @@ def one_body(rng: Generator) -> tuple[int, F64]:
 def lines(rng: Generator) -> tuple[F64, F64, F64]:
     """Origins, directions and times of some lines of one of several scanners."""
     n_lines, m = int(rng.integers(1, 4)), int(rng.choice([1, 2, 7, 60]))
-    time = rng.choice([0.0, 1000.0]) + np.sort(rng.uniform(0, rng.choice([0.5, 5.0]), n_lines * m)).reshape(n_lines, m)
+    time = rng.choice([0.0, 1000.0]) + np.sort(
+        rng.uniform(0, rng.choice([0.5, 5.0]), n_lines * m)
+    ).reshape(n_lines, m)
     kind = rng.integers(5)
     if kind == 0:  # any directions whatever
         d = rng.normal(0, 1, (n_lines, m, 3))
     elif kind == 1:  # a static scanner: half planes, from low to high
         phi, el = rng.uniform(-4, 4, (n_lines, 1)), np.linspace(-1.0, 0.5 * np.pi, m)
-        d = np.stack([np.cos(phi) * np.cos(el), np.sin(phi) * np.cos(el), np.sin(el) + 0 * phi], axis=2)
+        d = np.stack(
+            [np.cos(phi) * np.cos(el), np.sin(phi) * np.cos(el), np.sin(el) + 0 * phi], axis=2
+        )
     else:  # a profiler across the drive, maybe slanted, maybe with an attitude that changes within the line
         span = rng.choice([0.5, 1.0, 1.02]) * 2 * np.pi * rng.choice([-1, 1])
         a = rng.choice([-np.pi, 0.0, 1.0]) + np.linspace(0, span, m, endpoint=False)
@@ -62,7 +70,10 @@ def lines(rng: Generator) -> tuple[F64, F64, F64]:
         if kind > 2:
             slant = slant + np.linspace(0.0, rng.choice([1e-3, 0.1]), m)
         x, z = d[:, :, 0].copy(), d[:, :, 2].copy()
-        d[:, :, 0], d[:, :, 2] = np.cos(slant) * x + np.sin(slant) * z, np.cos(slant) * z - np.sin(slant) * x
+        d[:, :, 0], d[:, :, 2] = (
+            np.cos(slant) * x + np.sin(slant) * z,
+            np.cos(slant) * z - np.sin(slant) * x,
+        )
     o = np.zeros((n_lines, m, 3))
     if rng.random() < 0.7:
         o[:, :, 0] = rng.choice([0.1, 10.0]) * (time - time[0, 0])

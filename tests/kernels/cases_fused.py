@@ -34,13 +34,42 @@ from tests.kernels.twins import typed
 AROUND, INNER, THIN = 4, 2, 20
 USUAL = typed(
     DecisionThresholds,
-    least_near=3, spike_share=0.7, below_m=0.3, pit_near=9, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
-    soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
-    car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0,
-    crown_slots=5, pole_shots=3, thick_m=0.15, arm_m=3.0, box_m=2.0, box_flat_m=0.25, box_deep_m=0.75,
-    box_lines=16, foot_m=0.3, ghost_m=1.5,
-    ghost_near=15, roof_m=6.0, storey_m=2.5,
-)  # fmt: skip
+    least_near=3,
+    spike_share=0.7,
+    below_m=0.3,
+    pit_near=9,
+    leaf_slots=5,
+    lone_m=10,
+    walked_m=0.3,
+    level_m=0.12,
+    soil_m=0.06,
+    leaf_share=0.4,
+    leaf_share_before_wall=0.2,
+    before_m=1.6,
+    front_m=0.4,
+    behind_m=2.5,
+    over_m=0.3,
+    car_top_m=3.75,
+    lorry_top_m=5.5,
+    car_bins=3,
+    car_bins_rough=6,
+    pole_m=1.0,
+    jump_m=0.5,
+    far_m=1.0,
+    crown_slots=5,
+    pole_shots=3,
+    thick_m=0.15,
+    arm_m=3.0,
+    box_m=2.0,
+    box_flat_m=0.25,
+    box_deep_m=0.75,
+    box_lines=16,
+    foot_m=0.3,
+    ghost_m=1.5,
+    ghost_near=15,
+    roof_m=6.0,
+    storey_m=2.5,
+)
 
 
 @dataclass
@@ -83,20 +112,28 @@ def street(rng: Generator) -> Street:
         for place in rng.choice([-9.0, -6.0, -2.5, 2.0, 5.0, 85.0], int(rng.integers(0, 4))):
             ranges = np.minimum(ranges, np.where(sine * place > 0, place / sine, np.inf))
     ranges = np.tile(np.where(ranges < 90, ranges, np.nan), (n_lines, 1))
-    ranges += rng.normal(0, rng.choice([0.0, 0.003, 0.3]), ranges.shape) * (rng.random(ranges.shape) < 0.7)
+    ranges += rng.normal(0, rng.choice([0.0, 0.003, 0.3]), ranges.shape) * (
+        rng.random(ranges.shape) < 0.7
+    )
     if rng.random() < 0.3:
         ranges = np.round(ranges * 8) / 8
     strays = rng.random(ranges.shape) < rng.choice([0.0, 0.05, 0.4])
     ranges = np.where(strays, rng.choice([1.5, 4.0, 4.25, 30.0], ranges.shape), ranges)
-    ranges[rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6, 1.0], p=[0.4, 0.3, 0.2, 0.1])] = np.nan
+    ranges[rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6, 1.0], p=[0.4, 0.3, 0.2, 0.1])] = (
+        np.nan
+    )
     window = np.maximum(ranges, 0.3).astype(np.float32)
     outwards = np.argsort(np.abs(angle), kind="stable").astype(np.int32)
     positive = angle[outwards] >= 0
     step = np.float32(abs(last - first) / max(m - 1, 1))
     return Street(
-        window, sine.astype(np.float32), cosine.astype(np.float32), step, outwards[positive].copy(),
+        window,
+        sine.astype(np.float32),
+        cosine.astype(np.float32),
+        step,
+        outwards[positive].copy(),
         outwards[~positive].copy(),
-    )  # fmt: skip
+    )
 
 
 def points_case(rng: Generator) -> tuple[Any, ...]:
@@ -136,8 +173,12 @@ def repeats_case(rng: Generator) -> tuple[Any, ...]:
     stride = int(rng.integers(1, 20))
     shape = (int(rng.integers(17, 30)), one.window.shape[1])
     # the same leaves in several lines, some of them lost
-    leaves = np.float32(5) + rng.integers(0, 20, (shape[0] // stride + 1, shape[1])).astype(np.float32) / np.float32(8)
-    range_m = np.repeat(leaves, stride, axis=0)[: shape[0]] + rng.choice([0, 0, 0.0625], shape).astype(np.float32)
+    leaves = np.float32(5) + rng.integers(0, 20, (shape[0] // stride + 1, shape[1])).astype(
+        np.float32
+    ) / np.float32(8)
+    range_m = np.repeat(leaves, stride, axis=0)[: shape[0]] + rng.choice(
+        [0, 0, 0.0625], shape
+    ).astype(np.float32)
     range_m[rng.random(shape) < 0.1] = np.nan
     range_m[: len(lines)] = np.where(rng.random() < 0.5, range_m[: len(lines)], lines[: shape[0]])
     chosen = typed(
@@ -153,16 +194,26 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
     """Counts as neighbours have them, or any."""
     shape = one.range_m.shape
     if rng.random() < 0.5:
-        near, smooth, upright, level = (rng.integers(0, n, shape).astype(np.uint8) for n in (29, 11, 4, 4))
+        near, smooth, upright, level = (
+            rng.integers(0, n, shape).astype(np.uint8) for n in (29, 11, 4, 4)
+        )
         for counts in (near, smooth, upright, level):
             counts[np.isnan(one.range_m)] = 0
         return near, smooth, upright, level
     near = fused_neighbours.near_counts(
-        *one.seen, typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
+        *one.seen,
+        typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8),
     )
     smooth = fused_neighbours.smooth_counts(
         *one.seen,
-        typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16, apart_m=0.5),
+        typed(
+            SmoothThresholds,
+            tolerance_m=0.006,
+            tolerance_per_m=0.01,
+            gap_m=0.4,
+            gap_steps=16,
+            apart_m=0.5,
+        ),
     )
     usual = typed(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
     chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
@@ -201,7 +252,10 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         start_reach_m=rng.choice([0.0, 1.0, 10.0]),
     )
     keep = int(rng.integers(0, len(one.range_m) + 1))
-    start, lost = np.float32(rng.choice([-2.0, 0.0])), int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2]))
+    start, lost = (
+        np.float32(rng.choice([-2.0, 0.0])),
+        int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2])),
+    )
     shots = np.zeros((2, fused_ground.DEPTHS), np.float32)
     if lost not in (0, -1):
         shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
@@ -231,8 +285,12 @@ def heights(rng: Generator, one: Street) -> F32:
 def kinds(rng: Generator, shape: tuple[int, ...]) -> U8:
     """Things that stand alone, of any kind, in runs along the lines."""
     wide = (shape[0], -(-shape[1] // 8))
-    found = np.where(rng.random(wide) < rng.choice([0.0, 0.6]), rng.integers(0, 7, wide), 0).astype(np.uint8)
-    return np.where(rng.random(shape) < 0.1, 0, found.repeat(8, axis=1)[:, : shape[1]]).astype(np.uint8)
+    found = np.where(rng.random(wide) < rng.choice([0.0, 0.6]), rng.integers(0, 7, wide), 0).astype(
+        np.uint8
+    )
+    return np.where(rng.random(shape) < 0.1, 0, found.repeat(8, axis=1)[:, : shape[1]]).astype(
+        np.uint8
+    )
 
 
 def strips_case(rng: Generator) -> tuple[Any, ...]:
@@ -256,19 +314,30 @@ def columns_case(rng: Generator) -> tuple[Any, ...]:
     """Return lines with round and flat things of several widths before a wall, stray shots and gaps."""
     n_lines, around, m = int(rng.integers(3, 9)), int(rng.integers(2, 12)), 40
     beam = np.linspace(0.4, 2.2, m)
-    window = np.full((n_lines + 2 * around, m), 9.0) + rng.choice([0.0, 0.3]) * rng.random((n_lines + 2 * around, m))
+    window = np.full((n_lines + 2 * around, m), 9.0) + rng.choice([0.0, 0.3]) * rng.random(
+        (n_lines + 2 * around, m)
+    )
     for _ in range(int(rng.integers(1, 4))):
-        first, wide, at = (int(rng.integers(low, high)) for low, high in ((0, len(window)), (1, 9), (0, m - 12)))
+        first, wide, at = (
+            int(rng.integers(low, high)) for low, high in ((0, len(window)), (1, 9), (0, m - 12))
+        )
         lines = np.arange(first, min(first + wide, len(window)))
         off = (lines - first - (wide - 1) / 2) / (wide / 2)
         bulge = rng.choice([0.0, 0.1, 0.2, 0.9]) * (1 - np.sqrt(1 - off**2))
-        window[lines, at : at + int(rng.integers(4, 30))] = (rng.choice([3.0, 7.0, 8.4]) + bulge)[:, None]
-    window[rng.random(window.shape) < rng.choice([0.0, 0.01, 0.1])] = rng.choice([np.nan, 2.0, 30.0])
+        window[lines, at : at + int(rng.integers(4, 30))] = (rng.choice([3.0, 7.0, 8.4]) + bulge)[
+            :, None
+        ]
+    window[rng.random(window.shape) < rng.choice([0.0, 0.01, 0.1])] = rng.choice(
+        [np.nan, 2.0, 30.0]
+    )
     window = (window / np.sin(beam)).astype(np.float32)
     beams = np.sin(beam).astype(np.float32), np.cos(beam).astype(np.float32)
     above = (np.float32(2) - window[around : len(window) - around] * beams[1]).astype(np.float32)
     odd = rng.random(above.shape) < rng.choice([0.0, 0.02, 0.2])
-    counts = tuple(np.where(odd, one, other).astype(np.uint8) for one, other in ((1, 9), (2, 7), (0, 3), (0, 0)))
+    counts = tuple(
+        np.where(odd, one, other).astype(np.uint8)
+        for one, other in ((1, 9), (2, 7), (0, 3), (0, 0))
+    )
     chosen = typed(
         ColumnThresholds,
         lines=rng.choice([3, 8, 60]),
@@ -314,7 +383,9 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
         sums = length, wall, (wall * middle).astype(np.float32), top
-    flanks = (rng.random((len(sums[0]) - 4, fused_strips.STRIPS)) < rng.choice([0.0, 0.3])).astype(np.uint8)
+    flanks = (rng.random((len(sums[0]) - 4, fused_strips.STRIPS)) < rng.choice([0.0, 0.3])).astype(
+        np.uint8
+    )
     chosen = typed(
         WallThresholds,
         height_m=rng.choice([0.01, 0.5, 1.5]),
@@ -331,9 +402,15 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.5:
         above[(rng.random(above.shape) < 0.5) & ~np.isnan(above)] = 0
     shape = len(above), fused_strips.STRIPS
-    wall = np.where(rng.random(shape) < rng.choice([0.01, 0.1]), rng.random(shape), 0).astype(np.float32)
-    middle = (np.arange(shape[1]) - shape[1] // 2 + rng.random(shape)).astype(np.float32) * np.float32(0.5)
-    levels = (rng.random((len(above) - 4, 2 * fused_strips.STRIPS)) < rng.choice([0.0, 0.1])).astype(np.uint8)
+    wall = np.where(rng.random(shape) < rng.choice([0.01, 0.1]), rng.random(shape), 0).astype(
+        np.float32
+    )
+    middle = (np.arange(shape[1]) - shape[1] // 2 + rng.random(shape)).astype(
+        np.float32
+    ) * np.float32(0.5)
+    levels = (
+        rng.random((len(above) - 4, 2 * fused_strips.STRIPS)) < rng.choice([0.0, 0.1])
+    ).astype(np.uint8)
     every = rng.integers(0, 2**63, shape, np.uint64) << np.uint64(rng.choice([0, 3, 6]))
     chosen = typed(
         FlankThresholds,
@@ -349,14 +426,25 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
         shots=rng.choice([0, 1, 3]),
     )
     length = wall * rng.choice([1.0, 2.0, 3.0], shape).astype(np.float32)
-    return one.range_m, above, counts[2], one.beams, (length, wall, wall * middle), every, levels, chosen
+    return (
+        one.range_m,
+        above,
+        counts[2],
+        one.beams,
+        (length, wall, wall * middle),
+        every,
+        levels,
+        chosen,
+    )
 
 
 def texture_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     near, smooth = random_counts(rng, one)[:2]
     half = np.float32(rng.choice([0.35, 5.0, 0.0]))
-    limits = tuple(np.float32(rng.choice(some)) for some in ([0.0, 0.4, 2.0], [0.2, 1.0, 1e9], [0, 2]))
+    limits = tuple(
+        np.float32(rng.choice(some)) for some in ([0.0, 0.4, 2.0], [0.2, 1.0, 1e9], [0, 2])
+    )
     return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half, limits
 
 
@@ -392,9 +480,11 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
     above = (np.float32(2) - own * cosines).astype(np.float32)
     level, odd = is_lid | (np.abs(above) < 0.1), rng.random(shape) < rng.choice([0.0, 0.1])
     counts = (
-        np.where(odd, 2, 20).astype(np.uint8), np.where(odd, 1, 9).astype(np.uint8),
-        np.where(level, 0, 3).astype(np.uint8), np.where(level, 3, 0).astype(np.uint8),
-    )  # fmt: skip
+        np.where(odd, 2, 20).astype(np.uint8),
+        np.where(odd, 1, 9).astype(np.uint8),
+        np.where(level, 0, 3).astype(np.uint8),
+        np.where(level, 3, 0).astype(np.uint8),
+    )
     strips = np.zeros((n_lines, fused_strips.STRIPS), np.uint64)
     walls = np.zeros((3, n_lines, fused_strips.STRIPS), np.float32)
     usual = DecisionThresholds._make(np.float32(value) for value in USUAL)
@@ -404,10 +494,19 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
         box_lines=np.float32(rng.choice([2, 16])),
     )
     return (
-        window, above, counts, np.zeros(shape, np.bool_), np.ones((n_lines, m), np.float32), (strips, strips),
-        tuple(walls), np.zeros((n_lines, 2 * fused_strips.STRIPS), np.uint8), np.zeros((n_lines, m), np.uint8),
-        (sines, cosines), np.float32(0.0076), chosen,
-    )  # fmt: skip
+        window,
+        above,
+        counts,
+        np.zeros(shape, np.bool_),
+        np.ones((n_lines, m), np.float32),
+        (strips, strips),
+        tuple(walls),
+        np.zeros((n_lines, 2 * fused_strips.STRIPS), np.uint8),
+        np.zeros((n_lines, m), np.uint8),
+        (sines, cosines),
+        np.float32(0.0076),
+        chosen,
+    )
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
@@ -440,7 +539,13 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     walls = fused_strips.find_walls(
         (length, wall, place, top),
         np.zeros((n_lines, fused_strips.STRIPS), np.uint8),
-        typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, lines=rng.choice([0, 4]), before_m=1.6),
+        typed(
+            WallThresholds,
+            height_m=rng.choice([0.1, 1.5]),
+            share=0.3,
+            lines=rng.choice([0, 4]),
+            before_m=1.6,
+        ),
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     more = rng.integers(0, len(one.window), (2, THIN - AROUND))
@@ -448,15 +553,27 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     cars |= ((rng.random(cars.shape) < rng.choice([0.0, 0.3])) * np.uint8(17)).astype(np.uint8)
     window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
     return (
-        window, above, counts, walked, texture, wide, walls, cars, alone[INNER:-INNER], one.beams, one.step,
+        window,
+        above,
+        counts,
+        walked,
+        texture,
+        wide,
+        walls,
+        cars,
+        alone[INNER:-INNER],
+        one.beams,
+        one.step,
         decision(rng),
-    )  # fmt: skip
+    )
 
 
 def vote_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     range_m = one.range_m
-    labels = rng.choice([1, 2, 3, 4, 5, 7, 11], range_m.shape, p=[0.1, 0.1, 0.1, 0.25, 0.25, 0.1, 0.1]).astype(np.uint8)
+    labels = rng.choice(
+        [1, 2, 3, 4, 5, 7, 11], range_m.shape, p=[0.1, 0.1, 0.1, 0.25, 0.25, 0.1, 0.1]
+    ).astype(np.uint8)
     if rng.random() < 0.5:
         labels[:, : labels.shape[1] // 2] = 4
     labels[np.isnan(range_m)] = 0
@@ -467,7 +584,9 @@ def vote_case(rng: Generator) -> tuple[Any, ...]:
 def curb_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     above = heights(rng, one)
-    labels = rng.choice([1, 2, 3, 4, 5, 7], above.shape, p=[0.05, 0.1, 0.6, 0.1, 0.1, 0.05]).astype(np.uint8)
+    labels = rng.choice([1, 2, 3, 4, 5, 7], above.shape, p=[0.05, 0.1, 0.6, 0.1, 0.1, 0.05]).astype(
+        np.uint8
+    )
     labels[np.isnan(above)] = 0
     chosen = typed(
         CurbThresholds,
@@ -490,7 +609,9 @@ def again_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.5:
         # panes: most shots are before the others
         range_m[rng.random(range_m.shape) < 0.8] = rng.choice([3.0, 3.125])
-    labels = rng.choice([2, 3, 4, 5, 7], (n_lines + 2, m), p=[0.3, 0.1, 0.1, 0.2, 0.3]).astype(np.uint8)
+    labels = rng.choice([2, 3, 4, 5, 7], (n_lines + 2, m), p=[0.3, 0.1, 0.1, 0.2, 0.3]).astype(
+        np.uint8
+    )
     if rng.random() < 0.5:
         labels[labels != 2] = rng.choice([1, 7])
     labels[np.isnan(range_m[2:-2])] = 0
@@ -517,7 +638,9 @@ def again_case(rng: Generator) -> tuple[Any, ...]:
 def fan_case(rng: Generator) -> tuple[Any, ...]:
     """Ground, and things of a few steps on it, as rings see them from near to far; all else at random."""
     n_lines, m = int(rng.integers(1, 30)), int(rng.integers(1, 40))
-    beam = np.sort(rng.uniform(0.6, 1.6, m)).astype(np.float32) * np.where(rng.random(m) < 0.1, -1, 1)
+    beam = np.sort(rng.uniform(0.6, 1.6, m)).astype(np.float32) * np.where(
+        rng.random(m) < 0.1, -1, 1
+    )
     range_m = np.full((n_lines, m), np.nan, np.float32)
     labels = np.full((n_lines, m), 3, np.uint8)
     start, length = sorted(rng.integers(0, m + 1, 2))
@@ -528,9 +651,13 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
     labels[wrong] = rng.choice([1, 2, 3, 4, 5, 8, 11], wrong.sum())
     gone = rng.random((n_lines, m)) < rng.choice([0.0, 0.1, 1.0], p=[0.5, 0.45, 0.05])
     range_m[gone], labels[gone] = np.nan, 0
-    above = np.where(labels == 3, 0, np.linspace(0, 3, m) * rng.choice([0.5, 1.0])).astype(np.float32)
+    above = np.where(labels == 3, 0, np.linspace(0, 3, m) * rng.choice([0.5, 1.0])).astype(
+        np.float32
+    )
     sides = np.flatnonzero(beam >= 0).astype(np.int32), np.flatnonzero(beam < 0).astype(np.int32)
-    before = rng.choice([0, 1, 2, 3], (12, 400), p=[0.7, 0.1, 0.1, 0.1]).astype(np.uint8) * int(rng.integers(2))
+    before = rng.choice([0, 1, 2, 3], (12, 400), p=[0.7, 0.1, 0.1, 0.1]).astype(np.uint8) * int(
+        rng.integers(2)
+    )
     chosen = typed(
         FanThresholds,
         least_m=rng.choice([1.2, 0.1]),
@@ -562,15 +689,29 @@ def confidence_case(rng: Generator) -> tuple[Any, ...]:
     counts = tuple(rng.integers(0, most, range_m.shape).astype(np.uint8) for most in (29, 11, 4, 4))
     texture = rng.choice([0.0, 0.2, 0.25, 0.6, 1.0], range_m.shape).astype(np.float32)
     strips = (len(range_m), fused_strips.STRIPS)
-    words = rng.integers(0, 2**63, strips).astype(np.uint64) << rng.integers(0, 64, strips).astype(np.uint64)
-    walls = tuple(rng.choice([0.0, -9.0, -2.25, 2.0, 5.0], strips).astype(np.float32) for _ in range(2))
+    words = rng.integers(0, 2**63, strips).astype(np.uint64) << rng.integers(0, 64, strips).astype(
+        np.uint64
+    )
+    walls = tuple(
+        rng.choice([0.0, -9.0, -2.25, 2.0, 5.0], strips).astype(np.float32) for _ in range(2)
+    )
     limits = np.array(list(MEASURES.values()), np.float32)
     questions = rng.integers(0, len(limits), (12, 5))
     groups = np.array([-1, *rng.integers(0, 6, 11)], np.int64)
     return (
-        labels, range_m, above, texture, counts, (words, words & rng.integers(0, 2**63, strips).astype(np.uint64)),
-        walls, one.beams, one.step, groups, questions, limits,
-    )  # fmt: skip
+        labels,
+        range_m,
+        above,
+        texture,
+        counts,
+        (words, words & rng.integers(0, 2**63, strips).astype(np.uint64)),
+        walls,
+        one.beams,
+        one.step,
+        groups,
+        questions,
+        limits,
+    )
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

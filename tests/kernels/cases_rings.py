@@ -34,9 +34,16 @@ def scene(rng: Generator) -> F32:
     ranges = np.where(stray, rng.choice([1.0, 2.0, 2.125], ranges.shape), ranges)
     ranges += rng.integers(-2, 3, ranges.shape) * rng.choice([0.0, 0.015625])
     xyz = ranges[..., None] * np.stack(
-        [np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down) + 0 * azimuth], axis=-1
+        [
+            np.cos(down) * np.cos(azimuth),
+            np.cos(down) * np.sin(azimuth),
+            -np.sin(down) + 0 * azimuth,
+        ],
+        axis=-1,
     )
-    xyz[(ranges > 100) | (rng.random(ranges.shape) < rng.choice([0.0, 0.2, 1.0], p=[0.5, 0.4, 0.1]))] = np.nan
+    xyz[
+        (ranges > 100) | (rng.random(ranges.shape) < rng.choice([0.0, 0.2, 1.0], p=[0.5, 0.4, 0.1]))
+    ] = np.nan
     return xyz.astype(np.float32)
 
 
@@ -51,21 +58,38 @@ def above(xyz: F32, rng: Generator) -> F32:
 
 def lowest_case(rng: Generator) -> tuple[Any, ...]:
     up = rng.choice([1.0, -1.0])
-    return *placed(rng), up, int(rng.integers(1, 5)), int(rng.integers(2, 9)), rng.choice([0.05, 0.5])
+    return (
+        *placed(rng),
+        up,
+        int(rng.integers(1, 5)),
+        int(rng.integers(2, 9)),
+        rng.choice([0.05, 0.5]),
+    )
 
 
 def walk_case(rng: Generator) -> tuple[Any, ...]:
     shape = int(rng.integers(1, 6)), int(rng.integers(1, 12))
-    off = rng.choice([0.0, 0.1, 0.25, 1.0, -1.0], shape) + rng.choice([0.0, 0.125]) * np.arange(shape[1])
+    off = rng.choice([0.0, 0.1, 0.25, 1.0, -1.0], shape) + rng.choice([0.0, 0.125]) * np.arange(
+        shape[1]
+    )
     off[rng.random(shape) < rng.choice([0.0, 0.3, 1.0])] = np.nan
     return off.astype(np.float32), ((np.arange(shape[1]) + 0.5) / ROOT) ** 2, GroundThresholds()
 
 
 def smooth_case(rng: Generator) -> tuple[Any, ...]:
     shape = int(rng.integers(1, 5)), int(rng.integers(1, 6))
-    height, start = (rng.integers(-4, 5, shape) / 4 * rng.choice([0, 1], p=[0.1, 0.9]) for _ in range(2))
+    height, start = (
+        rng.integers(-4, 5, shape) / 4 * rng.choice([0, 1], p=[0.1, 0.9]) for _ in range(2)
+    )
     weight = rng.choice([0.0, 1.0, 3.0], shape)
-    return height, weight, start, rng.choice([0.0, 0.5]), int(rng.integers(0, 4)), bool(rng.random() < 0.5)
+    return (
+        height,
+        weight,
+        start,
+        rng.choice([0.0, 0.5]),
+        int(rng.integers(0, 4)),
+        bool(rng.random() < 0.5),
+    )
 
 
 def above_case(rng: Generator) -> tuple[Any, ...]:
@@ -77,7 +101,9 @@ def above_case(rng: Generator) -> tuple[Any, ...]:
 
 def mark_case(rng: Generator) -> tuple[Any, ...]:
     xyz, place = placed(rng)
-    chosen = MarkThresholds(most_lines=2, smooth_m=rng.choice([0.02, 0.2]), base_m=rng.choice([0.2, 2.0]))
+    chosen = MarkThresholds(
+        most_lines=2, smooth_m=rng.choice([0.02, 0.2]), base_m=rng.choice([0.2, 2.0])
+    )
     return xyz, place, above(xyz, rng), 0.25, ROOT, rng.choice([0.05, 0.5]), chosen
 
 
@@ -86,7 +112,12 @@ def lonely_case(rng: Generator) -> tuple[Any, ...]:
     ranges = np.sqrt((xyz**2).sum(axis=-1)).astype(np.float32)
     light = rng.choice([0.0, 1.0, 10.0, 11.0], ranges.shape).astype(np.float32)
     is_lit = bool(rng.random() < 0.5)
-    return ranges, light if is_lit else light[:1, :1].copy(), is_lit, LonelyThresholds(reach_m=rng.choice([3.0, 25.0]))
+    return (
+        ranges,
+        light if is_lit else light[:1, :1].copy(),
+        is_lit,
+        LonelyThresholds(reach_m=rng.choice([3.0, 25.0])),
+    )
 
 
 def fill_case(rng: Generator) -> tuple[Any, ...]:
@@ -116,7 +147,12 @@ def join_case(rng: Generator) -> tuple[Any, ...]:
 
 def plant_case(rng: Generator) -> tuple[Any, ...]:
     xyz, heights, marks, _, _ = fill_case(rng)
-    return xyz, heights, marks, SoilThresholds(half_m=rng.choice([3.0, 8.0]), bias=rng.choice([-2.0, 0.0, 3.0]))
+    return (
+        xyz,
+        heights,
+        marks,
+        SoilThresholds(half_m=rng.choice([3.0, 8.0]), bias=rng.choice([-2.0, 0.0, 3.0])),
+    )
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

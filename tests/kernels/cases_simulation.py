@@ -18,14 +18,22 @@ N_BODIES = 9
 def aim_case(rng: Generator) -> tuple[Any, ...]:
     n_lines, m = SHAPES[rng.integers(len(SHAPES))]
     knots = int(rng.integers(2, 6))
-    return (rng.normal(0, 100, (n_lines, knots, 3)), rng.normal(size=(n_lines, knots, 3, 3)), rng.normal(size=(m, 3)))
+    return (
+        rng.normal(0, 100, (n_lines, knots, 3)),
+        rng.normal(size=(n_lines, knots, 3, 3)),
+        rng.normal(size=(m, 3)),
+    )
 
 
 def hits(rng: Generator, n_lines: int, m: int) -> tuple[F64, I32, F64]:
     """Runs of the same body, at a few ranges, so that neighbours step by all amounts."""
     run = np.maximum.accumulate(np.where(rng.random((n_lines, m)) < 0.3, np.arange(m), 0), axis=1)
-    body = np.take_along_axis(rng.integers(-1, N_BODIES, (n_lines, m)), run, axis=1).astype(np.int32)
-    t = np.take_along_axis(rng.choice([0.4, 4.0, 4.04, 4.5, 20.0, 77.0, 160.0], (n_lines, m)), run, axis=1)
+    body = np.take_along_axis(rng.integers(-1, N_BODIES, (n_lines, m)), run, axis=1).astype(
+        np.int32
+    )
+    t = np.take_along_axis(
+        rng.choice([0.4, 4.0, 4.04, 4.5, 20.0, 77.0, 160.0], (n_lines, m)), run, axis=1
+    )
     t = t + rng.choice([0.0, 0.06, 1.0], (n_lines, m), p=[0.6, 0.2, 0.2]) * rng.random((n_lines, m))
     facing = rng.choice([1.0, 0.7, 0.1, 0.0, -0.5, 0.9986], (n_lines, m))
     return np.where(body >= 0, t, np.inf), body, facing
@@ -78,7 +86,15 @@ def sense_case(rng: Generator) -> tuple[Any, ...]:
         second = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     quantiles = np.sort(rng.normal(size=17))
     seed = int(rng.choice([0, 1, 2**63 - 1]))
-    return (first, second, *bodies(rng), model(rng), quantiles, int(rng.choice([0, 99, 10**9])), seed)
+    return (
+        first,
+        second,
+        *bodies(rng),
+        model(rng),
+        quantiles,
+        int(rng.choice([0, 99, 10**9])),
+        seed,
+    )
 
 
 def behind_case(rng: Generator) -> tuple[Any, ...]:

@@ -10,14 +10,27 @@ from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.fused import stems_loops as stems
-from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
+from prc_cli.methods.fused.thresholds import (
+    ForestThresholds,
+    RunThresholds,
+    StemThresholds,
+    TerrainThresholds,
+)
 from tests.kernels.twins import typed
 
 RUNS = typed(
     RunThresholds,
-    step_rad=0.02, above_m=0.05, tolerance_m=0.004, tolerance_share=0.0003, steep=1.0, gap_m=0.3, gap_steep=0.1,
-    behind_m=0.15, lean=0.7, short_m=0.03,
-)  # fmt: skip
+    step_rad=0.02,
+    above_m=0.05,
+    tolerance_m=0.004,
+    tolerance_share=0.0003,
+    steep=1.0,
+    gap_m=0.3,
+    gap_steep=0.1,
+    behind_m=0.15,
+    lean=0.7,
+    short_m=0.03,
+)
 
 
 def forest(rng: Generator) -> tuple[F32, F64, F64]:

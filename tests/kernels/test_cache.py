@@ -28,7 +28,9 @@ def twice(number: int) -> int:
     return 2 * number
 """
 
-needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
+needs_compiler = pytest.mark.skipif(
+    bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled"
+)
 posix_only = pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
 
 
@@ -81,15 +83,27 @@ def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
 def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     (tmp_path / "some_kernels.py").write_text(MODULE)
     code = "import some_kernels; print(sum(some_kernels.twice.stats.cache_hits.values()))"
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": str(tmp_path),
+    }
     hits = [
-        patience.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        patience.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
         for _ in range(2)
     ]
     assert hits == ["0\n", "1\n"]
 
 
-def test_what_loops_are_made_of_names_their_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_loops_are_made_of_names_their_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Numba looks at the size and time of the module's own file alone, and an upgrade may keep both."""
     source, constants = tmp_path / "ground.py", tmp_path / "core" / "classes.py"
     constants.parent.mkdir()
@@ -119,16 +133,23 @@ def test_what_loops_are_made_of_names_their_folder(tmp_path: Path, monkeypatch: 
 
 
 def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
-    known = {"prc_cli.kernels.cache", *(f"prc_cli.core.{name.removesuffix('.py')}" for name in cache.SOURCES)}
+    known = {
+        "prc_cli.kernels.cache",
+        *(f"prc_cli.core.{name.removesuffix('.py')}" for name in cache.SOURCES),
+    }
     for file in Path(cache.__file__).parents[1].rglob("*_loops.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("prc_cli"):
-                beside = ".".join([*file.relative_to(Path(cache.__file__).parents[2]).parts[:-1], "thresholds"])
+                beside = ".".join(
+                    [*file.relative_to(Path(cache.__file__).parents[2]).parts[:-1], "thresholds"]
+                )
                 assert node.module in (*known, beside), f"{file}: {node.module}"
 
 
 @posix_only
-def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_temporary_folder_that_others_can_write_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     folder = cache._temporary_cache()
     folder.mkdir(parents=True)
@@ -137,13 +158,17 @@ def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path: Path, m
 
 
 @posix_only
-def test_a_file_that_is_renamed_meanwhile_is_no_danger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_renamed_meanwhile_is_no_danger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Path, "rglob", lambda folder, _: iter([folder / "gone.nbi.tmp"]))
     assert cache.open_to_others(tmp_path) == ""
 
 
 @posix_only
-def test_temporary_folder_of_somebody_else_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_temporary_folder_of_somebody_else_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     folder = cache._temporary_cache()
     folder.mkdir(parents=True)
@@ -166,12 +191,16 @@ def test_the_users_choice_that_others_can_write_is_refused(
     folder.mkdir()
     folder.chmod(mode)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
-    with pytest.raises(PrcError, match=f"others can put code there that would be run: its mode is {mode:o}"):
+    with pytest.raises(
+        PrcError, match=f"others can put code there that would be run: its mode is {mode:o}"
+    ):
         cache.writable_cache()
 
 
 @posix_only
-def test_a_folder_above_that_others_can_write_is_no_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_above_that_others_can_write_is_no_better(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "open" / "cache"
     folder.mkdir(parents=True, mode=0o700)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
@@ -183,8 +212,12 @@ def test_a_folder_above_that_others_can_write_is_no_better(tmp_path: Path, monke
 
 
 @posix_only
-@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a file to somebody else")
-def test_what_somebody_else_left_in_it_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a file to somebody else"
+)
+def test_what_somebody_else_left_in_it_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "cache"
     (folder / "prc").mkdir(parents=True)
     os.chown(folder / "prc", 65534, 65534)
@@ -200,7 +233,9 @@ def test_what_somebody_else_left_in_it_is_not_run(tmp_path: Path, monkeypatch: p
 
 
 @posix_only
-@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a folder to somebody else")
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a folder to somebody else"
+)
 def test_the_owner_of_a_sticky_folder_above_may_exchange_what_is_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -214,7 +249,9 @@ def test_the_owner_of_a_sticky_folder_above_may_exchange_what_is_in_it(
 
 
 @posix_only
-def test_the_folder_is_used_by_the_name_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_is_used_by_the_name_that_was_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "own").mkdir(mode=0o700)
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)

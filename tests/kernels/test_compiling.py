@@ -17,7 +17,9 @@ from tests import patience
 
 pytestmark = pytest.mark.slow
 
-needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
+needs_compiler = pytest.mark.skipif(
+    bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled"
+)
 needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks on this system")
 
 LOAD = """
@@ -32,7 +34,9 @@ print(sum(first_high_verticals.stats.cache_misses.values()))
 
 def python(code: str, folder: Path) -> subprocess.Popen[str]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    return patience.popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
+    return patience.popen(
+        [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True
+    )
 
 
 @needs_compiler
@@ -49,11 +53,15 @@ def test_lock_of_a_dead_process_is_open(tmp_path: Path, monkeypatch: pytest.Monk
     code = "import fcntl, os, sys, time; handle = open(sys.argv[1], 'ab'); fcntl.flock(handle, fcntl.LOCK_EX)"
     path = tmp_path / compiling._LOCK
     holding = f"{code}; print('mine', flush=True); time.sleep(3600)"
-    with patience.start([sys.executable, "-c", holding, str(path)], stdout=subprocess.PIPE, text=True) as owner:
+    with patience.start(
+        [sys.executable, "-c", holding, str(path)], stdout=subprocess.PIPE, text=True
+    ) as owner:
         assert owner.stdout is not None
         assert owner.stdout.readline() == "mine\n"
         owner.kill()
-    clock = SimpleNamespace(monotonic=time.monotonic, sleep=lambda seconds: pytest.fail("waited for a dead process"))
+    clock = SimpleNamespace(
+        monotonic=time.monotonic, sleep=lambda seconds: pytest.fail("waited for a dead process")
+    )
     monkeypatch.setattr(compiling, "time", clock)
     with compiling._alone(tmp_path):
         pass
@@ -80,11 +88,16 @@ def test_no_lock_can_be_made(tmp_path: Path) -> None:
         pass
 
 
-MODULES = ["prc_cli.methods.sequential_angle.labels_loops", "prc_cli.methods.sequential_angle.angles_loops"]
+MODULES = [
+    "prc_cli.methods.sequential_angle.labels_loops",
+    "prc_cli.methods.sequential_angle.angles_loops",
+]
 
 
 @needs_compiler
-def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_child_process_all_is_compiled_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A program without an interpreter beside it, or one that fails."""
     monkeypatch.setattr(compiling, "writable_cache", lambda: tmp_path)
     monkeypatch.setattr(compiling, "_missing", lambda modules, folder: list(modules))
@@ -100,7 +113,9 @@ def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatc
 
 
 @needs_compiler
-def test_child_processes_compile_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_child_processes_compile_their_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(compiling, "PATIENCE_S", patience.HANGS_S)
     with compiling._children([MODULES[:1]]):

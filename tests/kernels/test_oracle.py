@@ -76,7 +76,13 @@ def background_case(rng: Generator) -> tuple[Any, ...]:
     valid = ~np.isnan(ranges[reach:-reach]).reshape(n_lines, n_columns)
     supported = valid & (rng.random((n_lines, n_columns)) < 0.8)
     alpha = float(rng.choice([0.25, 0.3, 0.125]))
-    return ranges, supported, int(rng.integers(4)), alpha, float(rng.choice([0.05, 0.0625, 0.001, 1.0]))
+    return (
+        ranges,
+        supported,
+        int(rng.integers(4)),
+        alpha,
+        float(rng.choice([0.05, 0.0625, 0.001, 1.0])),
+    )
 
 
 def label_case(rng: Generator) -> tuple[Any, ...]:
@@ -106,7 +112,12 @@ def image_case(rng: Generator) -> tuple[Mask, Mask, I32, int]:
     supported = blobs(rng)
     covered = rng.random(supported.shape) < rng.choice([0.0, 0.02, 0.5, 1.0])
     n_components = int(rng.integers(0, 6))
-    return supported, covered, rng.integers(0, n_components + 1, supported.shape).astype(np.int32), n_components
+    return (
+        supported,
+        covered,
+        rng.integers(0, n_components + 1, supported.shape).astype(np.int32),
+        n_components,
+    )
 
 
 def select_case(rng: Generator) -> tuple[Any, ...]:
@@ -123,17 +134,33 @@ def draw_case(rng: Generator) -> tuple[Any, ...]:
 
 def clean_case(rng: Generator) -> tuple[Any, ...]:
     """Ranges on and beside the bounds."""
-    low, high = np.float32(rng.choice([0.0, 0.5, 1e-45])), np.float32(rng.choice([3.4028235e38, 80.0, 0.5]))
-    values = np.array([0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 1e-45, 5.0, low, high, 3.4028235e38], np.float32)
+    low, high = (
+        np.float32(rng.choice([0.0, 0.5, 1e-45])),
+        np.float32(rng.choice([3.4028235e38, 80.0, 0.5])),
+    )
+    values = np.array(
+        [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 1e-45, 5.0, low, high, 3.4028235e38], np.float32
+    )
     beside = np.concatenate([np.nextafter(values[6:10], np.float32(to)) for to in (0, 1000)])
-    return rng.choice(np.concatenate([values, beside]), rng.integers(0, 40)).astype(np.float32), low, high
+    return (
+        rng.choice(np.concatenate([values, beside]), rng.integers(0, 40)).astype(np.float32),
+        low,
+        high,
+    )
 
 
 def columns_case(rng: Generator) -> tuple[Any, ...]:
     supported, covered, _, _ = image_case(rng)
     columns = rng.random(supported.shape[1]) < 0.5
     labels_of = np.array([0, 2, 3, 5, 6], dtype=np.uint8)
-    return window(rng, *supported.shape), supported, covered, columns, bool(rng.random() < 0.5), labels_of
+    return (
+        window(rng, *supported.shape),
+        supported,
+        covered,
+        columns,
+        bool(rng.random() < 0.5),
+        labels_of,
+    )
 
 
 def dilate_case(rng: Generator) -> tuple[Any, ...]:
@@ -214,7 +241,9 @@ def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
     for name, module in KERNELS.items():
         function = getattr(import_module(module), name)
         plain = getattr(function, "py_func", function)
-        assert [*inspect.signature(plain).parameters] == [*inspect.signature(twin(name)).parameters], name
+        assert [*inspect.signature(plain).parameters] == [
+            *inspect.signature(twin(name)).parameters
+        ], name
 
 
 def test_every_compiled_function_is_in_the_table() -> None:
@@ -222,7 +251,9 @@ def test_every_compiled_function_is_in_the_table() -> None:
         public = {
             name
             for name, value in vars(import_module(module)).items()
-            if callable(value) and getattr(value, "__module__", "") == module and not name.startswith("_")
+            if callable(value)
+            and getattr(value, "__module__", "") == module
+            and not name.startswith("_")
         }
         assert public == {name for name, where in KERNELS.items() if where == module}
 
@@ -263,7 +294,9 @@ print("numba" in sys.modules, file=sys.stderr)
 @pytest.mark.slow
 def test_the_reference_runs_through_the_same_composition_without_the_compiler() -> None:
     found, compiled = (
-        patience.run([sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True)
+        patience.run(
+            [sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True
+        )
         for how in ("reference", "compiled")
     )
     assert found.stdout == compiled.stdout
@@ -287,7 +320,11 @@ def test_an_engine_holds_in_its_context_and_in_its_thread() -> None:
 
 
 ROOT = Path(__file__).resolve().parents[2]
-TWINS = sorted(path for folder in ("prc_cli/reference", "tests/oracles") for path in (ROOT / folder).rglob("*.py"))
+TWINS = sorted(
+    path
+    for folder in ("prc_cli/reference", "tests/oracles")
+    for path in (ROOT / folder).rglob("*.py")
+)
 ALLOWED = ("prc_cli.core", "prc_cli.reference", "tests.oracles", "numpy", "scipy", "skimage")
 """Beside the standard library and thresholds. ``prc_cli.core`` imports no kernel either: import-linter sees to it."""
 
@@ -306,14 +343,20 @@ def imported(path: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             above = package[: len(package) + 1 - node.level] if node.level else ()
-            yield from (".".join([*above, *filter(None, [node.module]), alias.name]) for alias in node.names)
+            yield from (
+                ".".join([*above, *filter(None, [node.module]), alias.name]) for alias in node.names
+            )
 
 
 def is_allowed(name: str) -> bool:
-    within = name.startswith(THRESHOLDS) or any(name == one or name.startswith(one + ".") for one in ALLOWED)
+    within = name.startswith(THRESHOLDS) or any(
+        name == one or name.startswith(one + ".") for one in ALLOWED
+    )
     top = name.partition(".")[0]
     return (
-        within or name.startswith(THRESHOLDS) or (top in sys.stdlib_module_names and top not in ("importlib", "runpy"))
+        within
+        or name.startswith(THRESHOLDS)
+        or (top in sys.stdlib_module_names and top not in ("importlib", "runpy"))
     )
 
 
@@ -331,7 +374,11 @@ def test_the_twin_of_every_kernel_is_looked_at() -> None:
 def test_a_module_of_kernels_imports_no_other(module: str) -> None:
     """Two processes would compile the other at the same time, and its constants would go stale in the cache."""
     path = ROOT / f"{module.replace('.', '/')}.py"
-    assert not [name for name in imported(path) if name.startswith(tuple(f"{other}." for other in KERNELS.values()))]
+    assert not [
+        name
+        for name in imported(path)
+        if name.startswith(tuple(f"{other}." for other in KERNELS.values()))
+    ]
 
 
 @pytest.mark.parametrize(
@@ -345,7 +392,9 @@ def test_a_module_of_kernels_imports_no_other(module: str) -> None:
         ("import numba", "numba"),
     ],
 )
-def test_hidden_imports_are_seen(line: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_imports_are_seen(
+    line: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "prc_cli" / "reference" / "prc" / "one.py"
     path.parent.mkdir(parents=True)
     path.write_text(line)

@@ -21,7 +21,9 @@ def twin_module(name: str) -> ModuleType:
     with suppress(ConfigError):
         return import_module(reference_home(name))
     method, module = short_name(KERNELS[name]).split(".")
-    return import_module(f"tests.oracles.{module if find_spec(f'tests.oracles.{module}') else f'{method}_{module}'}")
+    return import_module(
+        f"tests.oracles.{module if find_spec(f'tests.oracles.{module}') else f'{method}_{module}'}"
+    )
 
 
 def twin(name: str) -> Any:

@@ -14,7 +14,17 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.matching import join as join_module
-from prc_cli.matching.join import CODE, KEY, SAME, Columns, Joined, JoinTally, UnsortedError, in_step, merge_join
+from prc_cli.matching.join import (
+    CODE,
+    KEY,
+    SAME,
+    Columns,
+    Joined,
+    JoinTally,
+    UnsortedError,
+    in_step,
+    merge_join,
+)
 from prc_cli.matching.keys import MutualKeys, NearestLabel
 from prc_cli.matching.pairs import pair_files
 
@@ -49,10 +59,15 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
             members, ats = [], []
             for side, value in ((left, key), (right, other)):
                 here = side[KEY] == value
-                ats.append(np.flatnonzero(here if number is None else here & (side[SAME] == number)))
+                ats.append(
+                    np.flatnonzero(here if number is None else here & (side[SAME] == number))
+                )
                 members.append(side["id"][ats[-1]])
             larger = max((0, 1), key=lambda side: len(members[side]))
-            clear = CODE in left and len({int((left, right)[larger][CODE][at]) for at in ats[larger]}) == 1
+            clear = (
+                CODE in left
+                and len({int((left, right)[larger][CODE][at]) for at in ats[larger]}) == 1
+            )
             if len(members[0]) == len(members[1]) or clear:
                 found |= set(zip(members[0].tolist(), members[1].tolist(), strict=False))
     return found
@@ -61,7 +76,12 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
 KEYS = st.lists(st.integers(0, 40).map(lambda k: k / 4), max_size=40)
 
 
-@given(left=KEYS, right=KEYS, tolerance=st.sampled_from([0.0, 0.25, 0.3, 1.0, 5.0]), seed=st.integers(0, 99))
+@given(
+    left=KEYS,
+    right=KEYS,
+    tolerance=st.sampled_from([0.0, 0.25, 0.3, 1.0, 5.0]),
+    seed=st.integers(0, 99),
+)
 def test_keys(left: list[float], right: list[float], tolerance: float, seed: int) -> None:
     one, other = keyed(left), keyed(right)
     tally = JoinTally()
@@ -76,7 +96,9 @@ def test_keys_return_numbers_and_classes(data: st.DataObject, n: int, m: int, se
     for k in (n, m):
         key = data.draw(st.lists(st.integers(0, 8).map(float), min_size=k, max_size=k))
         sides.append(keyed(key, data.draw(st.lists(st.integers(1, 3), min_size=k, max_size=k))))
-        sides[-1][CODE] = np.array(data.draw(st.lists(st.sampled_from([2, 2, 2, 6]), min_size=k, max_size=k)), int)
+        sides[-1][CODE] = np.array(
+            data.draw(st.lists(st.sampled_from([2, 2, 2, 6]), min_size=k, max_size=k)), int
+        )
     pairs = join_by_key(cut(sides[0], seed), cut(sides[1], seed + 1), 0.1, JoinTally())
     assert pairs_of(pairs) == by_hand(sides[0], sides[1], 0.1)
 
@@ -84,13 +106,20 @@ def test_keys_return_numbers_and_classes(data: st.DataObject, n: int, m: int, se
 def test_a_removed_record_does_not_take_its_neighbours_partner() -> None:
     key = np.arange(1000) * 1e-6
     kept = np.arange(1000) % 5 > 0
-    left, right = {KEY: key, "id": np.arange(1000)}, {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)}
+    left, right = (
+        {KEY: key, "id": np.arange(1000)},
+        {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)},
+    )
     found = pairs_of(join_by_key(cut(left, 0, 90), cut(right, 1, 90), 6e-7, JoinTally()))
     assert found == {(int(k), int(k)) for k in np.flatnonzero(kept)}
 
 
 def chunked(key: Any, same: Any, codes: Any, step: int) -> Any:
-    values = {KEY: np.asarray(key, float), SAME: np.asarray(same), CODE: np.asarray(codes, np.uint8)}
+    values = {
+        KEY: np.asarray(key, float),
+        SAME: np.asarray(same),
+        CODE: np.asarray(codes, np.uint8),
+    }
     order = np.argsort(values[KEY], kind="stable")
     values["record"] = np.arange(len(order))
     for first in range(0, len(order), step):
@@ -98,8 +127,12 @@ def chunked(key: Any, same: Any, codes: Any, step: int) -> Any:
         yield {name: column[part] for name, column in values.items()}
 
 
-def join(labels: Iterator[Columns], points: Iterator[Columns], tally: JoinTally, tolerance: float = 0.0) -> Any:
-    return merge_join(points, labels, NearestLabel(tolerance), tolerance, tally, ("points", "labels"), spare=1)
+def join(
+    labels: Iterator[Columns], points: Iterator[Columns], tally: JoinTally, tolerance: float = 0.0
+) -> Any:
+    return merge_join(
+        points, labels, NearestLabel(tolerance), tolerance, tally, ("points", "labels"), spare=1
+    )
 
 
 def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]:
@@ -108,7 +141,9 @@ def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]
     order = sorted(range(len(right[0])), key=lambda i: right[0][i])
     for i in range(len(right[0])):
         near = [
-            j for j in range(len(left[0])) if left[1][j] == right[1][i] and abs(left[0][j] - right[0][i]) <= tolerance
+            j
+            for j in range(len(left[0]))
+            if left[1][j] == right[1][i] and abs(left[0][j] - right[0][i]) <= tolerance
         ]
         if not near:
             found.append(-1)
@@ -131,16 +166,23 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
     tolerance = [0.0, 0.25, 1.0, 3.0][seed % 4]
     n = rng.integers(1, 60, 2)
     left, right = (
-        (rng.integers(0, 40, size) / 2.0 + (seed % 3 == 0) * rng.choice([0, 0.125], size), rng.integers(1, 3, size),
-         rng.integers(1, 5, size))
+        (
+            rng.integers(0, 40, size) / 2.0 + (seed % 3 == 0) * rng.choice([0, 0.125], size),
+            rng.integers(1, 3, size),
+            rng.integers(1, 5, size),
+        )
         for size in n
-    )  # fmt: skip
+    )
     expected, used = plain_join(left, right, tolerance)
     for steps in ((1, 1), (3, 7), (100, 100), (100, 1), (1, 100)):
         tally = JoinTally()
         found = np.full(n[1], -2)
-        for item in join(chunked(*left, steps[0]), chunked(right[0], right[1], np.zeros(n[1]), steps[1]), tally,
-                         tolerance=tolerance):  # fmt: skip
+        for item in join(
+            chunked(*left, steps[0]),
+            chunked(right[0], right[1], np.zeros(n[1]), steps[1]),
+            tally,
+            tolerance=tolerance,
+        ):
             record = item.left["record"]
             assert np.all(found[record] == -2)
             found[record] = -1
@@ -153,7 +195,13 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
 def test_distances_show_which_tolerance_would_help() -> None:
     one = np.ones(10, np.int64)
     tally = JoinTally()
-    found = list(join(chunked(np.arange(10.0), one, one, 4), chunked(np.arange(10.0) + 0.004, one, one, 3), tally))
+    found = list(
+        join(
+            chunked(np.arange(10.0), one, one, 4),
+            chunked(np.arange(10.0) + 0.004, one, one, 3),
+            tally,
+        )
+    )
     assert not any(len(item.at) for item in found)
     assert tally.near() == pytest.approx(0.01)
     assert JoinTally().near() is None
@@ -170,7 +218,9 @@ def test_an_unsorted_side_is_named() -> None:
 def test_too_many_records_of_one_key_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(join_module, "MAX_HELD", 1000)
     same = [{KEY: np.ones(100), "id": np.arange(100)}] * 20
-    with pytest.raises(InputError, match="left: more than 1000 records within the tolerance of key 1"):
+    with pytest.raises(
+        InputError, match="left: more than 1000 records within the tolerance of key 1"
+    ):
         list(join_by_key(iter(same), iter(same), 0.0, JoinTally()))
 
 
@@ -198,7 +248,9 @@ def test_memory_does_not_grow_with_the_streams() -> None:
 def test_distances_are_counted_by_decades_and_the_largest_of_a_pair_is_kept() -> None:
     tally = JoinTally()
     tally.add_distances(np.array([0.3, 5.0, 0.002, np.inf]), np.array([True, False, True, False]))
-    tally.add_distances(np.array([0.1, 1e-9, 1e6, 1.1e6, 0.01]), np.array([True, False, False, False, False]))
+    tally.add_distances(
+        np.array([0.1, 1e-9, 1e6, 1.1e6, 0.01]), np.array([True, False, False, False, False])
+    )
     assert tally.largest == 0.3
     found = {place - 9: n for place, n in enumerate(tally.distances.tolist()) if n}
     # a distance of just a power of ten belongs to it; far beyond, and without any right record, comes last
@@ -209,7 +261,13 @@ def test_how_near_most_of_the_records_without_partner_have_one() -> None:
     tally = JoinTally()
     assert tally.near() is None
     tally.add_distances(np.array([0.05, 0.5, 5.0, 50.0]), np.zeros(4, np.bool_))
-    assert [tally.near(share) for share in (0.25, 0.26, 0.5, 0.51, 1.0)] == [0.1, 1.0, 1.0, 10.0, 100.0]
+    assert [tally.near(share) for share in (0.25, 0.26, 0.5, 0.51, 1.0)] == [
+        0.1,
+        1.0,
+        1.0,
+        10.0,
+        100.0,
+    ]
     assert tally.near() == 1.0
     tally.add_distances(np.full(5, np.inf), np.zeros(5, np.bool_))
     assert tally.near() is None
@@ -218,7 +276,10 @@ def test_how_near_most_of_the_records_without_partner_have_one() -> None:
 def test_streams_walk_in_equal_steps_however_they_are_chunked() -> None:
     values = np.arange(100, dtype=np.int64)
     seen: list[list[int]] = []
-    streams = [({"a": part} for part in np.split(values, cuts)) for cuts in ([1, 1, 30, 31, 90], [7, 50, 50])]
+    streams = [
+        ({"a": part} for part in np.split(values, cuts))
+        for cuts in ([1, 1, 30, 31, 90], [7, 50, 50])
+    ]
     steps = list(in_step(streams, lambda n: seen.append(list(n))))
     for side in (0, 1):
         assert np.array_equal(np.concatenate([step[side]["a"] for step in steps]), values)
@@ -248,20 +309,29 @@ def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
     left = fill(tmp_path / "run", "b.1.npy", "a.npy", "a.npy.prc.json", ".c.npy", "notes.md")
     right = fill(tmp_path / "reference", "a.csv.gz", "b.1.LABEL", "README")
     (right / "more.npy").mkdir()
-    assert pair_files(left, right) == ((left / "a.npy", right / "a.csv.gz"), (left / "b.1.npy", right / "b.1.LABEL"))
+    assert pair_files(left, right) == (
+        (left / "a.npy", right / "a.csv.gz"),
+        (left / "b.1.npy", right / "b.1.LABEL"),
+    )
 
 
 @pytest.mark.parametrize(
     ("run", "reference", "message"),
     [
-        (("a.npy",), ("a.csv", "b.csv"), "reference: 1 file has no partner in .*run: b; give partners"),
+        (
+            ("a.npy",),
+            ("a.csv", "b.csv"),
+            "reference: 1 file has no partner in .*run: b; give partners",
+        ),
         (("a.npy", "b.npy"), ("a.csv",), "run: 1 file has no partner in .*reference: b"),
         (("a.npy", "a.csv"), ("a.las",), "run: a.csv and a.npy have one name"),
         ((), ("a.las",), "run: no files with class codes in it"),
         (("a.txt.md",), ("a.las",), "run: no files with class codes in it"),
     ],
 )
-def test_folders_that_do_not_fit(tmp_path: Path, run: tuple[str], reference: tuple[str], message: str) -> None:
+def test_folders_that_do_not_fit(
+    tmp_path: Path, run: tuple[str], reference: tuple[str], message: str
+) -> None:
     left, right = fill(tmp_path / "run", *run), fill(tmp_path / "reference", *reference)
     with pytest.raises(InputError, match=message):
         pair_files(left, right)
@@ -269,7 +339,9 @@ def test_folders_that_do_not_fit(tmp_path: Path, run: tuple[str], reference: tup
 
 def test_a_file_against_a_folder(tmp_path: Path) -> None:
     folder = fill(tmp_path / "run", "a.npy")
-    with pytest.raises(InputError, match="a.npy: a file against the folder .*run; give two files or two folders"):
+    with pytest.raises(
+        InputError, match="a.npy: a file against the folder .*run; give two files or two folders"
+    ):
         pair_files(folder, folder / "a.npy")
     with pytest.raises(InputError, match="nowhere: no such folder"):
         pair_files(tmp_path / "nowhere", folder)
@@ -287,7 +359,11 @@ def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:
 
 def pairs_of(joined: Iterator[Joined]) -> set[tuple[int, int]]:
     pairs = (item.pairs() for item in joined if len(item.at))
-    found = [(int(a), int(b)) for one, other in pairs for a, b in zip(one["id"], other["id"], strict=True)]
+    found = [
+        (int(a), int(b))
+        for one, other in pairs
+        for a, b in zip(one["id"], other["id"], strict=True)
+    ]
     assert len(found) == len(set(found))
     return set(found)
 

@@ -30,7 +30,9 @@ def points(n: int, seed: int, span: float = 60.0) -> F64:
     return random.uniform(-span, span, (n, 3)) * [1, 1, 0.01] + [6.7e5, 6.2e6, 40.0]
 
 
-@pytest.mark.parametrize(("tolerance", "n", "most"), [(0.5, 900, 50), (3.0, 300, 7), (3.0, 20, 1000), (0.5, 0, 50)])
+@pytest.mark.parametrize(
+    ("tolerance", "n", "most"), [(0.5, 900, 50), (3.0, 300, 7), (3.0, 20, 1000), (0.5, 0, 50)]
+)
 def test_every_point_comes_once_with_its_nearest_one(
     monkeypatch: pytest.MonkeyPatch, tolerance: float, n: int, most: int
 ) -> None:
@@ -52,7 +54,10 @@ def test_a_cell_of_too_many_points_is_cut() -> None:
     left = points(5000, 3, 2.0)
     boxes = tiles_of(cloud(left), cloud(left), 500)
     assert len(boxes) > 20
-    inside = [(left[:, 0] >= a) & (left[:, 0] < c) & (left[:, 1] >= b) & (left[:, 1] < d) for a, b, c, d in boxes]
+    inside = [
+        (left[:, 0] >= a) & (left[:, 0] < c) & (left[:, 1] >= b) & (left[:, 1] < d)
+        for a, b, c, d in boxes
+    ]
     assert np.array_equal(np.sum(inside, axis=0), np.ones(len(left)))
 
 
@@ -66,13 +71,20 @@ def test_of_points_as_near_the_one_of_the_nearest_time_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "thinned", "low", "high"), [(0.0, 1, 0.002, 0.3), (0.02, 1, 0.05, 0.3), (0.0, 9, 0.4, 1)]
+    ("error", "thinned", "low", "high"),
+    [(0.0, 1, 0.002, 0.3), (0.02, 1, 0.05, 0.3), (0.0, 9, 0.4, 1)],
 )
-def test_the_tolerance_follows_error_and_spacing(error: float, thinned: int, low: float, high: float) -> None:
+def test_the_tolerance_follows_error_and_spacing(
+    error: float, thinned: int, low: float, high: float
+) -> None:
     random = np.random.default_rng(0)
-    flat = np.stack([*(axis.ravel() * 0.1 for axis in np.mgrid[0:300, 0:300]), np.zeros(90_000)], axis=1)
+    flat = np.stack(
+        [*(axis.ravel() * 0.1 for axis in np.mgrid[0:300, 0:300]), np.zeros(90_000)], axis=1
+    )
     kept = flat[random.random(len(flat)) < 1 / thinned]
-    fit = fit_of(cloud(flat, step=10_000), cloud(kept + random.normal(0, error, kept.shape), step=10_000))
+    fit = fit_of(
+        cloud(flat, step=10_000), cloud(kept + random.normal(0, error, kept.shape), step=10_000)
+    )
     assert fit is not None
     assert low <= fit.tolerance_m <= high
     assert fit_of(cloud(flat[:50]), cloud(flat[:50] + 1000.0)) is None
@@ -83,7 +95,10 @@ def street(seed: int) -> F64:
     random = np.random.default_rng(seed)
     ground = random.uniform(0, 1, (60_000, 3)) * [80, 20, 0.01]
     fronts = random.uniform(0, 1, (30_000, 3)) * [80, 0.01, 6] + np.array([0, 20, 0])
-    sides = [random.uniform(0, 1, (3_000, 3)) * [0.01, 6, 5] + np.array([x, 14, 0]) for x in (9, 27, 44, 52, 70)]
+    sides = [
+        random.uniform(0, 1, (3_000, 3)) * [0.01, 6, 5] + np.array([x, 14, 0])
+        for x in (9, 27, 44, 52, 70)
+    ]
     bushes = [random.normal(0, 0.5, (2_000, 3)) + np.array([x, 3, 1]) for x in (12, 33, 61)]
     return np.concatenate([ground, fronts, *sides, *bushes])
 
@@ -92,12 +107,16 @@ def registered(xyz: F64, seed: int) -> F64:
     """The points with the error of a trajectory, 2 cm an axis, another one every 8 m."""
     random = np.random.default_rng(seed)
     error = random.normal(0, 0.02, (11, 3))
-    return xyz + np.stack([np.interp(xyz[:, 0], np.arange(11) * 8.0, one) for one in error.T], axis=1)
+    return xyz + np.stack(
+        [np.interp(xyz[:, 0], np.arange(11) * 8.0, one) for one in error.T], axis=1
+    )
 
 
 def quarters(xyz: F64) -> Cloud:
     parts = np.array_split(xyz, 4)
-    return Cloud(iter([dict(zip("xyz", part.T.copy(), strict=True)) for part in parts]), io.BytesIO())  # type: ignore[arg-type]
+    return Cloud(
+        iter([dict(zip("xyz", part.T.copy(), strict=True)) for part in parts]), io.BytesIO()
+    )  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -106,7 +125,8 @@ def test_no_shift_is_named_where_there_is_none(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "shift", [(0.0, 0.12, 0.0), (0.0, 0.0, -0.1), (0.2, 0.3, 0.1), (1.0, 0.0, 0.0), (3.0, -2.0, 0.5)]
+    "shift",
+    [(0.0, 0.12, 0.0), (0.0, 0.0, -0.1), (0.2, 0.3, 0.1), (1.0, 0.0, 0.0), (3.0, -2.0, 0.5)],
 )
 def test_a_shift_is_measured(shift: tuple[float, ...]) -> None:
     found = shift_of(quarters(street(1)), quarters(registered(street(2), 5) + shift))
@@ -115,7 +135,9 @@ def test_a_shift_is_measured(shift: tuple[float, ...]) -> None:
 
 
 def test_what_no_plane_faces_is_not_named() -> None:
-    one, other = (np.random.default_rng(seed).uniform(0, 1, (40_000, 3)) * [80, 20, 0.01] for seed in (0, 1))
+    one, other = (
+        np.random.default_rng(seed).uniform(0, 1, (40_000, 3)) * [80, 20, 0.01] for seed in (0, 1)
+    )
     found = shift_of(quarters(one), quarters(other + np.array([0.3, 0.3, 0.2])))
     assert found is not None
     np.testing.assert_allclose(found, (0, 0, 0.2), atol=0.01)
@@ -125,7 +147,9 @@ def test_what_no_plane_faces_is_not_named() -> None:
 def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance: float) -> None:
     far = np.array([[0.0, 0.0, 0.0], [9e8, 9e8, 0.0]])
     tally = JoinTally()
-    pairs = [item.to.tolist() for item in nearest_join(cloud(far), cloud(far[::-1]), tolerance, tally)]
+    pairs = [
+        item.to.tolist() for item in nearest_join(cloud(far), cloud(far[::-1]), tolerance, tally)
+    ]
     assert tally.n_pairs == 2
     assert sum(map(len, pairs)) == 2
 

@@ -26,7 +26,9 @@ def street() -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([block.range_m for block in scan.blocks()]), scan.scanner.angle_rad()
 
 
-def roofed(street: tuple[np.ndarray, np.ndarray], height_m: float, lines: slice = slice(None)) -> np.ndarray:
+def roofed(
+    street: tuple[np.ndarray, np.ndarray], height_m: float, lines: slice = slice(None)
+) -> np.ndarray:
     """The street with a level roof so far above the scanner, over some of its lines."""
     ranges, beam = street[0].copy(), street[1]
     up = np.cos(beam) < -0.2
@@ -43,7 +45,9 @@ def curbs(ranges: np.ndarray, beam: np.ndarray) -> np.ndarray:
     return (labels == Label.CURB).sum(axis=1)
 
 
-def test_a_street_has_curbs_under_a_bridge_and_none_under_a_ceiling(street: tuple[np.ndarray, np.ndarray]) -> None:
+def test_a_street_has_curbs_under_a_bridge_and_none_under_a_ceiling(
+    street: tuple[np.ndarray, np.ndarray],
+) -> None:
     open_air = curbs(*street)
     assert open_air.sum() > 500
     # 2.6 m of the scanner and 2.4 m to the bridge
@@ -57,25 +61,33 @@ def test_a_low_roof_over_a_few_lines_is_no_building(street: tuple[np.ndarray, np
     assert low.sum() > 0.8 * curbs(*street).sum()
 
 
-def test_an_alley_between_high_houses_keeps_its_curbs(street: tuple[np.ndarray, np.ndarray]) -> None:
+def test_an_alley_between_high_houses_keeps_its_curbs(
+    street: tuple[np.ndarray, np.ndarray],
+) -> None:
     ranges, beam = street[0].copy(), street[1]
     # walls of 40 m beside the road, the sky above
     with np.errstate(divide="ignore"):
         wall = np.float32(6.5) / np.abs(np.sin(beam)).astype(np.float32)
     is_wall = (np.cos(beam) < 0.3) & (-wall * np.cos(beam) < 40.0)
-    ranges[:, is_wall] = np.where(ranges[:, is_wall] < wall[is_wall], ranges[:, is_wall], wall[is_wall])
+    ranges[:, is_wall] = np.where(
+        ranges[:, is_wall] < wall[is_wall], ranges[:, is_wall], wall[is_wall]
+    )
     found = curbs(ranges, beam)
     assert found.sum() > 0.5 * curbs(*street).sum()
 
 
 @pytest.mark.data
-def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(real_data: Path, tmp_path: Path) -> None:
+def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(
+    real_data: Path, tmp_path: Path
+) -> None:
     """The scanner's angle 0 points up, and its dead angle down: 1.2 m to the floor, 3.8 m to the ceiling."""
     bag, labels = str(real_data / "cartographer" / "b0_short.bag"), str(tmp_path / "labels.npy")
     words = ["classify", bag, labels, "--topic", "vertical_laser_2d", "--overwrite"]
     told = runner().invoke(cli, words)
     assert told.exit_code == 4
-    assert "at -1 deg of the scan angle or at 179 (one the floor, the other a ceiling)" in told.stderr
+    assert (
+        "at -1 deg of the scan angle or at 179 (one the floor, the other a ceiling)" in told.stderr
+    )
     assert "--set input.nadir=-1 or --set input.nadir=179" in told.stderr
     for nadir, n_ground in ((179, 40_000), (-1, 100_000)):
         told = runner().invoke(cli, [*words, "--set", f"input.nadir={nadir}"])

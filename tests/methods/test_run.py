@@ -57,7 +57,9 @@ class Parity(Classifier[int, Seen]):
         """Return the state before the first line."""
         return Seen(0, 0.0)
 
-    def label(self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+    def label(
+        self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted
+    ) -> Sequence[LabelledBlock]:
         """Label a block."""
         first = turn.hand_on(N_LINES, lambda n: (n, n + block.n_lines))
         sums = block.range_m.sum(axis=1, dtype=np.float64)
@@ -98,7 +100,9 @@ def test_blocks_one_by_one_give_the_same() -> None:
     for block in blocks(1):
         (item,) = method.label(block, 3, turn, Wanted())
         found += item.labels.tolist()
-    lines = [line for item in run_blocks(blocks(1), method, threads=3) for line in item.labels.tolist()]
+    lines = [
+        line for item in run_blocks(blocks(1), method, threads=3) for line in item.labels.tolist()
+    ]
     assert found == lines
     assert turn.state.n_lines == 60
 
@@ -119,7 +123,9 @@ def test_the_table_holds_what_it_names() -> None:
             assert any(home == kernels or home.startswith(f"{kernels}.") for home in homes)
 
 
-def label_one(image: F32, labels: U8, cell: tuple[int, int], range_m: float, zeta_p: float, zeta_s: float) -> int:
+def label_one(
+    image: F32, labels: U8, cell: tuple[int, int], range_m: float, zeta_p: float, zeta_s: float
+) -> int:
     """What the rule says, one return and one cell at a time."""
     line, column = cell
     candidates = []
@@ -147,13 +153,21 @@ def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
             image, labels, line.astype(np.int32), column.astype(np.int32), ranges, zeta_p, zeta_s
         )
         expected = [
-            label_one(image, labels, (y, x), r, zeta_p, zeta_s) for y, x, r in zip(line, column, ranges, strict=True)
+            label_one(image, labels, (y, x), r, zeta_p, zeta_s)
+            for y, x, r in zip(line, column, ranges, strict=True)
         ]
         assert found.dtype == np.uint8
         np.testing.assert_array_equal(found, expected)
 
 
-SELDOM = {Reason.FAR_BELOW, Reason.ABOVE_TOP, Reason.BEYOND_REACH, Reason.UNDECIDED, Reason.PROFILE, Reason.CURB_REGION}
+SELDOM = {
+    Reason.FAR_BELOW,
+    Reason.ABOVE_TOP,
+    Reason.BEYOND_REACH,
+    Reason.UNDECIDED,
+    Reason.PROFILE,
+    Reason.CURB_REGION,
+}
 """Rules that the scans below need not have."""
 
 
@@ -167,7 +181,11 @@ def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
                 attrgetter(name)(config)
             else:
                 assert any(hasattr(each, name.partition(".")[0]) for each in constants), name
-                [attrgetter(name)(each) for each in constants if hasattr(each, name.partition(".")[0])]
+                [
+                    attrgetter(name)(each)
+                    for each in constants
+                    if hasattr(each, name.partition(".")[0])
+                ]
     numbers = [number for number, *_ in reason_table()]
     assert numbers == [*sorted(RULES), 224, 240]
 
@@ -180,7 +198,9 @@ SCANS: list[tuple[Kind, dict[str, object], tuple[str, ...]]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "options", "presets"), SCANS)
-def test_reasons_are_those_of_the_labels(kind: Kind, options: dict[str, object], presets: tuple[str, ...]) -> None:
+def test_reasons_are_those_of_the_labels(
+    kind: Kind, options: dict[str, object], presets: tuple[str, ...]
+) -> None:
     """Over a million shots in streets; and who asks for reasons gets the same labels."""
     scan = open_simulation(kind, load_settings(kind, options=options)).scan
     block = join([item.block for item in scan.labelled_blocks()])
@@ -188,7 +208,10 @@ def test_reasons_are_those_of_the_labels(kind: Kind, options: dict[str, object],
     block = replace(block, beam_rad=block.angle_rad)
     for preset in presets:
         params = load_config(preset=preset).config.classifier
-        found = [list(label_blocks(iter([block]), params, wanted=Wanted(reasons=on))) for on in (True, False)]
+        found = [
+            list(label_blocks(iter([block]), params, wanted=Wanted(reasons=on)))
+            for on in (True, False)
+        ]
         labels, plain = (np.concatenate([item.labels for item in items]) for items in found)
         np.testing.assert_array_equal(labels, plain)
         assert all(item.reasons is None for item in found[1]) or preset == "fused-forest"
@@ -197,21 +220,39 @@ def test_reasons_are_those_of_the_labels(kind: Kind, options: dict[str, object],
         seen = set(np.unique(reasons).tolist())
         assert seen <= {*(int(one) for one in Reason), *(240 + label for label in range(16))}
         if preset.startswith("fused"):
-            names = [one for one in Reason if (one in _FOREST) == (kind == "forest") and one in _FUSED]
+            names = [
+                one for one in Reason if (one in _FOREST) == (kind == "forest") and one in _FUSED
+            ]
             missing = {one for one in names if int(one) not in seen} - SELDOM
             assert not missing
 
 
 _FOREST = {
-    Reason.FAR_BELOW, Reason.ALONE, Reason.SOIL, Reason.FLAT, Reason.ON_STEM, Reason.BESIDE_STEM, Reason.ABOVE_TOP,
+    Reason.FAR_BELOW,
+    Reason.ALONE,
+    Reason.SOIL,
+    Reason.FLAT,
+    Reason.ON_STEM,
+    Reason.BESIDE_STEM,
+    Reason.ABOVE_TOP,
     Reason.PLANT,
-}  # fmt: skip
+}
 _RINGS = {
-    Reason.FLAKE, Reason.SURFACE, Reason.THIN_SMOOTH, Reason.ROUGH_PLACE, Reason.LOW_PLANT, Reason.CAR_BOX,
-    Reason.LARGE_BOX, Reason.THIN_PLACE,
-}  # fmt: skip
+    Reason.FLAKE,
+    Reason.SURFACE,
+    Reason.THIN_SMOOTH,
+    Reason.ROUGH_PLACE,
+    Reason.LOW_PLANT,
+    Reason.CAR_BOX,
+    Reason.LARGE_BOX,
+    Reason.THIN_PLACE,
+}
 _FUSED = (
-    {one for one in list(Reason)[list(Reason).index(Reason.LONELY) :] if "prc." not in str(RULES[one].limits)}
+    {
+        one
+        for one in list(Reason)[list(Reason).index(Reason.LONELY) :]
+        if "prc." not in str(RULES[one].limits)
+    }
     - {one for one in Reason if "sequential_angle" in str(RULES[one].limits)}
     - _RINGS
 )

@@ -9,7 +9,13 @@ from prc_cli.reference.prc.stages import is_intersection, support_mask
 
 
 def support_histogram(
-    window: F32, n_lines: int, n_columns: int, zetas_p: F64, zetas_s: F64, min_in_slice: int, min_adjacent: int
+    window: F32,
+    n_lines: int,
+    n_columns: int,
+    zetas_p: F64,
+    zetas_s: F64,
+    min_in_slice: int,
+    min_adjacent: int,
 ) -> I64:
     """Run the support test at every pair of thresholds and take differences of the counts."""
     reach = max(n_columns + 1, 4)
@@ -34,6 +40,9 @@ def bend_histogram(window: F32, n_lines: int, n_columns: int, lengths: F64, alph
     for i in range(reach, reach + n_lines * n_columns):
         before, here, after = (float(window[j]) for j in (i - 1, i, i + 1))
         if not np.isnan(before + here + after):
-            marked = [is_intersection(before, here, after, "centred", alpha, d_c) for d_c in lengths.tolist()]
+            marked = [
+                is_intersection(before, here, after, "centred", alpha, d_c)
+                for d_c in lengths.tolist()
+            ]
             counts[sum(marked)] += 1
     return counts

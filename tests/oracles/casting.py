@@ -22,7 +22,13 @@ INF = np.inf
 
 
 def cast_shots(
-    origin: F64, direction: F64, time_s: F64, t_min: F64, first_shot: int, bodies: CastBodies, quantiles: F64
+    origin: F64,
+    direction: F64,
+    time_s: F64,
+    t_min: F64,
+    first_shot: int,
+    bodies: CastBodies,
+    quantiles: F64,
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; see :func:`prc_cli.simulation.casting_loops.cast_shots`."""
     shape, numbers, turn, density, velocity, number = bodies
@@ -30,9 +36,17 @@ def cast_shots(
     body = np.full(time_s.shape, -1, dtype=np.int32)
     facing = np.zeros(time_s.shape)
     begin = np.where(t_min < 1e9, np.maximum(t_min, 0.0), INF)
-    shot = np.arange(first_shot, first_shot + time_s.size, dtype=np.int64).reshape(time_s.shape).astype(np.uint64)
+    shot = (
+        np.arange(first_shot, first_shot + time_s.size, dtype=np.int64)
+        .reshape(time_s.shape)
+        .astype(np.uint64)
+    )
     for b in range(len(shape)):
-        place = [origin[:, :, 0] - velocity[b, 0] * time_s, origin[:, :, 1] - velocity[b, 1] * time_s, origin[:, :, 2]]
+        place = [
+            origin[:, :, 0] - velocity[b, 0] * time_s,
+            origin[:, :, 1] - velocity[b, 1] * time_s,
+            origin[:, :, 2],
+        ]
         rays = Rays(place, [direction[:, :, k] for k in range(3)], begin, shot)
         with np.errstate(all="ignore"):
             if shape[b] == 0:
@@ -65,7 +79,12 @@ class Rays:
         c, s = turn
         x, y, z = (o - m for o, m in zip(self.o, centre, strict=True))
         dx, dy, dz = self.d
-        return Rays([c * x + s * y, c * y - s * x, z], [c * dx + s * dy, c * dy - s * dx, dz], self.begin, self.shot)
+        return Rays(
+            [c * x + s * y, c * y - s * x, z],
+            [c * dx + s * dy, c * dy - s * dx, dz],
+            self.begin,
+            self.shot,
+        )
 
 
 def dot(a: list[F64], b: list[F64]) -> F64:
@@ -129,15 +148,22 @@ def cone(rays: Rays, numbers: F64) -> Surfaces:
     b = dot(m, rays.d) - along * rise - growth * radius
     c = dot(m, m) - along * along - radius * radius
     ranges = roots(a, b, c)
-    cosines = [np.abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + widening * widening)) for t in ranges]
+    cosines = [
+        np.abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + widening * widening))
+        for t in ranges
+    ]
     places = [along + t * rise for t in ranges]
-    low, high = (np.where((p >= 0.0) & (p <= height), t, INF) for t, p in zip(ranges, places, strict=True))
+    low, high = (
+        np.where((p >= 0.0) & (p <= height), t, INF) for t, p in zip(ranges, places, strict=True)
+    )
     return low, high, cosines[0], cosines[1]
 
 
 def ellipsoid(rays: Rays, half: F64) -> Surfaces:
     """Intersect shots with an ellipsoid around the origin."""
-    o, d = ([v * (1.0 / h) for v, h in zip(vector, half, strict=True)] for vector in (rays.o, rays.d))
+    o, d = (
+        [v * (1.0 / h) for v, h in zip(vector, half, strict=True)] for vector in (rays.o, rays.d)
+    )
     a, b, c = dot(d, d), dot(o, d), dot(o, o) - 1.0
     low, high = roots(a, b, c)
 
@@ -179,13 +205,19 @@ def uniform(x: U64) -> F64:
     return numbers
 
 
-def leaves(rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles: F64) -> tuple[F64, F64]:
+def leaves(
+    rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles: F64
+) -> tuple[F64, F64]:
     """Send shots through clumps of leaves, all at once from cell to cell: range and cosine of incidence."""
     add: Callable[[int], U64] = lambda k: np.array([k], dtype=np.uint64)  # noqa: E731
     body = mix(np.array([number]).astype(np.uint64) + add(0x9E3779B97F4A7C15))
-    again = np.floor(np.where(rays.begin < 1e9, rays.begin, 0.0) * 1024.0).astype(np.uint64) * add(0x8CB92BA72F3D8DD7)
+    again = np.floor(np.where(rays.begin < 1e9, rays.begin, 0.0) * 1024.0).astype(np.uint64) * add(
+        0x8CB92BA72F3D8DD7
+    )
     key = mix(body ^ mix(rays.shot + add(0xD1B54A32D192ED03))) ^ again
-    left = quantiles[(mix(key + add(0xABC98388FB8FAC03)) >> np.uint64(11)).astype(np.int64) % len(quantiles)]
+    left = quantiles[
+        (mix(key + add(0xABC98388FB8FAC03)) >> np.uint64(11)).astype(np.int64) % len(quantiles)
+    ]
     enter, leave = surfaces[:2]
     now = np.maximum(enter, rays.begin)
     t = np.full(now.shape, INF)
@@ -200,7 +232,9 @@ def leaves(rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles
         )
         then = np.minimum(ends.min(axis=0), leave)
         x, y, z = (np.where(alive, k, 0.0).astype(np.int64).astype(np.uint64) for k in cell)
-        mark = x * add(0xD6E8FEB86659FD93) + y * add(0xA0761D6478BD642F) + z * add(0xE7037ED1A0B428DB)
+        mark = (
+            x * add(0xD6E8FEB86659FD93) + y * add(0xA0761D6478BD642F) + z * add(0xE7037ED1A0B428DB)
+        )
         u = uniform(body ^ mark)
         thickness = rate * (4.0 * u * u * u)
         gain = thickness * np.maximum(then - now, 0.0)
@@ -211,7 +245,8 @@ def leaves(rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles
         now = np.maximum(now, then)
         side = np.argmax(ends == then, axis=0)
         cell = [
-            np.where(alive & (side == k), cell[k] + np.where(rays.d[k] > 0.0, 1.0, -1.0), cell[k]) for k in range(3)
+            np.where(alive & (side == k), cell[k] + np.where(rays.d[k] > 0.0, 1.0, -1.0), cell[k])
+            for k in range(3)
         ]
     return t, np.sqrt(uniform(key + add(0x2545F4914F6CDD1D)))
 
@@ -227,7 +262,10 @@ def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
         start, end = position[line, k], position[line, k + 1]
         origin[line, column] = start + (end - start) * share
         first, last = (
-            [sum([float(a) * float(b) for a, b in zip(row, columns[column], strict=True)]) for row in turn[line, knot]]
+            [
+                sum([float(a) * float(b) for a, b in zip(row, columns[column], strict=True)])
+                for row in turn[line, knot]
+            ]
             for knot in (k, k + 1)
         )
         way = np.array(first) + (np.array(last) - np.array(first)) * share

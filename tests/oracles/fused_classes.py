@@ -111,7 +111,9 @@ class _Shot:
             return False
         away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
         beyond = abs(self.side) - away
-        far = (rough and beyond > self.thresholds.ghost_m) or (self.smooth == 0 and beyond > self.thresholds.behind_m)
+        far = (rough and beyond > self.thresholds.ghost_m) or (
+            self.smooth == 0 and beyond > self.thresholds.behind_m
+        )
         return bool(far and away != 0 and self.height * away <= top * abs(self.side))
 
     def is_lost_in_car(self) -> bool:
@@ -122,7 +124,10 @@ class _Shot:
         if self.strip is None:
             return False
         at = self.walls[0][self.line, self.strip]
-        if self.walls[1][self.line, self.strip] - self.height + self.above < self.thresholds.storey_m:
+        if (
+            self.walls[1][self.line, self.strip] - self.height + self.above
+            < self.thresholds.storey_m
+        ):
             return False
         return bool(at != 0 and -self.thresholds.front_m <= abs(self.side) - abs(at) <= most_m)
 
@@ -140,7 +145,9 @@ class _Shot:
         place = lines, slice(max(self.i - columns, 0), self.i + columns + 1)
         counts = self.counts[0][place] >= self.thresholds.least_near
         pairs = int(np.minimum(self.counts[1][place], 8)[counts].sum())
-        return bool(np.float32(pairs) > self.thresholds.spike_share * np.float32(8 * int(counts.sum())))
+        return bool(
+            np.float32(pairs) > self.thresholds.spike_share * np.float32(8 * int(counts.sum()))
+        )
 
     def is_reflection(self) -> bool:
         is_pit = self.upright > 0 and self.near >= self.thresholds.pit_near
@@ -152,7 +159,9 @@ class _Shot:
             return Reason.WALKED
         if off < self.thresholds.level_m and self.level > self.upright:
             return Reason.LEVEL_LOW
-        return Reason.LOW if off < self.thresholds.soil_m and self.upright <= self.level + 1 else None
+        return (
+            Reason.LOW if off < self.thresholds.soil_m and self.upright <= self.level + 1 else None
+        )
 
     def leaf_share(self) -> np.float32:
         ahead = np.float32(0) if self.strip is None else self.walls[2][self.line, self.strip]
@@ -170,10 +179,14 @@ class _Shot:
         is_lorry = int((around // 16).sum()) >= min(limits.car_bins, limits.car_bins_rough)
         top = int((limits.lorry_top_m if is_lorry else limits.car_top_m) / SLOT)
         filled = self.filled(0)
-        closed = [filled[k] or (k > 0 and filled[k - 1]) or (k > 1 and filled[k - 2]) for k in range(64)]
+        closed = [
+            filled[k] or (k > 0 and filled[k - 1]) or (k > 1 and filled[k - 2]) for k in range(64)
+        ]
         if all(closed[self.slot : top]):
             return False
-        return bool(int((around % 16).sum()) >= (limits.car_bins_rough if rough else limits.car_bins))
+        return bool(
+            int((around % 16).sum()) >= (limits.car_bins_rough if rough else limits.car_bins)
+        )
 
     @property
     def kind(self) -> int:
@@ -189,7 +202,9 @@ class _Shot:
             return False
         if self.is_in_wall() or (is_car and self.kind != THIN):
             return False
-        return bool(self.above > self.thresholds.foot_m and self.texture >= self.thresholds.leaf_share)
+        return bool(
+            self.above > self.thresholds.foot_m and self.texture >= self.thresholds.leaf_share
+        )
 
     def is_thick(self) -> bool:
         limits, column, middle = self.thresholds, self.window[:, self.i], self.line + MARGIN
@@ -215,7 +230,9 @@ class _Shot:
                 run.append(j)
                 j += way
         deep, tall = (np.ptp(points[self.line + 2, run]) for points in self.points[:2])
-        return bool(limits.thick_m <= deep < np.float32(0.5) * tall and tall < np.float32(2) * limits.pole_m)
+        return bool(
+            limits.thick_m <= deep < np.float32(0.5) * tall and tall < np.float32(2) * limits.pole_m
+        )
 
     def has_crown(self) -> bool:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
@@ -283,13 +300,29 @@ def fused_labels(
     for line, i in zip(*np.nonzero(~np.isnan(window_m[MARGIN:-MARGIN])), strict=True):
         is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
         shot = _Shot(
-            window_m, points, counts, is_walked, soft, slots, walls, levels, alone, step, thresholds, int(line), int(i)
+            window_m,
+            points,
+            counts,
+            is_walked,
+            soft,
+            slots,
+            walls,
+            levels,
+            alone,
+            step,
+            thresholds,
+            int(line),
+            int(i),
         )
         labels[line, i] = shot.rule()
     for line, row in enumerate(labels):
         ranges = window_m[line : line + 2 * MARGIN + 1]
         own = _Line(
-            ranges, *(image[line + 2] for image in points), *(seen[line + 2] for seen in counts), row, thresholds
+            ranges,
+            *(image[line + 2] for image in points),
+            *(seen[line + 2] for seen in counts),
+            row,
+            thresholds,
         )
         own.label_boxes()
     return labels
@@ -319,7 +352,9 @@ class _Line:
 
     def is_top(self, i: int) -> bool:
         is_low = self.limits.foot_m < self.above[i] < self.limits.box_m
-        return bool(self.is_thing(i) and is_low and self.level[i] > self.upright[i] and self.smooth[i] >= 3)
+        return bool(
+            self.is_thing(i) and is_low and self.level[i] > self.upright[i] and self.smooth[i] >= 3
+        )
 
     def end(self, i: int, way: int) -> tuple[int, int]:
         """Return the last shot of a box to one side, and the next shot; -1 = none close by."""
@@ -327,7 +362,10 @@ class _Line:
         while 0 <= j < len(self.labels) and gap <= 3:
             if self.labels[j] % 16 in (MISSING, NOISE) or self.near[j] < self.limits.least_near:
                 gap += 1
-            elif self.labels[j] % 16 == GROUND or not abs(self.ranges[j] - self.ranges[last]) < self.limits.jump_m:
+            elif (
+                self.labels[j] % 16 == GROUND
+                or not abs(self.ranges[j] - self.ranges[last]) < self.limits.jump_m
+            ):
                 return last, j
             elif self.above[j] >= self.limits.box_m:
                 return last, last
@@ -350,7 +388,10 @@ class _Line:
 
     def is_small(self, i: int, shots: I64) -> bool:
         limits, away = self.limits, np.abs(self.side[shots])
-        if len(shots) < limits.pole_shots or not limits.box_flat_m <= np.ptp(away) <= limits.box_deep_m:
+        if (
+            len(shots) < limits.pole_shots
+            or not limits.box_flat_m <= np.ptp(away) <= limits.box_deep_m
+        ):
             return False
         on_top = self.above[shots] > self.above[shots].max() - np.float32(0.12)
         if np.ptp(away[on_top]) < limits.box_flat_m:
@@ -375,7 +416,11 @@ class _Line:
             (foot, below), (top, beyond) = ends
             if beyond >= 0 and self.ranges[beyond] <= self.ranges[top] + self.limits.far_m:
                 continue
-            if below >= 0 and self.labels[below] % 16 != GROUND and self.ranges[below] < self.ranges[foot]:
+            if (
+                below >= 0
+                and self.labels[below] % 16 != GROUND
+                and self.ranges[below] < self.ranges[foot]
+            ):
                 continue
             shots = np.array([j for j in range(first, last + 1) if self.is_thing(j)])
             if self.is_small(i, shots):

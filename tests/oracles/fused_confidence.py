@@ -33,20 +33,39 @@ def confidence_cells(
         r, y = range_m[line, i], range_m[line, i] * beams[0][i]
         rough, top, filled, behind, ahead = _place(y, line, slots, walls)
         values = [
-            _agreement(labels, range_m, line, i, step, groups), smooth[line, i], texture[line, i],
-            near[line, i], upright[line, i], level[line, i], abs(above_m[line, i]), beams[1][i], r, rough, top, filled,
-            ahead, behind, _jump(range_m[line], i),
-        ]  # fmt: skip
-        digits = [sum(bool(values[row] >= limit) for limit in limits[row]) for row in questions[labels[line, i]]]
+            _agreement(labels, range_m, line, i, step, groups),
+            smooth[line, i],
+            texture[line, i],
+            near[line, i],
+            upright[line, i],
+            level[line, i],
+            abs(above_m[line, i]),
+            beams[1][i],
+            r,
+            rough,
+            top,
+            filled,
+            ahead,
+            behind,
+            _jump(range_m[line], i),
+        ]
+        digits = [
+            sum(bool(values[row] >= limit) for limit in limits[row])
+            for row in questions[labels[line, i]]
+        ]
         cells[line, i] = sum(d * (limits.shape[1] + 1) ** k for k, d in enumerate(reversed(digits)))
     return cells
 
 
-def _agreement(labels: U8, range_m: F32, line: int, i: int, step: np.float32, groups: I64) -> np.float32:
+def _agreement(
+    labels: U8, range_m: F32, line: int, i: int, step: np.float32, groups: I64
+) -> np.float32:
     own = groups[labels[line, i]]
     if own < 0 or np.isnan(range_m[line, i]):
         return np.float32(0)
-    half = int(min(max(np.float32(0.25) / (range_m[line, i] * step), np.float32(2)), np.float32(60)))
+    half = int(
+        min(max(np.float32(0.25) / (range_m[line, i] * step), np.float32(2)), np.float32(60))
+    )
     around = groups[labels[max(line - 2, 0) : line + 3, max(i - half, 0) : i + half + 1]]
     total = (around >= 0).sum() if own == NOISE else ((around >= 0) & (around != NOISE)).sum()
     return np.float32((around == own).sum()) / np.float32(total)
@@ -73,6 +92,13 @@ def _place(
 
 def _jump(ranges: F32, i: int) -> np.float32:
     beside = [ranges[j] for j in (max(i - 1, 0), min(i + 1, len(ranges) - 1))]
-    jumps = [min(abs(one - ranges[i]), np.float32(6)) if abs(one - ranges[i]) < 6 else np.float32(6) for one in beside]
-    scale = max(ranges[i] * np.float32(0.1), np.float32(1)) if not np.isnan(ranges[i]) else np.float32(1)
+    jumps = [
+        min(abs(one - ranges[i]), np.float32(6)) if abs(one - ranges[i]) < 6 else np.float32(6)
+        for one in beside
+    ]
+    scale = (
+        max(ranges[i] * np.float32(0.1), np.float32(1))
+        if not np.isnan(ranges[i])
+        else np.float32(1)
+    )
     return np.float32(max(jumps) / scale)

@@ -11,7 +11,12 @@ NO_SURFACE, GROUND, CURB = (0, 2), 3, 8
 
 
 def curb_labels(
-    labels: U8, range_m: F32, above_m: F32, beams: tuple[F32, F32], step: np.float32, thresholds: CurbThresholds
+    labels: U8,
+    range_m: F32,
+    above_m: F32,
+    beams: tuple[F32, F32],
+    step: np.float32,
+    thresholds: CurbThresholds,
 ) -> U8:
     """Label curbs; see :func:`prc_cli.methods.fused.curbs_loops.curb_labels`."""
     found = labels.copy()
@@ -31,7 +36,9 @@ def curb_labels(
             shots = _until_gap(columns, low[line])
             away = [abs(side_m[line, j] - side_m[line, i]) for j in shots]
             end = next((k for k, one in enumerate(away) if one > thresholds.reach_m), len(shots))
-            beside.append([j for j, one in zip(shots[:end], away, strict=False) if one > thresholds.half_m])
+            beside.append(
+                [j for j, one in zip(shots[:end], away, strict=False) if one > thresholds.half_m]
+            )
         if _is_face(height_m[line], labels[line] == GROUND, height_m[line, i], beside, thresholds):
             found[line, i] = CURB
     return found
@@ -50,7 +57,11 @@ def _until_gap(columns: list[int], low: Mask) -> list[int]:
 
 
 def _is_face(
-    height: F32, is_ground: Mask, own: np.float32, beside: list[list[int]], thresholds: CurbThresholds
+    height: F32,
+    is_ground: Mask,
+    own: np.float32,
+    beside: list[list[int]],
+    thresholds: CurbThresholds,
 ) -> bool:
     """Return whether a shot is on a face between the ground before and beyond it."""
     means = []

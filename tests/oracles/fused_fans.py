@@ -36,12 +36,19 @@ def fan_cars(
         for line in range(len(labels))
         for way in range(2)
         for run in runs_of(
-            labels[line], abs(range_m[line] * sine), above_m[line], texture[line], sides[way], thresholds
+            labels[line],
+            abs(range_m[line] * sine),
+            above_m[line],
+            texture[line],
+            sides[way],
+            thresholds,
         )
     ]
     marks = np.concatenate([before, np.zeros((len(labels), 2 * BINS), np.uint8)])
     for line, way, (_, is_roof, (first, last), _, _) in runs:
-        marks[LINES + line, way * BINS + first : way * BINS + last] |= np.uint8(SEED if is_roof else THING)
+        marks[LINES + line, way * BINS + first : way * BINS + last] |= np.uint8(
+            SEED if is_roof else THING
+        )
     for line, way, (columns, _, (first, last), low, high) in runs:
         around = marks[line : line + 2 * LINES + 1, way * BINS + first : way * BINS + last]
         seeds = ((around & SEED) > 0).sum(axis=0)
@@ -53,7 +60,9 @@ def fan_cars(
     return found[:n_own], marks[n_own : n_own + LINES]
 
 
-def runs_of(labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thresholds: FanThresholds) -> Iterator[Run]:
+def runs_of(
+    labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thresholds: FanThresholds
+) -> Iterator[Run]:
     """Yield the things of a line and side: columns, whether across a roof, bins, lowest and highest shot."""
     there = [int(i) for i in outwards if not np.isnan(side[i])]
     groups: list[list[int]] = []
@@ -72,10 +81,14 @@ def runs_of(labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thre
             smooth += texture[i]
         smooth /= np.float32(len(run))
         is_roof = thresholds.least_m <= high <= thresholds.most_m and low < np.float32(0.6)
-        is_roof &= np.float32(0.3) <= far - near <= 3 and smooth >= thresholds.smooth and len(run) >= 6
+        is_roof &= (
+            np.float32(0.3) <= far - near <= 3 and smooth >= thresholds.smooth and len(run) >= 6
+        )
         first, end = there.index(run[0]), there.index(run[-1]) + 1
         is_roof = is_roof and first > 0 and end < len(there)
-        is_roof = is_roof and labels[there[first - 1]] in SOIL and side[there[end]] > side[run[-1]] + JUMP
+        is_roof = (
+            is_roof and labels[there[first - 1]] in SOIL and side[there[end]] > side[run[-1]] + JUMP
+        )
         is_roof = is_roof or 2 * (labels[run] == CAR).sum() >= len(run)
         lowest = min(max(floor((near - REACH) / BIN), 0), BINS)
         yield run, bool(is_roof), (lowest, min(floor((far + REACH) / BIN) + 1, BINS)), low, high

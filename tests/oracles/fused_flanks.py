@@ -34,8 +34,12 @@ def find_flanks(
         lines = slice(line, line + 5)
         length, wall, place = (sum_around(values[lines]) for values in sums)
         least, most = thresholds.least_m * np.float32(5), thresholds.most_m * np.float32(5)
-        for b in np.flatnonzero((wall > 0) & (wall >= least) & (wall <= most) & (wall >= thresholds.share * length)):
-            seen = lines.start + np.flatnonzero((sums[1][lines, max(b - 1, 0) : b + 2] > 0).any(axis=1))
+        for b in np.flatnonzero(
+            (wall > 0) & (wall >= least) & (wall <= most) & (wall >= thresholds.share * length)
+        ):
+            seen = lines.start + np.flatnonzero(
+                (sums[1][lines, max(b - 1, 0) : b + 2] > 0).any(axis=1)
+            )
             away = abs(place[b] / wall[b])
             way = slice(2 * N, None) if b >= N // 2 else slice(2 * N - 1, None, -1)
             middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
@@ -47,11 +51,15 @@ def find_flanks(
                 # behind ground that is seen above the body nothing counts
                 high = np.flatnonzero(ground & (passes > thresholds.body_m))
                 ground[high[0] if len(high) else 2 * N :] = False
-                beneath += counts[k, way][ground & (passes >= thresholds.low_m) & (passes <= thresholds.sill_m)].sum()
+                beneath += counts[k, way][
+                    ground & (passes >= thresholds.low_m) & (passes <= thresholds.sill_m)
+                ].sum()
                 beyond += counts[k, way][ground & (passes > thresholds.sill_m)].sum()
             is_low = beneath >= thresholds.shots and beyond * 4 <= beneath
             hangs = wall[b] >= thresholds.large_m * np.float32(5)
-            hangs = hangs and _hangs(counts[seen, way], depths[seen, way], every[seen], b, away, thresholds)
+            hangs = hangs and _hangs(
+                counts[seen, way], depths[seen, way], every[seen], b, away, thresholds
+            )
             if is_low or hangs:
                 flanks[line, b] = 1
                 at = int(away / LEVEL_BIN)
@@ -60,7 +68,9 @@ def find_flanks(
     return flanks, found
 
 
-def _hangs(counts: I32, depths: F32, every: Slots, b: int, away: np.float32, thresholds: FlankThresholds) -> bool:
+def _hangs(
+    counts: I32, depths: F32, every: Slots, b: int, away: np.float32, thresholds: FlankThresholds
+) -> bool:
     """Return whether lines see ground below a body as high as a lorry's, and none through it."""
     middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
     at, first = np.arange(2 * N), int(away / BIN)
@@ -85,7 +95,10 @@ def _hangs(counts: I32, depths: F32, every: Slots, b: int, away: np.float32, thr
 
 def ground_of(side_m: F32, depth_m: F32, is_ground: Mask) -> tuple[I32, F32]:
     """Return the shots of the ground in every bin of every line, and how deep the last of them lies, (lines, 4 N)."""
-    counts, depths = np.zeros((len(side_m), 4 * N), np.int32), np.zeros((len(side_m), 4 * N), np.float32)
+    counts, depths = (
+        np.zeros((len(side_m), 4 * N), np.int32),
+        np.zeros((len(side_m), 4 * N), np.float32),
+    )
     for k, i in zip(*np.nonzero(is_ground), strict=True):
         q = floor(side_m[k, i] / BIN) + 2 * N
         if 0 <= q < 4 * N:

@@ -42,7 +42,10 @@ def walk_ground(
         known = np.flatnonzero((ages.astype(np.float32) < thresholds.memory_lines).any(axis=0))
         if len(known):
             nearest_m = next(one.height[known[0]] for one in memories if one.known()[known[0]])
-            start_m, lost = nearest_m if lost < 0 else start_m + (nearest_m - start_m) * START_FOLLOW, 0
+            start_m, lost = (
+                nearest_m if lost < 0 else start_m + (nearest_m - start_m) * START_FOLLOW,
+                0,
+            )
             shots[:] = sums[:] = 0
         elif _search(side_m[line][level], height_m[line][level], shots, sums, thresholds):
             lost += 1 if lost >= 0 else -1
@@ -60,7 +63,9 @@ def walk_ground(
             place = max(abs(side_m[line, i]) / QUARTER - HALF, np.float32(0))
             b = min(int(place), BINS - 2)
             share = min(place - np.float32(b), np.float32(1))
-            above[line, i] = height_m[line, i] - (profile[b] + (profile[b + 1] - profile[b]) * share)
+            above[line, i] = height_m[line, i] - (
+                profile[b] + (profile[b + 1] - profile[b]) * share
+            )
         near = level & (np.abs(side_m[line]) < thresholds.start_reach_m) & (height_m[line] < 0)
         n_below = np.count_nonzero(above[line][near] < -MISSED_M)
         if n_below >= MISSED_SHOTS and n_below > np.count_nonzero(walked[line][near]):
@@ -119,7 +124,9 @@ class _Memory:
         known = self.known()
         self.seen = sorted(seen)
         for b in self.seen:
-            self.height[b] = self.height[b] + (seen[b] - self.height[b]) * self.follow if known[b] else seen[b]
+            self.height[b] = (
+                self.height[b] + (seen[b] - self.height[b]) * self.follow if known[b] else seen[b]
+            )
         self.age += self.age < MOST_AGE
         self.age[self.seen] = 0
 
@@ -140,7 +147,12 @@ class _Memory:
 
 
 def _steps(
-    on_way: list[int], out_m: F32, height_m: F32, memory: _Memory, start_m: np.float32, thresholds: WalkThresholds
+    on_way: list[int],
+    out_m: F32,
+    height_m: F32,
+    memory: _Memory,
+    start_m: np.float32,
+    thresholds: WalkThresholds,
 ) -> list[tuple[int, int]]:
     """Return the columns that the walk goes over, and their places."""
     known = memory.known()
@@ -151,7 +163,11 @@ def _steps(
         if out_m[i] < 0 or place >= BINS or out_m[i] - at < -np.float32(0.05):
             continue
         out = max(out_m[i] - at, np.float32(0))
-        limit = thresholds.step_m + thresholds.slope * min(out, thresholds.slope_reach_m) + thresholds.gap_slope * out
+        limit = (
+            thresholds.step_m
+            + thresholds.slope * min(out, thresholds.slope_reach_m)
+            + thresholds.gap_slope * out
+        )
         remembered = known[place] and abs(height_m[i] - memory.height[place]) < thresholds.known_m
         if abs(height_m[i] - z) <= limit or remembered:
             steps.append((i, place))

@@ -24,11 +24,17 @@ def _with_margins(points: tuple[F32, F32]) -> tuple[F32, F32]:
     return side, height
 
 
-def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
+def near_counts(
+    range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds
+) -> U8:
     """Count near neighbours; see :func:`prc_cli.methods.fused.neighbours_loops.near_counts`."""
     limits = thresholds
     side_m, height_m = _with_margins(plane_points(range_m, sine, cosine))
-    around = [(a, b) for a, b in product(range(-2, 3), range(-4, 5)) if (a, b) != (0, 0) and (a == 0 or abs(b) <= 2)]
+    around = [
+        (a, b)
+        for a, b in product(range(-2, 3), range(-4, 5))
+        if (a, b) != (0, 0) and (a == 0 or abs(b) <= 2)
+    ]
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
         y, x = line + 2, column + 4
@@ -45,7 +51,9 @@ def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, threshol
     return counts
 
 
-def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
+def smooth_counts(
+    range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds
+) -> U8:
     """Count smooth pairs; see :func:`prc_cli.methods.fused.neighbours_loops.smooth_counts`."""
     points = np.stack(_with_margins(plane_points(range_m, sine, cosine)), axis=-1)
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
@@ -55,14 +63,19 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
         tolerance = thresholds.tolerance_m + thresholds.tolerance_per_m * r
         gap = max(thresholds.gap_m, thresholds.gap_steps * (r * step))
         to_edge = min(column, range_m.shape[1] - 1 - column)
-        wanted = min(max(thresholds.apart_m / (r * step), 1 + (2 * r * step <= thresholds.leaf_m)), np.float32(8))
+        wanted = min(
+            max(thresholds.apart_m / (r * step), 1 + (2 * r * step <= thresholds.leaf_m)),
+            np.float32(8),
+        )
         stride = max(min(int(wanted), to_edge // 2), 1)
         for b, c in PAIRS_IN_LINE:
             first, second = points[y, x + stride * b], points[y, x + stride * c]
             along, off = second - first, own - first
             square = along[0] * along[0] + along[1] * along[1]
             cross = along[0] * off[1] - along[1] * off[0]
-            counts[line, column] += bool(square < gap * gap and cross * cross < tolerance * tolerance * square)
+            counts[line, column] += bool(
+                square < gap * gap and cross * cross < tolerance * tolerance * square
+            )
         for (a, b), (c, d) in PAIRS_ACROSS:
             off = (points[y + a, x + b] + points[y + c, x + d]) * np.float32(0.5) - own
             square = off[0] * off[0] + off[1] * off[1]
@@ -83,10 +96,15 @@ def directions(
         tries = [away, away + 1, *([away - 1] if away > 1 else [])]
         ends = []
         for way in (-1, 1):
-            held = [i + way * k for k in tries if 0 <= i + way * k < m and smooth[line, i + way * k] > 0]
+            held = [
+                i + way * k for k in tries if 0 <= i + way * k < m and smooth[line, i + way * k] > 0
+            ]
             ends.append(held[0] if held else None)
         own = np.array([side_m[line, i], height_m[line, i]])
-        to = [None if j is None else np.array([side_m[line, j], height_m[line, j]]) - own for j in ends]
+        to = [
+            None if j is None else np.array([side_m[line, j], height_m[line, j]]) - own
+            for j in ends
+        ]
         chords = [one for one in to if one is not None]
         if len(chords) == 2:
             chords.append(chords[0] - chords[1])

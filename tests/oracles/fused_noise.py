@@ -69,7 +69,13 @@ class _Window(NamedTuple):
 
 
 def noise_again(
-    labels: U8, voted: U8, range_m: F32, smooth: U8, above_m: F32, texture: F32, thresholds: AgainThresholds
+    labels: U8,
+    voted: U8,
+    range_m: F32,
+    smooth: U8,
+    above_m: F32,
+    texture: F32,
+    thresholds: AgainThresholds,
 ) -> U8:
     """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
     found = voted.copy()
@@ -77,7 +83,9 @@ def noise_again(
         shot, pairs = _Window(labels, range_m, smooth, int(line) + 3, int(i)), smooth[line + 3, i]
         is_high = above_m[line, i] > thresholds.foot_m
         is_noise = voted[line, i] == NOISE
-        is_rough = pairs == 0 and texture[line, i] > thresholds.alone_texture and is_high and not is_noise
+        is_rough = (
+            pairs == 0 and texture[line, i] > thresholds.alone_texture and is_high and not is_noise
+        )
         is_open = pairs < 2 and labels[line + 1, i] not in (MISSING, NOISE)
         if is_noise and is_high and shot.is_leaf(thresholds):
             found[line, i] = Reason.LEAF

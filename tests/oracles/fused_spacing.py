@@ -30,7 +30,9 @@ def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDA
     for line in range(first, n_lines, 4):
         ranges = range_m[line + 16]
         for column in range(m):
-            if not all(_sticks_out(ranges, near, thresholds) for near in range(column - 1, column + 2)):
+            if not all(
+                _sticks_out(ranges, near, thresholds) for near in range(column - 1, column + 2)
+            ):
                 continue
             own = ranges[column]
             limit = thresholds.tolerance_m + thresholds.tolerance_per_m * own

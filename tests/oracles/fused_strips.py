@@ -35,7 +35,9 @@ def fill_strips(
     every, rough = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
     length, wall, place = (np.zeros(shape, np.float32) for _ in range(3))
     top, levels = np.full(shape, NOTHING), np.zeros((len(ranges), 2 * N), np.uint8)
-    for k, i in zip(*np.nonzero((above >= thresholds.foot_m) & (near >= thresholds.least_near)), strict=True):
+    for k, i in zip(
+        *np.nonzero((above >= thresholds.foot_m) & (near >= thresholds.least_near)), strict=True
+    ):
         y, strip = side[k, i], floor(side[k, i] / WIDTH) + N // 2
         if not 0 <= strip < N:
             continue
@@ -55,7 +57,9 @@ def fill_strips(
         if is_level and above[k, i] < thresholds.level_top_m and height[k, i] < 0:
             adjacent = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1]]
             beside = [other for other in adjacent if abs(other - y) < thresholds.jump_m]
-            low, high = (floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside])))
+            low, high = (
+                floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside]))
+            )
             levels[k, max(low, 0) : max(min(high, 2 * N - 1) + 1, 0)] = 1
     return every, rough, length, wall, place, top, levels
 
@@ -76,14 +80,20 @@ def widen_levels(levels: U8) -> U8:
     return np.stack([levels[k : k + 5].max(axis=0) for k in range(len(levels) - 4)])
 
 
-def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
+def find_walls(
+    sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds
+) -> tuple[F32, F32, F32]:
     """Find walls; see :func:`prc_cli.methods.fused.strips_loops.find_walls`."""
     n_lines = len(sums[0]) - 4
     at, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
     for line in range(n_lines):
         length, wall, place = (sum_around(values[line : line + 5]) for values in sums[:3])
         highest = np.pad(sums[3][line : line + 5].max(axis=0), 1, constant_values=NOTHING)
-        is_wall = (wall >= thresholds.height_m * np.float32(5)) & (wall >= thresholds.share * length) & (wall > 0)
+        is_wall = (
+            (wall >= thresholds.height_m * np.float32(5))
+            & (wall >= thresholds.share * length)
+            & (wall > 0)
+        )
         there = np.pad(sums[1][line : line + 5] > 0, ((0, 0), (1, 1)))
         seen_by = (there[:, :-2] | there[:, 1:-1] | there[:, 2:]).sum(axis=0)
         is_wall &= (flanks[line] == 0) & (seen_by >= thresholds.lines)
@@ -147,10 +157,15 @@ class _Lines:
         if before is None or after is None or (far and not (before[1] and after[1])):
             return None
         lines = range(line + self.margin - before[0] + 1, line + self.margin + after[0])
-        return lines if len(lines) <= (self.limits.lines if far else self.limits.small_lines) else None
+        return (
+            lines if len(lines) <= (self.limits.lines if far else self.limits.small_lines) else None
+        )
 
     def is_held(self, line: int, i: int) -> bool:
-        return bool(self.near[line, i] >= self.limits.least_near and self.above[line, i] > self.limits.foot_m)
+        return bool(
+            self.near[line, i] >= self.limits.least_near
+            and self.above[line, i] > self.limits.foot_m
+        )
 
     def free(self, line: int, run: list[int], *, far: bool) -> list[int]:
         return [i for i in run if self.is_held(line, i) and self.seen(line, i, far=far) is not None]
@@ -173,7 +188,11 @@ class _Lines:
         for i in range(self.above.shape[1]):
             if not self.is_held(line, i):
                 continue
-            goes_on = runs and runs[-1][-1] == i - 1 and np.abs(ranges[i] - ranges[i - 1]) < self.limits.jump_m
+            goes_on = (
+                runs
+                and runs[-1][-1] == i - 1
+                and np.abs(ranges[i] - ranges[i - 1]) < self.limits.jump_m
+            )
             if goes_on:
                 runs[-1].append(i)
             else:
@@ -187,8 +206,14 @@ class _Lines:
         if n < 3:
             return np.float32(0)
         there = self.window[lines.start : lines.stop, i]
-        left, right, middle = (_added(part) for part in (there[:q], there[n - q :], there[q : n - q]))
-        left, right, middle = left / np.float32(q), right / np.float32(q), middle / np.float32(n - 2 * q)
+        left, right, middle = (
+            _added(part) for part in (there[:q], there[n - q :], there[q : n - q])
+        )
+        left, right, middle = (
+            left / np.float32(q),
+            right / np.float32(q),
+            middle / np.float32(n - 2 * q),
+        )
         if not min(left, right) > middle:
             return np.float32(0)
         bulge = np.float32(0.5) * (left + right) - middle
@@ -198,7 +223,9 @@ class _Lines:
         reach, limits = self.reach(line, run, free, narrow), self.limits
         if reach is None:
             return COLUMN if free and self.is_column(line, run, free) else 0
-        is_post = sum(self.is_smooth(line, i) for i in narrow) >= limits.share * np.float32(len(narrow))
+        is_post = sum(self.is_smooth(line, i) for i in narrow) >= limits.share * np.float32(
+            len(narrow)
+        )
         is_post &= bool(np.ptp(self.above[line, narrow]) > limits.post_tall_m)
         is_thin = self.is_far(free, narrow) and np.ptp(self.side(line, narrow)) < limits.post_m
         return COLUMN if is_thin and (is_post or reach < limits.post_top_m) else SMALL
@@ -206,23 +233,35 @@ class _Lines:
     def is_far(self, free: list[int], narrow: list[int]) -> bool:
         return bool(len({*free} & {*narrow}) >= self.limits.small_share * np.float32(len(narrow)))
 
-    def reach(self, line: int, run: list[int], free: list[int], narrow: list[int]) -> np.float32 | None:
+    def reach(
+        self, line: int, run: list[int], free: list[int], narrow: list[int]
+    ) -> np.float32 | None:
         """Return how high something small reaches; None = it is not small."""
         limits, above = self.limits, self.above[line, narrow]
-        if len(narrow) < max(limits.shots, limits.small_share * np.float32(len(run))) or above.max() >= limits.high_m:
+        if (
+            len(narrow) < max(limits.shots, limits.small_share * np.float32(len(run)))
+            or above.max() >= limits.high_m
+        ):
             return None
         if np.ptp(self.side(line, narrow)) > limits.small_m:
             return None
         climbed = np.float32(above.max() + self.climb(line, narrow[int(np.argmax(above))]))
         is_cut = above.min() > np.float32(1) and np.ptp(above) <= limits.post_tall_m
         is_person = climbed > limits.person_m and not is_cut
-        return climbed if climbed < limits.high_m and (is_person or self.is_far(free, narrow)) else None
+        return (
+            climbed
+            if climbed < limits.high_m and (is_person or self.is_far(free, narrow))
+            else None
+        )
 
     def is_fence(self, line: int, i: int) -> bool:
         at = line + self.margin
         away = np.abs(np.arange(len(self.window)) - at)
         alike = np.abs(self.window[:, i] - self.window[at, i]) < np.float32(0.2)
-        return bool(alike[(away >= 9) & (away <= 30)].sum() >= 6 and self.above[line, i] < self.limits.high_m)
+        return bool(
+            alike[(away >= 9) & (away <= 30)].sum() >= 6
+            and self.above[line, i] < self.limits.high_m
+        )
 
     def climb(self, line: int, i: int) -> np.float32:
         """Return how much higher lines around see the thing of a shot."""
@@ -231,9 +270,13 @@ class _Lines:
         side, height = self.window * sine, -(self.window * cosine)
         for way in (-1, 1):
             k, j, top, goes_on = at + way, i, height[at, i], True
-            while goes_on and 0 <= k < len(self.window) and top - height[at, i] < self.limits.high_m:
+            while (
+                goes_on and 0 <= k < len(self.window) and top - height[at, i] < self.limits.high_m
+            ):
                 q, goes_on = j, False
-                while 0 <= q < len(sine) and self.window[at, i] * (cosine[j] - cosine[q]) < np.float32(0.3):
+                while 0 <= q < len(sine) and self.window[at, i] * (
+                    cosine[j] - cosine[q]
+                ) < np.float32(0.3):
                     if np.abs(side[k, q] - side[at, i]) < np.float32(0.4):
                         top, j, goes_on = max(top, height[k, q]), q, True
                     q += up
@@ -243,7 +286,9 @@ class _Lines:
 
     def is_column(self, line: int, run: list[int], free: list[int]) -> bool:
         limits, smooth = self.limits, [i for i in free if self.is_smooth(line, i)]
-        if len(smooth) < max(limits.shots, limits.share * np.float32(sum(self.smooth[line, run] >= limits.smooth))):
+        if len(smooth) < max(
+            limits.shots, limits.share * np.float32(sum(self.smooth[line, run] >= limits.smooth))
+        ):
             return False
         above = self.above[line, free]
         if np.ptp(self.side(line, free)) > limits.deep_m or above.min() > limits.low_m:
@@ -252,11 +297,16 @@ class _Lines:
             return False
         if 2 * sum(self.n_seen(line, i) <= limits.thin_lines for i in smooth) > len(smooth):
             return True
-        radii = np.array([self.radius(line, i) for i in smooth[:: max(len(smooth) // 8, 1)]], np.float32)
+        radii = np.array(
+            [self.radius(line, i) for i in smooth[:: max(len(smooth) // 8, 1)]], np.float32
+        )
         return bool(2 * ((radii >= limits.round_m) & (radii <= limits.deep_m)).sum() > len(radii))
 
     def is_short(self, line: int, run: list[int]) -> bool:
-        ranges, far = np.pad(self.window[line + self.margin], 1, constant_values=np.nan), self.limits.far_m
+        ranges, far = (
+            np.pad(self.window[line + self.margin], 1, constant_values=np.nan),
+            self.limits.far_m,
+        )
         first, end = run[0] + 1, run[-1] + 2
         if ranges[first - 1] <= ranges[first] + far or ranges[end] <= ranges[end - 1] + far:
             return False
@@ -279,7 +329,11 @@ def _added(values: F32) -> np.float32:
 
 
 def find_columns(
-    window_m: F32, above_m: F32, counts: tuple[U8, U8, U8, U8], beams: tuple[F32, F32], thresholds: ColumnThresholds
+    window_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    beams: tuple[F32, F32],
+    thresholds: ColumnThresholds,
 ) -> U8:
     """Find trunks and posts; see :func:`prc_cli.methods.fused.strips_loops.find_columns`."""
     lines = _Lines(window_m, above_m, counts[0], counts[1], beams, thresholds)

@@ -25,15 +25,23 @@ def mean_smoothness(
         place = slice(line, line + 5), slice(max(i - columns, 0), i + columns + 1)
         counts = near[place] >= least_near
         if counts.any():
-            mean[line, i] = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+            mean[line, i] = np.float32(pairs[place][counts].sum()) / (
+                np.float32(8) * np.float32(counts.sum())
+            )
         if mean[line, i] < rough and smooth[line + 2, i] >= least_pairs:
             stride = max(-(-columns // 4), 1)
-            beside = [j for j in range(range_m.shape[1]) if abs(j - i) <= columns and (j - i) % stride == 0]
+            beside = [
+                j
+                for j in range(range_m.shape[1])
+                if abs(j - i) <= columns and (j - i) % stride == 0
+            ]
             place = np.ix_(range(line, line + 5), beside)
             every = near[place] >= least_near
             counts = every & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
             if counts.any():
                 seen = max(np.float32(counts.sum()) / np.float32(every.sum()), np.float32(0.85))
-                share = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()) * seen)
+                share = np.float32(pairs[place][counts].sum()) / (
+                    np.float32(8) * np.float32(counts.sum()) * seen
+                )
                 mean[line, i] = max(mean[line, i], share)
     return mean

@@ -16,7 +16,12 @@ def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
 
 
 def vote_labels(
-    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+    labels: U8,
+    range_m: F32,
+    beams: tuple[F32, F32],
+    step: np.float32,
+    half_m: np.float32,
+    near_m: np.float32,
 ) -> U8:
     """Let the shots around vote; see :func:`prc_cli.methods.fused.votes_loops.vote_labels`."""
     voted = labels[1:-1].copy()
@@ -27,12 +32,16 @@ def vote_labels(
         if all(labels[place] in (own, MISSING, NOISE) for place in asked):
             continue
         columns = min(max(int(half_m / (range_m[line, i] * step)), 2), 60)
-        place = slice(line - 1, line + 2), slice(max(i - columns, 0), i + columns + 1, max(columns // 4, 1))
+        place = (
+            slice(line - 1, line + 2),
+            slice(max(i - columns, 0), i + columns + 1, max(columns // 4, 1)),
+        )
         close = np.ones(labels[place].shape, bool)
         for image in _points(range_m, beams):
             close &= np.abs(image[place] - image[line, i]) < near_m
         votes = {
-            label: int((labels[place][close] == label).sum()) for label in (OTHER, CAR, POLE, BUILDING, VEGETATION)
+            label: int((labels[place][close] == label).sum())
+            for label in (OTHER, CAR, POLE, BUILDING, VEGETATION)
         }
         if votes[own] < max(votes.values()):
             voted[row, i] = max(votes, key=lambda label: votes[label])

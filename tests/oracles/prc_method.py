@@ -97,7 +97,10 @@ def support(range_m: F32, settings: Settings) -> Mask:
     m = range_m.shape[1]
     n_adjacent = (-m - 1, -m, -m + 1, m - 1, m, m + 1)  # (7)
     n_in_slice = (-4, -3, -2, -1, 1, 2, 3, 4)  # (8)
-    need_in_slice, need_adjacent = settings.rho_c * len(n_in_slice), settings.rho_c * len(n_adjacent)
+    need_in_slice, need_adjacent = (
+        settings.rho_c * len(n_in_slice),
+        settings.rho_c * len(n_adjacent),
+    )
     if settings.rounding == "floor":
         need_in_slice, need_adjacent = math.floor(need_in_slice), math.floor(need_adjacent)
     supported = (
@@ -129,7 +132,9 @@ def extended_background(range_m: F32, supported: Mask, settings: Settings) -> Ma
     background = np.zeros(range_m.size, dtype=bool)
     for i in np.flatnonzero(supported).tolist():
         if 0 < i < len(r) - 1 and not math.isnan(r[i - 1] + r[i + 1]):
-            background[i] = is_intersection(r[i - 1], r[i], r[i + 1], settings.form, settings.alpha, settings.d_c)
+            background[i] = is_intersection(
+                r[i - 1], r[i], r[i + 1], settings.form, settings.alpha, settings.d_c
+            )
     return background.reshape(range_m.shape)
 
 
@@ -202,7 +207,9 @@ def _nonsmooth_image(h: I64, background: Mask, settings: Settings) -> tuple[I32,
 # II-F. Classification
 
 
-def _urban(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings) -> U8:
+def _urban(
+    valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings
+) -> U8:
     """Label noise, ground, buildings and vegetation: ground is the largest smooth segment, connected over blocks."""
     here = Counter(segments[smooth].tolist())
     memory.totals.update(here)
@@ -215,7 +222,9 @@ def _urban(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Me
     return labels
 
 
-def _forest(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings) -> U8:
+def _forest(
+    valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings
+) -> U8:
     """Label noise, stems, other vegetation, and ground: columns with a large share of smooth shots (12)."""
     labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
     labels[supported] = Label.VEGETATION

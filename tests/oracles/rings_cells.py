@@ -8,8 +8,27 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F32_2, F32_3, F64_1, F64_2, I32, I32_1, I32_2, I64_1, U8_2, Mask, Mask_1, Mask_2
-from prc_cli.methods.rings.thresholds import CellThresholds, LonelyThresholds, MarkThresholds, SoilThresholds
+from prc_cli.core.types import (
+    F32,
+    F32_2,
+    F32_3,
+    F64_1,
+    F64_2,
+    I32,
+    I32_1,
+    I32_2,
+    I64_1,
+    U8_2,
+    Mask,
+    Mask_1,
+    Mask_2,
+)
+from prc_cli.methods.rings.thresholds import (
+    CellThresholds,
+    LonelyThresholds,
+    MarkThresholds,
+    SoilThresholds,
+)
 
 SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
 
@@ -21,7 +40,13 @@ def _points(xyz_m: F32, mask: Mask) -> Iterator[tuple[tuple[int, int], tuple[flo
 
 
 def mark_shots(
-    xyz_m: F32_3, place: F32_2, above_m: F32_2, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
+    xyz_m: F32_3,
+    place: F32_2,
+    above_m: F32_2,
+    foot_m: float,
+    root: float,
+    step_rad: float,
+    thresholds: MarkThresholds,
 ) -> U8_2:
     marks, (n_lines, m) = np.zeros(place.shape, np.uint8), place.shape
     there = ~np.isnan(place)
@@ -31,7 +56,14 @@ def mark_shots(
         step = max(far, 0.5) * step_rad
         k = min(max(int(thresholds.base_m / step + 0.5), 1), thresholds.most_lines)
         sides = [
-            next((q for q in (line + way * k, line + way * (k + 1)) if 0 <= q < n_lines and there[q, i]), None)
+            next(
+                (
+                    q
+                    for q in (line + way * k, line + way * (k + 1))
+                    if 0 <= q < n_lines and there[q, i]
+                ),
+                None,
+            )
             for way in (-1, 1)
         ]
         if None not in sides:
@@ -59,7 +91,9 @@ def mark_shots(
     return marks
 
 
-def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds) -> Mask_2:
+def lonely_shots(
+    range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds
+) -> Mask_2:
     found = np.zeros(range_m.shape, np.bool_)
     with np.errstate(invalid="ignore"):
         near_scanner = range_m.astype(np.float64) < thresholds.reach_m
@@ -72,7 +106,9 @@ def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: Lon
         if is_lit:
             light, lights = float(intensity[line, i]), intensity[around].astype(np.float64)
             limit = thresholds.alike * np.maximum(lights, light)
-            n_alike = np.count_nonzero((away < thresholds.beside_m) & (np.abs(lights - light) <= limit))
+            n_alike = np.count_nonzero(
+                (away < thresholds.beside_m) & (np.abs(lights - light) <= limit)
+            )
         most = thresholds.most if is_lit else thresholds.unlit
         found[line, i] = n_near <= most + 1 and n_alike <= thresholds.bright
     return found
@@ -81,7 +117,11 @@ def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: Lon
 def fill_cells(
     xyz_m: F32_3, above_m: F32_2, marks: U8_2, leave_out: Mask_2, thresholds: CellThresholds
 ) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
-    size, half, n = thresholds.cell_m, thresholds.half_m, int(2.0 * thresholds.half_m / thresholds.cell_m)
+    size, half, n = (
+        thresholds.cell_m,
+        thresholds.half_m,
+        int(2.0 * thresholds.half_m / thresholds.cell_m),
+    )
     grid, cell = np.full((n, n), -1, np.int32), np.full(above_m.shape, -1, np.int32)
     sums: list[NDArray[np.float64]] = []
     levels: list[int] = []
@@ -106,11 +146,16 @@ def fill_cells(
         bits = [bool(marks[at] & bit) for bit in (SMOOTH, ASKED, UPRIGHT)]
         sums[own] += [1, x, y, x * x, x * y, y * y, *bits]
         levels[own] |= 1 << int(min(above[at] / thresholds.storey_m, 61.0))
-    for at, (x, y, _) in _points(xyz_m, (above > thresholds.hem_m) & (above <= thresholds.foot_m) & ~leave_out):
+    for at, (x, y, _) in _points(
+        xyz_m, (above > thresholds.hem_m) & (above <= thresholds.foot_m) & ~leave_out
+    ):
         p, q = place(x, y)
         if 0 <= p < n and 0 <= q < n:
             cell[at] = grid[p, q]
-    total, places = np.array(sums).reshape(len(where), 9), np.array(where, np.int32).reshape(len(where), 2)
+    total, places = (
+        np.array(sums).reshape(len(where), 9),
+        np.array(where, np.int32).reshape(len(where), 2),
+    )
     return np.array(levels, np.int64), total, places, grid, cell
 
 
@@ -123,7 +168,9 @@ def _around(grid: I32, where: I32, c: int, reach: int) -> Iterator[tuple[int, in
                 yield dp, dq, other
 
 
-def measure_cells(grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds) -> F64_2:
+def measure_cells(
+    grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds
+) -> F64_2:
     found = np.zeros((len(where), 8))
     gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
     for c in range(len(where)):
@@ -149,9 +196,15 @@ def measure_cells(grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresho
                 break
             body = k + 1
         found[c] = (
-            math.sqrt(max(half - away, 0.0)), math.sqrt(max(half + away, 0.0)), upright / n, smooth / max(asked, 1.0),
-            len(seen), seen[-1] + 1 if seen else 1, len(wide), body,
-        )  # fmt: skip
+            math.sqrt(max(half - away, 0.0)),
+            math.sqrt(max(half + away, 0.0)),
+            upright / n,
+            smooth / max(asked, 1.0),
+            len(seen),
+            seen[-1] + 1 if seen else 1,
+            len(wide),
+            body,
+        )
     return found
 
 
@@ -181,7 +234,9 @@ def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresh
     found = above > thresholds.soil_m
     cells: dict[tuple[int, int], list[float]] = {}
     low = []
-    for at, (x, y, _) in _points(xyz_m, (above > thresholds.below_m) & (above <= thresholds.foot_m)):
+    for at, (x, y, _) in _points(
+        xyz_m, (above > thresholds.below_m) & (above <= thresholds.foot_m)
+    ):
         if not (abs(x) < half - size and abs(y) < half - size):
             continue
         cell = int((x + half) / size), int((y + half) / size)
@@ -193,12 +248,20 @@ def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresh
     for at, (p, q), far in low:
         if (p, q) not in cells:
             continue
-        near = [cells[p + dp, q + dq] for dp in (-1, 0, 1) for dq in (-1, 0, 1) if (p + dp, q + dq) in cells]
+        near = [
+            cells[p + dp, q + dq]
+            for dp in (-1, 0, 1)
+            for dq in (-1, 0, 1)
+            if (p + dp, q + dq) in cells
+        ]
         n, smooth, height, square = (sum(column) for column in zip(*near, strict=True))
         if n < thresholds.shots:
             continue
         mean = height / n
         rough = min(math.sqrt(max(square / n - mean * mean, 0.0)), thresholds.most_rough_m)
         score = thresholds.bias + thresholds.smooth * smooth / n + thresholds.rough * rough
-        found[at] = score + thresholds.high * max(above[at], thresholds.least_high_m) + thresholds.far * far > 0.0
+        found[at] = (
+            score + thresholds.high * max(above[at], thresholds.least_high_m) + thresholds.far * far
+            > 0.0
+        )
     return found

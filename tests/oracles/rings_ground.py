@@ -11,7 +11,9 @@ from prc_cli.core.types import F32_2, F32_3, F64_1, F64_2, Mask_2
 from prc_cli.methods.rings.thresholds import GroundThresholds
 
 
-def lowest_heights(xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32_2:
+def lowest_heights(
+    xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float
+) -> F32_2:
     sector = np.arange(len(place))[:, None] // sector_lines + np.zeros(place.shape, np.int64)
     found = np.full((-(-len(place) // sector_lines), n_bins), np.nan, np.float32)
     for s, b in np.ndindex(*found.shape):
@@ -23,7 +25,9 @@ def lowest_heights(xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_b
     return found
 
 
-def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -> tuple[F64_2, Mask_2]:
+def walk_outwards(
+    off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds
+) -> tuple[F64_2, Mask_2]:
     n_sectors, n_bins = off_m.shape
     height, seen = np.empty(off_m.shape), np.zeros(off_m.shape, np.bool_)
     at = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
@@ -42,7 +46,10 @@ def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -
             last, where, slope = at[s]
             own_m, gap = float(off_m[s, b]), middle_m[b] - where
             reach = min(gap, thresholds.gap_m)
-            high, deep = thresholds.step_m + thresholds.rise * reach, -thresholds.step_m - thresholds.fall * reach
+            high, deep = (
+                thresholds.step_m + thresholds.rise * reach,
+                -thresholds.step_m - thresholds.fall * reach,
+            )
             if not deep <= own_m - expected <= high:
                 continue
             height[s, b], seen[s, b] = own_m, True
@@ -53,12 +60,18 @@ def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -
     return height, seen
 
 
-def smooth_surface(height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool) -> F64_2:
+def smooth_surface(
+    height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool
+) -> F64_2:
     found, (n_sectors, n_bins) = start_m.copy(), start_m.shape
     for _ in range(rounds):
         for s, b in np.ndindex(n_sectors, n_bins):
             around = [(s, b + way) for way in (-1, 1) if 0 <= b + way < n_bins]
-            around += [((s + way) % n_sectors, b) for way in (-1, 1) if is_round or 0 <= s + way < n_sectors]
+            around += [
+                ((s + way) % n_sectors, b)
+                for way in (-1, 1)
+                if is_round or 0 <= s + way < n_sectors
+            ]
             total, sum_of = weight[s, b] * height_m[s, b], weight[s, b]
             for other in around:
                 total, sum_of = total + stiff * found[other], sum_of + stiff

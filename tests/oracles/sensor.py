@@ -84,11 +84,18 @@ def _surfaces(hits: tuple[F64, I32, F64], i: int, surface: F64, kind: U8) -> lis
 
 def _looks_behind(own: _Surface, dice: _Dice, column: int, model: SensorModel) -> bool:
     if own.is_glass:
-        return abs(own.facing) < _FLASH and dice.throw(column, "glass") >= model.pane_share + model.ghost_share
-    return own.is_leaf and model.max_returns > 1 and dice.throw(column, "leaves") < model.leaves_share
+        return (
+            abs(own.facing) < _FLASH
+            and dice.throw(column, "glass") >= model.pane_share + model.ghost_share
+        )
+    return (
+        own.is_leaf and model.max_returns > 1 and dice.throw(column, "leaves") < model.leaves_share
+    )
 
 
-def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
+def goes_behind(
+    hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int
+) -> Mask:
     """Mark the shots whose light goes on; see :func:`prc_cli.simulation.sensor_loops.goes_behind`."""
     behind = np.zeros(hits[0].shape, dtype=bool)
     blank = np.zeros((len(kind), 2))
@@ -99,7 +106,9 @@ def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_
     return behind
 
 
-def _neighbour_share(line: list[_Surface | None], column: int, side: int, dice: _Dice, model: SensorModel) -> float:
+def _neighbour_share(
+    line: list[_Surface | None], column: int, side: int, dice: _Dice, model: SensorModel
+) -> float:
     """Return the share of the beam on what the neighbour sees."""
     if not 0 <= column + side < len(line):
         return 0.0
@@ -112,7 +121,11 @@ def _neighbour_share(line: list[_Surface | None], column: int, side: int, dice: 
         gap = abs(seen[0].t - seen[1].t)
         is_one = seen[0].body == seen[1].body and not seen[0].is_leaf
         steepest = max([one.tangent() for one in seen if one.is_flat], default=0.0)
-        if is_one or gap <= model.edge_m or gap <= model.edge_m + 2.0 * model.step_rad * near * steepest:
+        if (
+            is_one
+            or gap <= model.edge_m
+            or gap <= model.edge_m + 2.0 * model.step_rad * near * steepest
+        ):
             return 0.0
     place = dice.throw(min(column, column + side), "edge")
     away = place if side == 1 else 1.0 - place
@@ -135,7 +148,11 @@ def _glass(own: _Surface, dice: _Dice, column: int, model: SensorModel) -> list[
 
 
 def _all_echoes(
-    line: list[_Surface | None], column: int, behind: _Surface | None, dice: _Dice, model: SensorModel
+    line: list[_Surface | None],
+    column: int,
+    behind: _Surface | None,
+    dice: _Dice,
+    model: SensorModel,
 ) -> list[_Echo]:
     own = line[column]
     if own is None:
@@ -195,7 +212,9 @@ def _deviate(uniform: float, quantiles: F64) -> float:
     return float(low + (place - floor(place)) * (high - low))
 
 
-def _returns(echoes: list[_Echo], dice: _Dice, column: int, model: SensorModel, quantiles: F64) -> list[_Echo]:
+def _returns(
+    echoes: list[_Echo], dice: _Dice, column: int, model: SensorModel, quantiles: F64
+) -> list[_Echo]:
     found = []
     for i, echo in enumerate(echoes):
         strength = echo.power / model.half_power
@@ -203,7 +222,11 @@ def _returns(echoes: list[_Echo], dice: _Dice, column: int, model: SensorModel, 
         if dice.throw(column, "loss", i) * (1.0 + odds) >= odds * (1.0 - model.lost_share):
             continue
         width = model.exit_m + model.divergence * echo.t
-        sigma = model.noise_m + model.noise_per_m * sqrt(_WHITE / echo.power) + model.noise_spread * width * echo.slope
+        sigma = (
+            model.noise_m
+            + model.noise_per_m * sqrt(_WHITE / echo.power)
+            + model.noise_spread * width * echo.slope
+        )
         t = echo.t + _deviate(dice.throw(column, "noise", i), quantiles) * sigma
         label = echo.label
         if model.ambiguity_m > 0 and t >= model.ambiguity_m:
@@ -227,7 +250,12 @@ def _bright(seed: int, line: int, column: int, m: int) -> float:
 
 
 def _with_background(
-    found: list[_Echo], sky: float | None, dice: _Dice, column: int, model: SensorModel, quantiles: F64
+    found: list[_Echo],
+    sky: float | None,
+    dice: _Dice,
+    column: int,
+    model: SensorModel,
+    quantiles: F64,
 ) -> list[_Echo]:
     """Let stray light in; ``sky`` is its brightness where the shot met nothing."""
     chance, place = dice.throw(column, "stray"), dice.throw(column, "place")

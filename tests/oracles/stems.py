@@ -12,11 +12,21 @@ from scipy.sparse.csgraph import connected_components
 
 from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
+from prc_cli.methods.fused.thresholds import (
+    ForestThresholds,
+    RunThresholds,
+    StemThresholds,
+    TerrainThresholds,
+)
 
 
 def ground_profiles(
-    range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
+    range_m: F32,
+    sine: F64,
+    cosine: F64,
+    lines_together: int,
+    n_bins: int,
+    thresholds: TerrainThresholds,
 ) -> F64:
     """Find the height of the ground; see :func:`prc_cli.methods.fused.stems_loops.ground_profiles`."""
     bin_m = thresholds.bin_m
@@ -28,7 +38,10 @@ def ground_profiles(
             for one, other in pairwise(columns):
                 r = ranges[other]
                 place = r * sine[other] * (1.0 / bin_m) + n_bins // 2
-                if abs(r - ranges[one]) <= thresholds.near_m + thresholds.near_share * r and 0 <= place < n_bins:
+                if (
+                    abs(r - ranges[one]) <= thresholds.near_m + thresholds.near_share * r
+                    and 0 <= place < n_bins
+                ):
                     heights[int(place)].append(-r * cosine[other])
         third = np.array([sorted(found)[2] if len(found) > 2 else np.inf for found in heights])
         profiles.append(_bridged(third, thresholds.slope * bin_m))
@@ -58,7 +71,9 @@ def _bridged(third: F64, rise: float) -> F64:
     return profile
 
 
-def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float) -> F32:
+def ground_heights(
+    range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float
+) -> F32:
     """Return heights over the ground; see :func:`prc_cli.methods.fused.stems_loops.ground_heights`."""
     n_bins = profiles.shape[1]
     r = range_m.astype(np.float64)
@@ -82,21 +97,39 @@ class _Run:
     waiting: int = 0
 
 
-def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
+def upright_runs(
+    range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds
+) -> tuple[I32, F64]:
     """Find upright runs; see :func:`prc_cli.methods.fused.stems_loops.upright_runs`."""
     runs = np.zeros(range_m.shape, np.int32)
     table = [(0.0, 0.0, 0.0, 0.0)]
     for line, row in enumerate(runs):
-        for run in _runs_of_line(range_m[line].astype(np.float64), height_m[line], sine, cosine, thresholds):
+        for run in _runs_of_line(
+            range_m[line].astype(np.float64), height_m[line], sine, cosine, thresholds
+        ):
             up, aside = abs(run.z[-1] - run.z[0]), abs(run.y[-1] - run.y[0])
             n = len(run.columns)
-            if n >= 3 and up >= thresholds.short_m and aside <= thresholds.lean * up and run.passed <= n / 2:
+            if (
+                n >= 3
+                and up >= thresholds.short_m
+                and aside <= thresholds.lean * up
+                and run.passed <= n / 2
+            ):
                 row[run.columns] = len(table)
-                table.append((float(n), float(run.passed), min(run.z[0], run.z[-1]), max(run.z[0], run.z[-1])))
+                table.append(
+                    (
+                        float(n),
+                        float(run.passed),
+                        min(run.z[0], run.z[-1]),
+                        max(run.z[0], run.z[-1]),
+                    )
+                )
     return runs, np.array(table)
 
 
-def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> list[_Run]:
+def _runs_of_line(
+    ranges: F64, heights: F32, sine: F64, cosine: F64, thresholds: RunThresholds
+) -> list[_Run]:
     runs: list[_Run] = []
     recent: deque[_Run] = deque(maxlen=3)
     for column in np.flatnonzero(heights.astype(np.float64) >= thresholds.above_m).tolist():
@@ -104,12 +137,16 @@ def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, thresholds:
         y, z = r * float(sine[column]), -r * float(cosine[column])
         spacing = 3.0 * thresholds.step_rad * r * r / max(abs(y), 0.3)
 
-        def follows(run: _Run, y: float = y, z: float = z, r: float = r, spacing: float = spacing) -> bool:
+        def follows(
+            run: _Run, y: float = y, z: float = z, r: float = r, spacing: float = spacing
+        ) -> bool:
             up = abs(z - run.z[-1])
             tolerance = thresholds.tolerance_m + thresholds.tolerance_share * r
             beside = tolerance + thresholds.steep * up
             if up > spacing:
-                beside = tolerance + thresholds.steep * spacing + thresholds.gap_steep * (up - spacing)
+                beside = (
+                    tolerance + thresholds.steep * spacing + thresholds.gap_steep * (up - spacing)
+                )
             return bool(up <= thresholds.gap_m and abs(y - run.y[-1]) <= beside)
 
         run = next((one for one in recent if follows(one)), None)
@@ -156,7 +193,9 @@ def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) 
     return mask
 
 
-def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
+def forest_labels(
+    range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds
+) -> U8:
     """Label a block of forest; see :func:`prc_cli.methods.fused.stems_loops.forest_labels`."""
     top = thresholds.top_m
     r, height = range_m.astype(np.float64), height_m.astype(np.float64)
@@ -171,7 +210,9 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
             (stems[around] & (np.abs(r[around] - r[line, column]) <= thresholds.beside_m)).any()
         )
         for i in range(max(line - 2, 0), min(line + 3, lines)):
-            for k in range(max(column - columns_around, 0), min(column + columns_around + 1, columns)):
+            for k in range(
+                max(column - columns_around, 0), min(column + columns_around + 1, columns)
+            ):
                 if (i, k) != (line, column) and abs(r[i, k] - r[line, column]) <= thresholds.near_m:
                     has_near[line, column] = True
     # the rules from the last to the first, each over those after it

@@ -18,11 +18,15 @@ from prc_cli.simulation.world import Bodies, Material, Shape
 FLOOR = (Shape.TRIANGLE, [-50, -50, -2, 50, -50, -2, 0, 90, -2])
 
 
-def world(*bodies: tuple[Shape, list[float]], density: float = 0.0, velocity: tuple[float, float] = (0, 0)) -> Bodies:
+def world(
+    *bodies: tuple[Shape, list[float]], density: float = 0.0, velocity: tuple[float, float] = (0, 0)
+) -> Bodies:
     n = len(bodies)
     return Bodies(
         np.array([shape for shape, _ in bodies], np.uint8),
-        np.array([numbers + [0.0] * (9 - len(numbers)) for _, numbers in bodies], dtype=np.float64).reshape(n, 9),
+        np.array(
+            [numbers + [0.0] * (9 - len(numbers)) for _, numbers in bodies], dtype=np.float64
+        ).reshape(n, 9),
         np.zeros(n, np.uint8),
         np.full(n, density),
         np.full((n, 2), velocity, dtype=np.float64),
@@ -30,18 +34,28 @@ def world(*bodies: tuple[Shape, list[float]], density: float = 0.0, velocity: tu
     )
 
 
-def one_shot(bodies: Bodies, origin: tuple[float, ...], towards: tuple[float, ...], time_s: float = 0.0) -> Hits:
+def one_shot(
+    bodies: Bodies, origin: tuple[float, ...], towards: tuple[float, ...], time_s: float = 0.0
+) -> Hits:
     direction = np.array(towards, dtype=np.float64)
     direction /= np.linalg.norm(direction)
-    return cast(bodies, np.array(origin, dtype=np.float64)[None, None], direction[None, None], np.array([time_s]))
+    return cast(
+        bodies,
+        np.array(origin, dtype=np.float64)[None, None],
+        direction[None, None],
+        np.array([time_s]),
+    )
 
 
-def profile(n_lines: int = 1, m: int = 720, roll_rad: float = 0.0, slant_rad: float = 0.0) -> tuple[F64, F64, F64]:
+def profile(
+    n_lines: int = 1, m: int = 720, roll_rad: float = 0.0, slant_rad: float = 0.0
+) -> tuple[F64, F64, F64]:
     """Lines all around, from below over the left; the platform drives at 10 m/s and rolls within each line."""
     time = (np.arange(n_lines)[:, None] + np.arange(m) / m) / 50.0
     angle = 2 * np.pi * np.arange(m) / m + np.linspace(0, roll_rad, m) + 0 * time
     direction = np.stack(
-        [np.cos(angle) * -np.sin(slant_rad), np.sin(angle), np.cos(angle) * -np.cos(slant_rad)], axis=2
+        [np.cos(angle) * -np.sin(slant_rad), np.sin(angle), np.cos(angle) * -np.cos(slant_rad)],
+        axis=2,
     )
     origin = np.stack([10.0 * time, 0 * time, 0 * time], axis=2)
     return origin, direction, time
@@ -56,22 +70,56 @@ def profile(n_lines: int = 1, m: int = 720, roll_rad: float = 0.0, slant_rad: fl
         (FLOOR, (0, 0, 0), (0, 0, 1), np.inf, 0.0),
         (FLOOR, (0, 0, -2), (0, 1, 0), np.inf, 0.0),  # along it
         ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (0, 0, 0), (1, 0, 0), 9.5, 1.0),
-        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (10, 0, 0), (1, 0, 0), 0.5, 1.0),  # from inside
-        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (10, 0, 9), (0, 0, -1), np.inf, 0.0),  # open at both ends
-        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 1.0, 1.0]), (8, 0, 5), (1, 0, -1), 3 * np.sqrt(2), np.sqrt(0.5)),
+        (
+            (Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]),
+            (10, 0, 0),
+            (1, 0, 0),
+            0.5,
+            1.0,
+        ),  # from inside
+        (
+            (Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]),
+            (10, 0, 9),
+            (0, 0, -1),
+            np.inf,
+            0.0,
+        ),  # open at both ends
+        (
+            (Shape.CONE, [10, 0, -3, 10, 0, 3, 1.0, 1.0]),
+            (8, 0, 5),
+            (1, 0, -1),
+            3 * np.sqrt(2),
+            np.sqrt(0.5),
+        ),
         ((Shape.CONE, [10, 0, -1, 10, 0, 1, 2.0, 0.0]), (0, 0, 0), (1, 0, 0), 9.0, np.sqrt(0.5)),
-        ((Shape.CONE, [10, 0, 0, 10, 0, 0, 2.0, 2.0]), (0, 0, 0), (1, 0, 0), np.inf, 0.0),  # no length
+        (
+            (Shape.CONE, [10, 0, 0, 10, 0, 0, 2.0, 2.0]),
+            (0, 0, 0),
+            (1, 0, 0),
+            np.inf,
+            0.0,
+        ),  # no length
         ((Shape.ELLIPSOID, [10, 0, 0, 3, 1, 1, 0]), (0, 0, 0), (1, 0, 0), 7.0, 1.0),
         ((Shape.ELLIPSOID, [10, 0, 0, 3, 1, 1, np.pi / 2]), (0, 0, 0), (1, 0, 0), 9.0, 1.0),
         ((Shape.ELLIPSOID, [0, 0, 0, 3, 1, 1, 0]), (0, 0, 0), (-1, 0, 0), 3.0, 1.0),
         ((Shape.BOX, [10, 0, 0, 2, 1, 1, 0]), (0, 0, 0), (1, 0, 0), 8.0, 1.0),
-        ((Shape.BOX, [10, 0.1, 0, 1, 1, 1, np.pi / 4]), (0, 0, 0), (1, 0, 0), 10.1 - np.sqrt(2), np.sqrt(0.5)),
+        (
+            (Shape.BOX, [10, 0.1, 0, 1, 1, 1, np.pi / 4]),
+            (0, 0, 0),
+            (1, 0, 0),
+            10.1 - np.sqrt(2),
+            np.sqrt(0.5),
+        ),
         ((Shape.BOX, [0, 0, 0, 2, 1, 1, 0]), (0, 0, 0), (0, 0, 1), 1.0, 1.0),
         ((Shape.BOX, [-10, 0, 0, 2, 1, 1, 0]), (0, 0, 0), (1, 0, 0), np.inf, 0.0),  # behind
     ],
 )
 def test_shots_meet_simple_bodies_where_geometry_says(
-    body: tuple[Shape, list[float]], origin: tuple[float, ...], towards: tuple[float, ...], t: float, facing: float
+    body: tuple[Shape, list[float]],
+    origin: tuple[float, ...],
+    towards: tuple[float, ...],
+    t: float,
+    facing: float,
 ) -> None:
     hits = one_shot(world(body), origin, towards)
     assert hits.t.item() == pytest.approx(t)
@@ -85,7 +133,9 @@ def test_no_shot_leaves_a_closed_room(slant_rad: float, roll_rad: float) -> None
     corners = np.array([[x, y, z] for x in (-9.0, 11.0) for y in (-3.0, 4.0) for z in (-2.0, 3.0)])
     faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     triangles = [
-        (Shape.TRIANGLE, corners[[face[0], face[k], face[k + 1]]].ravel().tolist()) for face in faces for k in (1, 2)
+        (Shape.TRIANGLE, corners[[face[0], face[k], face[k + 1]]].ravel().tolist())
+        for face in faces
+        for k in (1, 2)
     ]
     origin, direction, time = profile(8, roll_rad=roll_rad, slant_rad=slant_rad)
     hits = cast(world(*triangles), origin, direction, time)
@@ -115,11 +165,20 @@ SEED = 20
 LINES = 400
 
 CW = SCANNERS["photon-80"].changed(
-    points_per_line=100, field_deg=14.86, lost_share=0.0, background_share=0.0, sky_share=0.0, bright_sky_share=0.0,
-    cluster_share=0.0, half_range_m=2000.0, max_range_m=150.0,
-)  # fmt: skip
+    points_per_line=100,
+    field_deg=14.86,
+    lost_share=0.0,
+    background_share=0.0,
+    sky_share=0.0,
+    bright_sky_share=0.0,
+    cluster_share=0.0,
+    half_range_m=2000.0,
+    max_range_m=150.0,
+)
 """A continuous wave without anything stray, with the steps of the Photon."""
-PULSED = CW.changed(principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3)
+PULSED = CW.changed(
+    principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3
+)
 
 
 class SensorHits(NamedTuple):
@@ -144,12 +203,16 @@ def sensor_world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
     )
 
 
-def hits(t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: int = 100) -> SensorHits:
+def hits(
+    t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: int = 100
+) -> SensorHits:
     """Hits of which each number may be given for all, or by column."""
     shape = (lines, columns)
     number = np.broadcast_to(np.asarray(body, dtype=np.int32), shape).copy()
     t = np.where(number < 0, np.inf, np.broadcast_to(np.asarray(t, dtype=np.float64), shape))
-    return SensorHits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
+    return SensorHits(
+        t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy()
+    )
 
 
 def step(scanner: Scanner, far: float = 30.0) -> Measured:
@@ -157,7 +220,9 @@ def step(scanner: Scanner, far: float = 30.0) -> Measured:
     column = np.arange(100)
     post = (column >= 40) & (column < 60)
     found = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
-    return scan(found, sensor_world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED)
+    return scan(
+        found, sensor_world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED
+    )
 
 
 def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
@@ -181,11 +246,17 @@ def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one(
 
 def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[SensorHits, Bodies]:
     """Runs of all materials and sky."""
-    bodies = sensor_world(Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE)
-    run = np.maximum.accumulate(np.where(rng.random((lines, columns)) < 0.2, np.arange(columns), 0), axis=1)
+    bodies = sensor_world(
+        Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE
+    )
+    run = np.maximum.accumulate(
+        np.where(rng.random((lines, columns)) < 0.2, np.arange(columns), 0), axis=1
+    )
     body = np.take_along_axis(rng.integers(-1, 5, (lines, columns)), run, axis=1).astype(np.int32)
     t = np.take_along_axis(rng.uniform(2.0, 40.0, (lines, columns)), run, axis=1)
-    t = np.where(body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf)
+    t = np.where(
+        body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf
+    )
     return SensorHits(t, body, rng.random((lines, columns))), bodies
 
 
@@ -195,10 +266,14 @@ def test_result_depends_on_line_and_seed_alone(name: str) -> None:
     rng = np.random.default_rng(3)
     seen, bodies = street(rng, 12, scanner.points_per_line)
     asked = goes_behind(seen, bodies, scanner, 5, SEED)
-    behind = SensorHits(np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing)
+    behind = SensorHits(
+        np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing
+    )
     whole = scan(seen, bodies, scanner, 5, SEED, behind)
     for first, stop in pairwise((0, 1, 7, 12)):
-        part = scan(seen.lines(first, stop), bodies, scanner, 5 + first, SEED, behind.lines(first, stop))
+        part = scan(
+            seen.lines(first, stop), bodies, scanner, 5 + first, SEED, behind.lines(first, stop)
+        )
         np.testing.assert_array_equal(part.range_m, whole.range_m[first:stop])
         np.testing.assert_array_equal(part.label, whole.label[first:stop])
         np.testing.assert_array_equal(part.intensity, whole.intensity[first:stop])

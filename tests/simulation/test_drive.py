@@ -21,15 +21,36 @@ from prc_cli.methods.base import Wanted
 from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.simulation.drive import SimulatedScan
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.trajectory import MOTIONS, Frame, MotionParams, Station, Trajectory, aim, write_trajectory
+from prc_cli.simulation.trajectory import (
+    MOTIONS,
+    Frame,
+    MotionParams,
+    Station,
+    Trajectory,
+    aim,
+    write_trajectory,
+)
 from prc_cli.simulation.world import Bodies, Material, Shape
 from tests.simulated import drive_arrays, drive_scan, static_arrays, static_scan
 
 EXACT = Scanner(
-    line_hz=10.0, points_per_line=360, field_deg=360.0, duty=1.0, height_m=2.0, principle="pulsed",
-    divergence_mrad=0.0, exit_mm=0.001, min_range_m=0.01, max_range_m=500.0, half_range_m=5000.0, resolution_m=1e-6,
-    noise_m=0.0, noise_per_m=0.0, noise_spread=0.0, lost_share=0.0,
-)  # fmt: skip
+    line_hz=10.0,
+    points_per_line=360,
+    field_deg=360.0,
+    duty=1.0,
+    height_m=2.0,
+    principle="pulsed",
+    divergence_mrad=0.0,
+    exit_mm=0.001,
+    min_range_m=0.01,
+    max_range_m=500.0,
+    half_range_m=5000.0,
+    resolution_m=1e-6,
+    noise_m=0.0,
+    noise_per_m=0.0,
+    noise_spread=0.0,
+    lost_share=0.0,
+)
 
 
 def boxes(*rows: tuple[Material, tuple[float, ...]]) -> Bodies:
@@ -61,14 +82,22 @@ def along_x(s_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[np.ndarr
 
 
 EVEN = MotionParams(
-    speed_m_s=5.0, speed_variation=0.0, stop_every_m=0.0, roll_deg=0.0, pitch_deg=0.0, yaw_deg=0.0, bounce_m=0.0,
+    speed_m_s=5.0,
+    speed_variation=0.0,
+    stop_every_m=0.0,
+    roll_deg=0.0,
+    pitch_deg=0.0,
+    yaw_deg=0.0,
+    bounce_m=0.0,
     lean_deg=0.0,
-)  # fmt: skip
+)
 
 
 def scan_of(scanner: Scanner = EXACT, *, n_lines: int = 3, sight_m: float = 100.0) -> SimulatedScan:
     platform = Trajectory(along_x, EVEN, scanner.height_m, 1)
-    return SimulatedScan("test", near, scanner, platform, 1, n_lines, sight_m, with_xyz=True, with_world=True)
+    return SimulatedScan(
+        "test", near, scanner, platform, 1, n_lines, sight_m, with_xyz=True, with_world=True
+    )
 
 
 def test_ranges_labels_and_places_are_those_of_the_street() -> None:
@@ -93,9 +122,16 @@ def test_ranges_labels_and_places_are_those_of_the_street() -> None:
 
 
 KNOWN_STATIC = {
-    Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.HORIZONTAL, Label.CURB, Label.VERTICAL,
-    Label.VEGETATION, Label.CAR,
-}  # fmt: skip
+    Label.MISSING,
+    Label.UNCLASSIFIED,
+    Label.NOISE,
+    Label.GROUND,
+    Label.HORIZONTAL,
+    Label.CURB,
+    Label.VERTICAL,
+    Label.VEGETATION,
+    Label.CAR,
+}
 KNOWN_DRIVE = (KNOWN_STATIC - {Label.HORIZONTAL, Label.VERTICAL}) | {Label.BUILDING, Label.POLE}
 
 
@@ -110,13 +146,19 @@ def test_what_every_scan_keeps(kind: str) -> None:
         seen = ~np.isnan(block.range_m)
         assert block.range_m[seen].min() >= scanner.min_range_m
         assert block.range_m[seen].max() <= scanner.max_range_m
-        assert {Label(one) for one in np.unique(labels)} <= (KNOWN_DRIVE if is_drive else KNOWN_STATIC)
+        assert {Label(one) for one in np.unique(labels)} <= (
+            KNOWN_DRIVE if is_drive else KNOWN_STATIC
+        )
         if block.xyz_m is not None:
-            assert np.allclose(np.linalg.norm(block.xyz_m[seen], axis=1), block.range_m[seen], rtol=1e-6)
+            assert np.allclose(
+                np.linalg.norm(block.xyz_m[seen], axis=1), block.range_m[seen], rtol=1e-6
+            )
             assert np.isnan(block.xyz_m[~seen]).all()
 
 
-def classified(seed: int, lines: int = 32, *, azimuth_step: float = 0.5, turn: float = 360.0) -> tuple[U8, U8, F32]:
+def classified(
+    seed: int, lines: int = 32, *, azimuth_step: float = 0.5, turn: float = 360.0
+) -> tuple[U8, U8, F32]:
     """Labels, reference labels and height of the ground of a simulated scan."""
     items = list(static_scan(0.2, azimuth_step, seed, turn=turn).labelled_blocks(lines))
     settings = load_config(preset="street-scan").config.classifier
@@ -139,7 +181,12 @@ def test_classes_of_the_paper() -> None:
     labels, reference = (np.concatenate([scan[i] for scan in scans]) for i in (0, 1))
     found = scored(labels, reference, "street_scan")
     # found: .89 .61, .86 .87, .36 .92, .99 .96
-    floors = {"vegetation": (0.8, 0.5), "vertical": (0.78, 0.8), "car": (0.28, 0.85), "horizontal": (0.95, 0.9)}
+    floors = {
+        "vegetation": (0.8, 0.5),
+        "vertical": (0.78, 0.8),
+        "car": (0.28, 0.85),
+        "horizontal": (0.95, 0.9),
+    }
     for name, (recall, precision) in floors.items():
         assert found[name].recall > recall, name
         assert found[name].precision > precision, name
@@ -153,8 +200,14 @@ def test_blocks_change_no_label(lines: int) -> None:
 
 
 STEADY: dict[str, float] = {
-    "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "bounce_m": 0, "lean_deg": 0, "speed_variation": 0, "stop_every_m": 0
-}  # fmt: skip
+    "roll_deg": 0,
+    "pitch_deg": 0,
+    "yaw_deg": 0,
+    "bounce_m": 0,
+    "lean_deg": 0,
+    "speed_variation": 0,
+    "stop_every_m": 0,
+}
 
 
 def straight(distance: F64) -> tuple[F64, F64]:
@@ -167,7 +220,8 @@ def winding(distance: F64) -> tuple[F64, F64]:
     heading = 0.5 * np.sin(distance / 60.0)
     fine = np.arange(0.0, distance.max() + 2.0, 0.5)
     x, y = (
-        np.concatenate([[0], np.cumsum(0.5 * f(0.5 * np.sin((fine + 0.25) / 60.0)))[:-1]]) for f in (np.cos, np.sin)
+        np.concatenate([[0], np.cumsum(0.5 * f(0.5 * np.sin((fine + 0.25) / 60.0)))[:-1]])
+        for f in (np.cos, np.sin)
     )
     xy = [np.interp(distance, fine, values) for values in (x, y)]
     return np.stack([*xy, distance / 20.0], axis=1), heading
@@ -180,7 +234,11 @@ def drive(**values: float) -> Trajectory:
 @pytest.mark.parametrize("name", sorted(SCANNERS))
 def test_rays_do_not_depend_on_how_lines_were_cut_into_blocks(name: str) -> None:
     scanner = SCANNERS[name]
-    platform = Station(1.0, 2.0, 1.7) if scanner.is_static else Trajectory(winding, MOTIONS["car"], 2.5, seed=5)
+    platform = (
+        Station(1.0, 2.0, 1.7)
+        if scanner.is_static
+        else Trajectory(winding, MOTIONS["car"], 2.5, seed=5)
+    )
     whole = aim(platform, scanner, 10, 7)
     for first, stop in pairwise((10, 11, 15, 17)):
         part = aim(platform, scanner, first, stop - first)
@@ -197,7 +255,9 @@ def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:
     write_trajectory(path, platform, 3.0, start_s=1000.0, frame=Frame())
     time_s, xyz_m = read_text(path)
     np.testing.assert_allclose(time_s, 1000.0 + np.arange(601) / 200.0, atol=1e-6)
-    np.testing.assert_allclose(xyz_m - Frame().origin(), platform.pose(time_s - 1000.0).position, atol=1e-4)
+    np.testing.assert_allclose(
+        xyz_m - Frame().origin(), platform.pose(time_s - 1000.0).position, atol=1e-4
+    )
 
 
 def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
@@ -213,11 +273,17 @@ def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
     # meridian converges by 2 degrees
     records = np.fromfile(path, "<f8").reshape(-1, 17)
     longitude, latitude = np.degrees(position[:, 0]), np.degrees(position[:, 1])
-    azimuth, _, way = pyproj.Geod(ellps="WGS84").inv(longitude[:-1], latitude[:-1], longitude[1:], latitude[1:])
+    azimuth, _, way = pyproj.Geod(ellps="WGS84").inv(
+        longitude[:-1], latitude[:-1], longitude[1:], latitude[1:]
+    )
     np.testing.assert_allclose(np.degrees(records[:-1, 9]), azimuth % 360.0, atol=0.25)
-    np.testing.assert_allclose(np.arctan2(records[:-1, 5], records[:-1, 4]), np.radians(azimuth), atol=5e-3)
+    np.testing.assert_allclose(
+        np.arctan2(records[:-1, 5], records[:-1, 4]), np.radians(azimuth), atol=5e-3
+    )
     np.testing.assert_allclose(np.hypot(records[:-1, 4], records[:-1, 5]), way * 200.0, rtol=2e-3)
-    np.testing.assert_allclose(records[:, 8], np.arctan(1 / 20), atol=1e-6, err_msg="nose up is positive there")
+    np.testing.assert_allclose(
+        records[:, 8], np.arctan(1 / 20), atol=1e-6, err_msg="nose up is positive there"
+    )
 
 
 def test_sbet_needs_a_place_on_earth(tmp_path: Path) -> None:

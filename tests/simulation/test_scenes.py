@@ -29,7 +29,9 @@ def bodies(scene: ForestScene) -> Bodies:
 
 def _assert_same(one: Bodies, other: Bodies) -> None:
     for field in fields(Bodies):
-        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
+        np.testing.assert_array_equal(
+            getattr(one, field.name), getattr(other, field.name), err_msg=field.name
+        )
 
 
 def test_the_same_seed_makes_the_same_forest_whatever_was_seen_before(scene: ForestScene) -> None:
@@ -80,7 +82,10 @@ def test_the_path_is_clear(scene: ForestScene) -> None:
     stems = scene.stems_near(*middle, radius)
     for above in (0.0, 1.3, 2.0):
         axis = stems.axis(np.full(len(stems), above))
-        gap = np.hypot(*np.moveaxis(axis[:, None, :2] - path[:, :2], -1, 0)).min(axis=1) - stems.dbh / 2
+        gap = (
+            np.hypot(*np.moveaxis(axis[:, None, :2] - path[:, :2], -1, 0)).min(axis=1)
+            - stems.dbh / 2
+        )
         assert gap.min() > scene.params.clearance_m - 0.05
     bodies = scene.bodies_near(*middle, radius)
     scanner = path + np.array([0, 0, 2.1])
@@ -89,7 +94,9 @@ def test_the_path_is_clear(scene: ForestScene) -> None:
         offset = scanner - centre
         along = np.cos(yaw) * offset[:, 0] + np.sin(yaw) * offset[:, 1]
         across = np.cos(yaw) * offset[:, 1] - np.sin(yaw) * offset[:, 0]
-        assert ((along / half[0]) ** 2 + (across / half[1]) ** 2 + (offset[:, 2] / half[2]) ** 2 > 1).all()
+        assert (
+            (along / half[0]) ** 2 + (across / half[1]) ** 2 + (offset[:, 2] / half[2]) ** 2 > 1
+        ).all()
 
 
 class _OneTree:

@@ -46,7 +46,13 @@ def test_a_line_is_one_firing_of_all_rings() -> None:
 
 def test_rings_of_a_line_look_one_way_though_they_are_staggered() -> None:
     fine = options(scanner={"name": "vlp-32c", "azimuth_step_deg": 0.2}, lines=100)
-    block = next(iter(open_simulation("street", load_settings("street", options=fine), with_xyz=True).scan.blocks()))
+    block = next(
+        iter(
+            open_simulation(
+                "street", load_settings("street", options=fine), with_xyz=True
+            ).scan.blocks()
+        )
+    )
     assert block.xyz_m is not None
     assert block.time_s is not None
     azimuth = np.rad2deg(np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0]))
@@ -88,7 +94,9 @@ def test_snow_is_noise_near_the_scanner() -> None:
     def labelled(flake_m: float) -> tuple[np.ndarray, np.ndarray]:
         settings = load_settings("street", options=options(flake_m=flake_m))
         found = list(open_simulation("street", settings).scan.labelled_blocks(300))
-        return np.concatenate([one.block.range_m for one in found]), np.concatenate([one.labels for one in found])
+        return np.concatenate([one.block.range_m for one in found]), np.concatenate(
+            [one.labels for one in found]
+        )
 
     clear, clear_labels = labelled(0.0)
     snowy, snowy_labels = labelled(100.0)
@@ -104,12 +112,20 @@ def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="rising elevations of a spinning scanner"):
         load_settings("street", options=options(scanner={**COARSE, "elevations_deg": [1.0, 0.0]}))
     with pytest.raises(ConfigError, match="a scanner that does not spin"):
-        simulate("street", tmp_path / "a.npz", load_settings("street", options={"lines": 9}),
-                 beside=Beside(frames=tmp_path / "frames"))  # fmt: skip
+        simulate(
+            "street",
+            tmp_path / "a.npz",
+            load_settings("street", options={"lines": 9}),
+            beside=Beside(frames=tmp_path / "frames"),
+        )
     (tmp_path / "frames").mkdir()
     with pytest.raises(OutputExistsError):
-        simulate("street", tmp_path / "a.npz", load_settings("street", options=options()),
-                 beside=Beside(frames=tmp_path / "frames"))  # fmt: skip
+        simulate(
+            "street",
+            tmp_path / "a.npz",
+            load_settings("street", options=options()),
+            beside=Beside(frames=tmp_path / "frames"),
+        )
     assert not (tmp_path / "a.npz").exists()
 
 

@@ -46,7 +46,10 @@ def stream(*parts: ScanBlock, **info: Any) -> Blocks:
     given = {"angle_rad": first.angle_rad} | info
     form = given.pop("format", "LAS")
     facts = SourceFacts(has_scans=form in ("PTX", "E57"))
-    return Blocks(parts, StreamInfo("drive.laz", form, first.points_per_line, None, None, facts=facts, **given))
+    return Blocks(
+        parts,
+        StreamInfo("drive.laz", form, first.points_per_line, None, None, facts=facts, **given),
+    )
 
 
 def lines(
@@ -68,7 +71,9 @@ def lines(
     side = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=-1)
     across = np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=-1)
     down = np.sin(tilt) * across + np.array([0.0, 0.0, -np.cos(tilt)])
-    xyz = range_m[..., None] * (np.sin(beam_rad)[None, :, None] * side + np.cos(beam_rad)[None, :, None] * down)
+    xyz = range_m[..., None] * (
+        np.sin(beam_rad)[None, :, None] * side + np.cos(beam_rad)[None, :, None] * down
+    )
     xyz += rng.normal(0, noise_m, xyz.shape)
     gone = rng.random((n_lines, m)) < missing
     xyz[gone] = np.nan
@@ -94,7 +99,10 @@ def pieces(block: ScanBlock, rng: np.random.Generator) -> tuple[ScanBlock, ...]:
 
 def worst_deg(found: F64, true: F64) -> float:
     """Return the largest difference of two lists of angles, whichever side counts as positive [deg]."""
-    return min(float(np.max(np.abs(np.rad2deg(np.angle(np.exp(1j * (way * found - true))))))) for way in (1, -1))
+    return min(
+        float(np.max(np.abs(np.rad2deg(np.angle(np.exp(1j * (way * found - true)))))))
+        for way in (1, -1)
+    )
 
 
 def is_strictly_monotone(beam_rad: F64) -> bool:

@@ -48,7 +48,9 @@ class MemorySource:
         for first in range(0, n, self.chunk_records):
             part = slice(first, min(first + self.chunk_records, n))
             record = None if self.record is None else self.record[part]
-            yield RecordChunk(first, {name: self.values[name][part] for name in names}, part.stop - first, record)
+            yield RecordChunk(
+                first, {name: self.values[name][part] for name in names}, part.stop - first, record
+            )
 
 
 def scene(seed: int = 0, *, missing: float = 0.2) -> tuple[F32, dict[str, NDArray[Any]]]:
@@ -81,7 +83,9 @@ def only(records: dict[str, NDArray[Any]], *names: str) -> dict[str, NDArray[Any
     return {name: records[name] for name in names}
 
 
-def open_records(records: dict[str, NDArray[Any]], chunk_records: int = 1000, **options: Any) -> ScanStream:
+def open_records(
+    records: dict[str, NDArray[Any]], chunk_records: int = 1000, **options: Any
+) -> ScanStream:
     """Open records with ``[input]`` keys as keyword arguments (``return_`` for ``return``)."""
     keys = {key.rstrip("_"): value for key, value in options.items()}
     return open_grid(MemorySource(records, chunk_records), InputConfig(**keys))
@@ -104,7 +108,11 @@ class Whole:
             (block.first_line + int(line), int(column), float(range_m), int(record))
             for block in self.blocks
             for line, column, range_m, record in zip(
-                block.extra.line, block.extra.column, block.extra.range_m, block.extra.record, strict=True
+                block.extra.line,
+                block.extra.column,
+                block.extra.range_m,
+                block.extra.record,
+                strict=True,
             )
         ]
         return sorted(found, key=lambda item: item[3])
@@ -130,5 +138,8 @@ def read(stream: ScanStream, scanner: int | None = None) -> Whole:
         assert not np.any(np.isinf(block.range_m))
         expected += block.n_lines
     return Whole(
-        np.concatenate([block.range_m for block in own]), np.concatenate([block.records() for block in own]), tally, own
+        np.concatenate([block.range_m for block in own]),
+        np.concatenate([block.records() for block in own]),
+        tally,
+        own,
     )

@@ -22,12 +22,16 @@ TRUE = np.deg2rad(np.linspace(-160, 159, M))
 def walls(n_lines: int = 40) -> tuple[F64, F64]:
     """Ranges and registered points between two walls, of a scanner that drives and leans over."""
     line, angle = np.arange(n_lines)[:, None], TRUE[None, :]
-    reach = np.minimum(4 / np.maximum(np.abs(np.sin(angle)), 1e-6), 2 / np.maximum(np.abs(np.cos(angle)), 1e-6))
+    reach = np.minimum(
+        4 / np.maximum(np.abs(np.sin(angle)), 1e-6), 2 / np.maximum(np.abs(np.cos(angle)), 1e-6)
+    )
     reach = np.where(np.abs(angle) > np.deg2rad(120), np.nan, reach)
     range_m = np.broadcast_to(reach, (n_lines, M)).copy()
     lean = 0.3 * np.sin(line / 7)
     along = np.broadcast_to(0.2 * line, range_m.shape)
-    xyz = np.stack([along, range_m * np.sin(angle + lean), -range_m * np.cos(angle + lean)], axis=-1)
+    xyz = np.stack(
+        [along, range_m * np.sin(angle + lean), -range_m * np.cos(angle + lean)], axis=-1
+    )
     return range_m, xyz + np.array([300.0, 5000.0, 12.0])
 
 
@@ -44,10 +48,14 @@ def walls(n_lines: int = 40) -> tuple[F64, F64]:
         (lambda r: 0.1 * r, np.copy, False),
     ],
 )
-def test_points_contradict_wrong_ranges_and_angles(range_of: Any, angle_of: Any, is_right: bool) -> None:
+def test_points_contradict_wrong_ranges_and_angles(
+    range_of: Any, angle_of: Any, is_right: bool
+) -> None:
     range_m, xyz = walls()
     line, column = (index.ravel() for index in np.indices(range_m.shape))
-    share = contradicted_share(range_of(range_m.ravel()), xyz.reshape(-1, 3), line, column, angle_of(TRUE))
+    share = contradicted_share(
+        range_of(range_m.ravel()), xyz.reshape(-1, 3), line, column, angle_of(TRUE)
+    )
     assert share is not None
     assert (share < 0.1) == is_right
 
@@ -75,7 +83,12 @@ def test_uneven_angles_are_not_continued() -> None:
 def drive(range_m: F64, xyz: F64, angle_rad: F64) -> ScanStream:
     """The walls as a list of records."""
     line, column = (index.ravel() for index in np.indices(range_m.shape))
-    values = {"range": range_m.ravel(), "scan_line": line, "column": column, "angle": angle_rad[column]}
+    values = {
+        "range": range_m.ravel(),
+        "scan_line": line,
+        "column": column,
+        "angle": angle_rad[column],
+    }
     values |= {axis: xyz[..., i].ravel() for i, axis in enumerate("xyz")}
     return open_records(values, 5000)
 
@@ -89,9 +102,13 @@ SCALES = [
 
 
 @pytest.mark.parametrize(
-    ("angle_of", "told", "has_angles"), [case[1:] for case in SCALES], ids=[case[0] for case in SCALES]
+    ("angle_of", "told", "has_angles"),
+    [case[1:] for case in SCALES],
+    ids=[case[0] for case in SCALES],
 )
-def test_angles_that_are_not_those_of_the_shots_are_not_used(angle_of: Any, told: str, has_angles: bool) -> None:
+def test_angles_that_are_not_those_of_the_shots_are_not_used(
+    angle_of: Any, told: str, has_angles: bool
+) -> None:
     range_m, xyz = walls()
     info = drive(range_m, xyz, angle_of(TRUE)).info
     assert (info.angle_rad is not None) == has_angles

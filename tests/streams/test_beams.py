@@ -28,7 +28,15 @@ from prc_cli.streams.evidence.geometry import check_angle_step, check_down, chec
 from prc_cli.streams.open import open_input
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.profiler import jakarto, jakarto_input, scanner_positions, write_trajectory
-from tests.streams.beam_lines import GEOMETRIES, gone, is_strictly_monotone, lines, pieces, stream, worst_deg
+from tests.streams.beam_lines import (
+    GEOMETRIES,
+    gone,
+    is_strictly_monotone,
+    lines,
+    pieces,
+    stream,
+    worst_deg,
+)
 from tests.streams.record_lists import LINE_HZ, SHOT_HZ, M, open_records, read, scene
 
 AUTO = InputConfig()
@@ -60,7 +68,9 @@ def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
     parts = []
     for scanner, name in enumerate(names):
         block = lines(GEOMETRIES[name], 100, seed=scanner)
-        parts += [replace(part, scanner=scanner) for part in pieces(block, np.random.default_rng(scanner))]
+        parts += [
+            replace(part, scanner=scanner) for part in pieces(block, np.random.default_rng(scanner))
+        ]
     for source in (stream(*parts), stream(*parts[::2], *parts[1::2])):
         seen = set()
         n_lines = dict.fromkeys(range(3), 0)
@@ -79,7 +89,11 @@ def with_stray_shots(block: ScanBlock, n_lines: int) -> ScanBlock:
     range_m = np.full((n_lines, block.points_per_line), np.nan, np.float32)
     xyz_m = np.full((*range_m.shape, 3), np.nan, np.float32)
     range_m[:, 3], xyz_m[:, 3] = block.range_m[0, 3], block.xyz_m[0, 3]
-    return replace(block, range_m=np.concatenate([range_m, block.range_m]), xyz_m=np.concatenate([xyz_m, block.xyz_m]))
+    return replace(
+        block,
+        range_m=np.concatenate([range_m, block.range_m]),
+        xyz_m=np.concatenate([xyz_m, block.xyz_m]),
+    )
 
 
 @pytest.mark.parametrize("n_stray", [1, 63, 64, 500])
@@ -89,7 +103,9 @@ def test_stray_shots_at_the_beginning_do_not_hide_the_beams(n_stray: int) -> Non
     assert worst_deg(beams_of(stream(block)), true) < 0.25
 
 
-def test_prc_for_want_of_beams_is_a_doubt_where_lines_have_returns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_prc_for_want_of_beams_is_a_doubt_where_lines_have_returns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     block = lines(GEOMETRIES["through the zenith"], missing=0.0)
     source = stream(with_stray_shots(block, 200))
     monkeypatch.setattr("prc_cli.streams.beams.MAX_SAMPLE_CELLS", 70 * block.points_per_line)
@@ -171,7 +187,9 @@ def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64
 
 @pytest.mark.parametrize("start_deg", [-180.0, 33.0])
 @pytest.mark.parametrize("how", ["dimensions", "order", "fixed", "time", "own angles", "z alone"])
-def test_heights_tell_where_down_is_on_the_scale_of_given_angles(start_deg: float, how: str) -> None:
+def test_heights_tell_where_down_is_on_the_scale_of_given_angles(
+    start_deg: float, how: str
+) -> None:
     """Nothing of the file but its heights says it, and no guess is made."""
     _, records = scene(missing=0.0 if how in ("order", "fixed") else 0.2)
     if how == "fixed":
@@ -203,15 +221,18 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
     records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
     read = open_records(records, scanner="point_source_id")
     assert read.info.down_rad is None
-    assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx([0.0, 30.0], abs=0.1)
+    assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx(
+        [0.0, 30.0], abs=0.1
+    )
     expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
     found = with_beams(read, AUTO)
     for block in found.blocks():
         assert block.beam_rad is not None
         assert worst_deg(block.beam_rad, expected) < 0.1
     assert [a.key for a in found.info.assumptions if "nadir" in a.key] == [
-        "input.nadir of point_source_id 3", "input.nadir of point_source_id 8",
-    ]  # fmt: skip
+        "input.nadir of point_source_id 3",
+        "input.nadir of point_source_id 8",
+    ]
 
 
 def hostile(rng: np.random.Generator) -> ScanBlock:
@@ -228,7 +249,11 @@ def hostile(rng: np.random.Generator) -> ScanBlock:
     ][int(rng.integers(5))] * 10.0 ** float(rng.integers(-20, 18))
     small = xyz.astype(np.float32)
     length = np.sqrt((small.astype(np.float64) ** 2).sum(axis=-1)).astype(np.float32)
-    missing = (rng.random((n, m)) < rng.choice([0.0, 0.3, 0.9, 0.99])) | ~(length > 0) | ~np.isfinite(length)
+    missing = (
+        (rng.random((n, m)) < rng.choice([0.0, 0.3, 0.9, 0.99]))
+        | ~(length > 0)
+        | ~np.isfinite(length)
+    )
     length[missing], small[missing] = np.nan, np.nan
     return ScanBlock(
         0,
@@ -335,7 +360,9 @@ def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
     labels = np.load(tmp_path / "labels.npy")
     assert len(labels) == 124_668
     assert np.all(labels > 0)
-    matrix = evaluate(tmp_path / "labels.npy", real_data / "kitti" / "000000.label", "semantic_kitti")
+    matrix = evaluate(
+        tmp_path / "labels.npy", real_data / "kitti" / "000000.label", "semantic_kitti"
+    )
     assert matrix.counts.sum() + matrix.n_ignored == 124_668
 
 
@@ -356,7 +383,12 @@ def verdict(found: Finding | None) -> Verdict | None:
 @pytest.fixture(scope="module", params=["photon-80", "sick-push-broom"])
 def street(request: pytest.FixtureRequest) -> tuple[F64, F32]:
     """Return beams and ranges of a simulated street."""
-    options = {"seed": 8801, "length_m": 25.0, "scanner": {"name": request.param}, "trajectory": {"stop_every_m": 0.0}}
+    options = {
+        "seed": 8801,
+        "length_m": 25.0,
+        "scanner": {"name": request.param},
+        "trajectory": {"stop_every_m": 0.0},
+    }
     scan = open_simulation("street", load_settings("street", options=options)).scan
     ranges = np.concatenate([item.block.range_m for item in scan.labelled_blocks()])
     assert scan.info.angle_rad is not None
@@ -365,9 +397,16 @@ def street(request: pytest.FixtureRequest) -> tuple[F64, F32]:
 
 @pytest.mark.parametrize(
     ("off_deg", "expected"),
-    [(15, Verdict.DOUBTFUL), (-15, Verdict.DOUBTFUL), (45, Verdict.AGAINST), (180, Verdict.AGAINST)],
+    [
+        (15, Verdict.DOUBTFUL),
+        (-15, Verdict.DOUBTFUL),
+        (45, Verdict.AGAINST),
+        (180, Verdict.AGAINST),
+    ],
 )
-def test_down_that_is_given_wrong_is_noticed(street: tuple[F64, F32], off_deg: float, expected: Verdict) -> None:
+def test_down_that_is_given_wrong_is_noticed(
+    street: tuple[F64, F32], off_deg: float, expected: Verdict
+) -> None:
     angle, ranges = street
     found = check_down(replace(seen(angle + np.deg2rad(off_deg), ranges), angle_rad=angle))
     assert found is not None
@@ -379,9 +418,17 @@ def test_down_that_is_given_wrong_is_noticed(street: tuple[F64, F32], off_deg: f
 
 @pytest.mark.parametrize(
     ("factor", "expected"),
-    [(100.0, Verdict.AGAINST), (0.001, Verdict.AGAINST), (3.2808, Verdict.DOUBTFUL), (2.0, None), (0.5, Verdict.FINE)],
+    [
+        (100.0, Verdict.AGAINST),
+        (0.001, Verdict.AGAINST),
+        (3.2808, Verdict.DOUBTFUL),
+        (2.0, None),
+        (0.5, Verdict.FINE),
+    ],
 )
-def test_ranges_in_another_unit_are_noticed(street: tuple[F64, F32], factor: float, expected: Verdict | None) -> None:
+def test_ranges_in_another_unit_are_noticed(
+    street: tuple[F64, F32], factor: float, expected: Verdict | None
+) -> None:
     angle, ranges = street
     found = check_height(seen(angle, ranges * np.float32(factor)))
     assert found is not None

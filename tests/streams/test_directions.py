@@ -19,7 +19,12 @@ from prc_cli.streams.down import WrongOriginError
 
 
 def arc(
-    span_deg: float, tilt_deg: float | F64 = 90.0, *, n: int = 301, middle_deg: float = 30.0, off_deg: float = 0.0
+    span_deg: float,
+    tilt_deg: float | F64 = 90.0,
+    *,
+    n: int = 301,
+    middle_deg: float = 30.0,
+    off_deg: float = 0.0,
 ) -> F64:
     """Return lines (lines, n, 3) in planes ``tilt_deg`` from horizontal, around ``middle_deg`` from straight down.
 
@@ -43,10 +48,14 @@ def test_lines_in_a_plane_are_taken(tilt_deg: float) -> None:
 
 
 @pytest.mark.parametrize(("span_deg", "limit_deg"), [(20.0, 0.4), (1.0, 0.1)])
-def test_shots_may_be_off_the_plane_by_a_share_of_the_arc(span_deg: float, limit_deg: float) -> None:
+def test_shots_may_be_off_the_plane_by_a_share_of_the_arc(
+    span_deg: float, limit_deg: float
+) -> None:
     """A fiftieth of the arc, and a tenth of a degree where that is more."""
     assert fit_beams(arc(span_deg, off_deg=0.97 * limit_deg, n=400)).n_lines == 1
-    with pytest.raises(WrongOriginError, match=f"lie {1.03 * limit_deg:.2f} deg off a plane through the origin"):
+    with pytest.raises(
+        WrongOriginError, match=f"lie {1.03 * limit_deg:.2f} deg off a plane through the origin"
+    ):
         fit_beams(arc(span_deg, off_deg=1.03 * limit_deg, n=400))
 
 
@@ -58,7 +67,9 @@ def planes(seed: int, n: int = 9, m: int = 40) -> tuple[F64, Mask]:
     rng = np.random.default_rng(seed)
     angle = np.linspace(rng.uniform(-3, 0), rng.uniform(0.2, 3), m)
     off = rng.normal(0.0, 0.004, (n, m)) * rng.choice([1.0, 8.0], (n, m), p=[0.9, 0.1])
-    local = np.stack([np.cos(off) * np.sin(angle), np.sin(off), -np.cos(off) * np.cos(angle)], axis=-1)
+    local = np.stack(
+        [np.cos(off) * np.sin(angle), np.sin(off), -np.cos(off) * np.cos(angle)], axis=-1
+    )
     turns = Rotation.random(n, random_state=seed).as_matrix()
     seen = rng.random((n, m)) < 0.8
     return np.where(seen[..., None], local @ turns, 0.0), seen
@@ -110,7 +121,12 @@ def test_angles_in_planes_equal_those_of_single_shots(seed: int) -> None:
 def test_straight_lines_without_outliers_equal_a_plain_fit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     column = np.sort(rng.choice(200, 30, replace=False)).astype(np.float64)
-    angle = 0.3 + 0.02 * column + rng.normal(0, 0.003, 30) + np.where(rng.random(30) < 0.2, rng.normal(0, 0.5, 30), 0.0)
+    angle = (
+        0.3
+        + 0.02 * column
+        + rng.normal(0, 0.003, 30)
+        + np.where(rng.random(30) < 0.2, rng.normal(0, 0.5, 30), 0.0)
+    )
     weight = rng.integers(1, 9, 30).astype(np.float64)
     use = weight
     for _ in range(5):
@@ -134,9 +150,14 @@ def test_columns_are_medians_of_their_lines(seed: int) -> None:
     assert found.n_lines == 15
     for column in range(25):
         if column != 7:
-            near = np.array([math.remainder(one - true[column], TURN) for one in angle[seen[:, column], column]])
+            near = np.array(
+                [math.remainder(one - true[column], TURN) for one in angle[seen[:, column], column]]
+            )
             # rising medians are as they are; others are pooled with their neighbours
-            assert abs(math.remainder(found.beam_rad[column] - true[column] - np.median(near), TURN)) < 0.02
+            assert (
+                abs(math.remainder(found.beam_rad[column] - true[column] - np.median(near), TURN))
+                < 0.02
+            )
     assert not found.is_straight
 
 
@@ -154,7 +175,9 @@ def test_column_0_is_the_earliest_start_fitted_to_all_angles(sign: int, phase: f
     noise = np.random.default_rng(3).normal(0.0, 0.05, len(column))
     angle = sign * step * (column + phase + noise - noise.mean()) + 2.0
     found = find_angle_grid(angle, line, "a.laz")
-    assert math.remainder(found.start_rad - (2.0 + sign * step * phase), TURN) == pytest.approx(0.0, abs=0.02 * step)
+    assert math.remainder(found.start_rad - (2.0 + sign * step * phase), TURN) == pytest.approx(
+        0.0, abs=0.02 * step
+    )
     assert found.step_rad == pytest.approx(sign * step, rel=1e-3)
     assert (found.n_columns, found.whole_turn) == (100, False)
 
@@ -168,7 +191,10 @@ def sweeps(n_lines: int, m: int, step_deg: float = 1.0) -> tuple[F64, I64]:
 @pytest.mark.parametrize("step_deg", [1e-310, 1e-9, 3.5e-5])
 def test_no_turn_has_more_than_ten_million_columns(step_deg: float) -> None:
     angle, line = np.deg2rad(step_deg * np.tile(np.arange(100.0), 3)), np.repeat(np.arange(3), 100)
-    with pytest.raises(InputError, match=r"degrees apart, expected at most 10000000 columns in a turn; take the order"):
+    with pytest.raises(
+        InputError,
+        match=r"degrees apart, expected at most 10000000 columns in a turn; take the order",
+    ):
         find_angle_grid(angle, line, "drive.csv")
     with pytest.raises(InputError, match="degrees apart"):
         find_angle_grid(*sweeps(3, 100), "drive.csv", step_rad=math.radians(step_deg))
@@ -182,7 +208,9 @@ def room(step_deg: float, m: int, n_lines: int = 60, noise_m: float = 0.0, seed:
     for _ in range(n_lines):
         walls = [(0.0, 2.0), (1.7, 5.0), (-1.5, 7.0), (2.6, 9.0)]
         with np.errstate(divide="ignore"):
-            depth = [d * rng.uniform(0.9, 1.1) / np.maximum(np.cos(beam - a), 0.05) for a, d in walls]
+            depth = [
+                d * rng.uniform(0.9, 1.1) / np.maximum(np.cos(beam - a), 0.05) for a, d in walls
+            ]
         lines.append(np.min(depth, axis=0) + rng.normal(0.0, noise_m, m))
     return np.array(lines, np.float32)
 
@@ -216,7 +244,9 @@ def test_bent_surfaces_do_not_move_the_step() -> None:
     for line in lines:
         for at in rng.integers(0, 4000, 20):
             x = np.linspace(-1.0, 1.0, 200)
-            line[at : at + 200] = 4.0 - rng.uniform(0.0, 0.4) * np.sqrt(1.2 - x * x) + rng.normal(0.0, 0.001, 200)
+            line[at : at + 200] = (
+                4.0 - rng.uniform(0.0, 0.4) * np.sqrt(1.2 - x * x) + rng.normal(0.0, 0.001, 200)
+            )
     found = measure_step(lines.astype(np.float32))
     assert found is not None
     assert math.degrees(found.step_rad) == pytest.approx(0.0714, rel=0.001)

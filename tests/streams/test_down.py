@@ -43,10 +43,16 @@ def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:
     [
         (np.full((3, 5, 3), np.nan), "no shot has a return"),
         (np.zeros((3, 5, 3)), "no shot has a return"),
-        (np.where(np.arange(5)[None, :, None] == 2, 1.0, np.full((3, 5, 3), np.nan)), "no line has two returns"),
+        (
+            np.where(np.arange(5)[None, :, None] == 2, 1.0, np.full((3, 5, 3), np.nan)),
+            "no line has two returns",
+        ),
         (np.ones((3, 5, 3)), "spans less than"),
         (np.random.default_rng(0).normal(size=(20, 50, 3)), "off a plane through the origin"),
-        (np.random.default_rng(0).uniform(50, 90, (20, 50, 3)) * [1, 1, 0.1], "look different ways|do not turn|rise"),
+        (
+            np.random.default_rng(0).uniform(50, 90, (20, 50, 3)) * [1, 1, 0.1],
+            "look different ways|do not turn|rise",
+        ),
     ],
 )
 def test_coordinates_that_do_not_tell(xyz: F64, message: str) -> None:
@@ -56,29 +62,46 @@ def test_coordinates_that_do_not_tell(xyz: F64, message: str) -> None:
 
 def room(n_lines: int = 120) -> F64:
     """Vertical lines of a scanner in the middle of a round room, 2 m above its floor."""
-    elevation, azimuth = np.deg2rad(np.linspace(-60, 60, 200)), np.deg2rad(np.arange(n_lines, dtype=float))[:, None]
-    length = np.minimum(2 / np.sin(np.maximum(-elevation, 1e-3)), 15 / np.cos(elevation)) + 0 * azimuth
+    elevation, azimuth = (
+        np.deg2rad(np.linspace(-60, 60, 200)),
+        np.deg2rad(np.arange(n_lines, dtype=float))[:, None],
+    )
+    length = (
+        np.minimum(2 / np.sin(np.maximum(-elevation, 1e-3)), 15 / np.cos(elevation)) + 0 * azimuth
+    )
     flat = length * np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=-1)
+    return np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=-1
+    )
 
 
 @pytest.mark.parametrize(
     ("offset_m", "message"),
     [
-        ((1.5, 0.5, 0.1), "not relative to the scanner: the shots of a line lie .* deg off a plane"),
-        ((5.0, 5.0, 5.0), "not relative to the scanner: the shots of a line lie .* deg off a plane"),
+        (
+            (1.5, 0.5, 0.1),
+            "not relative to the scanner: the shots of a line lie .* deg off a plane",
+        ),
+        (
+            (5.0, 5.0, 5.0),
+            "not relative to the scanner: the shots of a line lie .* deg off a plane",
+        ),
         ((0.0, 30.0, 0.0), "not relative to the scanner|not vertical lines"),
         ((1000.0, 1000.0, 100.0), "not relative to the scanner|not vertical lines"),
         ((5e5, 4e6, 100.0), "not relative to the scanner: its ranges are 4031 km in the middle"),
     ],
 )
-def test_another_origin_than_the_scanner_is_refused(offset_m: tuple[float, ...], message: str) -> None:
+def test_another_origin_than_the_scanner_is_refused(
+    offset_m: tuple[float, ...], message: str
+) -> None:
     assert fit_beams(room()).is_straight
     with pytest.raises(NoDirectionError, match=message):
         fit_beams(room() + np.array(offset_m))
 
 
-def shots(seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3.0) -> tuple[F64, F64, F64, I64]:
+def shots(
+    seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3.0
+) -> tuple[F64, F64, F64, I64]:
     """Return angle, range, height and line of a profiler that drives over hills."""
     rng = np.random.default_rng(seed)
     line = np.repeat(np.arange(n_lines), 180)
@@ -128,7 +151,10 @@ def test_any_heights_are_fitted_or_refused() -> None:
         n = int(rng.integers(0, 300))
         scale = 10.0 ** float(rng.integers(-30, 30))
         angle = rng.uniform(-4, 4, n) * rng.choice([0.0, 1e-9, 1.0])
-        range_m, z = rng.uniform(-1, 9, n) * scale, rng.normal(size=n) * 10.0 ** float(rng.integers(-30, 30))
+        range_m, z = (
+            rng.uniform(-1, 9, n) * scale,
+            rng.normal(size=n) * 10.0 ** float(rng.integers(-30, 30)),
+        )
         for values in (angle, range_m, z):
             values[rng.random(n) < 0.1] = rng.choice([np.nan, np.inf, 0.0])
         try:
@@ -184,7 +210,9 @@ def test_beams_come_from_the_ground_where_nothing_else_tells() -> None:
 
 
 def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:
-    np.savez(tmp_path / "street.npz", range_m=street_lines(40)[0], angle_deg=np.rad2deg(BEAM) + 20.0)
+    np.savez(
+        tmp_path / "street.npz", range_m=street_lines(40)[0], angle_deg=np.rad2deg(BEAM) + 20.0
+    )
     loaded = load_config(preset="fused")
     guessed = classify(tmp_path / "street.npz", tmp_path / "labels.npy", loaded)
     (note,) = [one for one in guessed.record.notices if "straight down" in one]

@@ -18,7 +18,17 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import grid, lines
 from prc_cli.streams.grid import open_grid
-from tests.streams.record_lists import LINE_HZ, N_LINES, SHOT_HZ, M, MemorySource, only, open_records, read, scene
+from tests.streams.record_lists import (
+    LINE_HZ,
+    N_LINES,
+    SHOT_HZ,
+    M,
+    MemorySource,
+    only,
+    open_records,
+    read,
+    scene,
+)
 
 RULES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "named": (("range", "scan_line", "column"), {}),
@@ -28,9 +38,15 @@ RULES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         {"columns": "angle", "angle_start": 0.0, "angle_step": 360 / M, "points_per_line": M},
     ),
     "time": (("range", "time"), {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}),
-    "time and angle": (("range", "time", "angle"), {"lines": f"time:{LINE_HZ}", "columns": "angle"}),
+    "time and angle": (
+        ("range", "time", "angle"),
+        {"lines": f"time:{LINE_HZ}", "columns": "angle"},
+    ),
     "time and column": (("range", "time", "column"), {"lines": f"time:{LINE_HZ}"}),
-    "line and time": (("range", "scan_line", "time"), {"columns": f"time:{SHOT_HZ}", "points_per_line": M}),
+    "line and time": (
+        ("range", "scan_line", "time"),
+        {"columns": f"time:{SHOT_HZ}", "points_per_line": M},
+    ),
     "sensor xyz": (("x", "y", "z", "scan_line", "column"), {"range": "sensor-xyz"}),
 }
 
@@ -78,7 +94,9 @@ def test_what_goes_along_stands_in_the_right_cells() -> None:
         assert np.array_equal(block.time_s[there], records["time"][record[there]])
         assert np.isnan(block.time_s[~there]).all()
         assert block.intensity is not None
-        assert np.array_equal(block.intensity[there], records["intensity"][record[there]].astype(np.float32))
+        assert np.array_equal(
+            block.intensity[there], records["intensity"][record[there]].astype(np.float32)
+        )
         assert block.xyz_m is not None
         distance = np.linalg.norm(block.xyz_m.astype(np.float64), axis=2)
         np.testing.assert_allclose(distance[there], records["range"][record[there]], rtol=1e-5)
@@ -156,11 +174,15 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
     results = []
     for chunk_records in (1, 2, 7, 1000):
         try:
-            whole = read(open_records(records, chunk_records, order="trust", return_="first", **options))
+            whole = read(
+                open_records(records, chunk_records, order="trust", return_="first", **options)
+            )
         except InputError as error:
             results.append(str(error))
             continue
-        labelled = np.concatenate([whole.record[whole.record >= 0], [item[3] for item in whole.extras]])
+        labelled = np.concatenate(
+            [whole.record[whole.record >= 0], [item[3] for item in whole.extras]]
+        )
         assert len(np.unique(labelled)) == len(labelled)
         assert len(labelled) + whole.tally.n_unplaced == n
         assert len(whole.extras) == whole.tally.n_collisions + whole.tally.n_extra_returns
@@ -172,24 +194,36 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
 def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grid, "MAX_BLOCK_CELLS", 100)
     line = np.array([0, 0, 70_000, 70_001])
-    records = {"range": np.array([-1.0, 1, 1, 1]), "scan_line": line, "column": np.array([0, 4, 1, 2])}
+    records = {
+        "range": np.array([-1.0, 1, 1, 1]),
+        "scan_line": line,
+        "column": np.array([0, 4, 1, 2]),
+    }
     whole = read(open_records(records))
     assert whole.tally == ReadTally(n_not_positive=1)
     assert max(block.n_lines for block in whole.blocks) == 20
     assert whole.range_m.shape == (70_002, 5)
     assert np.argwhere(whole.record >= 0).tolist() == [[0, 0], [0, 4], [70_000, 1], [70_001, 2]]
-    with pytest.raises(InputError, match=r"scan_line: 69999 lines are missing before record 2, expected at most 500;"):
+    with pytest.raises(
+        InputError,
+        match=r"scan_line: 69999 lines are missing before record 2, expected at most 500;",
+    ):
         open_records(records, max_gap_lines=500)
 
 
 def test_memory_is_bounded_when_a_line_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lines, "MAX_OPEN_RECORDS", 500)
     endless = {"range": np.ones(5000), "scan_line": np.zeros(5000), "column": np.arange(5000) % 7}
-    with pytest.raises(InputError, match="line 0 has more than 500 records and no end, expected scan lines; .*--lines"):
+    with pytest.raises(
+        InputError,
+        match="line 0 has more than 500 records and no end, expected scan lines; .*--lines",
+    ):
         open_records(endless, 100)
     stamps = {"range": np.ones(5000), "scan_line": np.zeros(5000), "time": np.ones(5000)}
     stamps["number_of_returns"] = np.full(5000, 2)
-    with pytest.raises(InputError, match=r"more than 500 records of several returns share the time 1\.0"):
+    with pytest.raises(
+        InputError, match=r"more than 500 records of several returns share the time 1\.0"
+    ):
         open_records(stamps, 100)
 
 
@@ -197,7 +231,10 @@ def test_a_wrong_column_does_not_blow_up_the_image() -> None:
     n = 4000
     records = {"range": np.ones(n), "scan_line": np.arange(n) // 2, "column": np.arange(n) % 2}
     records["column"][77] = 9_999_999
-    with pytest.raises(InputError, match="2000 lines of 10000000 columns for 4000 shots: a column number is wrong.*-M"):
+    with pytest.raises(
+        InputError,
+        match="2000 lines of 10000000 columns for 4000 shots: a column number is wrong.*-M",
+    ):
         open_records(records)
     whole = read(open_records(records, points_per_line=2))
     assert whole.tally == ReadTally(n_unplaced=1)
@@ -233,7 +270,9 @@ class UncountedSource(MemorySource):
 @pytest.mark.slow
 @pytest.mark.parametrize("chunk_records", [1, 7, 1000])
 @pytest.mark.parametrize("kind", [MemorySource, UncountedSource])
-def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: type[MemorySource]) -> None:
+def test_lines_that_are_nearly_all_empty_are_refused(
+    chunk_records: int, kind: type[MemorySource]
+) -> None:
     """3e10 cells for 300 records, every gap allowed by itself."""
     n = 300
     # uneven gaps: even ones would be steps of a counter
@@ -247,8 +286,14 @@ def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: t
         "check the line numbers or times there; gaps that are meant: max_gap_lines above 100000"
     )
     by_time = {"range": np.ones(n), "time": np.arange(n) * 1.0, "column": np.zeros(n)}
-    with pytest.raises(InputError, match=r"lines = time: .* lines of 1000 columns at record \d+, expected at most"):
-        read(open_grid(kind(by_time, chunk_records), InputConfig(points_per_line=1000, lines="time:99000")))
+    with pytest.raises(
+        InputError, match=r"lines = time: .* lines of 1000 columns at record \d+, expected at most"
+    ):
+        read(
+            open_grid(
+                kind(by_time, chunk_records), InputConfig(points_per_line=1000, lines="time:99000")
+            )
+        )
     two = {name: value[:2] for name, value in records.items()}
     meant = InputConfig(points_per_line=100, max_gap_lines=100_001)
     assert read(open_grid(kind(two, chunk_records), meant)).range_m.shape == (99_001, 100)
@@ -259,14 +304,18 @@ SEVERAL = "scanner_channel"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-@pytest.mark.parametrize("rule", [rule for rule in RULES if rule not in ("sensor xyz", "line and time")])
+@pytest.mark.parametrize(
+    "rule", [rule for rule in RULES if rule not in ("sensor xyz", "line and time")]
+)
 def test_scanners_are_split(rule: str, chunk_records: int) -> None:
     names, options = RULES[rule]
     images, parts = [], []
     for seed in (1, 2):
         image, records = scene(seed)
         images.append(image)
-        parts.append({**only(records, *names), SEVERAL: np.full(len(records["range"]), seed, np.uint8)})
+        parts.append(
+            {**only(records, *names), SEVERAL: np.full(len(records["range"]), seed, np.uint8)}
+        )
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     when = np.concatenate([scene(seed)[1]["time"] for seed in (1, 2)])
     order = np.argsort(when, kind="stable")
@@ -293,7 +342,9 @@ def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
     time_s = np.concatenate([100 + np.arange(n) / 1000, np.arange(n) / 1000])
     records = {"range": np.ones(2 * n), "time": time_s}
     options: dict[str, Any] = {"lines": "time:50", "columns": "time:1000"}
-    with pytest.raises(OrderError, match="time decreases in 1 of 39,999 steps, largest at record 20000"):
+    with pytest.raises(
+        OrderError, match="time decreases in 1 of 39,999 steps, largest at record 20000"
+    ):
         read(open_records(records, 999, **options))
     trusted = read(open_records(records, 999, order="trust", **options))
     assert trusted.tally.n_unplaced == n
@@ -313,7 +364,10 @@ def test_sorting_by_time_restores_the_scene() -> None:
     assert np.array_equal(shuffled["range"][whole.record[there]], image[there])
     assert whole.tally == ReadTally()
     dense = {"range": np.arange(1.0, 7.0), "time": np.array([5.0, 4, 3, 2, 1, 0])}
-    assert read(open_records(dense, points_per_line=3, order="sort-time")).record.tolist() == [[5, 4, 3], [2, 1, 0]]
+    assert read(open_records(dense, points_per_line=3, order="sort-time")).record.tolist() == [
+        [5, 4, 3],
+        [2, 1, 0],
+    ]
 
 
 @pytest.mark.parametrize("chunk_records", [1, 2, 3, 1000])
@@ -327,9 +381,15 @@ def test_sorting_by_time_restores_the_scene() -> None:
         ([0, 0, 1, 1, 2, 2, 2], {"lines": "fixed", "points_per_line": 7}),
     ],
 )
-def test_all_records_are_counted_placed_or_not(line: list[float], options: dict[str, Any], chunk_records: int) -> None:
+def test_all_records_are_counted_placed_or_not(
+    line: list[float], options: dict[str, Any], chunk_records: int
+) -> None:
     n = len(line)
-    records = {"range": np.ones(n), "scan_line": np.array(line), "column": np.array([0, 1, 0, 1, 0, 1, 2.0])}
+    records = {
+        "range": np.ones(n),
+        "scan_line": np.array(line),
+        "column": np.array([0, 1, 0, 1, 0, 1, 2.0]),
+    }
     records["user_data"] = np.array([1, 1, 1, 2, 1, 1, 3])
     blocks = list(open_records(records, chunk_records, **options).blocks())
     assert sum((block.tally for block in blocks), ReadTally()).n_records == n

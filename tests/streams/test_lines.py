@@ -25,9 +25,14 @@ NAN = np.nan
 WHERE = "drive.laz: scan_line"
 
 
-@pytest.mark.parametrize(("number", "shown"), [(3.5, "3.5"), (1e18, r"1e\+18"), (-1e300, r"-1e\+300")])
+@pytest.mark.parametrize(
+    ("number", "shown"), [(3.5, "3.5"), (1e18, r"1e\+18"), (-1e300, r"-1e\+300")]
+)
 def test_dimension_refuses_what_is_no_line_number(number: float, shown: str) -> None:
-    with pytest.raises(InputError, match=rf"scan_line: found line number {shown}, expected whole numbers; .*--lines"):
+    with pytest.raises(
+        InputError,
+        match=rf"scan_line: found line number {shown}, expected whole numbers; .*--lines",
+    ):
         lines_by_dimension(np.array([1.0, number]), LineState(), WHERE)
 
 
@@ -53,13 +58,17 @@ def test_wrap_of_a_profiler_with_missing_shots(direction: int, size: int) -> Non
 
 def test_sweep_needs_angles_of_one_direction() -> None:
     with pytest.raises(
-        InputError, match=r"drive.laz: the scan angle does not vary in 9 shots, expected sweeps; find l"
+        InputError,
+        match=r"drive.laz: the scan angle does not vary in 9 shots, expected sweeps; find l",
     ):
         find_sweep(np.zeros(9), "drive.laz")
     with pytest.raises(InputError, match="does not vary in 0 shots"):
         find_sweep(np.full(9, NAN), "drive.laz")
     there_and_back = np.tile(np.concatenate([np.arange(50), 50 - np.arange(50)]), 5)
-    with pytest.raises(InputError, match="grows in 25[0-9] steps and falls in 24[0-9], expected sweeps of one direc"):
+    with pytest.raises(
+        InputError,
+        match="grows in 25[0-9] steps and falls in 24[0-9], expected sweeps of one direc",
+    ):
         find_sweep(there_and_back, "drive.laz")
 
 
@@ -79,8 +88,12 @@ def test_equal_stamps_are_spread(size: int) -> None:
 
 
 @pytest.mark.parametrize(("origin", "is_told"), [(None, True), (0.5, False)])
-def test_the_first_record_begins_the_lines_by_time_unless_told(origin: float | None, is_told: bool) -> None:
-    config = InputConfig(lines="time:10", columns="time:100", points_per_line=10, time_origin=origin)
+def test_the_first_record_begins_the_lines_by_time_unless_told(
+    origin: float | None, is_told: bool
+) -> None:
+    config = InputConfig(
+        lines="time:10", columns="time:100", points_per_line=10, time_origin=origin
+    )
     told = {one.key for one in _said(config, "time:10", "time:100", ())}
     assert ("input.time_origin" in told) == is_told
 
@@ -95,7 +108,9 @@ def points(elevation_deg: Any, length: float = 5.0) -> dict[str, Any]:
 
 def write(path: Path, columns: dict[str, Any]) -> Path:
     rows = zip(*(columns[name] for name in "xyz"), strict=True)
-    path.write_text("x,y,z\n" + "".join(",".join(repr(float(value)) for value in row) + "\n" for row in rows))
+    path.write_text(
+        "x,y,z\n" + "".join(",".join(repr(float(value)) for value in row) + "\n" for row in rows)
+    )
     return path
 
 
@@ -139,11 +154,15 @@ def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "n_lines", "longest"), [("car_cloud400.csv", 213, 141), ("car_cloud401.csv", 214, 142)]
 )
-def test_lines_of_a_rotating_profiler(real_data: Path, name: str, n_lines: int, longest: int) -> None:
+def test_lines_of_a_rotating_profiler(
+    real_data: Path, name: str, n_lines: int, longest: int
+) -> None:
     from prc_cli.formats.options import Layout, LayoutField
 
     fields = tuple(LayoutField(name=axis, source=index) for index, axis in enumerate("xyz"))
-    layout = None if name.endswith("400.csv") else Layout(delimiter=" ", header=False, fields=fields)
+    layout = (
+        None if name.endswith("400.csv") else Layout(delimiter=" ", header=False, fields=fields)
+    )
     stream = open_input(real_data / "organised" / name, InputConfig(**RULES), layout)
     block = join(list(stream.blocks()))
     assert block.range_m.shape == (n_lines, longest)
@@ -170,7 +189,11 @@ def test_coordinates_of_the_sensor() -> None:
 
 def test_millimetres_survive_large_coordinates() -> None:
     rule = opened("origin:552000.125,6600000.25,-3")
-    values = {"x": np.array([552000.125 + 0.003]), "y": np.array([6600000.25 - 0.004]), "z": np.array([-3.0])}
+    values = {
+        "x": np.array([552000.125 + 0.003]),
+        "y": np.array([6600000.25 - 0.004]),
+        "z": np.array([-3.0]),
+    }
     found, xyz = measure_ranges(values, rule)
     assert found.dtype == np.float64
     assert found[0] == pytest.approx(0.005, abs=1e-8)
@@ -179,7 +202,9 @@ def test_millimetres_survive_large_coordinates() -> None:
 
 
 def test_along_a_trajectory() -> None:
-    track = Trajectory("drive.csv", np.array([0.0, 10.0]), np.array([[0.0, 0.0, 2.0], [100.0, 0.0, 2.0]]))
+    track = Trajectory(
+        "drive.csv", np.array([0.0, 10.0]), np.array([[0.0, 0.0, 2.0], [100.0, 0.0, 2.0]])
+    )
     rule = RangeRule(trajectory=track)
     assert rule.names == ("x", "y", "z", "time")
     values = {"x": np.array([10.0, 53.0]), "y": np.array([7.0, 4.0]), "z": np.array([2.0, 2.0])}

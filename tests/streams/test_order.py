@@ -48,7 +48,9 @@ def slow_evidence(values: list[float]) -> tuple[int, int, int, int | None]:
 
 
 @given(
-    values=st.lists(st.sampled_from([0.0, 1.0, 1.5, 2.0, 3.0, float("nan"), float("inf")]), max_size=30),
+    values=st.lists(
+        st.sampled_from([0.0, 1.0, 1.5, 2.0, 3.0, float("nan"), float("inf")]), max_size=30
+    ),
     chunk=st.integers(1, 31),
 )
 def test_figures_equal_the_slow_count_for_any_chunk_size(values: list[float], chunk: int) -> None:
@@ -60,7 +62,9 @@ def test_figures_equal_the_slow_count_for_any_chunk_size(values: list[float], ch
     assert evidence == watch_in_chunks(np.array(values, np.float64), 100).evidence()
 
 
-def test_a_long_file_is_refused_on_the_way_and_for_any_chunk_size(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_file_is_refused_on_the_way_and_for_any_chunk_size(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(order, "CHECK_RECORDS", 1000)
     times = np.arange(10_000.0)
     times[1500] = 0.0
@@ -139,16 +143,23 @@ def test_lines_go_on_over_the_end_of_the_week(rule: str, chunk_records: int) -> 
         "time": ((), BY_TIME),
         "column": (("column",), {"lines": BY_TIME["lines"]}),
         "angle": (("angle",), {"lines": BY_TIME["lines"], "columns": "angle"}),
-        "line and time": (("scan_line",), {"columns": BY_TIME["columns"], "points_per_line": image.shape[1]}),
+        "line and time": (
+            ("scan_line",),
+            {"columns": BY_TIME["columns"], "points_per_line": image.shape[1]},
+        ),
     }[rule]
-    stream = open_records(only(records, "range", "time", *names), chunk_records, order="trust", **options)
+    stream = open_records(
+        only(records, "range", "time", *names), chunk_records, order="trust", **options
+    )
     whole = read(stream)
     assert whole.tally.n_time_steps_back == 1
     assert whole.tally.n_unplaced == 0
     if rule != "line and time":  # counts from the first return
         assert np.array_equal(whole.range_m, image, equal_nan=True)
         assert whole.tally == ReadTally(n_time_steps_back=1)
-    times = np.concatenate([block.time_s[block.records() >= 0] for block in whole.blocks if block.time_s is not None])
+    times = np.concatenate(
+        [block.time_s[block.records() >= 0] for block in whole.blocks if block.time_s is not None]
+    )
     assert np.all(np.diff(times) > 0)
 
 
@@ -200,7 +211,9 @@ class ArraySource:
             yield RecordChunk(start, part, len(part[names[0]]))
 
 
-def collect(chunks: Iterator[RecordChunk], name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def collect(
+    chunks: Iterator[RecordChunk], name: str
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     parts = list(chunks)
     firsts = [chunk.first_record for chunk in parts]
     assert firsts == list(np.cumsum([0] + [chunk.n for chunk in parts])[:-1])
@@ -217,10 +230,14 @@ def collect(chunks: Iterator[RecordChunk], name: str) -> tuple[np.ndarray[Any, A
     run=st.integers(1, 20),
     merge=st.integers(1, 30),
 )
-def test_equals_a_stable_argsort_for_any_run_and_merge_size(times: list[int], chunk: int, run: int, merge: int) -> None:
+def test_equals_a_stable_argsort_for_any_run_and_merge_size(
+    times: list[int], chunk: int, run: int, merge: int
+) -> None:
     time_s = np.array(times, np.float64)
     source = ArraySource({"time": time_s, "point": np.arange(len(times), dtype=np.uint16)}, chunk)
-    point, record = collect(sorted_by_time(source, run_records=run, merge_records=merge).chunks(("point",)), "point")
+    point, record = collect(
+        sorted_by_time(source, run_records=run, merge_records=merge).chunks(("point",)), "point"
+    )
     expected = np.argsort(time_s, kind="stable")
     np.testing.assert_array_equal(record, expected)
     np.testing.assert_array_equal(point, expected)
@@ -230,7 +247,9 @@ def test_equals_a_stable_argsort_for_any_run_and_merge_size(times: list[int], ch
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_time_that_is_no_number_is_named(bad: float) -> None:
     source = ArraySource({"time": np.array([1.0] * 9 + [bad])}, chunk=4)
-    with pytest.raises(InputError, match=rf"drive.las: record 9 has time {bad}, expected a finite time to sort by"):
+    with pytest.raises(
+        InputError, match=rf"drive.las: record 9 has time {bad}, expected a finite time to sort by"
+    ):
         list(sorted_by_time(source).chunks(("time",)))
 
 
@@ -244,13 +263,17 @@ def test_a_full_temporary_disk_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: FullDisk())
     source = ArraySource({"time": np.arange(100.0)})
-    with pytest.raises(OutputError, match=r"No space left on device\); free space there or point TMPDIR"):
+    with pytest.raises(
+        OutputError, match=r"No space left on device\); free space there or point TMPDIR"
+    ):
         list(sorted_by_time(source, run_records=10).chunks(("time",)))
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    chunks = sorted_by_time(ArraySource({"time": np.arange(100.0)[::-1]}), run_records=10).chunks(("time",))
+    chunks = sorted_by_time(ArraySource({"time": np.arange(100.0)[::-1]}), run_records=10).chunks(
+        ("time",)
+    )
     next(chunks)
     del chunks
     assert list(tmp_path.iterdir()) == []

@@ -83,7 +83,9 @@ def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> Non
     found = list(stream.blocks())
     for name in ("range_m", "time_s"):
         expected = np.concatenate([getattr(block, name) for block in whole])
-        np.testing.assert_array_equal(np.concatenate([getattr(block, name) for block in found]), expected)
+        np.testing.assert_array_equal(
+            np.concatenate([getattr(block, name) for block in found]), expected
+        )
     assert found[0].angle_rad is not None
     np.testing.assert_array_equal(found[0].angle_rad, whole[0].angle_rad)
 
@@ -149,7 +151,9 @@ class ReadsAhead:
             yield ScanBlock(first, np.ones((10, 8), np.float32), tally=tally, is_last=first > 0)
 
 
-@pytest.mark.parametrize(("lines", "n_lines"), [("0:10", 10), ("0:12", 12), ("3:20", 17), (":", 20)])
+@pytest.mark.parametrize(
+    ("lines", "n_lines"), [("0:10", 10), ("0:12", 12), ("3:20", 17), (":", 20)]
+)
 def test_records_of_the_window_are_counted_and_no_others(lines: str, n_lines: int) -> None:
     window = parse_window(lines, None, None)
     assert window is not None

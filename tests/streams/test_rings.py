@@ -25,13 +25,20 @@ ELEVATION = np.deg2rad(np.linspace(3.0, -24.0, N_RINGS))
 
 
 def frame(
-    seed: int = 0, *, begin_deg: float = 0.5, way: int = 1, missing: float = 0.1, upwards: bool = False
+    seed: int = 0,
+    *,
+    begin_deg: float = 0.5,
+    way: int = 1,
+    missing: float = 0.1,
+    upwards: bool = False,
 ) -> tuple[dict[str, Any], I64, I64]:
     """Return the records of a frame, ring after ring, with the line and the ring from below of each."""
     rng = np.random.default_rng(seed)
     ring, line = np.divmod(np.arange(N_RINGS * N_LINES), N_LINES)
     from_top = N_RINGS - 1 - ring if upwards else ring
-    azimuth = np.deg2rad(begin_deg + way * line * 360 / N_LINES) + np.deg2rad(rng.normal(0, 0.05, len(line)))
+    azimuth = np.deg2rad(begin_deg + way * line * 360 / N_LINES) + np.deg2rad(
+        rng.normal(0, 0.05, len(line))
+    )
     elevation = ELEVATION[from_top] + np.deg2rad(rng.normal(0, 0.1, len(line)))
     range_m = rng.uniform(3.0, 60.0, len(line))
     keep = rng.random(len(line)) >= missing
@@ -43,11 +50,17 @@ def frame(
         "z": range_m * np.sin(elevation),
         "intensity": rng.uniform(0, 1, len(line)).astype(np.float32),
     }
-    return {name: value[keep] for name, value in records.items()}, line[keep], N_RINGS - 1 - from_top[keep]
+    return (
+        {name: value[keep] for name, value in records.items()},
+        line[keep],
+        N_RINGS - 1 - from_top[keep],
+    )
 
 
 def opened(records: dict[str, Any], chunk_records: int = 1000, **keys: Any) -> Whole:
-    return read(open_rings(MemorySource(records, chunk_records), InputConfig(lines="rings", **keys)))
+    return read(
+        open_rings(MemorySource(records, chunk_records), InputConfig(lines="rings", **keys))
+    )
 
 
 def cells(whole: Whole, n_records: int) -> tuple[I64, I64]:
@@ -77,7 +90,9 @@ def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) 
     range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
     np.testing.assert_allclose(whole.range_m[line, column], range_m, rtol=1e-6)
     np.testing.assert_allclose(xyz[line, column, 2], records["z"], rtol=1e-6)
-    intensity = np.concatenate([block.intensity for block in whole.blocks if block.intensity is not None])
+    intensity = np.concatenate(
+        [block.intensity for block in whole.blocks if block.intensity is not None]
+    )
     assert np.array_equal(intensity[line, column], records["intensity"])
     assert np.array_equal(np.isnan(whole.range_m), whole.record < 0)
 
@@ -91,7 +106,9 @@ def test_shots_out_of_order_take_a_free_cell_or_count_as_further_returns() -> No
     assert 0 < whole.tally.n_collisions <= len(at) + 2
     own = whole.record[whole.record >= 0]
     assert len(own) + len(whole.extras) == len(true_line)
-    assert sorted([*own.tolist(), *(extra[3] for extra in whole.extras)]) == list(range(len(true_line)))
+    assert sorted([*own.tolist(), *(extra[3] for extra in whole.extras)]) == list(
+        range(len(true_line))
+    )
     range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
     for _, _, extra_range, record in whole.extras:
         assert extra_range == pytest.approx(range_m[record], rel=1e-6)
@@ -126,11 +143,18 @@ def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -
     records, *_ = frame()
     with pytest.raises(InputError, match="turn|rings from top to bottom"):
         opened(shuffled(records))
-    with pytest.raises(InputError, match=r"the records turn [01].* times around the scanner, expected ring after ring"):
+    with pytest.raises(
+        InputError,
+        match=r"the records turn [01].* times around the scanner, expected ring after ring",
+    ):
         opened(by_column(records))
-    with pytest.raises(InputError, match="found 16 rings, expected 64 as input.points_per_line says"):
+    with pytest.raises(
+        InputError, match="found 16 rings, expected 64 as input.points_per_line says"
+    ):
         opened(records, points_per_line=64)
-    swapped = {name: np.concatenate([value[2000:], value[:2000]]) for name, value in records.items()}
+    swapped = {
+        name: np.concatenate([value[2000:], value[:2000]]) for name, value in records.items()
+    }
     with pytest.raises(InputError, match="expected rings from top to bottom or from bottom to top"):
         opened(swapped)
     with pytest.raises(InputError, match="too few for rings"):
@@ -150,7 +174,9 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
     n_read, refusals = 0, []
     for _ in range(150):
         n, n_turns = int(rng.integers(0, 400)), float(rng.uniform(0, 9))
-        azimuth = np.linspace(0, 2 * np.pi * n_turns, n) + rng.normal(0, rng.choice([0.0, 0.01, 1.0]), n)
+        azimuth = np.linspace(0, 2 * np.pi * n_turns, n) + rng.normal(
+            0, rng.choice([0.0, 0.01, 1.0]), n
+        )
         scale = 10.0 ** float(rng.integers(-30, 30))
         xyz = np.stack([np.cos(azimuth), np.sin(azimuth), -0.02 * azimuth], axis=1) * scale
         xyz[rng.random(n) < 0.05] = rng.choice([0.0, np.nan, np.inf])
@@ -176,7 +202,9 @@ def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Pa
     np.concatenate(chunks).astype("<f4").tofile(tmp_path / "frame.bin")
     assert is_frame(tmp_path / "frame.bin")
     told = with_layout_beside(tmp_path / "frame.bin", load_config()).config
-    with pytest.raises(InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"):
+    with pytest.raises(
+        InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"
+    ):
         open_input(tmp_path / "frame.bin", told.input, told.layout)
 
 

@@ -17,7 +17,11 @@ UTM35 = "EPSG:32635"
 
 
 def load(
-    path: Path, crs: str | None = None, wkt: str | None = None, offset: float = 0.0, max_gap: float | None = None
+    path: Path,
+    crs: str | None = None,
+    wkt: str | None = None,
+    offset: float = 0.0,
+    max_gap: float | None = None,
 ) -> Trajectory:
     return load_trajectory(path, crs=crs, source_crs_wkt=wkt, time_offset=offset, max_gap=max_gap)
 
@@ -56,15 +60,30 @@ def test_delimiters_and_names(tmp_path: Path, text: str) -> None:
     [
         ("", "drive.csv: empty file, expected a trajectory"),
         ("\n\n", "no column for time (one of time, gps_time, gpstime, t), found ''"),
-        ("a,b,c\n1,2,3\n", "line 1: no column for time (one of time, gps_time, gpstime, t), found 'a, b, c'"),
-        ("time,x,y\n1,2,3\n", "line 1: no column for z (one of z, height, altitude, alt, h), found 'time, x, y'"),
+        (
+            "a,b,c\n1,2,3\n",
+            "line 1: no column for time (one of time, gps_time, gpstime, t), found 'a, b, c'",
+        ),
+        (
+            "time,x,y\n1,2,3\n",
+            "line 1: no column for z (one of z, height, altitude, alt, h), found 'time, x, y'",
+        ),
         ("time,x,y,z\n", "0 positions, expected at least 2"),
         ("time,x,y,z\n1,2,3,4\n", "1 positions, expected at least 2"),
         ("time,x,y,z\n1,2,3,4\n2,3,four,5\n", "line 3: cell 3 is 'four', expected a finite number"),
-        ("time,x,y,z\n1,2,3,4\n\n# c\n2,3,4,nan\n", "line 5: cell 4 is 'nan', expected a finite number"),
+        (
+            "time,x,y,z\n1,2,3,4\n\n# c\n2,3,4,nan\n",
+            "line 5: cell 4 is 'nan', expected a finite number",
+        ),
         ("time,x,y,z\n1,2,3,4\n2,3\n", "line 3: 2 cells, expected at least 4"),
-        ("time,x,y,z\n1,0,0,0\n3,0,0,0\n2,0,0,0\n", "position 3 (counted from 1) has time 2.000000 s after 3.000000 s"),
-        ("time,x,y,z\n1,0,0,0\n1,0,0,0\n", "position 2 (counted from 1) has time 1.000000 s after 1.000000 s"),
+        (
+            "time,x,y,z\n1,0,0,0\n3,0,0,0\n2,0,0,0\n",
+            "position 3 (counted from 1) has time 2.000000 s after 3.000000 s",
+        ),
+        (
+            "time,x,y,z\n1,0,0,0\n1,0,0,0\n",
+            "position 2 (counted from 1) has time 1.000000 s after 1.000000 s",
+        ),
         ("time,x,y,z\n" + "1" * 70_000, "line 2: row of more than 65536 characters"),
     ],
 )
@@ -80,8 +99,14 @@ def test_damaged_text_is_named(tmp_path: Path, text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("point_clock", "offset"),
     [
-        (lambda t: t + 2 * 604_800, 2 * 604_800),  # the drive went on for two weeks of another clock
-        (lambda t: t + 2300 * 604_800 - 1e9, 2300 * 604_800 - 1_000_000_000),  # adjusted standard GPS time
+        (
+            lambda t: t + 2 * 604_800,
+            2 * 604_800,
+        ),  # the drive went on for two weeks of another clock
+        (
+            lambda t: t + 2300 * 604_800 - 1e9,
+            2300 * 604_800 - 1_000_000_000,
+        ),  # adjusted standard GPS time
         (lambda t: t + 2300 * 604_800, 2300 * 604_800),  # full GPS time
     ],
 )
@@ -96,7 +121,10 @@ def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
     pyproj = pytest.importorskip("pyproj")
     path = write_sbet(
         tmp_path / "drive.sbet",
-        [(1.0, math.radians(60.1), math.radians(24.9), 31.5), (2.0, math.radians(60.2), math.radians(25.0), 32.5)],
+        [
+            (1.0, math.radians(60.1), math.radians(24.9), 31.5),
+            (2.0, math.radians(60.2), math.radians(25.0), 32.5),
+        ],
     )
     track = load(path, crs=UTM35)
     to_utm = pyproj.Transformer.from_crs("EPSG:4326", UTM35)  # its own axis order: latitude first
@@ -111,7 +139,10 @@ def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("crs", "heights", "alone"),
-    [("EPSG:3067+5717", "N60 height", "EPSG:3067"), ("EPSG:32635+5773", "EGM96 height", "EPSG:32635")],
+    [
+        ("EPSG:3067+5717", "N60 height", "EPSG:3067"),
+        ("EPSG:32635+5773", "EGM96 height", "EPSG:32635"),
+    ],
 )
 @pytest.mark.parametrize("form", ["code", "wkt1", "wkt2"])
 def test_heights_of_another_kind_never_pass_in_silence(
@@ -119,12 +150,22 @@ def test_heights_of_another_kind_never_pass_in_silence(
 ) -> None:
     pyproj = pytest.importorskip("pyproj")
     path = write_sbet(tmp_path / "drive.sbet", SOUND)
-    given = {"code": crs, "wkt1": pyproj.CRS(crs).to_wkt("WKT1_GDAL"), "wkt2": pyproj.CRS(crs).to_wkt()}[form]
+    given = {
+        "code": crs,
+        "wkt1": pyproj.CRS(crs).to_wkt("WKT1_GDAL"),
+        "wkt2": pyproj.CRS(crs).to_wkt(),
+    }[form]
     for keys in ({"crs": given}, {"wkt": given}):
         with pytest.raises(ConfigError) as caught:
             load(path, **keys)
-        assert f"has heights of its own ({heights!r}), expected a horizontal one: the altitudes" in str(caught.value)
-        assert f"set trajectory_crs = {alone} if the points' heights are above the ellipsoid too" in caught.value.hint
+        assert (
+            f"has heights of its own ({heights!r}), expected a horizontal one: the altitudes"
+            in str(caught.value)
+        )
+        assert (
+            f"set trajectory_crs = {alone} if the points' heights are above the ellipsoid too"
+            in caught.value.hint
+        )
         assert "\n" not in str(caught.value)
     # what the hint says is enough, although the points' file still says the other
     np.testing.assert_array_equal(load(path, crs=alone, wkt=given).xyz_m[:, 2], [3.0, 3.0])
@@ -154,7 +195,9 @@ def test_sbet_with_an_unusable_coordinate_system(tmp_path: Path, crs: str, messa
     assert "\n" not in str(caught.value)
 
 
-def test_sbet_without_pyproj_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sbet_without_pyproj_names_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain_import = builtins.__import__
 
     def no_pyproj(name: str, *args: Any) -> Any:
@@ -184,11 +227,18 @@ WEEK = 604_800.0
         (WEEK, "differ by +1 GPS weeks: try --set input.trajectory_time_offset=604800"),
         (-2 * WEEK, "differ by -2 GPS weeks: try --set input.trajectory_time_offset=-1209600"),
         (-1e9, "differ by -1e+09 s: try --set input.trajectory_time_offset=-1000000000"),
-        (1e9 + WEEK, "differ by +1 GPS weeks and +1e+09 s: try --set input.trajectory_time_offset=1000604800"),
+        (
+            1e9 + WEEK,
+            "differ by +1 GPS weeks and +1e+09 s: try --set input.trajectory_time_offset=1000604800",
+        ),
         # points take 10 s, the trajectory 16: so far apart that the middles may be 3 s and one more off
-        (WEEK + 4.0, "+1 GPS weeks"), (WEEK + 4.01, None), (WEEK - 3.99, "+1 GPS weeks"), (500.0, None), (1e15, None),
+        (WEEK + 4.0, "+1 GPS weeks"),
+        (WEEK + 4.01, None),
+        (WEEK - 3.99, "+1 GPS weeks"),
+        (500.0, None),
+        (1e15, None),
     ],
-)  # fmt: skip
+)
 def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
     one = track(*(300_000.0 + np.arange(17.0)).tolist())
     with pytest.raises(InputError) as refused:

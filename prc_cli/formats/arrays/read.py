@@ -18,7 +18,14 @@ from prc_cli.core.types import F64
 from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
 from prc_cli.formats.names import ZENITH, angle_rules, split_unit, usual_names
 from prc_cli.formats.options import FACTORS, InputConfig
-from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, check_width, filled, lengths, refuse_rules, to_float32
+from prc_cli.formats.organised.scans import (
+    MAX_POINTS_PER_LINE,
+    check_width,
+    filled,
+    lengths,
+    refuse_rules,
+    to_float32,
+)
 from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 
 CHUNK_SHOTS = 1 << 19
@@ -52,7 +59,12 @@ class ArrayStream:
     """
 
     def __init__(
-        self, path: Path, config: InputConfig, lines_at_once: int = 1, *, chunk_shots: int = CHUNK_SHOTS
+        self,
+        path: Path,
+        config: InputConfig,
+        lines_at_once: int = 1,
+        *,
+        chunk_shots: int = CHUNK_SHOTS,
     ) -> None:
         _check_rules(path, config)
         self._config = config
@@ -76,10 +88,14 @@ class ArrayStream:
         if self._range == XYZ:
             refuse_scale(config, str(path), "its ranges are lengths of x, y, z")
         if n_missing:
-            assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {n_missing} shots"))
+            assumed.append(
+                Assumption("input.partial_line", "pad", f"the last line lacks {n_missing} shots")
+            )
         used = (self._range, *self._names, angles, CLASS)
         if ignored := [name for name in self._file.headers if name not in used]:
-            assumed.append(Assumption("input", f"not read: {', '.join(ignored[:20])}", "they are not needed"))
+            assumed.append(
+                Assumption("input", f"not read: {', '.join(ignored[:20])}", "they are not needed")
+            )
         has_line_times = TIME in self._names and len(self._file.headers[TIME].shape) == 1
         self.info = StreamInfo(
             path=str(path),
@@ -91,7 +107,9 @@ class ArrayStream:
             line_hz=self._find_line_hz(),
             down_rad=next((math.radians(float(rule.value)) for rule in angle_rules(angles)), None),
             assumptions=tuple(assumed),
-            facts=SourceFacts(time_name=TIME, has_line_times=has_line_times, refuses=self._refused(header)),
+            facts=SourceFacts(
+                time_name=TIME, has_line_times=has_line_times, refuses=self._refused(header)
+            ),
         )
         """What is known before reading."""
 
@@ -120,14 +138,20 @@ class ArrayStream:
             XYZ: ((*image, 3),),
             INTENSITY: (image,),
         }
-        present = tuple(name for name in shapes if name in self._file.headers and (name != self._range or name == XYZ))
+        present = tuple(
+            name
+            for name in shapes
+            if name in self._file.headers and (name != self._range or name == XYZ)
+        )
         for name in present:
             header = self._file.headers[name]
             header.check_numbers()
             if header.shape not in shapes[name]:
                 expected = " or ".join(str(shape) for shape in shapes[name])
                 problem = f"found shape {header.shape}, expected {expected}, as the ranges have it"
-                raise InputError(header.where, problem, "give it the shape of the ranges or another name")
+                raise InputError(
+                    header.where, problem, "give it the shape of the ranges or another name"
+                )
         return present
 
     def _find_angles(self, assumed: list[Assumption]) -> tuple[str | None, F64 | None]:
@@ -135,12 +159,18 @@ class ArrayStream:
         start, step = self._config.angle_start, self._config.angle_step
         if (start is None) != (step is None):
             missing = "angle_step" if step is None else "angle_start"
-            raise ConfigError(f"input.{missing}", "not given, expected angle_start and angle_step together")
+            raise ConfigError(
+                f"input.{missing}", "not given, expected angle_start and angle_step together"
+            )
         if start is not None and step is not None:
             return None, np.deg2rad(start + step * np.arange(self._m, dtype=np.float64))
         # other directions may be those of lines, or of every shot
         headers = self._file.headers.items()
-        names = [name for name, one in headers if one.shape == (self._m,) or split_unit(name)[0] in ("angle", ZENITH)]
+        names = [
+            name
+            for name, one in headers
+            if one.shape == (self._m,) or split_unit(name)[0] in ("angle", ZENITH)
+        ]
         usual = usual_names((RANGE, *names)).get("angle")
         if usual is None:
             return None, None
@@ -157,7 +187,9 @@ class ArrayStream:
         if not np.isfinite(given).all():
             column = int(np.flatnonzero(~np.isfinite(given))[0])
             problem = f"column {column}: found {given[column]}, expected an angle in {word}"
-            raise InputError(header.where, problem, "give every column its angle or leave the array out")
+            raise InputError(
+                header.where, problem, "give every column its angle or leave the array out"
+            )
         why = f"the array {name!r} is in the file, in {word}"
         # degrees as numpy converts them, bit for bit
         angle_rad: F64 = np.deg2rad(given) if unit == "deg" else given * FACTORS[unit]
@@ -206,7 +238,9 @@ class ArrayStream:
             line = np.arange(first, first + n, dtype=np.int64)[:, None]
             record = np.arange(self._m, dtype=np.int64) * self._n_lines + line
         elif self._n_lines * self._m != self._n_records:
-            record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64).reshape(n, self._m)
+            record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64).reshape(
+                n, self._m
+            )
             record[record >= self._n_records] = -1
         if TIME in rows:
             times = rows[TIME].read(n).astype(np.float64)
@@ -215,16 +249,28 @@ class ArrayStream:
             xyz[np.isnan(ranges)] = np.nan
         intensity = to_float32(rows[INTENSITY].read(n)) if INTENSITY in rows else None
         return ScanBlock(
-            first, ranges, record, time_s=time_s, xyz_m=xyz, intensity=intensity, angle_rad=self._angle_rad, tally=tally
+            first,
+            ranges,
+            record,
+            time_s=time_s,
+            xyz_m=xyz,
+            intensity=intensity,
+            angle_rad=self._angle_rad,
+            tally=tally,
         )
 
 
 def _check_rules(path: Path, config: InputConfig) -> None:
     """Refuse options that do not apply to a range image, which holds its lines, columns and ranges."""
     refuse_rules(
-        path, config, "is a range image", lines=("auto", "fixed"), columns=("auto", "order"), scanner=("none",),
+        path,
+        config,
+        "is a range image",
+        lines=("auto", "fixed"),
+        columns=("auto", "order"),
+        scanner=("none",),
         order=("require", "trust"),
-    )  # fmt: skip
+    )
     rule = config.range
     if rule != "auto" and not (rule.startswith("dimension:") and path.suffix.lower() == ".npz"):
         problem = f"found {rule!r}, expected auto, or dimension:NAME in an .npz: {path.name} is a range image"
@@ -235,35 +281,50 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
     """Return the name of the array that holds the ranges, and why it was chosen."""
     if not file.is_archive:
         return "", "it is the only array in the file"
-    shown = ", ".join(f"{name} {header.shape}" for name, header in list(file.headers.items())[:20]) or "none"
+    shown = (
+        ", ".join(f"{name} {header.shape}" for name, header in list(file.headers.items())[:20])
+        or "none"
+    )
     if config.range != "auto":
         name = config.range.partition(":")[2]
         if name not in file.headers:
-            raise InputError(str(file.path), f"no array {name!r}, the file has: {shown}", "check input.range")
+            raise InputError(
+                str(file.path), f"no array {name!r}, the file has: {shown}", "check input.range"
+            )
         return name, "input.range names it"
     if RANGE in file.headers:
         return RANGE, "the file has an array of this name"
     images = [
-        name for name, header in file.headers.items() if len(header.shape) == 2 and name not in (TIME, INTENSITY, CLASS)
+        name
+        for name, header in file.headers.items()
+        if len(header.shape) == 2 and name not in (TIME, INTENSITY, CLASS)
     ]
     if len(images) == 1:
         return images[0], "it is the only array of two dimensions"
     if not images and len(file.headers[XYZ].shape if XYZ in file.headers else ()) == XYZ_DIMENSIONS:
         return XYZ, "the length of xyz, which is taken to be relative to the scanner"
     problem = f"no array {RANGE!r} and not just one of two dimensions, the file has: {shown}"
-    raise InputError(str(file.path), problem, f"name the ranges {RANGE}, or set input.range to dimension:NAME")
+    raise InputError(
+        str(file.path), problem, f"name the ranges {RANGE}, or set input.range to dimension:NAME"
+    )
 
 
 def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
     """Return why rows are rings, whose elevation stays while they go round; empty where rows are lines."""
     header = file.headers[name]
     n_rows, n_columns = (*header.shape, 0, 0)[:2]
-    if not 1 < n_rows < n_columns or config.points_per_line not in (None, n_rows) or n_rows > MOST_RINGS:
+    if (
+        not 1 < n_rows < n_columns
+        or config.points_per_line not in (None, n_rows)
+        or n_rows > MOST_RINGS
+    ):
         return ""
     if config.points_per_line == n_rows:
         return f"points_per_line is {n_rows}, the number of rows"
     shapes = [
-        one.shape for label, one in file.headers.items() if split_unit(label)[0] in ("angle", ZENITH, "elevation")
+        one.shape
+        for label, one in file.headers.items()
+        if split_unit(label)[0] in ("angle", ZENITH, "elevation")
     ]
     if (n_rows,) in shapes and (n_columns,) not in shapes:
         return "rows are rings: there is an angle for every row"
@@ -289,12 +350,16 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
     if len(shape) == 1 and header.dtype == np.uint8 and not file.is_archive:
         # labels are written like this; taken for ranges they would be drawn, and classified, as if they were a scan
         problem = "found bytes in a row, as class codes are written, expected ranges in metres"
-        raise InputError(header.where, problem, "give the scan, and these with --labels or to prc evaluate")
+        raise InputError(
+            header.where, problem, "give the scan, and these with --labels or to prc evaluate"
+        )
     if len(shape) not in (1, 2):
         problem = f"found ranges of shape {shape}, expected (lines, points per line)"
         raise InputError(header.where, problem, "save the ranges alone, one row a scan line")
     if 0 in shape:
-        raise InputError(header.where, f"no shots, found shape {shape}", "copy it from the archive again")
+        raise InputError(
+            header.where, f"no shots, found shape {shape}", "copy it from the archive again"
+        )
     if len(shape) == 2:
         check_width(header.where, shape[1], config)
         if shape[1] > MAX_POINTS_PER_LINE:
@@ -302,12 +367,20 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
             raise InputError(header.where, problem, "save one row a scan line")
         if shape[0] > MANY_LINES and shape[1] < FEWEST_POINTS_PER_LINE:
             problem = f"found {shape[0]} lines of {shape[1]} points, expected at least {FEWEST_POINTS_PER_LINE} points"
-            raise InputError(header.where, problem, "save one row a scan line, or all ranges in a row")
+            raise InputError(
+                header.where, problem, "save one row a scan line, or all ranges in a row"
+            )
         return shape[0], shape[1], shape[0] * shape[1]
-    lists = [name for name in _RECORD_LISTS if name in file.headers and file.headers[name].shape == shape]
+    lists = [
+        name for name in _RECORD_LISTS if name in file.headers and file.headers[name].shape == shape
+    ]
     if lists:
         problem = f"{shape[0]} records with the array {lists[0]!r} beside them, expected an image of every shot"
-        raise InputError(header.where, problem, "save the ranges as (lines, points per line), NaN where there is none")
+        raise InputError(
+            header.where,
+            problem,
+            "save the ranges as (lines, points per line), NaN where there is none",
+        )
     if wanted is None:
         problem = f"found {shape[0]} ranges in a row, expected (lines, points per line)"
         raise InputError(header.where, problem, "set input.points_per_line")

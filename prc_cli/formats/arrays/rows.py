@@ -32,10 +32,23 @@ MAX_MEMBERS = 1000
 _VERSIONS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 _COPY = "copy it from the archive again"
 _DAMAGED = (
-    zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError,
-)  # fmt: skip
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    OSError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+)
 """Exceptions of zipfile for damaged archives; ValueError: a name that is not valid UTF-8."""
-_KINDS = {"O": "Python objects", "c": "complex numbers", "U": "text", "S": "text", "b": "true/false values"}
+_KINDS = {
+    "O": "Python objects",
+    "c": "complex numbers",
+    "U": "text",
+    "S": "text",
+    "b": "true/false values",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +80,9 @@ class NpyHeader:
             found = _KINDS.get(self.dtype.kind, f"type {self.dtype.name}")
             found = found if names is None else f"records with the fields {', '.join(names[:8])}"
             problem = f"found an array of {found}, expected {expected}"
-            raise InputError(self.where, problem, "save it as numbers, for example array.astype('f4')")
+            raise InputError(
+                self.where, problem, "save it as numbers, for example array.astype('f4')"
+            )
 
 
 class Rows:
@@ -106,9 +121,16 @@ class _MappedRows(Rows):
         with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
             # mapped anew every time: pages that were read do not stay in memory
             stored: NDArray[Any] = np.memmap(
-                self._handle, header.dtype, "r", header.offset, header.stored_shape, "F" if header.fortran else "C"
+                self._handle,
+                header.dtype,
+                "r",
+                header.offset,
+                header.stored_shape,
+                "F" if header.fortran else "C",
             )
-            rows = np.ascontiguousarray((stored.swapaxes(0, 1) if header.turned else stored)[first : first + n])
+            rows = np.ascontiguousarray(
+                (stored.swapaxes(0, 1) if header.turned else stored)[first : first + n]
+            )
         self._n_read += n
         return rows
 
@@ -126,7 +148,11 @@ class ArrayFile:
         """By name, in the order of the file."""
         with self._archive() as archive:
             files = [""] if archive is None else archive.namelist()
-            names = [file.removesuffix(".npy") for file in files if archive is None or file.endswith(".npy")]
+            names = [
+                file.removesuffix(".npy")
+                for file in files
+                if archive is None or file.endswith(".npy")
+            ]
             if len(names) > MAX_MEMBERS:
                 raise InputError(str(path), f"{len(names)} arrays, expected at most {MAX_MEMBERS}")
             for name in names:
@@ -149,7 +175,9 @@ class ArrayFile:
                 header = self.headers[name]
                 found, handle = stack.enter_context(self._member(archive, name))
                 if replace(found, turned=header.turned) != header:
-                    raise InputError(header.where, "the array has changed since the file was opened", "try again")
+                    raise InputError(
+                        header.where, "the array has changed since the file was opened", "try again"
+                    )
                 is_scattered = header.turned or (header.fortran and len(header.shape) > 1)
                 if archive is not None and is_scattered:
                     handle = stack.enter_context(_unpacked(header, handle))
@@ -170,7 +198,9 @@ class ArrayFile:
                 yield archive
 
     @contextmanager
-    def _member(self, archive: zipfile.ZipFile | None, name: str) -> Iterator[tuple[NpyHeader, IO[bytes]]]:
+    def _member(
+        self, archive: zipfile.ZipFile | None, name: str
+    ) -> Iterator[tuple[NpyHeader, IO[bytes]]]:
         """Open an array behind its header."""
         if archive is None:
             with open_to_read(self.path) as handle:
@@ -179,9 +209,18 @@ class ArrayFile:
                 yield _read_header(str(self.path), handle, size), handle
             return
         where, info = f"{self.path}: {name}", archive.getinfo(f"{name}.npy")
-        if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            found = "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
-            raise InputError(where, f"found {found}, expected deflate or none", "write it with numpy.savez_compressed")
+        if info.flag_bits & 1 or info.compress_type not in (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        ):
+            found = (
+                "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
+            )
+            raise InputError(
+                where,
+                f"found {found}, expected deflate or none",
+                "write it with numpy.savez_compressed",
+            )
         with _damage(where, "the array cannot be read"):
             handle = archive.open(info)
         with handle:
@@ -217,7 +256,9 @@ def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
             version = npy_format.read_magic(handle)
             read = _VERSIONS.get(version)
             shape, fortran, dtype = ((), False, np.dtype("f4")) if read is None else read(handle)
-    except Exception as error:  # numpy parses the header as Python: a damaged one can raise anything
+    except (
+        Exception
+    ) as error:  # numpy parses the header as Python: a damaged one can raise anything
         problem = f"no npy header ({' '.join(str(error).split())[:120]})"
         raise InputError(where, problem, f"{_COPY}, or write it with numpy.save") from error
     if read is None:
@@ -229,6 +270,8 @@ def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
     n_bytes = math.prod(shape) * dtype.itemsize
     # object arrays are pickles of any length: refused by their type
     if not dtype.hasobject and size - header.offset != n_bytes:
-        problem = f"found {size - header.offset} bytes of numbers, expected {n_bytes} for shape {shape}"
+        problem = (
+            f"found {size - header.offset} bytes of numbers, expected {n_bytes} for shape {shape}"
+        )
         raise InputError(where, problem, _COPY)
     return header

@@ -19,7 +19,9 @@ def parts_of(path: Path) -> list[Path]:
     if path.name == METADATA:
         with contextlib.suppress(OSError):
             told = re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path, 1 << 20))
-    return [path.with_name(name.decode("utf-8", "replace")) for name in dict.fromkeys(told)] or [path]
+    return [path.with_name(name.decode("utf-8", "replace")) for name in dict.fromkeys(told)] or [
+        path
+    ]
 
 
 FORMATS = (
@@ -27,7 +29,9 @@ FORMATS = (
         name=BAG,
         scans=_SUFFIXES,
         images="prc_cli.formats.bags.read:BagStream",
-        streams=dict.fromkeys(_SUFFIXES, "laser scans of a profiler, clouds of a spinning scanner, with classes"),
+        streams=dict.fromkeys(
+            _SUFFIXES, "laser scans of a profiler, clouds of a spinning scanner, with classes"
+        ),
         write_stream="prc_cli.formats.bags.write:BagStreamWriter",
         holds=frozenset(("codes", "relative", "angles", "times", "intensity")),
         labels=_SUFFIXES,

@@ -32,7 +32,14 @@ from prc_cli.formats.bags.times import (
     unit_note,
 )
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.packets.columns import MAX_EMPTY, MAX_SHIFT, SPARE_CELLS, ColumnLines, Columns, choose
+from prc_cli.formats.packets.columns import (
+    MAX_EMPTY,
+    MAX_SHIFT,
+    SPARE_CELLS,
+    ColumnLines,
+    Columns,
+    choose,
+)
 from prc_cli.formats.sensor_frame import find_frame
 
 CLOUD = "sensor_msgs/PointCloud2"
@@ -107,36 +114,59 @@ def parse_cloud(data: bytes, *, is_cdr: bool, scale: float = 1.0) -> Cloud:
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     height, width, n_fields = (cursor.number("I") for _ in range(3))
-    expect(n_fields <= _MAX_FIELDS, f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}")
+    expect(
+        n_fields <= _MAX_FIELDS,
+        f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}",
+    )
     fields = {}
     for _ in range(n_fields):
-        name, offset, kind, _ = cursor.text(), cursor.number("I"), cursor.number("B"), cursor.number("I")
+        name, offset, kind, _ = (
+            cursor.text(),
+            cursor.number("I"),
+            cursor.number("B"),
+            cursor.number("I"),
+        )
         fields[name] = (offset, kind)
     order = ">" if cursor.number("B") else "<"
     step, row_step = cursor.number("I"), cursor.number("I")
     raw = cursor.array("u1")
     n_row = width * step
-    expect(height <= 1 or row_step >= n_row, f"says that {width} points of {step} bytes are a row of {row_step}")
+    expect(
+        height <= 1 or row_step >= n_row,
+        f"says that {width} points of {step} bytes are a row of {row_step}",
+    )
     row_step = max(row_step, n_row)
     is_whole = not height or row_step * (height - 1) + n_row <= len(raw)
-    expect(is_whole, f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes")
+    expect(
+        is_whole, f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes"
+    )
     # rows may be longer than their points
-    rows = np.lib.stride_tricks.as_strided(raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False)
-    return _decoded(frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)), scale)
+    rows = np.lib.stride_tricks.as_strided(
+        raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False
+    )
+    return _decoded(
+        frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)), scale
+    )
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
     """Return the type of a point, with what is read of it: x, y, z, ring, time, light (missing where there is none)."""
     names = {"x": ("x",), "y": ("y",), "z": ("z",), "ring": RINGS, "time": TIMES, "light": LIGHTS}
-    held = {part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()}
+    held = {
+        part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()
+    }
     lacking = [part for part, found in held.items() if not found and part not in ("light", "time")]
     shown = ", ".join(fields)[:200]
-    expect(not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS)
+    expect(
+        not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS
+    )
     has_all = bool(step) and not lacking
     hint = _NO_RINGS if lacking == ["ring"] else ""
     expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {shown})", hint)
     parts = {part: found[0] for part, found in held.items() if found}
-    expect(all(kind in TYPES for _, kind in parts.values()), "has fields of a type that is not there")
+    expect(
+        all(kind in TYPES for _, kind in parts.values()), "has fields of a type that is not there"
+    )
     kinds = [np.dtype(order + TYPES[kind]) for _, kind in parts.values()]
     offsets = [offset for offset, _ in parts.values()]
     inside = all(at + kind.itemsize <= step for at, kind in zip(offsets, kinds, strict=True))
@@ -169,7 +199,11 @@ def _decoded(frame: str, stamp_s: float, table: NDArray[np.void], scale: float) 
             stored = np.where(np.isfinite(stored), stored, -1).clip(-1, 1 << 20)
         rings: I64 = stored.astype(np.int64).clip(-1, 1 << 20)
         has_light = "light" in (table.dtype.names or ())
-        lit = table["light"].astype(np.float32) if has_light else np.full(len(table), np.nan, np.float32)
+        lit = (
+            table["light"].astype(np.float32)
+            if has_light
+            else np.full(len(table), np.nan, np.float32)
+        )
     return Cloud(frame, stamp_s, rings, times, unit_s, xyz, ranges, lit)
 
 
@@ -209,7 +243,11 @@ class Timing:
         start = float(np.median(after_s[:n_first]))
         exact = (after_s - start) / self.period_s
         number = np.rint(exact)
-        if not (number.min() == 0 and number.max() < _MOST_WAITING and np.abs(exact - number).max() < fits):
+        if not (
+            number.min() == 0
+            and number.max() < _MOST_WAITING
+            and np.abs(exact - number).max() < fits
+        ):
             return None
         return Timing(self.period_s, start, number.astype(np.int64), self.late_s)
 
@@ -231,7 +269,9 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
         period = _usual(steps[steps > _LEAST_PERIOD_S])
         if not period or not every[-1] * _LEAST_PERIOD_S < _MOST_COLUMNS * period:
             return None
-        number = np.cumsum(np.rint(np.diff(every, prepend=0.0) * (_LEAST_PERIOD_S / period))).astype(np.int64)
+        number = np.cumsum(
+            np.rint(np.diff(every, prepend=0.0) * (_LEAST_PERIOD_S / period))
+        ).astype(np.int64)
         # between columns that returned; a period in whole microseconds would run away from them
         known_s = start + every * _LEAST_PERIOD_S
         fired_s: F64 = np.interp(np.arange(int(number[-1]) + 1), number, known_s)
@@ -281,7 +321,11 @@ def _usual(steps: F64) -> float:
     >>> _usual(np.array([2.0, 2.0, 9.0, 9.0, 9.0]))
     2.0
     """
-    return float(np.median(steps[steps < 1.5 * float(np.percentile(steps, 10))])) if len(steps) else 0.0
+    return (
+        float(np.median(steps[steps < 1.5 * float(np.percentile(steps, 10))]))
+        if len(steps)
+        else 0.0
+    )
 
 
 class _Points(NamedTuple):
@@ -307,17 +351,28 @@ class CloudLines:
     """Gathers messages of one scanner into blocks."""
 
     def __init__(
-        self, where: str, scanner: int, first: Cloud, between_s: Callable[[], float], config: InputConfig
+        self,
+        where: str,
+        scanner: int,
+        first: Cloud,
+        between_s: Callable[[], float],
+        config: InputConfig,
     ) -> None:
         self._where, self._config = where, config
         self._has_times = first.has_times
         self._between_s = 0.0 if self._has_times else between_s()
         """Time from message to message, if their points have no times [s]."""
-        has = np.isfinite(first.range_m) & (first.ring >= 0) & (np.isfinite(first.time) | (not self._has_times))
+        has = (
+            np.isfinite(first.range_m)
+            & (first.ring >= 0)
+            & (np.isfinite(first.time) | (not self._has_times))
+        )
         numbers = RingNumbers.of(first.ring[has]) if has.any() else None
         if numbers is None:
             found = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
-            problem = f"found {found} in the first message, expected points of at most {MAX_RINGS} rings"
+            problem = (
+                f"found {found} in the first message, expected points of at most {MAX_RINGS} rings"
+            )
             raise InputError(where, problem, "record the scanner's own topic")
         self.points_per_line, self._numbers = numbers.n_rings, numbers
         self.has_returns = False
@@ -364,7 +419,9 @@ class CloudLines:
             return InputError(self._where, problem, "let the driver write the times of the points")
         most = int(np.bincount(ring).max())
         problem = f"{most} points of a ring share {len(np.unique(time_s))} times, and look all around at one time"
-        return InputError(self._where, problem, "record every scanner with a topic or a frame of its own")
+        return InputError(
+            self._where, problem, "record every scanner with a topic or a frame of its own"
+        )
 
     def add(self, cloud: Cloud, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield the lines that are complete."""
@@ -389,9 +446,7 @@ class CloudLines:
     def _usable(self, cloud: Cloud, first_record: int) -> _Points:
         """Return the points that have a ring and a time near that of the message; count the others."""
         if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
-            problem = (
-                f"found ring {int(cloud.ring.max())}, expected {self.points_per_line} rings as in the first message"
-            )
+            problem = f"found ring {int(cloud.ring.max())}, expected {self.points_per_line} rings as in the first message"
             raise InputError(self._where, problem, "record every set-up in a bag of its own")
         time_s, ring = self._times(cloud), self._numbers.of_points(cloud.ring)
         record = np.arange(first_record, first_record + cloud.n_records)
@@ -431,7 +486,9 @@ class CloudLines:
             self._rest = points
             if len(points.ring) > _MOST_WAITING:
                 problem = f"the times of {len(points.ring)} points tell no columns, expected a time a firing"
-                raise InputError(self._where, problem, "let the driver write the times of the points")
+                raise InputError(
+                    self._where, problem, "let the driver write the times of the points"
+                )
             return
         n = timing.n_columns
         self._check_size(n, timing, len(points.ring))
@@ -447,7 +504,9 @@ class CloudLines:
         period_s = self._timing.period_s if self._timing is not None else 0.0
         if self._sweep is not None:
             period_s = self._sweep.step_rad / abs(self._sweep.rate_rad_s)
-        return float(points.time_s.min() - rest.time_s.max()) > max(_LONG_COLUMNS * period_s, LONG_S)
+        return float(points.time_s.min() - rest.time_s.max()) > max(
+            _LONG_COLUMNS * period_s, LONG_S
+        )
 
     def _columns_since(self, timing: Timing) -> int:
         """Return the columns from the last one that was given out to the first of a timing; 0 without any."""
@@ -463,7 +522,11 @@ class CloudLines:
         n = timing.n_columns
         self._check_size(n, timing, len(points.ring))
         waits = placed.column >= n - SLACK
-        self._rest, self._rest_line, self._timing = points.part(waits), placed.base + max(n - SLACK, 0), timing
+        self._rest, self._rest_line, self._timing = (
+            points.part(waits),
+            placed.base + max(n - SLACK, 0),
+            timing,
+        )
         if n > SLACK:
             yield from self._lines.add(self._columns(points, ~waits, n - SLACK, placed.base))
 
@@ -509,9 +572,15 @@ class CloudLines:
         of_times = unit_note(self._unit_s, self._usual_unit_s)
         if self._sweep is not None:
             step_deg = math.degrees(self._sweep.step_rad)
-            of_times = "points of several columns share a time" if self._has_times else "the points have no times"
+            of_times = (
+                "points of several columns share a time"
+                if self._has_times
+                else "the points have no times"
+            )
             of_times += f": columns are azimuths, {step_deg:.3g} deg apart"
-        return "; ".join(told for told in (self._numbers.note, of_times, self._lines.lost()) if told)
+        return "; ".join(
+            told for told in (self._numbers.note, of_times, self._lines.lost()) if told
+        )
 
     def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
         """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
@@ -525,7 +594,9 @@ class CloudLines:
         again = first[cell] != point
         second[cell[again][::-1]] = point[again][::-1]
         # a cell holds two returns
-        self._lines.count_collisions(int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0)))
+        self._lines.count_collisions(
+            int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0))
+        )
         returns = [first, second] if again.any() else [first]
         cells = np.stack(returns, axis=-1).reshape(n, m, -1)
 
@@ -535,7 +606,9 @@ class CloudLines:
             return found
 
         ranges, lights = pick(points.range_m, cells, np.nan), pick(points.intensity, cells, np.nan)
-        range_m, light, own, (further_m, other) = choose(ranges, lights, cells, self._config.return_)
+        range_m, light, own, (further_m, other) = choose(
+            ranges, lights, cells, self._config.return_
+        )
         late: F64 = np.zeros(m)
         late[self._place[: len(timing.late_s)]] = timing.late_s[:m]
         time_s = pick(points.time_s, own, np.nan)
@@ -547,10 +620,15 @@ class CloudLines:
         fired = starts_s[:, None] + late
         is_made_up = np.isnan(time_s) | (self._sweep is not None)
         return Columns(
-            base + np.arange(n), range_m, pick(points.record, own, -1), np.where(is_made_up, fired, time_s),
-            pick(points.xyz_m, own, np.nan), light, further_m,
+            base + np.arange(n),
+            range_m,
+            pick(points.record, own, -1),
+            np.where(is_made_up, fired, time_s),
+            pick(points.xyz_m, own, np.nan),
+            light,
+            further_m,
             None if other is None else pick(points.record, other, -1),
-        )  # fmt: skip
+        )
 
 
 def _unit(first: Cloud, has: Mask, between_s: Callable[[], float], config: InputConfig) -> float:

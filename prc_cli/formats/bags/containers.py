@@ -79,7 +79,9 @@ class Bag:
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
         """Yield the messages of some topics, in the order they were recorded."""
         for part in self.files:
-            yield from bounded(part, _rows(self, part, topics) if _is_database(part) else _decoded(part, topics))
+            yield from bounded(
+                part, _rows(self, part, topics) if _is_database(part) else _decoded(part, topics)
+            )
 
     def connections(self) -> list[Any]:
         """Return the connections as rosbags has them, in the order of the file."""
@@ -93,7 +95,9 @@ class Bag:
             return
         with _library(part, ()) as reader:
             topics = reader.topics
-            for topic, n in {topic_of(one): topics[one.topic].msgcount for one in reader.connections}.items():
+            for topic, n in {
+                topic_of(one): topics[one.topic].msgcount for one in reader.connections
+            }.items():
                 self.counts[topic] = self.counts.get(topic, 0) + n
             if reader.message_count:
                 self.start_ns = min(self.start_ns or reader.start_time, reader.start_time)
@@ -123,7 +127,9 @@ def bag_errors(path: Path) -> Iterator[None]:
     except (InputError, ImportError):
         raise
     except MemoryError:
-        raise InputError(str(path), "decoding it takes too much memory for its size", _mend(path)) from None
+        raise InputError(
+            str(path), "decoding it takes too much memory for its size", _mend(path)
+        ) from None
     except Exception as error:
         said = " ".join(str(error).partition(": (")[0].split())[:120] or type(error).__name__
         raise InputError(str(path), f"the bag is damaged ({said})", _mend(path)) from error
@@ -148,7 +154,10 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
                 if topic_of(one) not in topics:
                     indexes[one.id].clear()
 
-    with bag_errors(path), Lean(path) if suffix_of(path) == ".bag" else rosbag2.Reader(path) as reader:
+    with (
+        bag_errors(path),
+        Lean(path) if suffix_of(path) == ".bag" else rosbag2.Reader(path) as reader,
+    ):
         yield reader
 
 
@@ -159,7 +168,10 @@ def _packed(reader: Any) -> str:
     from rosbags.rosbag1.reader import decompressors
 
     names = (
-        name for chunk in reader.chunks.values() for name, way in decompressors.items() if way is chunk.decompressor
+        name
+        for chunk in reader.chunks.values()
+        for name, way in decompressors.items()
+        if way is chunk.decompressor
     )
     return next(names, "").replace("none", "")
 
@@ -175,7 +187,9 @@ def _decoded(path: Path, topics: Collection[Topic]) -> Iterator[Message]:
     with _library(path, topics) as reader:
         chosen = {one.id: topic_of(one) for one in reader.connections if topic_of(one) in topics}
         if chosen:
-            for one, time_ns, data in reader.messages([one for one in reader.connections if one.id in chosen]):
+            for one, time_ns, data in reader.messages(
+                [one for one in reader.connections if one.id in chosen]
+            ):
                 yield Message(chosen[one.id], time_ns, data, one.id)
 
 
@@ -199,7 +213,9 @@ def _database(bag: Bag, path: Path) -> Iterator[tuple[sqlite3.Connection, dict[i
             base.execute("PRAGMA trusted_schema=OFF")
             _check_tables(path, base)
             topics = {}
-            rows = base.execute("SELECT rowid, id, name, type, serialization_format FROM topics NOT INDEXED")
+            rows = base.execute(
+                "SELECT rowid, id, name, type, serialization_format FROM topics NOT INDEXED"
+            )
             for _, number, name, kind, form in _in_order(rows):
                 # recorders of packets leave the form blank
                 kind = _kind(str(kind)) if form in ("cdr", "") else str(form)
@@ -214,7 +230,9 @@ def _check_pages(path: Path) -> None:
     with open_to_read(path) as handle:
         head = handle.read(100)
     if head[:16] != b"SQLite format 3\0" or len(head) < 100:
-        raise InputError(str(path), "found no SQLite header, expected a bag of ROS 2", "copy it again")
+        raise InputError(
+            str(path), "found no SQLite header, expected a bag of ROS 2", "copy it again"
+        )
     (page,) = struct.unpack_from(">H", head, 16)
     changed, pages = struct.unpack_from(">II", head, 24)
     wanted, size = (1 << 16 if page == 1 else page) * pages, path.stat().st_size
@@ -226,7 +244,9 @@ def _check_pages(path: Path) -> None:
 
 def _check_tables(path: Path, base: sqlite3.Connection) -> None:
     """Refuse anything but plain tables: a view can run for ever."""
-    rows = base.execute("SELECT name, type, sql FROM sqlite_master WHERE name IN ('topics', 'messages') LIMIT 9")
+    rows = base.execute(
+        "SELECT name, type, sql FROM sqlite_master WHERE name IN ('topics', 'messages') LIMIT 9"
+    )
     found = {str(name): (kind, str(sql).upper().split()[:2]) for name, kind, sql in rows}
     for name in ("topics", "messages"):
         plain = found.get(name) == ("table", ["CREATE", "TABLE"])

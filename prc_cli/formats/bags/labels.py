@@ -54,14 +54,20 @@ class CloudCodec:
         if field is None:
             return cloud, None
         form = ">" if cloud.is_bigendian else "<"
-        point: Any = {"names": ["code"], "formats": [form + TYPES[field.datatype]], "offsets": [field.offset]}
+        point: Any = {
+            "names": ["code"],
+            "formats": [form + TYPES[field.datatype]],
+            "offsets": [field.offset],
+        }
         point["itemsize"] = cloud.point_step
         return cloud, self._rows(cloud).view(np.dtype(point))[:, 0]
 
     def _rows(self, cloud: Any) -> U8:
         """Return the bytes of every point, (n, bytes), without what rows have behind their points."""
         n_row = cloud.width * cloud.point_step
-        rows: U8 = cloud.data[: cloud.height * max(cloud.row_step, n_row)].reshape(cloud.height, -1)[:, :n_row]
+        rows: U8 = cloud.data[: cloud.height * max(cloud.row_step, n_row)].reshape(
+            cloud.height, -1
+        )[:, :n_row]
         return rows.reshape(-1, cloud.point_step).copy()
 
     def label(self, data: bytes, take: Take) -> bytes:
@@ -127,15 +133,29 @@ class BagRewriter(BagOutput, ScatterWriter):
         self._stream = BagStream(source, labels.rules)
         self._packed = self._stream.bag.packed
         packed = [topic.name for topic in self._stream.topics if topic.kind in PACKED]
-        refused = f"{packed[0]} holds packets, which have no place for classes" if packed else self._stream.bag.problem
-        refused = refused or ("a bag holds whole messages, not a window of them" if labels.is_part else "")
+        refused = (
+            f"{packed[0]} holds packets, which have no place for classes"
+            if packed
+            else self._stream.bag.problem
+        )
+        refused = refused or (
+            "a bag holds whole messages, not a window of them" if labels.is_part else ""
+        )
         if labels.is_thinned and any(topic.kind in LASERS for topic in self._stream.topics):
-            refused = refused or "laser scans have a place for every shot, so that none can be left out"
+            refused = (
+                refused or "laser scans have a place for every shot, so that none can be left out"
+            )
         if refused:
-            raise OutputError(str(path), refused, f"write {'.npz' if labels.is_thinned else 'the labels alone: .npy'}")
+            raise OutputError(
+                str(path),
+                refused,
+                f"write {'.npz' if labels.is_thinned else 'the labels alone: .npy'}",
+            )
         super().__init__(labels, (), labels.n_records)
         for column in asked_columns(labels.options):
-            self._notice(f"bags hold class codes only; {column.what}s need .csv, .parquet, .las or .laz")
+            self._notice(
+                f"bags hold class codes only; {column.what}s need .csv, .parquet, .las or .laz"
+            )
         self._name_metadata()
 
     def _write(self, record: RunRecord) -> RunRecord:
@@ -144,7 +164,9 @@ class BagRewriter(BagOutput, ScatterWriter):
         def take(n: int) -> NDArray[Any]:
             nonlocal n_done
             n_done += n
-            codes: NDArray[Any] = self._code_spool.span(n_done - n, n_done) if n else np.empty(0, np.uint8)
+            codes: NDArray[Any] = (
+                self._code_spool.span(n_done - n, n_done) if n else np.empty(0, np.uint8)
+            )
             self._count(codes[codes >= 0].astype(np.uint8, copy=False))
             return codes
 
@@ -152,10 +174,14 @@ class BagRewriter(BagOutput, ScatterWriter):
             with self._opened() as sink:
                 self._copy(sink, take)
         except sqlite3.Error as error:
-            raise OutputError(str(self.path), f"cannot be written ({error})", "free space on the disk") from error
+            raise OutputError(
+                str(self.path), f"cannot be written ({error})", "free space on the disk"
+            ) from error
         if n_done < total:
             problem = f"found {n_done} records, expected {total} as at the start of the run"
-            raise InputError(str(self._stream.bag.path), problem, "run again when nothing else writes the input")
+            raise InputError(
+                str(self._stream.bag.path), problem, "run again when nothing else writes the input"
+            )
         return self._completed(record)
 
     def _copy(self, sink: Any, take: Take) -> None:
@@ -163,13 +189,18 @@ class BagRewriter(BagOutput, ScatterWriter):
         bag, read = self._stream.bag, self._stream.topics
         old = [topic for topic in bag.counts if is_labels(topic, read)]
         if old:
-            self._notice(f"the input has {', '.join(topic.name for topic in old)} already; they were replaced")
+            self._notice(
+                f"the input has {', '.join(topic.name for topic in old)} already; they were replaced"
+            )
         outs = {}
         for one in bag.connections():
             # labels come behind their scans: readers take what has one time in the order of connections
             has_labels = topic_of(one) in read and topic_of(one).kind in LASERS
             if topic_of(one) not in old:
-                outs[one.id] = _connect(sink, one), _connect(sink, one, LABELS) if has_labels else None
+                outs[one.id] = (
+                    _connect(sink, one),
+                    _connect(sink, one, LABELS) if has_labels else None,
+                )
         codec = CloudCodec(is_cdr=any(topic.is_cdr for topic in read))
         for message in bag.messages([topic for topic in bag.counts if topic not in old]):
             data, codes, (own, beside) = message.data, b"", outs[message.connection]
@@ -185,13 +216,17 @@ class BagRewriter(BagOutput, ScatterWriter):
 
 def _connect(sink: Any, one: Any, after: str = "") -> Any:
     """Add a connection as in the input; the writers refuse two of one publisher, and missing definitions."""
-    added = one._replace(id=len(sink.connections) + 1, topic=one.topic + after, msgcount=0, owner=sink)
+    added = one._replace(
+        id=len(sink.connections) + 1, topic=one.topic + after, msgcount=0, owner=sink
+    )
     if hasattr(sink, "chunks"):
         sink.write_connection(added, sink.chunks[-1].data)
     else:
         from rosbags.rosbag2.metadata import dump_qos_v8
 
-        if one.msgtype not in sink.added_types and (one.msgdef.format.value or sink.storage_plugin.name == "MCAP"):
+        if one.msgtype not in sink.added_types and (
+            one.msgdef.format.value or sink.storage_plugin.name == "MCAP"
+        ):
             sink.storage.add_msgtype(added)
             sink.added_types.add(one.msgtype)
         sink.storage.add_connection(added, dump_qos_v8(one.ext.offered_qos_profiles))
@@ -210,19 +245,27 @@ def open_bag_codes(path: Path, dimension: str | None) -> CodeSource:
         n, codec = 0, CloudCodec(is_cdr=any(topic.is_cdr for topic in topics))
         for message in bag.messages(topics) if topics else ():
             with bag_errors(path):
-                codes = _laser_codes(message) if message.topic in lasers else codec.points(message.data, name)[1]
+                codes = (
+                    _laser_codes(message)
+                    if message.topic in lasers
+                    else codec.points(message.data, name)[1]
+                )
             if codes is not None:
                 n += len(codes)
                 yield codes if codes.dtype.names is None else codes["code"]
         if not n:
-            problem = f"no field {name!r} in its clouds, and no laser scans with {LABELS} beside them"
+            problem = (
+                f"no field {name!r} in its clouds, and no laser scans with {LABELS} beside them"
+            )
             raise InputError(str(path), problem, "name a bag that prc classify wrote")
 
     return CodeSource(path, None, read, name=name)
 
 
 def _laser_codes(message: Message) -> NDArray[Any]:
-    scan = parse_laser(message.data, is_cdr=message.topic.is_cdr, is_multi=message.topic.kind == ECHOES)
+    scan = parse_laser(
+        message.data, is_cdr=message.topic.is_cdr, is_multi=message.topic.kind == ECHOES
+    )
     if scan.n_echoes is None:
         return scan.intensity
     codes = np.zeros(scan.n_records, np.float32)

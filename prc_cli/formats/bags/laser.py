@@ -64,7 +64,9 @@ class LaserScan:
     @property
     def n_records(self) -> int:
         """Records of the message: its echoes, and one for every beam without any."""
-        return len(self.range_m) if self.n_echoes is None else int(np.maximum(self.n_echoes, 1).sum())
+        return (
+            len(self.range_m) if self.n_echoes is None else int(np.maximum(self.n_echoes, 1).sum())
+        )
 
 
 def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool, scale: float = 1.0) -> LaserScan:
@@ -107,13 +109,18 @@ def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
     if len(starts) != n or not n or starts[-1] >= len(words) or (words[starts] != likely).any():
         starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
-    found, most = f"holds {counts.max(initial=0)} echoes of a beam", f"at most {MAX_ECHOES}, and no more than there are"
+    found, most = (
+        f"holds {counts.max(initial=0)} echoes of a beam",
+        f"at most {MAX_ECHOES}, and no more than there are",
+    )
     is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))
     expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{found}, expected {most}")
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
     cursor.at += 4 * len(is_value)
-    values: F32 = words.view(words.dtype.str.replace("u", "f"))[: len(is_value)][is_value].astype(np.float32)
+    values: F32 = words.view(words.dtype.str.replace("u", "f"))[: len(is_value)][is_value].astype(
+        np.float32
+    )
     return values, counts
 
 
@@ -127,7 +134,12 @@ def _starts(words: NDArray[np.uint32], n: int) -> I64:
     [0, 3, 4]
     """
     likely = np.flatnonzero(words <= MAX_ECHOES)[:n]
-    if len(likely) == n and n and likely[0] == 0 and (np.diff(likely) == words[likely[:-1]] + np.uint32(1)).all():
+    if (
+        len(likely) == n
+        and n
+        and likely[0] == 0
+        and (np.diff(likely) == words[likely[:-1]] + np.uint32(1)).all()
+    ):
         return likely
     end = len(words)
     after = np.arange(1, end + 1) + np.minimum(words, MAX_ECHOES + 1)
@@ -154,7 +166,9 @@ class BeamGrid:
         """Return the finest grid, with all beams of the messages; angles are counted from those of the first one."""
         steps = np.array([scan.angle_step_rad for scan in scans])
         usual = float(np.median(steps))
-        scans = [scan for scan in scans if 1 / _OTHER_STEP < scan.angle_step_rad / usual < _OTHER_STEP]
+        scans = [
+            scan for scan in scans if 1 / _OTHER_STEP < scan.angle_step_rad / usual < _OTHER_STEP
+        ]
         steps = np.array([scan.angle_step_rad for scan in scans])
         way = math.copysign(1.0, usual)
         step = way * float(np.abs(steps).min())
@@ -208,7 +222,11 @@ class LaserLines:
     """Gathers messages of one scanner into blocks: a message is a line, or a part of one."""
 
     def __init__(
-        self, where: str, scanner: int, first_scans: Callable[[], list[LaserScan]], config: InputConfig
+        self,
+        where: str,
+        scanner: int,
+        first_scans: Callable[[], list[LaserScan]],
+        config: InputConfig,
     ) -> None:
         self._where, self._scanner, self._config = where, scanner, config
         scans = first_scans()
@@ -220,7 +238,9 @@ class LaserLines:
         self.points_per_line = self._grid.n
         if self.points_per_line > MAX_POINTS_PER_LINE:
             found = f"angle_min from {min(scan.angle_min_rad for scan in scans):g} to "
-            found += f"{max(scan.angle_min_rad for scan in scans):g} in steps of {self._grid.step_rad:g}"
+            found += (
+                f"{max(scan.angle_min_rad for scan in scans):g} in steps of {self._grid.step_rad:g}"
+            )
             raise InputError(where, f"found {found}, expected scans of one scanner", _ONE_SET_UP)
         column = np.arange(self.points_per_line, dtype=np.float64)
         self.angle_rad: F64 = self._grid.start_rad + self._grid.step_rad * column
@@ -279,10 +299,14 @@ class LaserLines:
         scans = [part.scan for part in parts]
         n, m = parts[-1].line + 1, self.points_per_line
         first = np.array([part.first_record for part in parts], np.int64)
-        ranges, intensity, record, beyond = (self._echoes if self.has_returns else self._single)(scans, first)
+        ranges, intensity, record, beyond = (self._echoes if self.has_returns else self._single)(
+            scans, first
+        )
         line = np.repeat([part.line for part in parts], [len(part.columns) for part in parts])
         column = np.concatenate([part.columns for part in parts])
-        stamps = np.concatenate([part.scan.stamp_s + part.scan.shot_s * np.arange(len(part.columns)) for part in parts])
+        stamps = np.concatenate(
+            [part.scan.stamp_s + part.scan.shot_s * np.arange(len(part.columns)) for part in parts]
+        )
         cell = np.where(column >= 0, line * m + column, -1)
         is_first: Mask = cell >= 0
         if not (np.diff(cell) > 0).all():
@@ -291,23 +315,29 @@ class LaserLines:
             is_first = np.zeros(len(cell), np.bool_)
             is_first[first_of] = True
             is_first &= cell >= 0
-        n_unplaced, n_meet = int(np.count_nonzero(cell < 0)), int(np.count_nonzero(~is_first & (cell >= 0)))
+        n_unplaced, n_meet = (
+            int(np.count_nonzero(cell < 0)),
+            int(np.count_nonzero(~is_first & (cell >= 0))),
+        )
         beam, other_m, other_record = beyond
         is_there = cell[beam] >= 0
         again = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(ranges))
         cells = np.concatenate([cell[beam[is_there]], cell[again]])
         extra = ExtraReturns(
-            (cells // m).astype(np.int32), (cells % m).astype(np.int32),
+            (cells // m).astype(np.int32),
+            (cells % m).astype(np.int32),
             np.concatenate([other_m[is_there], ranges[again]]),
             np.concatenate([other_record[is_there], record[again]]),
-        )  # fmt: skip
+        )
 
         def scattered(values: NDArray[Any], fill: float) -> NDArray[Any]:
             grid = np.full(n * m, fill, values.dtype)
             grid[cell[is_first]] = values[is_first]
             return grid.reshape(n, m)
 
-        cleaned, tally = clean_ranges(scattered(ranges, np.nan), self._config.min_range, self._config.max_range)
+        cleaned, tally = clean_ranges(
+            scattered(ranges, np.nan), self._config.min_range, self._config.max_range
+        )
         lit = None if intensity is None else scattered(intensity, np.nan)
         if lit is not None:
             lit[np.isnan(cleaned)] = np.nan
@@ -341,7 +371,12 @@ class LaserLines:
         ranges = np.concatenate([scan.range_m for scan in scans])
         n_of = np.array([scan.n_records for scan in scans])
         record = np.arange(len(ranges)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
-        return ranges, lit, record, (np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.int64))
+        return (
+            ranges,
+            lit,
+            record,
+            (np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.int64)),
+        )
 
     def _echoes(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, _Beyond]:
         """Return range, intensity and record of every beam, and its further echoes."""
@@ -368,7 +403,12 @@ class LaserLines:
         others = np.flatnonzero(~stands & ~np.isnan(flat))
         beam = (np.cumsum(begins) - 1)[others]
         own = np.flatnonzero(stands)
-        return flat[own], None if lit is None else lit[own], record[own], (beam, flat[others], record[others])
+        return (
+            flat[own],
+            None if lit is None else lit[own],
+            record[own],
+            (beam, flat[others], record[others]),
+        )
 
 
 def _continues(before: I64, columns: I64) -> bool:

@@ -37,7 +37,9 @@ class Cursor:
         self.order: Literal["<", ">"] = "<"
         if is_cdr:
             known = len(data) >= 4 and data[0] == 0 and data[1] <= 1
-            expect(known, f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR")
+            expect(
+                known, f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR"
+            )
             self.order = "<" if data[1] else ">"
 
     def _align(self, size: int) -> None:
@@ -47,7 +49,10 @@ class Cursor:
     def _need(self, n: int) -> int:
         """Return the position and move ``n`` bytes on."""
         start = self.at
-        expect(n <= len(self.data) - start, f"ends after {len(self.data)} bytes, expected {start + n} or more")
+        expect(
+            n <= len(self.data) - start,
+            f"ends after {len(self.data)} bytes, expected {start + n} or more",
+        )
         self.at += n
         return start
 
@@ -95,14 +100,20 @@ class Cursor:
         return float(seconds + nanoseconds * 1e-9)
 
 
-VELODYNE, PANDAR, NEBULA = "velodyne_msgs/VelodyneScan", "pandar_msgs/PandarScan", "nebula_msgs/NebulaPackets"
+VELODYNE, PANDAR, NEBULA = (
+    "velodyne_msgs/VelodyneScan",
+    "pandar_msgs/PandarScan",
+    "nebula_msgs/NebulaPackets",
+)
 OUSTER = ("ouster_sensor_msgs/PacketMsg", "ouster_msgs/PacketMsg", "ouster_ros/PacketMsg")
 PACKED = (VELODYNE, PANDAR, NEBULA, *OUSTER)
 _LEAST = {VELODYNE: 1214, PANDAR: 1512, NEBULA: 12}
 """Least bytes of a packet in a message."""
 
 
-def parse_packets(kind: str, data: bytes, time_s: float, *, is_cdr: bool) -> tuple[str, list[tuple[float, bytes]]]:
+def parse_packets(
+    kind: str, data: bytes, time_s: float, *, is_cdr: bool
+) -> tuple[str, list[tuple[float, bytes]]]:
     """Return the frame of a message, and its packets with the time when they were received [s]."""
     cursor = Cursor(data, is_cdr=is_cdr)
     if kind in OUSTER:

@@ -47,13 +47,21 @@ class RingNumbers:
                 return None
             index = np.full(high + 1, -1, np.int64)
             index[present] = np.arange(len(present))
-            return cls(len(present), index, f"{len(present)} rings are numbered up to {high}: taken in their order")
+            return cls(
+                len(present),
+                index,
+                f"{len(present)} rings are numbered up to {high}: taken in their order",
+            )
         if n_numbers > MAX_RINGS:
             return None
         n_rings = next(width for width in WIDTHS if width >= n_numbers)
         index = np.full(begin + step * (n_rings - 1) + 1, -1, np.int64)
         index[begin::step] = np.arange(n_rings)
-        note = f"rings are numbered in steps of {step}, from {low}: taken as {n_rings} rings" if step > 1 else ""
+        note = (
+            f"rings are numbered in steps of {step}, from {low}: taken as {n_rings} rings"
+            if step > 1
+            else ""
+        )
         return cls(n_rings, index, note)
 
     def of_points(self, number: I64) -> I64:

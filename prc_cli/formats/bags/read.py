@@ -74,8 +74,14 @@ class BagStream:
         """What is known before reading, and afterwards also what was found while reading."""
         counts = self.bag.counts
         names = ", ".join(topic.name for topic in self.topics)
-        others = [topic.name for topic in counts if topic not in self.topics and topic in self._frames]
-        why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
+        others = [
+            topic.name for topic in counts if topic not in self.topics and topic in self._frames
+        ]
+        why = (
+            "the bag has no other scans"
+            if not others
+            else f"other scans: {', '.join(others[:10])} (input.topic)"
+        )
         if self._config.topic is not None:
             why = "input.topic names it"
         assumed = [Assumption("input.topic", names, why), *scale_told(self._config.range_scale)]
@@ -91,7 +97,9 @@ class BagStream:
             format="bag",
             points_per_line=self._widest,
             n_records=None,
-            n_lines=sum(counts[topic] for topic in self.topics) if lasers and self._has_whole_lines else None,
+            n_lines=sum(counts[topic] for topic in self.topics)
+            if lasers and self._has_whole_lines
+            else None,
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
@@ -107,13 +115,23 @@ class BagStream:
 
     def _describe(self) -> dict[str, str]:
         bag = self.bag
-        told = {f"topic {one.name}": f"{one.kind}, {n or 'no'} messages" for one, n in bag.counts.items()}
-        return {"recorded": f"{(bag.end_ns - bag.start_ns) * 1e-9:.3f} s from {bag.start_ns * 1e-9:.3f} s", **told}
+        told = {
+            f"topic {one.name}": f"{one.kind}, {n or 'no'} messages"
+            for one, n in bag.counts.items()
+        }
+        return {
+            "recorded": f"{(bag.end_ns - bag.start_ns) * 1e-9:.3f} s from {bag.start_ns * 1e-9:.3f} s",
+            **told,
+        }
 
     def _first_messages(self) -> dict[Topic, Message]:
         """Return the first message of every topic that can be read."""
         counts = self.bag.counts
-        wanted = {one for one, n in counts.items() if n and one.kind in READABLE and not is_labels(one, counts)}
+        wanted = {
+            one
+            for one, n in counts.items()
+            if n and one.kind in READABLE and not is_labels(one, counts)
+        }
         found: dict[Topic, Message] = {}
         for message in self.bag.messages(wanted) if wanted else ():
             found.setdefault(message.topic, message)
@@ -129,7 +147,9 @@ class BagStream:
                 if topic.kind == CLOUD:
                     frames[topic] = parse_cloud(first.data, is_cdr=topic.is_cdr).frame
                 elif topic.kind in LASERS:
-                    frames[topic] = parse_laser(first.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES).frame
+                    frames[topic] = parse_laser(
+                        first.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES
+                    ).frame
             except ShortMessageError as error:
                 if topic.kind == CLOUD:
                     del frames[topic]
@@ -139,13 +159,17 @@ class BagStream:
     def _choose(self) -> tuple[Topic, ...]:
         """Return the topics to read."""
         topics = {topic.name: topic for topic in self.bag.counts}
-        shown = ", ".join(f"{name} ({topic.kind})" for name, topic in topics.items())[:600] or "none"
+        shown = (
+            ", ".join(f"{name} ({topic.kind})" for name, topic in topics.items())[:600] or "none"
+        )
         if self._config.topic is not None:
             chosen = []
             for name in self._config.topic.split(","):
                 topic = topics.get(name)
                 if topic is None:
-                    raise ConfigError("input.topic", f"found {name!r}, {self._path.name} has: {shown}", "name one")
+                    raise ConfigError(
+                        "input.topic", f"found {name!r}, {self._path.name} has: {shown}", "name one"
+                    )
                 if topic.kind not in READABLE:
                     problem = f"{name} holds {topic.kind}, expected {', '.join(READABLE)}"
                     raise ConfigError("input.topic", problem, f"the bag has: {shown}")
@@ -154,19 +178,28 @@ class BagStream:
         # drivers publish clouds of packets, and laser scans of clouds, in the frame of the scanner
         clouds = {frame for topic, frame in self._frames.items() if topic.kind == CLOUD}
         packed = [topic for topic in self._frames if topic.kind in PACKED]
-        others = [one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds]
+        others = [
+            one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds
+        ]
         if packed or others:
             return tuple(sorted(packed or others, key=lambda topic: topic.name))
         if self._left_out:
             topic, error = next(iter(self._left_out.items()))
-            raise InputError(f"{self._path}: {topic.name}", str(error), error.hint or "record the scanner's own topic")
+            raise InputError(
+                f"{self._path}: {topic.name}",
+                str(error),
+                error.hint or "record the scanner's own topic",
+            )
         ended = f" ({self.bag.problem})" if self.bag.problem else ""
         problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
         raise InputError(str(self._path), problem, "record the scanner's own topic")
 
     def _look(self) -> int:
         """Return the longest line, from the first message of every topic."""
-        widest, why = 0, ("no message with shots, expected scans", "name another topic: --topic NAME")
+        widest, why = (
+            0,
+            ("no message with shots, expected scans", "name another topic: --topic NAME"),
+        )
         for topic in self.topics:
             if topic in self._firsts:
                 reader = self._reader(topic)
@@ -175,7 +208,9 @@ class BagStream:
                 widest = max([widest, *(lines.points_per_line for lines in reader.frames.values())])
                 is_plain = all(getattr(lines, "is_plain", True) for lines in reader.frames.values())
                 self._has_whole_lines = self._has_whole_lines and is_plain
-                self._has_returns = self._has_returns or any(lines.has_returns for lines in reader.frames.values())
+                self._has_returns = self._has_returns or any(
+                    lines.has_returns for lines in reader.frames.values()
+                )
                 why = reader.nothing()
         if not widest:
             names = ", ".join(topic.name for topic in self.topics)
@@ -184,16 +219,22 @@ class BagStream:
 
     def _reader(self, topic: Topic) -> _TopicReader:
         return _TopicReader(
-            self._path, topic, self._numbers, self._config, lambda: self._between_s(topic),
+            self._path,
+            topic,
+            self._numbers,
+            self._config,
+            lambda: self._between_s(topic),
             lambda: self._first_scans(topic),
-        )  # fmt: skip
+        )
 
     def _first_scans(self, topic: Topic) -> list[LaserScan]:
         """Return the first scans of a topic of laser scans, which show its beams."""
         if topic not in self._scans:
             self._scans[topic] = scans = []
             for message in self.bag.messages({topic}):
-                scans.append(parse_laser(message.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES))
+                scans.append(
+                    parse_laser(message.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES)
+                )
                 if len(scans) == FIRST_SCANS:
                     break
         return self._scans[topic]
@@ -221,7 +262,9 @@ class BagStream:
             yield from reader.finish()
         self._notes = [note for reader in readers.values() for note in reader.notes()]
         twice = [
-            reader.repeats.told(f"{'packets' if topic.kind in PACKED else 'messages'} of {topic.name}")
+            reader.repeats.told(
+                f"{'packets' if topic.kind in PACKED else 'messages'} of {topic.name}"
+            )
             for topic, reader in readers.items()
         ]
         self._repeated = next((told for told in twice if told), "")
@@ -272,14 +315,20 @@ class _TopicReader:
                 yield from lines.add(cloud, first_record)
             else:
                 scale = self._config.range_scale
-                scan = parse_laser(message.data, is_cdr=is_cdr, is_multi=kind == ECHOES, scale=scale)
+                scan = parse_laser(
+                    message.data, is_cdr=is_cdr, is_multi=kind == ECHOES, scale=scale
+                )
                 self.n_taken = scan.n_records
                 if self.repeats.is_again(content):
                     return
-                yield from self._scanner(scan.frame, LaserLines, self._scans_of(scan)).add(scan, first_record)
+                yield from self._scanner(scan.frame, LaserLines, self._scans_of(scan)).add(
+                    scan, first_record
+                )
         except ShortMessageError as error:
             hint = error.hint or "copy the bag again"
-            raise InputError(f"{self._where}: message {self._n}", f"the message {error}", hint) from None
+            raise InputError(
+                f"{self._where}: message {self._n}", f"the message {error}", hint
+            ) from None
         self._n += 1
 
     def _scans_of(self, scan: LaserScan) -> Callable[[], list[LaserScan]]:
@@ -293,7 +342,9 @@ class _TopicReader:
             if name not in self._numbers and n == MAX_SCANNERS:
                 problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
                 raise InputError(name, problem, "name the topics: --topic NAME")
-            self.frames[frame] = gather(self._where, self._numbers.setdefault(name, n), *first, self._config)
+            self.frames[frame] = gather(
+                self._where, self._numbers.setdefault(name, n), *first, self._config
+            )
         lines: _L = self.frames[frame]
         return lines
 
@@ -302,9 +353,13 @@ class _TopicReader:
 
     def _packets(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         topic, self.n_taken = self._topic, 0
-        frame, packets = parse_packets(topic.kind, message.data, message.time_ns * 1e-9, is_cdr=topic.is_cdr)
+        frame, packets = parse_packets(
+            topic.kind, message.data, message.time_ns * 1e-9, is_cdr=topic.is_cdr
+        )
         if topic.kind in OUSTER and self._metadata is None:
-            raise InputError(self._where, "packets of an Ouster need its metadata", "give --metadata FILE.json")
+            raise InputError(
+                self._where, "packets of an Ouster need its metadata", "give --metadata FILE.json"
+            )
         for time_s, data in packets:
             if not is_scan(data, self._metadata):
                 self._n_other += 1
@@ -325,13 +380,22 @@ class _TopicReader:
 
     def notes(self) -> list[str]:
         """Return sentences on what was unusual."""
-        found = [f"{self._name(frame)}: {lost}" for frame, lines in self.frames.items() if (lost := lines.lost())]
+        found = [
+            f"{self._name(frame)}: {lost}"
+            for frame, lines in self.frames.items()
+            if (lost := lines.lost())
+        ]
         if self._n_other:
-            found.append(f"{self._topic.name}: {self._n_other:,} packets of another kind left out ({self._other})")
+            found.append(
+                f"{self._topic.name}: {self._n_other:,} packets of another kind left out ({self._other})"
+            )
         return found
 
     def nothing(self) -> tuple[str, str]:
         """Return why the messages hold no shots, and what to do."""
         if self._other:
-            return f"packets of a scanner that is not known ({self._other}), expected {KNOWN} or Ouster", NEEDED
+            return (
+                f"packets of a scanner that is not known ({self._other}), expected {KNOWN} or Ouster",
+                NEEDED,
+            )
         return "no message with shots, expected scans", "name another topic: --topic NAME"

@@ -92,7 +92,11 @@ class Sweep:
         steps = wrap(np.diff(middle))
         rate = float(steps.sum()) / float(every[-1] - every[0])
         usual = float(np.median(np.abs(steps)))
-        if not rate or usual > math.pi / 2 or float(np.median(spread)) > TOO_WIDE * usual + TOO_WIDE_RAD:
+        if (
+            not rate
+            or usual > math.pi / 2
+            or float(np.median(spread)) > TOO_WIDE * usual + TOO_WIDE_RAD
+        ):
             return None
         sweep = cls(rate, 0.0, np.zeros(n_rings, np.int64), float(every[0]), float(middle[0]))
         along = sweep.along(time_s, azimuth_rad)
@@ -182,7 +186,9 @@ def rising_columns(ring: I64, place: F64) -> I64:
     for begin, stop in pairwise(borders):
         # strictly rising = ordinal plus a function that does not fall
         ordinal = np.arange(stop - begin)
-        column[begin:stop] = np.rint(isotonic_regression(first[begin:stop] - ordinal).x).astype(np.int64) + ordinal
+        column[begin:stop] = (
+            np.rint(isotonic_regression(first[begin:stop] - ordinal).x).astype(np.int64) + ordinal
+        )
     found = np.empty(len(ring), np.int64)
     found[order] = column[shot]
     return found

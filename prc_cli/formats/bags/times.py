@@ -75,7 +75,9 @@ def find_turning(ring: I64, time: F64, azimuth_rad: F64) -> Turning | None:
     if not (after > 0).any():
         return None
     # over a wide sector without points it cannot be told which way the scanner turned
-    is_near = (np.abs(turned) < _NEAR_RAD) & (after <= _PAUSE_STEPS * float(np.median(after[after > 0])))
+    is_near = (np.abs(turned) < _NEAR_RAD) & (
+        after <= _PAUSE_STEPS * float(np.median(after[after > 0]))
+    )
     span = float(after[is_near].sum())
     turned = turned[is_near & (turned != 0)]
     if len(turned) < _LEAST_STEPS or not span > 0:
@@ -107,7 +109,9 @@ def unit_note(unit_s: float, usual_s: float) -> str:
     """
     if unit_s == usual_s:
         return ""
-    name = next((name for name, value in UNITS_S.items() if value == unit_s), f"turns of {unit_s:.6g} s")
+    name = next(
+        (name for name, value in UNITS_S.items() if value == unit_s), f"turns of {unit_s:.6g} s"
+    )
     return f"the times of the points are in {name} (input.time_unit)"
 
 

@@ -49,7 +49,9 @@ class BagOutput(StagedWriter):
         metadata = self.path.with_name(METADATA)
         others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
         if others & {DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
-            self._notice(f"no {METADATA} was written: the folder has another bag; a folder of its own would get one")
+            self._notice(
+                f"no {METADATA} was written: the folder has another bag; a folder of its own would get one"
+            )
             return
         self._metadata = self._output(metadata)
 
@@ -72,7 +74,11 @@ class BagOutput(StagedWriter):
         # programs of ROS 2 from Humble on read this version
         sink = rosbag2.Writer(folder / self.path.stem, version=8, storage_plugin=plugin)
         if self._packed:
-            mode = rosbag2.CompressionMode.MESSAGE if suffix == DATABASE else rosbag2.CompressionMode.STORAGE
+            mode = (
+                rosbag2.CompressionMode.MESSAGE
+                if suffix == DATABASE
+                else rosbag2.CompressionMode.STORAGE
+            )
             sink.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
         with sink:
             yield sink
@@ -91,7 +97,9 @@ class BagStreamWriter(BagOutput, StreamWriter):
 
         super().__init__(path, shape)
         if not shape.times:
-            raise OutputError(str(path), "the stream has no times, which every message has", "write .npz")
+            raise OutputError(
+                str(path), "the stream has no times, which every message has", "write .npz"
+            )
         self._is_first = path.suffix.lower() == ".bag"
         self._store = get_typestore(Stores.ROS1_NOETIC if self._is_first else Stores.LATEST)
         self._turns: bool | None = None
@@ -118,9 +126,7 @@ class BagStreamWriter(BagOutput, StreamWriter):
                 way = block.xyz_m / np.linalg.norm(block.xyz_m, axis=2, keepdims=True)
             turns = bool(np.nanmax(np.abs(way - way[:1]), initial=0.0) > _EVEN)
         if turns and (block.points_per_line > MAX_RINGS or block.xyz_m is None):
-            problem = (
-                f"lines of {block.points_per_line} shots turn, expected those of a profiler or of {MAX_RINGS} rings"
-            )
+            problem = f"lines of {block.points_per_line} shots turn, expected those of a profiler or of {MAX_RINGS} rings"
             raise OutputError(str(self.path), problem, "write .npz")
         if not turns and block.angle_rad is not None:
             step = np.diff(block.angle_rad)
@@ -146,14 +152,20 @@ class BagStreamWriter(BagOutput, StreamWriter):
             none = np.empty(0, "f4")
             self._send(_SCAN, LASER, end_s, *head, ranges[i], none if lit is None else lit[i])
             if codes is not None:
-                self._send(_SCAN + LABELS, LASER, end_s, *head, ranges[i], codes[i].clip(0).astype("f4"))
+                self._send(
+                    _SCAN + LABELS, LASER, end_s, *head, ranges[i], codes[i].clip(0).astype("f4")
+                )
 
     def _span_of(self, times_s: F64, line: int) -> tuple[float, float]:
         """Return the times of the first and the last shot of a line; shots without a time lie evenly between others."""
         known = np.flatnonzero(np.isfinite(times_s))
         if len(known) < min(len(times_s), 2):
-            problem = f"line {line} has {len(known)} shots with a time, expected 2: a message has a time"
-            raise OutputError(str(self.path), problem, "write .npz, which keeps times that are no numbers")
+            problem = (
+                f"line {line} has {len(known)} shots with a time, expected 2: a message has a time"
+            )
+            raise OutputError(
+                str(self.path), problem, "write .npz, which keeps times that are no numbers"
+            )
         first, last = int(known[0]), int(known[-1])
         shot_s = float(times_s[last] - times_s[first]) / max(last - first, 1)
         begin_s = float(times_s[first]) - first * shot_s
@@ -172,7 +184,9 @@ class BagStreamWriter(BagOutput, StreamWriter):
         n_lost = int(np.count_nonzero(~fired & ~np.isnan(block.range_m)))
         if n_lost:
             problem = f"{n_lost} returns from line {block.first_line} on have no time, which a point of a cloud has"
-            raise OutputError(str(self.path), problem, "write .npz, which keeps times that are no numbers")
+            raise OutputError(
+                str(self.path), problem, "write .npz, which keeps times that are no numbers"
+            )
         some = np.zeros(int(fired.sum()), self._waiting.dtype)
         some["time"], some["ring"] = block.time_s[fired], np.nonzero(fired)[1]
         for axis, name in enumerate("xyz"):
@@ -184,7 +198,11 @@ class BagStreamWriter(BagOutput, StreamWriter):
         some = np.concatenate([self._waiting, some])
         some = some[np.argsort(some["time"], kind="stable")]
         # lasers of a line need not look the same way at one time: later lines begin before this one has ended
-        end = np.inf if block.is_last or not fired[-1].any() else float(block.time_s[-1][fired[-1]].min())
+        end = (
+            np.inf
+            if block.is_last or not fired[-1].any()
+            else float(block.time_s[-1][fired[-1]].min())
+        )
         n = int(np.searchsorted(some["time"], end))
         self._waiting = some[n:]
         self._send_cloud(some[:n])
@@ -202,7 +220,9 @@ class BagStreamWriter(BagOutput, StreamWriter):
             for name in _POINT.names or ()
             if name != "label" or self.shape.codes
         ]
-        self._send(_POINTS, CLOUD, end_s, head, 1, len(some), fields, False, step, len(data), data, False)
+        self._send(
+            _POINTS, CLOUD, end_s, head, 1, len(some), fields, False, step, len(data), data, False
+        )
 
     def _close(self) -> None:
         """Write the messages that waited."""
@@ -220,13 +240,19 @@ class BagStreamWriter(BagOutput, StreamWriter):
     # -- messages
 
     def _header(self, time_s: float) -> Any:
-        stamp = self._store.types["builtin_interfaces/msg/Time"](*divmod(self._nanoseconds(time_s), 10**9))
-        return self._store.types["std_msgs/msg/Header"](*([0] if self._is_first else []), stamp, _FRAME)
+        stamp = self._store.types["builtin_interfaces/msg/Time"](
+            *divmod(self._nanoseconds(time_s), 10**9)
+        )
+        return self._store.types["std_msgs/msg/Header"](
+            *([0] if self._is_first else []), stamp, _FRAME
+        )
 
     def _nanoseconds(self, time_s: float) -> int:
         most_s = 1 << (32 if self._is_first else 31)
         if not 0 <= time_s < most_s:
-            problem = f"found the time {time_s:g} s, expected 0 to {most_s - 1}, which a message can have"
+            problem = (
+                f"found the time {time_s:g} s, expected 0 to {most_s - 1}, which a message can have"
+            )
             raise OutputError(str(self.path), problem, "write .npz, or look at the times")
         return round(time_s * 1e9)
 

@@ -76,7 +76,18 @@ MAX_UNPACKED_BYTES = 4 << 30
 """Largest compressed cloud when unpacked: it is held in memory."""
 USUAL_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """Of headers that say nothing of the sensor."""
-_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_KEYS = (
+    "VERSION",
+    "FIELDS",
+    "SIZE",
+    "TYPE",
+    "COUNT",
+    "WIDTH",
+    "HEIGHT",
+    "VIEWPOINT",
+    "POINTS",
+    "DATA",
+)
 _KINDS = {"I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8)), "F": ("f", (4, 8))}
 """Letter and sizes of a numpy type."""
 _AGAIN, _COPY = "export it again", "copy it from the archive again"
@@ -135,10 +146,14 @@ def _fields(header: PcdHeader) -> list[tuple[str, np.dtype[Any]]]:
     fields, kinds, sizes = header.words("FIELDS"), header.words("TYPE"), header.numbers("SIZE", 8)
     counts = header.numbers("COUNT", MAX_PROPERTIES, "1 " * len(fields))
     if not len(fields) == len(counts) == len(sizes) == len(kinds) or not fields:
-        problem = f"{len(fields)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT"
+        problem = (
+            f"{len(fields)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT"
+        )
         raise InputError(str(header.path), f"{problem}, expected as many", _AGAIN)
     if sum(counts) > MAX_PROPERTIES:
-        raise InputError(header.where("COUNT"), f"more than {MAX_PROPERTIES} numbers a point", _AGAIN)
+        raise InputError(
+            header.where("COUNT"), f"more than {MAX_PROPERTIES} numbers a point", _AGAIN
+        )
     found: list[tuple[str, np.dtype[Any]]] = []
     for name, count, size, kind in zip(fields, counts, sizes, kinds, strict=True):
         letter, known = _KINDS.get(kind, ("", ()))
@@ -164,7 +179,11 @@ def _size(header: PcdHeader) -> tuple[int, int]:
     if not points:
         raise InputError(str(header.path), "no points, expected scan data", _AGAIN)
     if height > 1 and width > MAX_POINTS_PER_LINE:
-        raise InputError(str(header.path), f"rows of {width} points, expected at most {MAX_POINTS_PER_LINE}", _AGAIN)
+        raise InputError(
+            str(header.path),
+            f"rows of {width} points, expected at most {MAX_POINTS_PER_LINE}",
+            _AGAIN,
+        )
     return width, height
 
 
@@ -173,7 +192,11 @@ def _viewpoint(header: PcdHeader) -> list[float]:
     values = [to_number(cell) for cell in header.words("VIEWPOINT", "0 0 0 1 0 0 0")]
     kept = [value for value in values if value is not None and math.isfinite(value)]
     if len(values) != 7 or len(kept) != 7:
-        raise InputError(header.where("VIEWPOINT"), "VIEWPOINT needs seven numbers, x y z and a quaternion", _AGAIN)
+        raise InputError(
+            header.where("VIEWPOINT"),
+            "VIEWPOINT needs seven numbers, x y z and a quaternion",
+            _AGAIN,
+        )
     return kept
 
 
@@ -191,7 +214,9 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
     keys = tuple(types)
     if data == "ascii":
         # padding has no name of its own
-        body: Body = text_body(path, tuple(name for name, _ in fields), header.n_lines + 1, width * height)
+        body: Body = text_body(
+            path, tuple(name for name, _ in fields), header.n_lines + 1, width * height
+        )
         keys = tuple(str(index) for index, (name, _) in enumerate(fields) if name)
     elif data == "binary":
         hint = "correct width and height, or copy it from the archive again"
@@ -199,40 +224,61 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
     else:
         body = _compressed(header, fields, width * height)
     head = CloudHead(
-        path=path, format=f"PCD, {data.replace('_', ' ')}", types=types, keys=keys,
+        path=path,
+        format=f"PCD, {data.replace('_', ' ')}",
+        types=types,
+        keys=keys,
         rules=_rules(viewpoint, width, height, {name.lower() for name in types}),
         points_per_line=width if height > 1 else None,
         viewpoint=tuple(viewpoint) if tuple(viewpoint) != USUAL_VIEWPOINT else (),
         vectors=tuple(
-            name for name, count in zip(
-                header.words("FIELDS"), header.numbers("COUNT", MAX_PROPERTIES, "1 " * len(fields)), strict=False
-            ) if count > 1 and name != "_"
+            name
+            for name, count in zip(
+                header.words("FIELDS"),
+                header.numbers("COUNT", MAX_PROPERTIES, "1 " * len(fields)),
+                strict=False,
+            )
+            if count > 1 and name != "_"
         ),
         comments=tuple(text for text in header.comments if text.startswith(OWN_COMMENT)),
         described={
-            "width": width, "height": height, "points": width * height, "data": data, "viewpoint": viewpoint,
+            "width": width,
+            "height": height,
+            "points": width * height,
+            "data": data,
+            "viewpoint": viewpoint,
             "fields": list(types),
         },
-    )  # fmt: skip
+    )
     return CloudSource(head, body, layout)
 
 
 def _dtype(fields: list[tuple[str, np.dtype[Any]]]) -> np.dtype[np.void]:
     """Return the record of a point, padding left out."""
     ends = np.cumsum([kind.itemsize for _, kind in fields]).tolist()
-    named = [(name, kind, end - kind.itemsize) for (name, kind), end in zip(fields, ends, strict=True) if name]
+    named = [
+        (name, kind, end - kind.itemsize)
+        for (name, kind), end in zip(fields, ends, strict=True)
+        if name
+    ]
     names, formats, offsets = zip(*named, strict=True)
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": ends[-1]})
 
 
-def _rules(viewpoint: list[float], width: int, height: int, names: set[str]) -> tuple[KnownRule, ...]:
+def _rules(
+    viewpoint: list[float], width: int, height: int, names: set[str]
+) -> tuple[KnownRule, ...]:
     rules = []
     x, y, z = viewpoint[:3]
     if "range" not in names and {"x", "y", "z"} <= names:
         value = f"origin:{x!r},{y!r},{z!r}" if any((x, y, z)) else "sensor-xyz"
-        rules.append(KnownRule("range", value, "the viewpoint of the header is the place of the sensor"))
+        rules.append(
+            KnownRule("range", value, "the viewpoint of the header is the place of the sensor")
+        )
     if height > 1 and "ring" not in names:
-        rules.append(KnownRule("lines", "fixed", f"the cloud is organised: {height} rows of {width} points"))
+        rules.append(
+            KnownRule("lines", "fixed", f"the cloud is organised: {height} rows of {width} points")
+        )
     return tuple(rules)
 
 
@@ -247,7 +293,9 @@ def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: i
         n_packed, n_unpacked = struct.unpack("<II", sizes) if len(sizes) == 8 else (0, 0)
         if n_unpacked != wanted:
             problem = f"unpacks to {n_unpacked} bytes, the header says {n} points = {wanted} bytes"
-            raise InputError(f"{path}: byte {start}", problem, "correct width and height, or export it again")
+            raise InputError(
+                f"{path}: byte {start}", problem, "correct width and height, or export it again"
+            )
         if n_packed > there - 8 or wanted > n_packed * MAX_RATIO or wanted > MAX_UNPACKED_BYTES:
             problem = f"{n_packed} packed bytes of {max(there - 8, 0)} in the file, for {wanted} bytes of points"
             raise InputError(f"{path}: byte {start}", problem, _COPY)
@@ -257,7 +305,11 @@ def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: i
         hint = "its writer did not compress them: save it again as binary, for example with Open3D or PCL"
         raise InputError(f"{path}: byte {start + 8}", problem, hint)
     if unpacked is None:
-        raise InputError(f"{path}: byte {start + 8}", f"the compressed points do not unpack to {wanted} bytes", _COPY)
+        raise InputError(
+            f"{path}: byte {start + 8}",
+            f"the compressed points do not unpack to {wanted} bytes",
+            _COPY,
+        )
     columns: Columns = {}
     at = 0
     for name, kind in fields:

@@ -25,10 +25,25 @@ from prc_cli.formats.text.dialect import to_number
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 """Byte order by format; none for text."""
 TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8",
-}  # fmt: skip
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float32": "f4",
+    "float64": "f8",
+    "int64": "i8",
+    "uint64": "u8",
+}
 """numpy types by the names of PLY; those of 64 bits are an extension."""
 _AGAIN, _COPY = "export it again", "copy it from the archive again"
 
@@ -81,7 +96,9 @@ def read_ply_header(path: Path) -> PlyHeader:
         cells = rest.split()
         if number == 1:
             if line != "ply":
-                raise InputError(where, f"found {line[:12]!r}, expected ply", "check that this is a PLY file")
+                raise InputError(
+                    where, f"found {line[:12]!r}, expected ply", "check that this is a PLY file"
+                )
         elif word in ("comment", "obj_info"):
             header.comments.append(rest)
         elif word == "format" and not header.form:
@@ -102,22 +119,34 @@ def read_ply_header(path: Path) -> PlyHeader:
 
 def _check_points(path: Path, header: PlyHeader) -> None:
     if not header.form:
-        raise InputError(f"{path}: line 2", "no line format, expected e.g. format binary_little_endian 1.0", _AGAIN)
+        raise InputError(
+            f"{path}: line 2",
+            "no line format, expected e.g. format binary_little_endian 1.0",
+            _AGAIN,
+        )
     if header.vertex_at < 0:
         names = ", ".join(one.name for one in header.elements[:10]) or "none"
         raise InputError(str(path), f"no element vertex, it has {names}", "export the points")
     if header.vertex.list_name:
-        problem = f"property {header.vertex.list_name!r} of the points is a list, expected plain numbers"
+        problem = (
+            f"property {header.vertex.list_name!r} of the points is a list, expected plain numbers"
+        )
         raise InputError(str(path), problem, "export it without that property")
     if not header.vertex.properties or not header.vertex.count:
-        raise InputError(str(path), "no points (element vertex is empty), expected scan data", _AGAIN)
+        raise InputError(
+            str(path), "no points (element vertex is empty), expected scan data", _AGAIN
+        )
 
 
 def _add_element(where: str, cells: list[str], elements: list[Element]) -> None:
     if len(cells) != 2:
-        raise InputError(where, f"found {shorten(' '.join(cells))!r}, expected a name and a count", _AGAIN)
+        raise InputError(
+            where, f"found {shorten(' '.join(cells))!r}, expected a name and a count", _AGAIN
+        )
     if any(one.name == cells[0] for one in elements):
-        raise InputError(where, f"element {shorten(cells[0])!r} a second time, expected once", _AGAIN)
+        raise InputError(
+            where, f"element {shorten(cells[0])!r} a second time, expected once", _AGAIN
+        )
     elements.append(Element(cells[0], whole_number(where, cells[1])))
 
 
@@ -126,7 +155,9 @@ def _add_property(where: str, cells: list[str], element: Element) -> None:
     kinds = cells[1:3] if is_list else cells[:1]
     unknown = [kind for kind in kinds if kind not in TYPES]
     if unknown or (len(cells) != 2 and not is_list):
-        problem = f"found the type {shorten(''.join(unknown[:1]))!r}, expected one of {' '.join(TYPES)}"
+        problem = (
+            f"found the type {shorten(''.join(unknown[:1]))!r}, expected one of {' '.join(TYPES)}"
+        )
         raise InputError(where, problem, _AGAIN)
     name = cells[-1]
     if name in element.properties:
@@ -149,7 +180,12 @@ def offsets_of(comments: list[str]) -> tuple[float, float, float]:
         cells = comment.split()
         if len(cells) == 5 and [cell.lower() for cell in cells[:2]] == ["offset", "pos"]:
             x, y, z = (to_number(cell) for cell in cells[2:])
-            if x is not None and y is not None and z is not None and all(map(math.isfinite, (x, y, z))):
+            if (
+                x is not None
+                and y is not None
+                and z is not None
+                and all(map(math.isfinite, (x, y, z)))
+            ):
                 return x, y, z
     return 0.0, 0.0, 0.0
 
@@ -173,11 +209,17 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
         body = binary_body(path, vertex.dtype(order), start, vertex.count, _COPY)
         rest = path.stat().st_size - start - vertex.count * vertex.dtype(order).itemsize
         if rest and vertex is header.elements[-1]:
-            notes = (f"{rest} bytes behind the last point were left out: the header does not name them",)
+            notes = (
+                f"{rest} bytes behind the last point were left out: the header does not name them",
+            )
     head = CloudHead(
-        path=path, format=f"PLY, {header.form.replace('_', ' ')}", keys=keys,
+        path=path,
+        format=f"PLY, {header.form.replace('_', ' ')}",
+        keys=keys,
         types={name: np.dtype(kind) for name, kind in vertex.properties.items()},
-        offsets_m=offsets_of(header.comments), comments=tuple(header.comments), notes=notes,
+        offsets_m=offsets_of(header.comments),
+        comments=tuple(header.comments),
+        notes=notes,
         others=tuple(one.name for one in header.elements if one is not vertex and one.count),
         described={
             "format": header.form,
@@ -185,5 +227,5 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
             "properties": dict(vertex.properties),
             "comments": list(header.comments),
         },
-    )  # fmt: skip
+    )
     return CloudSource(head, body, layout)

@@ -19,7 +19,15 @@ from prc_cli.core.types import I64, Mask
 from prc_cli.formats.names import NAMES, angle_rules, find_columns, ring_rules
 from prc_cli.formats.options import Layout
 from prc_cli.formats.raw_binary.read import BinaryBody
-from prc_cli.formats.records import AXES, Body, FieldSource, RecordChunk, Stored, check_names, shorten
+from prc_cli.formats.records import (
+    AXES,
+    Body,
+    FieldSource,
+    RecordChunk,
+    Stored,
+    check_names,
+    shorten,
+)
 from prc_cli.formats.text.dialect import BLANKS, TextFormat
 from prc_cli.formats.text.read import TextBody
 
@@ -72,7 +80,9 @@ def header_lines(path: Path, last: str, hint: str) -> Iterator[tuple[int, str, i
     while line.split()[:1] != [last]:
         end, number = head.find(b"\n", at), number + 1
         if end < 0:
-            raise InputError(f"{path}: line {number}", f"no line {last} in the first {len(head)} bytes", hint)
+            raise InputError(
+                f"{path}: line {number}", f"no line {last} in the first {len(head)} bytes", hint
+            )
         line, at = head[at:end].decode("utf-8", errors="replace").strip(), end + 1
         yield number, line, at
 
@@ -80,13 +90,17 @@ def header_lines(path: Path, last: str, hint: str) -> Iterator[tuple[int, str, i
 def whole_number(where: str, cell: str, most: int = sys.maxsize) -> int:
     """Return the number in a cell of a header."""
     if not (cell.isascii() and cell.isdecimal()) or len(cell) > 16 or int(cell) > most:
-        raise InputError(where, f"found {shorten(cell)!r}, expected a whole number", "export it again")
+        raise InputError(
+            where, f"found {shorten(cell)!r}, expected a whole number", "export it again"
+        )
     return int(cell)
 
 
 def text_body(path: Path, names: tuple[str, ...], first_line: int, n: int) -> TextBody:
     """Return rows of numbers behind a header."""
-    return TextBody(path, TextFormat(BLANKS, b"", first_line - 1, first_line, names, False), n_records=n)
+    return TextBody(
+        path, TextFormat(BLANKS, b"", first_line - 1, first_line, names, False), n_records=n
+    )
 
 
 def binary_body(path: Path, dtype: np.dtype[np.void], start: int, n: int, hint: str) -> BinaryBody:
@@ -103,7 +117,9 @@ class CloudSource(FieldSource):
 
     def __init__(self, head: CloudHead, body: Body, layout: Layout | None = None) -> None:
         names = tuple(head.types)
-        super().__init__(head.path, head.format, find_columns(str(head.path), names, layout, head.keys), body)
+        super().__init__(
+            head.path, head.format, find_columns(str(head.path), names, layout, head.keys), body
+        )
         self.head = head
         """What the header says."""
         has_layout = layout is not None and bool(layout.fields)
@@ -126,17 +142,25 @@ class CloudSource(FieldSource):
                 )
             # other programs list every return once
             self._has_pulses = n_copies > 0 or found[_RETURN].name.lower() == "num_echo"
-        renamed = [f"{one.name} as {name}" for name, one in found.items() if one.name != name and name in NAMES]
+        renamed = [
+            f"{one.name} as {name}"
+            for name, one in found.items()
+            if one.name != name and name in NAMES
+        ]
         if renamed and not has_layout:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
         has_own_lines = "scan_line" in found and own_m is None
         rules = list(head.rules)
         if {"ring", *AXES} <= set(found) and not has_own_lines and "angle" not in found:
-            rules += [rule for rule in ring_rules() if rule.key not in {one.key for one in head.rules}]
+            rules += [
+                rule for rule in ring_rules() if rule.key not in {one.key for one in head.rules}
+            ]
         rules += angle_rules(found["angle"].name if "angle" in found else None)
         self.facts = SourceFacts(
             range_name=found["range"].name if "range" in found else "range",
-            points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
+            points_per_line=own_m
+            if "column" in found and own_m is not None
+            else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),
             describe=lambda: dict(head.described),
@@ -148,13 +172,20 @@ class CloudSource(FieldSource):
             yield from super().chunks(names)
             return
         check_names(self, names)
-        keys = [self.columns[name].key for name in ("time", "angle", "range", *AXES, *names) if name in self.columns]
+        keys = [
+            self.columns[name].key
+            for name in ("time", "angle", "range", *AXES, *names)
+            if name in self.columns
+        ]
         keys += [self.columns[_RETURN].key, self.columns[_RETURNS].key]
         own = tuple(name for name in names if name not in (_RETURN, _RETURNS))
         for first, stored, runs in self._whole_runs(self.body.stored(tuple(dict.fromkeys(keys)))):
             chunk = self.decoded(first, stored, own, len(runs.ordinal))
             made = {_RETURN: runs.ordinal, _RETURNS: runs.n_rows}
-            yield replace(chunk, values={name: made[name] if name in made else chunk.values[name] for name in names})
+            yield replace(
+                chunk,
+                values={name: made[name] if name in made else chunk.values[name] for name in names},
+            )
 
     def stored(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
         """Yield index of the first record, stored values by property, and number of records."""
@@ -189,8 +220,12 @@ class CloudSource(FieldSource):
             self._change(("time",), unit="ns")
             notes.append(f"{time.name} holds whole numbers: taken as nanoseconds")
         if range_ is not None and first[range_.key].dtype.kind in "iu" and set(AXES) <= set(found):
-            with np.errstate(over="ignore", invalid="ignore"):  # a NaN that signals warns when it is cast
-                xyz = np.stack([np.asarray(first[found[axis].key], np.float64) for axis in AXES], axis=1)
+            with np.errstate(
+                over="ignore", invalid="ignore"
+            ):  # a NaN that signals warns when it is cast
+                xyz = np.stack(
+                    [np.asarray(first[found[axis].key], np.float64) for axis in AXES], axis=1
+                )
                 stored = np.asarray(first[range_.key], np.float64)
                 length = np.sqrt((xyz * xyz).sum(axis=1))
                 use = np.isfinite(length) & (length > 0) & (stored > 0)
@@ -207,7 +242,9 @@ class CloudSource(FieldSource):
         place = [stored[columns[name].key] for name in ("range", *AXES) if name in columns][:1]
         return find_runs(same, place, stored[columns[_RETURN].key], stored[columns[_RETURNS].key])
 
-    def _whole_runs(self, chunks: Iterator[tuple[int, Stored, int]]) -> Iterator[tuple[int, Stored, _Runs]]:
+    def _whole_runs(
+        self, chunks: Iterator[tuple[int, Stored, int]]
+    ) -> Iterator[tuple[int, Stored, _Runs]]:
         """Yield the chunks with the rows of a shot never apart."""
         held: tuple[int, Stored] | None = None
         for first, stored, n in chunks:
@@ -247,7 +284,9 @@ class _Runs:
         return _Runs(self.ordinal[:stop], self.n_rows[:stop], self.is_copy[:stop])
 
 
-def find_runs(same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArray[Any], count: NDArray[Any]) -> _Runs:
+def find_runs(
+    same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArray[Any], count: NDArray[Any]
+) -> _Runs:
     """Find the rows of every shot; a shot may be listed again with every return that was added.
 
     One shot listed with one return, then with two; then a shot of its own:

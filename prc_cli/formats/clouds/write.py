@@ -15,7 +15,13 @@ from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
 from prc_cli.formats.tables.write import stream_rows
-from prc_cli.formats.writing.base import NO_CODE, ScatterWriter, StagedWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import (
+    NO_CODE,
+    ScatterWriter,
+    StagedWriter,
+    StreamItem,
+    StreamShape,
+)
 from prc_cli.formats.writing.columns import (
     RANGE,
     ExtraDimension,
@@ -30,9 +36,17 @@ from prc_cli.formats.writing.record import RunRecord
 CLOUD_SUFFIXES = (".ply", ".pcd")
 """Files of these writers."""
 PLY_TYPES = {
-    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
-    "f8": "double", "i8": "int64", "u8": "uint64",
-}  # fmt: skip
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+    "i8": "int64",
+    "u8": "uint64",
+}
 _COUNT_DIGITS = 20
 _CLASS = "class"
 _NO_CLASS = 0
@@ -61,9 +75,16 @@ def cloud_header(
     names = dtype.names or ()
     kinds = [dtype[name] for name in names]
     if suffix == ".ply":
-        lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+        lines = [
+            "ply",
+            "format binary_little_endian 1.0",
+            *(f"comment {text}" for text in comments),
+        ]
         lines += [f"element vertex {n}", f"comment {'.' * (_COUNT_DIGITS - len(str(n)))}"]
-        lines += [f"property {PLY_TYPES[kind.str[1:]]} {name}" for name, kind in zip(names, kinds, strict=True)]
+        lines += [
+            f"property {PLY_TYPES[kind.str[1:]]} {name}"
+            for name, kind in zip(names, kinds, strict=True)
+        ]
         return ("\n".join([*lines, "end_header"]) + "\n").encode()
     # organised only where every row is whole
     columns, rows = (width, n // width) if width and n and n % width == 0 and n > width else (n, 1)
@@ -75,7 +96,8 @@ def cloud_header(
     head = ["# .PCD v0.7", *(f"# {text}" for text in comments)]
     head += [f"# {padding}", "VERSION 0.7", f"FIELDS {' '.join(names)}", f"SIZE {sizes}"]
     return (
-        "\n".join([*head, f"TYPE {types}", f"COUNT {' '.join('1' for _ in names)}", counted]) + "DATA binary\n"
+        "\n".join([*head, f"TYPE {types}", f"COUNT {' '.join('1' for _ in names)}", counted])
+        + "DATA binary\n"
     ).encode()
 
 
@@ -113,7 +135,9 @@ def stream_records(item: StreamItem, rows: slice, dtype: np.dtype[np.void]) -> N
         if column is None:
             continue
         if name == _CLASS:
-            column = np.where((column == NO_CODE) | (column < 0) | (column > 255), _NO_CLASS, column)
+            column = np.where(
+                (column == NO_CODE) | (column < 0) | (column > 255), _NO_CLASS, column
+            )
         found[name] = np.minimum(column, 255) if dtype[name].str == "|u1" else column
     return found
 
@@ -127,11 +151,15 @@ def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
 class CloudWriter(StagedWriter):
     """Writer of a point per cell, NaN without a return unless only returns are wanted, and per further return."""
 
-    def __init__(self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None) -> None:
+    def __init__(
+        self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None
+    ) -> None:
         super().__init__(path, labels)
         for column in asked_columns(self._options):
             if column.dimension is not RANGE:
-                self._notice(f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv")
+                self._notice(
+                    f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv"
+                )
         self._shape = shape
         self._n = self._n_cells = self._n_codes_lost = 0
 
@@ -162,11 +190,16 @@ class CloudWriter(StagedWriter):
             self._see_order(block)
             if self._shape is None:
                 self._shape = StreamShape(
-                    block.points_per_line, scanners=True, returns=True, angles=block.angle_rad is not None,
-                    times=block.time_s is not None, xyz=True,
+                    block.points_per_line,
+                    scanners=True,
+                    returns=True,
+                    angles=block.angle_rad is not None,
+                    times=block.time_s is not None,
+                    xyz=True,
                     registered=not (labels.place is None or isinstance(labels.place, LinesApart)),
-                    intensity=block.intensity is not None, codes=True,
-                )  # fmt: skip
+                    intensity=block.intensity is not None,
+                    codes=True,
+                )
             if labels.place is not None or block.xyz_m is None:
                 own, extra = self._coordinates(item)
                 item = replace(item, registered_m=own, extra_registered_m=extra)
@@ -195,7 +228,9 @@ def _cells(axis: int, name: str) -> OptionalColumn:
 
     def of_shots(block: LabelledBlock) -> Values:
         numbers: Values = np.indices(block.block.range_m.shape, sparse=True)[axis]
-        return np.broadcast_to(numbers + (0 if axis else block.block.first_line), block.block.range_m.shape)
+        return np.broadcast_to(
+            numbers + (0 if axis else block.block.first_line), block.block.range_m.shape
+        )
 
     def of_extra(block: LabelledBlock) -> Values:
         extra = block.block.extra
@@ -203,21 +238,32 @@ def _cells(axis: int, name: str) -> OptionalColumn:
         return np.asarray(found).astype(np.uint32)
 
     dimension = ExtraDimension(name, np.dtype("<u4"), "")
-    return OptionalColumn(dimension, name, "range", name.replace("_", " "), NO_CELL, of_shots, of_extra)
+    return OptionalColumn(
+        dimension, name, "range", name.replace("_", " "), NO_CELL, of_shots, of_extra
+    )
 
 
-_CELLS: tuple[OptionalColumn, ...] = tuple(_cells(axis, name) for axis, name in enumerate(_CELL_NAMES))
+_CELLS: tuple[OptionalColumn, ...] = tuple(
+    _cells(axis, name) for axis, name in enumerate(_CELL_NAMES)
+)
 _RANGE = OptionalColumn(
-    RANGE, "range", "range", "range", np.nan,
-    lambda block: block.block.range_m, lambda block: block.block.extra.range_m,
-)  # fmt: skip
+    RANGE,
+    "range",
+    "range",
+    "range",
+    np.nan,
+    lambda block: block.block.range_m,
+    lambda block: block.block.extra.range_m,
+)
 
 
 class CloudRewriter(ScatterWriter):
     """Writer of all properties of a cloud, with class, line, column (4294967295 = none) and range added."""
 
     def __init__(self, labels: LabelOutput, source: CloudSource) -> None:
-        asked = [column for column in asked_columns(labels.options) if column.dimension is not RANGE]
+        asked = [
+            column for column in asked_columns(labels.options) if column.dimension is not RANGE
+        ]
         own = {name.lower() for name in source.head.types}
         added = [_RANGE] if "range" not in source.dimensions else []
         cells = _CELLS
@@ -228,9 +274,11 @@ class CloudRewriter(ScatterWriter):
         self._source = source
         written = {_CLASS, *(column.name for column in cells)}
         self._kept = tuple(
-            name for name in source.head.types
-            if name.lower() not in written and name not in {column.name for column in (*added, *asked)}
-        )  # fmt: skip
+            name
+            for name in source.head.types
+            if name.lower() not in written
+            and name not in {column.name for column in (*added, *asked)}
+        )
         replaced = sorted(own & written)
         if replaced:
             self._notice(f"the input has {', '.join(replaced)} already; the values were replaced")
@@ -243,7 +291,10 @@ class CloudRewriter(ScatterWriter):
         """Return what the header of the input says and that of the output does not."""
         head, is_pcd = self._source.head, self.path.suffix.lower() == ".pcd"
         lost = [f"element {name}" for name in head.others]
-        lost += [f"field {name} as one field: its numbers are fields of their own" for name in head.vectors]
+        lost += [
+            f"field {name} as one field: its numbers are fields of their own"
+            for name in head.vectors
+        ]
         if head.viewpoint and not is_pcd:
             lost.append("the viewpoint " + " ".join(f"{value:g}" for value in head.viewpoint))
         if head.points_per_line and not (is_pcd and self._width):
@@ -256,7 +307,10 @@ class CloudRewriter(ScatterWriter):
         fields += [(column.name, column.dtype) for column in self._optional]
         dtype = np.dtype([*fields, (_CLASS, np.dtype("u1"))])
         with self._temporary.open("wb") as handle:
-            comments = (*(text for text in source.head.comments if not text.startswith(OWN_COMMENT)), self._own_comment)
+            comments = (
+                *(text for text in source.head.comments if not text.startswith(OWN_COMMENT)),
+                self._own_comment,
+            )
             suffix, viewpoint = self.path.suffix.lower(), source.head.viewpoint
             handle.write(cloud_header(suffix, dtype, total, comments, self._width, viewpoint))
             stored = source.stored(self._kept)
@@ -282,7 +336,9 @@ class CloudRewriter(ScatterWriter):
     def _type(self, name: str) -> np.dtype[Any]:
         kind = self._source.head.types[name].newbyteorder("<")
         if kind.str[1:] not in PLY_TYPES:
-            raise OutputError(str(self.path), f"cannot hold {name} of type {kind.str}", "write .laz instead")
+            raise OutputError(
+                str(self.path), f"cannot hold {name} of type {kind.str}", "write .laz instead"
+            )
         return kind
 
 

@@ -18,13 +18,26 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.las.header import COMPRESSED, LASZIP_KEY, RECORD_KEY, make_vlr, new_header, standard_bytes
+from prc_cli.formats.las.header import (
+    COMPRESSED,
+    LASZIP_KEY,
+    RECORD_KEY,
+    make_vlr,
+    new_header,
+    standard_bytes,
+)
 from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_size, new_laszip
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr, standard_columns
 from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
 from prc_cli.formats.systems import looks_geographic, units_of_system
 from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
-from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, LinesApart, asked_columns
+from prc_cli.formats.writing.columns import (
+    RANGE,
+    ExtraDimension,
+    LabelOutput,
+    LinesApart,
+    asked_columns,
+)
 from prc_cli.formats.writing.record import RunRecord
 
 SCAN_LINE = ExtraDimension("scan_line", np.dtype("<u4"), "scan line in the stream")
@@ -47,10 +60,14 @@ _POINT_FORMAT = 6
 class LasBuilder(StagedWriter):
     """Writer of a new LAS or LAZ file; of several returns the chosen one comes first, so readers choose it again."""
 
-    def __init__(self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None) -> None:
+    def __init__(
+        self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None
+    ) -> None:
         # every built file has the range
         asked = [] if labels is None else asked_columns(labels.options)
-        super().__init__(path, labels, [column for column in asked if column.dimension is not RANGE])
+        super().__init__(
+            path, labels, [column for column in asked if column.dimension is not RANGE]
+        )
         self._crs = "" if shape is None else shape.crs
         self._user_names: Mapping[int, str] = {}
         self._has_offset = True
@@ -88,7 +105,9 @@ class LasBuilder(StagedWriter):
         if self._crs and (crs := vlr_of_crs(self._crs)[0]) is not None:
             vlrs.append(crs)
         if self._compress:
-            laszip = new_laszip(str(self.path), _POINT_FORMAT, n_bytes - standard_bytes(_POINT_FORMAT))
+            laszip = new_laszip(
+                str(self.path), _POINT_FORMAT, n_bytes - standard_bytes(_POINT_FORMAT)
+            )
             vlrs.append(make_vlr(LASZIP_KEY, laszip, "laszip (lazrs)"))
         if self._user_names:
             vlrs.append(lookup_vlr(self._user_names))
@@ -102,23 +121,33 @@ class LasBuilder(StagedWriter):
         self._target = Target(self._handle)
         for part in (self._fields.data, *(vlr.raw for vlr in vlrs)):
             self._target.write(part)
-        self._sink: PointSink = LazSink(self._target, laszip) if self._compress else LasSink(self._target)
+        self._sink: PointSink = (
+            LazSink(self._target, laszip) if self._compress else LasSink(self._target)
+        )
 
     def _add(self, item: StreamItem) -> None:
         scan, block = item.block, item.labelled
         self._see_order(scan)
         codes = self._codes_of(item.codes, scan.range_m.shape)
         extra_codes = self._codes_of(item.extra_codes, (len(scan.extra),))
-        cells = {} if block is None else {column.name: self._cells(column, block) for column in self._optional}
+        cells = (
+            {}
+            if block is None
+            else {column.name: self._cells(column, block) for column in self._optional}
+        )
         self._placed = self._coordinates(item)
         self._set_offset(self._placed[0])
-        lines = max(1, batch_size(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
+        lines = max(
+            1, batch_size(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line
+        )
         for first in range(0, scan.n_lines, lines):
             shots = gather_returns(scan, slice(first, first + lines), chosen_first=block is None)
             points = np.zeros(len(shots.line), self._dtype)
             own = shots.extra < 0
             points["classification"] = np.where(
-                own, codes[shots.line, shots.column], extra_codes[shots.extra] if len(scan.extra) else 0
+                own,
+                codes[shots.line, shots.column],
+                extra_codes[shots.extra] if len(scan.extra) else 0,
             )
             for column in self._optional:
                 values = cells[column.name][shots.line, shots.column]
@@ -158,7 +187,9 @@ class LasBuilder(StagedWriter):
         if scan.angle_rad is not None:
             turn = np.remainder(np.rad2deg(scan.angle_rad) + 180.0, 360.0) - 180.0
             angle = np.rint(turn / SCAN_ANGLE_STEP_DEG)
-            points["scan_angle"] = np.where(np.isfinite(angle), angle, 0.0).astype(np.int16)[shots.column]
+            points["scan_angle"] = np.where(np.isfinite(angle), angle, 0.0).astype(np.int16)[
+                shots.column
+            ]
         if scan.intensity is not None:
             value = self._scaled(scan.intensity[shots.line, shots.column])
             clipped = np.clip(np.rint(value), 0, 65535)
@@ -199,7 +230,9 @@ class LasBuilder(StagedWriter):
             bad = int(np.argmax(is_far))
             where = f"scan line {scan.first_line + int(shots.line[bad])}, column {int(shots.column[bad])}"
             problem = f"{where}: found coordinates {xyz[bad].tolist()} m, expected finite ones within ±2147483 m"
-            raise OutputError(str(self.path), problem, "check the ranges' unit, or set [input] max_range")
+            raise OutputError(
+                str(self.path), problem, "check the ranges' unit, or set [input] max_range"
+            )
         whole: I64 = steps.astype(np.int64)
         return whole
 
@@ -236,7 +269,10 @@ class LasBuilder(StagedWriter):
         fields.set("n_points", int(self._by_return.sum()))
         fields.set("by_return", *self._by_return.tolist())
         if self._by_return.any():
-            bounds = np.stack([self._high, self._low], axis=1) * self._scale[:, None] + self._offset_m[:, None]
+            bounds = (
+                np.stack([self._high, self._low], axis=1) * self._scale[:, None]
+                + self._offset_m[:, None]
+            )
             fields.set("bounds", *bounds.ravel())
         self._target.seek(0)
         self._target.write(fields.data)
@@ -262,7 +298,9 @@ def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) 
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
     one = np.ones(len(line), np.uint8)
-    found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64), one, one)
+    found = Returns(
+        line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64), one, one
+    )
     of_lines = (scan.extra.line >= rows.start) & (scan.extra.line < rows.stop)
     chosen = np.flatnonzero(of_lines & ~np.isnan(scan.extra.range_m))
     if not len(chosen):
@@ -288,5 +326,7 @@ def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) 
 
 def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[Any]:
     if values.size and int(values.max()) >= limit:
-        raise OutputError(str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here")
+        raise OutputError(
+            str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here"
+        )
     return values

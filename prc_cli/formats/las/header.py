@@ -164,7 +164,11 @@ class Vlr:
         return Vlr(self.head[:20] + len(data).to_bytes(2, "little") + self.head[22:], data)
 
 
-_TEXTS = {("LASF_Projection", 34737): "ascii", ("LASF_Projection", 2111): "utf-8", ("LASF_Projection", 2112): "utf-8"}
+_TEXTS = {
+    ("LASF_Projection", 34737): "ascii",
+    ("LASF_Projection", 2111): "utf-8",
+    ("LASF_Projection", 2112): "utf-8",
+}
 """Records whose content is text, with its encoding."""
 _DESCRIPTORS = ("LASF_Spec", 4)
 _DESCRIPTOR_BYTES, _DESCRIPTOR_TEXTS = 192, ((4, 36), (160, 192))
@@ -201,7 +205,9 @@ def _as_text(raw: bytes, codec: str = "utf-8") -> bytes:
 def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: bool = False) -> Vlr:
     """Return a VLR; a plain one has at most 65535 bytes."""
     head = _EVLR_HEAD if extended else _VLR_HEAD
-    return Vlr(head.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data)
+    return Vlr(
+        head.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data
+    )
 
 
 def new_header() -> HeaderFields:
@@ -249,7 +255,9 @@ class LasHeader:
     def n_unread_bytes(self) -> int:
         """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
         stop = self.evlrs[0].start if self.evlrs else self.file_bytes
-        return 0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
+        return (
+            0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
+        )
 
     @property
     def n_unread_records(self) -> int:
@@ -314,7 +322,9 @@ class Source:
         """Read ``n`` bytes, or raise an error that names the part that is cut off."""
         start, data = self.tell(), self.read(n)
         if len(data) != n:
-            raise damaged(self.path, start, f"{what} is cut off: found {len(data)} bytes, expected {n}")
+            raise damaged(
+                self.path, start, f"{what} is cut off: found {len(data)} bytes, expected {n}"
+            )
         return data
 
     @contextlib.contextmanager
@@ -401,17 +411,27 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
     head = source.read(max(STANDARD_HEADER.values()))
     if head[:4] != b"LASF"[: len(head)]:
         problem = f"begins with {head[:4]!r}, expected b'LASF': not a LAS or LAZ file"
-        raise InputError(where, problem, "give raw dumps a [layout] and one of the suffixes .bin .raw .dat")
+        raise InputError(
+            where, problem, "give raw dumps a [layout] and one of the suffixes .bin .raw .dat"
+        )
     major, minor = head[24:26] if len(head) > 25 else (1, 0)
     if major != 1 or minor not in STANDARD_HEADER:
         is_newer = major == 1 and max(STANDARD_HEADER) < minor < MOST_MINOR
         hint = "save it as LAS 1.4 with the program that made it" if is_newer else DAMAGED
-        raise damaged(path, 24, f"LAS version {major}.{minor}, expected 1.0 to 1.{max(STANDARD_HEADER)}", hint)
+        raise damaged(
+            path, 24, f"LAS version {major}.{minor}, expected 1.0 to 1.{max(STANDARD_HEADER)}", hint
+        )
     least = STANDARD_HEADER[minor]
     if len(head) < least:
-        raise InputError(where, f"header cut short: {len(head)} bytes, expected at least {least}", DAMAGED)
+        raise InputError(
+            where, f"header cut short: {len(head)} bytes, expected at least {least}", DAMAGED
+        )
     fields = HeaderFields(head[:least])
-    size, start, record_bytes = fields.get("header_size"), fields.get("point_offset"), fields.get("record_length")
+    size, start, record_bytes = (
+        fields.get("header_size"),
+        fields.get("point_offset"),
+        fields.get("record_length"),
+    )
     point_format = fields.get("point_format") & ~COMPRESSED
     if size < least:
         raise damaged(path, 94, f"header size {size}, expected at least {least}")
@@ -419,9 +439,13 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
         problem = f"records begin at byte {start}, expected between the header's end ({size}) and the file's"
         raise damaged(path, 96, f"{problem} ({file_bytes}): the file is cut short or damaged")
     if start > MAX_HEAD_BYTES:
-        raise damaged(path, 96, f"{start} bytes before the first record, expected at most {MAX_HEAD_BYTES}")
+        raise damaged(
+            path, 96, f"{start} bytes before the first record, expected at most {MAX_HEAD_BYTES}"
+        )
     if point_format >= N_POINT_FORMATS:
-        raise damaged(path, 104, f"point format {point_format}, expected 0 to {N_POINT_FORMATS - 1}")
+        raise damaged(
+            path, 104, f"point format {point_format}, expected 0 to {N_POINT_FORMATS - 1}"
+        )
     if record_bytes < (least := standard_bytes(point_format)):
         problem = f"records of {record_bytes} bytes, expected at least {least} for point format {point_format}"
         raise damaged(path, 105, problem)
@@ -432,7 +456,12 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
 def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
     """Return the error of a file whose header counts no records."""
     problem = f"the header says 0 records, expected at least one ({left} bytes follow the header)"
-    return damaged(path, 247 if fields.has("n_points") else 107, problem, "nothing to read; check how it was made")
+    return damaged(
+        path,
+        247 if fields.has("n_points") else 107,
+        problem,
+        "nothing to read; check how it was made",
+    )
 
 
 def check_decodable(header: LasHeader) -> None:
@@ -444,7 +473,9 @@ def check_decodable(header: LasHeader) -> None:
             problem = f"{axis} scale factor {scale}, expected a finite number other than 0"
             raise damaged(header.path, 131 + 8 * i, problem)
         if not abs(offset) < float("inf"):
-            raise damaged(header.path, 155 + 8 * i, f"{axis} offset {offset}, expected a finite number")
+            raise damaged(
+                header.path, 155 + 8 * i, f"{axis} offset {offset}, expected a finite number"
+            )
     if header.n_records == 0:
         raise no_records(header.path, header.fields(), header.file_bytes - header.data_offset)
 
@@ -455,7 +486,9 @@ def refused_by_laspy(header: LasHeader) -> str:
     logging.getLogger("laspy").addHandler(logging.NullHandler())  # else its warnings are printed
     try:
         with header.path.open("rb") as handle:
-            small = bool(header.evlrs) and header.file_bytes - header.evlrs[0].start <= MAX_HEAD_BYTES
+            small = (
+                bool(header.evlrs) and header.file_bytes - header.evlrs[0].start <= MAX_HEAD_BYTES
+            )
             laspy.LasHeader.read_from(handle, read_evlrs=small)
     except Exception as error:  # of any kind: descriptors index tables, texts are decoded
         return " ".join(f"{type(error).__name__}: {error}".split())[:120]
@@ -464,7 +497,9 @@ def refused_by_laspy(header: LasHeader) -> str:
 
 def _check_count(path: Path, n_records: int, fields: HeaderFields, file_bytes: int) -> None:
     """Compare the count of uncompressed records with the bytes there are."""
-    start, size, evlr_start = (fields.get(name) for name in ("point_offset", "record_length", "evlr_start"))
+    start, size, evlr_start = (
+        fields.get(name) for name in ("point_offset", "record_length", "evlr_start")
+    )
     needed = start + n_records * size
     if needed > file_bytes:
         problem = (
@@ -505,7 +540,9 @@ def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], i
 
 
 def _read_evlrs(source: Source, fields: HeaderFields, file_bytes: int) -> tuple[Vlr, ...]:
-    position, first, count = (fields.get(name) for name in ("evlr_start", "point_offset", "n_evlrs"))
+    position, first, count = (
+        fields.get(name) for name in ("evlr_start", "point_offset", "n_evlrs")
+    )
     hint = "the file is cut short; " + DAMAGED
     if not first <= position <= file_bytes:
         problem = f"extended VLRs begin at byte {position}, expected between {first} and the file's end {file_bytes}"

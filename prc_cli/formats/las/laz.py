@@ -21,7 +21,16 @@ from prc_cli.core.errors import InputError, OutputError, PrcError
 from prc_cli.core.files import begin_flush
 from prc_cli.core.threads import default_threads, read_ahead
 from prc_cli.core.types import I64, U8
-from prc_cli.formats.las.header import DAMAGED, LASZIP_KEY, LasHeader, Source, Vlr, damaged, make_vlr, open_source
+from prc_cli.formats.las.header import (
+    DAMAGED,
+    LASZIP_KEY,
+    LasHeader,
+    Source,
+    Vlr,
+    damaged,
+    make_vlr,
+    open_source,
+)
 from prc_cli.formats.writing.disk import WRITE_BYTES
 
 LAYERED_FORMATS = 6
@@ -62,7 +71,11 @@ class Target:
         view = memoryview(data).cast("B")
         with self._errors():
             # keep writes aligned to pages: others make the system handle a page twice and take 1.5 times as long
-            head = WRITE_BYTES - self._handle.tell() % WRITE_BYTES if len(view) > WRITE_BYTES else len(view)
+            head = (
+                WRITE_BYTES - self._handle.tell() % WRITE_BYTES
+                if len(view) > WRITE_BYTES
+                else len(view)
+            )
             for first, last in pairwise((0, *range(head, len(view), WRITE_BYTES), len(view))):
                 self._handle.write(view[first:last])
             self._n_unflushed += len(view)
@@ -93,7 +106,9 @@ class Target:
 
 
 @contextlib.contextmanager
-def _coding(stream: Source | Target, refusal: Callable[[BaseException], PrcError]) -> Iterator[None]:
+def _coding(
+    stream: Source | Target, refusal: Callable[[BaseException], PrcError]
+) -> Iterator[None]:
     """Raise the error of the system that lazrs hides, else turn what lazrs raises into one of ours."""
     try:
         yield
@@ -108,7 +123,9 @@ def _coding(stream: Source | Target, refusal: Callable[[BaseException], PrcError
 
 def decoding(source: Source, problem: str) -> contextlib.AbstractContextManager[None]:
     """Turn any exception or panic of the decompressor into :class:`InputError`."""
-    return _coding(source, lambda error: InputError(str(source.path), f"{problem} ({error})", DAMAGED))
+    return _coding(
+        source, lambda error: InputError(str(source.path), f"{problem} ({error})", DAMAGED)
+    )
 
 
 def encoding(target: Target) -> contextlib.AbstractContextManager[None]:
@@ -120,7 +137,9 @@ def encoding(target: Target) -> contextlib.AbstractContextManager[None]:
 def new_laszip(where: str, point_format: int, n_extra_bytes: int) -> bytes:
     """Return the content of the laszip VLR of a new file, with chunks of 50 000 records."""
     try:
-        content = bytearray(lazrs.LazVlr.new_for_compression(point_format, n_extra_bytes).record_data())
+        content = bytearray(
+            lazrs.LazVlr.new_for_compression(point_format, n_extra_bytes).record_data()
+        )
     except lazrs.LazrsError as error:
         problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
         raise OutputError(where, problem, "write .las instead of .laz") from error
@@ -204,7 +223,9 @@ class LazRecords:
         """Of the file."""
         found = header.vlr(LASZIP_KEY)
         if found is None or found.data is None:
-            raise InputError(self._where, "the records are compressed but the laszip VLR is missing", DAMAGED)
+            raise InputError(
+                self._where, "the records are compressed but the laszip VLR is missing", DAMAGED
+            )
         self._laszip = found.data
         self._check_laszip()
         with decoding(source, "the laszip VLR cannot be read"):
@@ -217,12 +238,19 @@ class LazRecords:
         n_items = struct.unpack_from("<H", data, _ITEMS_AT)[0] if len(data) >= _ITEMS_AT + 2 else 0
         least = _ITEMS_AT + 2 + 6 * max(n_items, 1)
         if n_items == 0 or len(data) < least:
-            raise InputError(where, f"{len(data)} bytes for {n_items} items, expected at least {least}", DAMAGED)
-        items, usual = _items(data), _items(new_laszip(self._where, las.point_format, las.n_extra_bytes))
+            raise InputError(
+                where, f"{len(data)} bytes for {n_items} items, expected at least {least}", DAMAGED
+            )
+        items, usual = (
+            _items(data),
+            _items(new_laszip(self._where, las.point_format, las.n_extra_bytes)),
+        )
         n_bytes = sum(size for _, size in items)
         if n_bytes != las.record_bytes:
             raise InputError(
-                where, f"records of {n_bytes} bytes, expected the {las.record_bytes} of the header", DAMAGED
+                where,
+                f"records of {n_bytes} bytes, expected the {las.record_bytes} of the header",
+                DAMAGED,
             )
         if items != usual:
             found, expected = (", ".join(map(str, each)) for each in (items, usual))
@@ -238,7 +266,9 @@ class LazRecords:
         self._source.seek(position)
         raw = self._source.read(8)
         if len(raw) < 8:
-            raise damaged(path, position, "the file ends, expected the LAZ chunk table: it changed while read")
+            raise damaged(
+                path, position, "the file ends, expected the LAZ chunk table: it changed while read"
+            )
         n_chunks = struct.unpack("<II", raw)[1]
         # every chunk begins with one uncompressed record: limits the count before allocation
         least, most = 1, (position - start) // header.record_bytes
@@ -256,16 +286,24 @@ class LazRecords:
         # 32 bits in the file; the decoder returns damaged values as they are, so keep the sums within int64
         table = np.array(pairs, dtype=np.uint64).reshape(-1, 2).clip(max=2**32).astype(np.int64)
         n_bytes = int(table[:, 1].sum())
-        if len(table) != n_chunks or n_bytes > position - start or (table[:, 1] < header.record_bytes).any():
+        if (
+            len(table) != n_chunks
+            or n_bytes > position - start
+            or (table[:, 1] < header.record_bytes).any()
+        ):
             problem = f"chunk table of {n_bytes} bytes in {len(table)} chunks"
             raise damaged(path, position, f"{problem}, expected {position - start} bytes")
         held = np.cumsum(table[:, 0])
         if held[-1] < header.n_records:
             found = f"the {len(table)} LAZ chunks hold at most {held[-1]}"
             problem = f"the header promises {header.n_records} records, {found}"
-            raise InputError(self._where, problem, "the header lies or records are lost; write the file anew")
+            raise InputError(
+                self._where, problem, "the header lies or records are lost; write the file anew"
+            )
         n_used = int(np.searchsorted(held, header.n_records)) + 1
-        first_record = np.concatenate(([0], held[: n_used - 1], [header.n_records])).astype(np.int64)
+        first_record = np.concatenate(([0], held[: n_used - 1], [header.n_records])).astype(
+            np.int64
+        )
         first_byte = start + np.concatenate(([0], np.cumsum(table[:n_used, 1]))).astype(np.int64)
         return ChunkTable(first_record, first_byte, len(table) - n_used, position, stop)
 
@@ -280,14 +318,18 @@ class LazRecords:
             # files written to a pipe have this position at their end
             stop -= 8
             self._source.seek(stop)
-            position = struct.unpack("<q", self._source.exact(8, "the position of the chunk table"))[0]
+            position = struct.unpack(
+                "<q", self._source.exact(8, "the position of the chunk table")
+            )[0]
         if not header.data_offset + 8 <= position <= stop - 8:
             problem = (
                 f"the LAZ chunk table should begin at byte {position}, found the file's end at byte {stop}"
                 if position > 0
                 else "the LAZ chunk table was never written (an unfinished file)"
             )
-            raise InputError(self._where, f"{problem}; expected it after the {header.n_records} records", DAMAGED)
+            raise InputError(
+                self._where, f"{problem}; expected it after the {header.n_records} records", DAMAGED
+            )
         return position, stop
 
     @property
@@ -304,7 +346,9 @@ class LazRecords:
     def sizes(self, first: int = 0, end: int | None = None) -> I64:
         """Return the numbers of records and of bytes of some chunks, (n, 2) int64."""
         some = slice(first, None if end is None else end + 1)
-        return np.stack([np.diff(self.table.first_record[some]), np.diff(self.table.first_byte[some])], axis=1)
+        return np.stack(
+            [np.diff(self.table.first_record[some]), np.diff(self.table.first_byte[some])], axis=1
+        )
 
     def is_usual(self) -> bool:
         """Whether compressor, items and their versions are those that lazrs writes."""
@@ -328,7 +372,9 @@ class LazRecords:
             selection, several = several, None
         decoder = self.open(self._source, kind, selection)
         # one chunk per core
-        n_together = max(n_max, min(default_threads() * int(np.diff(bounds).max()), _TOGETHER_BYTES // size))
+        n_together = max(
+            n_max, min(default_threads() * int(np.diff(bounds).max()), _TOGETHER_BYTES // size)
+        )
         chunk, room = 0, np.empty((0, size), np.uint8)
         while chunk < self.n_chunks:
             first = int(bounds[chunk])
@@ -372,9 +418,13 @@ class LazRecords:
                 raise
         bounds, first_byte = self.table.first_record, self.table.first_byte
         with contextlib.suppress(InputError), decoding(self._source, ""):
-            again = self.open(self._source, type(decoder), lazrs.SELECTIVE_DECOMPRESS_ALL, int(bounds[chunk]))
+            again = self.open(
+                self._source, type(decoder), lazrs.SELECTIVE_DECOMPRESS_ALL, int(bounds[chunk])
+            )
             while chunk < end - 1:
-                again.decompress_many(bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes))
+                again.decompress_many(
+                    bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes)
+                )
                 chunk += 1
         problem = (
             f"records {bounds[chunk]} to {bounds[chunk + 1] - 1} cannot be decompressed (LAZ chunk {chunk} at byte "
@@ -435,7 +485,9 @@ def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
     """Yield raw records, ``n`` at a time, (n, bytes) uint8, decoded ahead in a thread; close before the source."""
     batches = recut((raw for _, raw in read_batches(source, header, n)), repeat(n))
     # uncompressed records are read faster than one thread can hand them to another
-    yield from read_ahead(batches, depth=1) if header.compressed and header.n_records > n else batches
+    yield from (
+        read_ahead(batches, depth=1) if header.compressed and header.n_records > n else batches
+    )
 
 
 def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
@@ -499,7 +551,9 @@ class LazSink:
         with encoding(target):
             vlr = lazrs.LazVlr(laszip)
             is_large = vlr.chunk_size() * vlr.item_size() > LARGE_CHUNK_BYTES
-            self._compressor = (lazrs.LasZipCompressor if is_large else lazrs.ParLasZipCompressor)(target, vlr)
+            self._compressor = (lazrs.LasZipCompressor if is_large else lazrs.ParLasZipCompressor)(
+                target, vlr
+            )
 
     def write(self, records: U8) -> None:
         """Append (n, bytes) uint8 records."""
@@ -519,7 +573,9 @@ PointSink: TypeAlias = LasSink | LazSink
 
 def batch_size(record_bytes: int, *, compressed: bool) -> int:
     """Return the records per batch: chunks for every core, or a buffer that fits the processor's cache."""
-    return max(1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes))
+    return max(
+        1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes)
+    )
 
 
 def batch_records(header: LasHeader, *, compressed: bool) -> int:

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.types import U8
-from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr, make_vlr, standard_bytes, text_of
+from prc_cli.formats.las.header import (
+    DAMAGED,
+    EXTRA_BYTES_KEY,
+    LasHeader,
+    Vlr,
+    make_vlr,
+    standard_bytes,
+    text_of,
+)
 from prc_cli.formats.las.vlrs import VLR_LIMIT
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import FACTORS
@@ -61,7 +69,9 @@ class Field:
         """Return the dimension as a new array, so that the raw records can be released."""
         stored = records[self.column]
         if self.mask is not None:
-            return (stored & np.uint8(self.mask)) >> np.uint8((self.mask & -self.mask).bit_length() - 1)
+            return (stored & np.uint8(self.mask)) >> np.uint8(
+                (self.mask & -self.mask).bit_length() - 1
+            )
         # damaged records may hold any bits: NaN and infinity are counted later
         with np.errstate(invalid="ignore", over="ignore"):
             if self.scale is not None:
@@ -138,14 +148,20 @@ def read_layout(header: LasHeader) -> RecordLayout:
     columns: list[tuple[Any, ...]] = list(standard_columns(header.point_format))
     bits = COMPOSED_FIELDS[header.point_format]
     fields: dict[str, Field] = {}
-    for axis, (name, scale, offset) in enumerate(zip("xyz", header.scales, header.offsets, strict=True)):
+    for axis, (name, scale, offset) in enumerate(
+        zip("xyz", header.scales, header.offsets, strict=True)
+    ):
         fields[name] = Field("XYZ"[axis], scale=scale, offset=offset, layer=name)
     for column, *_ in columns[3:]:
         if column in bits:
-            fields |= {part.name: Field(column, mask=part.mask, layer=part.name) for part in bits[column]}
+            fields |= {
+                part.name: Field(column, mask=part.mask, layer=part.name) for part in bits[column]
+            }
         else:
             name = _RENAMED.get(column, column)
-            fields[name] = Field(column, scale=_ANGLE_RAD.get(column), as_float=name in _AS_FLOAT, layer=column)
+            fields[name] = Field(
+                column, scale=_ANGLE_RAD.get(column), as_float=name in _AS_FLOAT, layer=column
+            )
     found: list[ExtraBytes] = []
     described: dict[str, ExtraBytes] = {}
     notes: list[str] = []
@@ -159,8 +175,12 @@ def read_layout(header: LasHeader) -> RecordLayout:
         name = extra.name
         while name in fields or name in {"X", "Y", "Z"}:
             name = f"extra_{name}"
-        if name != extra.name and any(extra.name in (one.name, one.name.removeprefix("extra_")) for one in found):
-            notes.append(f"several extra dimensions are named {extra.name!r}: another one is read as {name!r}")
+        if name != extra.name and any(
+            extra.name in (one.name, one.name.removeprefix("extra_")) for one in found
+        ):
+            notes.append(
+                f"several extra dimensions are named {extra.name!r}: another one is read as {name!r}"
+            )
         column = f"{name} {len(columns)}"  # a blank: no clash with a field of the point format
         kind = f"V{extra.n_bytes}" if extra.data_type == 0 else extra.dtype.str
         one = extra.n_values == 1 or extra.data_type == 0
@@ -169,7 +189,9 @@ def read_layout(header: LasHeader) -> RecordLayout:
         left -= extra.n_bytes
         if extra.data_type and one:  # raw bytes and vectors are not one number per record
             as_float = name in _AS_FLOAT
-            fields[name] = Field(column, None, extra.scale, extra.offset, extra.no_data, as_float=as_float)
+            fields[name] = Field(
+                column, None, extra.scale, extra.offset, extra.no_data, as_float=as_float
+            )
             described[name] = extra
     taken = _take_usual(fields, described)
     if renamed := [f"{own} as {name}" for name, own in taken.items() if own != name]:
@@ -178,7 +200,9 @@ def read_layout(header: LasHeader) -> RecordLayout:
         columns.append(("undescribed bytes", f"V{left}"))
         notes.append(f"{left} bytes of every record are described nowhere and not read")
     angle_name, range_name = taken.get("angle"), taken.get("range", "range")
-    return RecordLayout(np.dtype(columns), fields, tuple(found), tuple(notes), angle_name, range_name)
+    return RecordLayout(
+        np.dtype(columns), fields, tuple(found), tuple(notes), angle_name, range_name
+    )
 
 
 def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> dict[str, str]:
@@ -217,7 +241,9 @@ def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
 
     for data in contents:
         for start in range(0, len(data) - DESCRIPTOR_BYTES + 1, DESCRIPTOR_BYTES):
-            yield _extra_bytes(f"{where}: extra bytes VLR", ExtraBytesStruct.from_buffer_copy(data, start))
+            yield _extra_bytes(
+                f"{where}: extra bytes VLR", ExtraBytesStruct.from_buffer_copy(data, start)
+            )
 
 
 def _extra_bytes(where: str, said: Any) -> ExtraBytes:
@@ -228,22 +254,34 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
     if said.data_type == 0:
         return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options)
     number, n_values = said.dtype().base, said.num_elements()
-    scale, offset = (None if found is None else float(found[0]) for found in (said.scale, said.offset))
+    scale, offset = (
+        None if found is None else float(found[0]) for found in (said.scale, said.offset)
+    )
     if scale is None and offset is not None:
         scale = 1.0
     offset = 0.0 if offset is None else offset
-    if n_values == 1 and scale is not None and not (0 < abs(scale) < math.inf and abs(offset) < math.inf):
+    if (
+        n_values == 1
+        and scale is not None
+        and not (0 < abs(scale) < math.inf and abs(offset) < math.inf)
+    ):
         problem = f"{name!r} has scale {scale} and offset {offset}"
-        raise InputError(where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED)
+        raise InputError(
+            where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED
+        )
     no_data = _no_data(said, number)
-    return ExtraBytes(name, said.data_type, text_of(said.description), number, n_values, scale, offset, no_data)
+    return ExtraBytes(
+        name, said.data_type, text_of(said.description), number, n_values, scale, offset, no_data
+    )
 
 
 def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
     """Return the stored no-data value; laspy would convert a value out of range to one that can occur."""
     if not said.options & said.NO_DATA_BIT_MASK:
         return None
-    value: float = struct.unpack_from({"u": "<Q", "i": "<q", "f": "<d"}[number.kind], bytes(said), 40)[0]
+    value: float = struct.unpack_from(
+        {"u": "<Q", "i": "<q", "f": "<d"}[number.kind], bytes(said), 40
+    )[0]
     if number.kind != "f":
         return value if np.iinfo(number).min <= value <= np.iinfo(number).max else None
     with np.errstate(over="ignore"):
@@ -251,9 +289,19 @@ def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
 
 
 _LAYER = {
-    **dict.fromkeys(("x", "y", "return_number", "number_of_returns", "scanner_channel"), "XY_RETURNS_CHANNEL"),
     **dict.fromkeys(
-        ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line"), "FLAGS"
+        ("x", "y", "return_number", "number_of_returns", "scanner_channel"), "XY_RETURNS_CHANNEL"
+    ),
+    **dict.fromkeys(
+        (
+            "synthetic",
+            "key_point",
+            "withheld",
+            "overlap",
+            "scan_direction_flag",
+            "edge_of_flight_line",
+        ),
+        "FLAGS",
     ),
     **dict.fromkeys(("red", "green", "blue"), "RGB"),
     "extra": "ALL_EXTRA_BYTES",
@@ -267,7 +315,9 @@ def layers_of(fields: Iterable[Field]) -> int:
     for one in fields:
         name = _LAYER.get(one.layer, one.layer.upper())
         # where no layer is known for a dimension, all are decoded
-        selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{name}", lazrs.SELECTIVE_DECOMPRESS_ALL))
+        selection |= int(
+            getattr(lazrs, f"SELECTIVE_DECOMPRESS_{name}", lazrs.SELECTIVE_DECOMPRESS_ALL)
+        )
     return selection
 
 
@@ -277,7 +327,10 @@ def descriptor(dimension: ExtraDimension) -> bytes:
 
     said = ExtraBytesStruct.from_buffer_copy(bytes(DESCRIPTOR_BYTES))
     said.data_type = data_type_of(dimension)
-    said.name, said.description = dimension.name.encode("ascii"), dimension.description.encode("ascii")
+    said.name, said.description = (
+        dimension.name.encode("ascii"),
+        dimension.description.encode("ascii"),
+    )
     return bytes(said)
 
 
@@ -301,17 +354,25 @@ def with_extra_dimensions(
         return vlrs
     where = str(header.path)
     places = [index for index, vlr in enumerate(vlrs) if vlr.has(EXTRA_BYTES_KEY)]
-    described = sum(extra.n_bytes for extra in _described(where, (vlrs[index].data or b"" for index in places)))
+    described = sum(
+        extra.n_bytes for extra in _described(where, (vlrs[index].data or b"" for index in places))
+    )
     hidden = header.n_extra_bytes - described
     elsewhere = any(vlr.has(EXTRA_BYTES_KEY) for vlr in header.evlrs)
     if hidden < 0 or elsewhere:
-        found = "in an EVLR" if elsewhere else f"as {described} bytes for the {header.n_extra_bytes} that records have"
+        found = (
+            "in an EVLR"
+            if elsewhere
+            else f"as {described} bytes for the {header.n_extra_bytes} that records have"
+        )
         problem = f"found the extra bytes described {found}, expected an Extra Bytes VLR that can be extended"
         raise OutputError(where, problem, hint)
     new = b""
     while hidden > 0:
         # type 0: the options field holds the length
-        new += bytes((0, 0, 0, min(hidden, 255))).ljust(160, b"\0") + b"not described in the input".ljust(32, b"\0")
+        new += bytes((0, 0, 0, min(hidden, 255))).ljust(
+            160, b"\0"
+        ) + b"not described in the input".ljust(32, b"\0")
         hidden -= 255
     new += b"".join(map(descriptor, dimensions))
     if not places:
@@ -332,7 +393,9 @@ def set_classes(records: U8, point_format: int, codes: U8) -> None:
         records[:, 16] = codes
         return
     if codes.size and int(codes.max()) > 31:
-        message = f"code {int(codes.max())} does not fit the five bits of point format {point_format}"
+        message = (
+            f"code {int(codes.max())} does not fit the five bits of point format {point_format}"
+        )
         raise ValueError(message)
     records[:, 15] = (records[:, 15] & 0xE0) | codes
 
@@ -347,7 +410,9 @@ def upgrade(records: U8, point_format: int) -> U8:
     new_format = FORMAT_FOR_CODES[point_format]
     n_extra = records.shape[1] - standard_bytes(point_format)
     rest = [("extra bytes", f"V{n_extra}")] if n_extra else []
-    old = np.ascontiguousarray(records).view(np.dtype([*standard_columns(point_format), *rest]))[:, 0]
+    old = np.ascontiguousarray(records).view(np.dtype([*standard_columns(point_format), *rest]))[
+        :, 0
+    ]
     new = np.zeros(len(records), np.dtype([*standard_columns(new_format), *rest]))
     for name in set(old.dtype.names or ()) & set(new.dtype.names or ()):
         new[name] = old[name]

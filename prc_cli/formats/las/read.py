@@ -55,7 +55,9 @@ class LasSource:
         check_decodable(self.header)
         self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self.header.record_bytes))
         self._layout = read_layout(self.header)
-        self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
+        self.laz_contexts = (
+            LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
+        )
         """Kept from the records that :meth:`chunks` decodes, for rewriting the file."""
         self._spares_intensity = False
         self._checks_layers = False
@@ -105,15 +107,21 @@ class LasSource:
         suffix = self._path.suffix.lower()
         if suffix in (".las", ".laz") and suffix != f".{self.format.lower()}":
             inside = "compressed" if self.header.compressed else "not compressed"
-            notes.append(f"the suffix is {suffix} but the records are {inside}: read as {self.format}")
+            notes.append(
+                f"the suffix is {suffix} but the records are {inside}: read as {self.format}"
+            )
         if self.header.is_legacy_count:
-            notes.append("the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken")
+            notes.append(
+                "the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken"
+            )
         if "time" in self._zero:
             notes.append("gps_time is 0 throughout the first chunk: taken as no time")
         if "angle" in self._zero:
             notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
         if self.header.n_unread_bytes and not self.header.n_unread_records:
-            notes.append(f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read")
+            notes.append(
+                f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read"
+            )
         notes.extend(self._layout.notes)
         return tuple(notes)
 
@@ -158,7 +166,11 @@ class LasSource:
         fields = self._layout.fields
         unknown = [name for name in names if name not in fields]
         if unknown:
-            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the file", f"it has: {', '.join(fields)}")
+            raise ConfigError(
+                self.path,
+                f"no dimension {unknown[0]!r} in the file",
+                f"it has: {', '.join(fields)}",
+            )
         decoded = self._decoded(names)
         first = next(decoded)
         try:
@@ -179,7 +191,9 @@ class LasSource:
             if self.laz_contexts is not None and self._checks_layers:
                 self.laz_contexts.check(first, len(raw))
             records = raw.view(self._layout.dtype)[:, 0]
-            yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
+            yield RecordChunk(
+                first, {name: fields[name].decode(records) for name in names}, len(records)
+            )
 
     def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, U8]]:
         """Yield the index of the first record and the raw records."""
@@ -191,7 +205,9 @@ class LasSource:
         if self._checks_layers:
             layers, several = lazrs.SELECTIVE_DECOMPRESS_ALL, None
         with open_source(self._path) as source:
-            yield from read_batches(source, self.header, self._chunk_records, (layers, several), reuse=True)
+            yield from read_batches(
+                source, self.header, self._chunk_records, (layers, several), reuse=True
+            )
 
     def describe(self) -> dict[str, Any]:
         """Return the header as plain values for JSON, for ``prc info``."""
@@ -209,17 +225,26 @@ class LasSource:
             "generating_software": text_of(header.fields().values("software")[0]),
             "crs": self.crs_wkt,
             "extra_bytes": [
-                {"name": one.name, "type": one.type_name, "description": one.description,
-                 "scaled": one.scale is not None}
+                {
+                    "name": one.name,
+                    "type": one.type_name,
+                    "description": one.description,
+                    "scaled": one.scale is not None,
+                }
                 for one in self._layout.extra
             ],
             "vlrs": [
-                {"user_id": v.user_id, "record_id": v.record_id, "bytes": v.n_bytes, "description": v.description,
-                 "extended": v.extended}
+                {
+                    "user_id": v.user_id,
+                    "record_id": v.record_id,
+                    "bytes": v.n_bytes,
+                    "description": v.description,
+                    "extended": v.extended,
+                }
                 for v in (*header.vlrs, *header.evlrs)
             ],
             "notes": list(self.notes),
-        }  # fmt: skip
+        }
 
 
 def open_las(path: Path, layout: Layout | None) -> LasSource:
@@ -235,6 +260,8 @@ def classes_by_laspy(path: Path) -> dict[int, int]:
     try:
         points = laspy.read(path)
     except Exception as error:  # laspy raises errors of its own, and any others on damaged files
-        raise OutputError(str(path), f"laspy does not read it ({error})", "report it, with laspy's version") from error
+        raise OutputError(
+            str(path), f"laspy does not read it ({error})", "report it, with laspy's version"
+        ) from error
     counts = count_bytes(np.ascontiguousarray(points.classification, np.uint8))
     return {int(code): int(counts[code]) for code in np.flatnonzero(counts)}

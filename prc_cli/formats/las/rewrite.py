@@ -62,7 +62,13 @@ from prc_cli.formats.las.points import (
 from prc_cli.formats.las.splice import COPC_USER, find_chunks, move_index, splice_classes
 from prc_cli.formats.las.vlrs import with_lookup, with_record, with_wkt
 from prc_cli.formats.writing.base import Columns, ScatterWriter, StagedWriter
-from prc_cli.formats.writing.columns import FIVE_BIT_LIMIT, OPTIONAL_COLUMNS, LabelOutput, OptionalColumn, asked_columns
+from prc_cli.formats.writing.columns import (
+    FIVE_BIT_LIMIT,
+    OPTIONAL_COLUMNS,
+    LabelOutput,
+    OptionalColumn,
+    asked_columns,
+)
 from prc_cli.formats.writing.record import RunRecord
 
 Masks: TypeAlias = Callable[[int], Iterator[Mask]]
@@ -129,12 +135,20 @@ def read_las(path: Path) -> LasHeader:
 def check_copied(las: LasHeader) -> None:
     """Refuse points that cannot be copied as bytes."""
     if any(vlr.user_id == "lascompatible" for vlr in las.vlrs):
-        problem = "found LAS 1.4 points in LASzip's compatibility mode, whose classes lie in extra bytes"
-        raise InputError(str(las.path), problem, "write it again as plain LAS 1.4, e.g. with las2las or PDAL")
+        problem = (
+            "found LAS 1.4 points in LASzip's compatibility mode, whose classes lie in extra bytes"
+        )
+        raise InputError(
+            str(las.path), problem, "write it again as plain LAS 1.4, e.g. with las2las or PDAL"
+        )
 
 
 def copy_las(
-    las: LasHeader, output: Path, temporary: Path, masks: Masks | None = None, record: RunRecord | None = None
+    las: LasHeader,
+    output: Path,
+    temporary: Path,
+    masks: Masks | None = None,
+    record: RunRecord | None = None,
 ) -> tuple[str, ...]:
     """Write a LAS or LAZ file again under a temporary name, with the records of the masks; return notices."""
     plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
@@ -147,24 +161,39 @@ def copy_las(
         with contextlib.closing(read_records(source, las, plan.batch)) as batches:
             # the masks first: where they end, no further batch is decoded
             pairs = (
-                ((None, each) for each in batches) if masks is None else zip(masks(plan.batch), batches, strict=False)
+                ((None, each) for each in batches)
+                if masks is None
+                else zip(masks(plan.batch), batches, strict=False)
             )
             points.write(sink(), (batch if mask is None else batch[mask] for mask, batch in pairs))
 
-    _write_again(plan, vlrs if record is None else with_record(vlrs, record), temporary, write_points, points, drop)
+    _write_again(
+        plan,
+        vlrs if record is None else with_record(vlrs, record),
+        temporary,
+        write_points,
+        points,
+        drop,
+    )
     points.check(temporary, output)
     return tuple(notices)
 
 
-def _planned_vlrs(plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False) -> list[Vlr]:
+def _planned_vlrs(
+    plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False
+) -> list[Vlr]:
     """Return the VLRs of an output, still with the old run record, and say what is unusual about them."""
     las, vlrs = plan.las, list(plan.las.vlrs)
     if any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs)):
-        notice("names or coordinate systems in the header have bytes that are no text; they were written as ?")
+        notice(
+            "names or coordinate systems in the header have bytes that are no text; they were written as ?"
+        )
     if keeps_index:
         return vlrs
     if any(vlr.user_id == COPC_USER for vlr in vlrs):
-        notice("the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ")
+        notice(
+            "the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ"
+        )
         vlrs = [vlr for vlr in vlrs if vlr.user_id != COPC_USER]
     options = dict.fromkeys(column.option for column in plan.appended)
     hint = "set [output] " + " and ".join(f"{option} = false" for option in options)
@@ -181,7 +210,10 @@ def _planned_vlrs(plan: Plan, notice: Callable[[str], None], *, keeps_index: boo
     if not plan.compress:
         return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)]
     same = not plan.upgrades and not plan.appended
-    new, old = laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same), las.vlr(LASZIP_KEY)
+    new, old = (
+        laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same),
+        las.vlr(LASZIP_KEY),
+    )
     if old is None or old.data is None:
         return [*vlrs, new]
     if has_variable_chunks(old.data):
@@ -317,7 +349,9 @@ def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
     fields.set("n_vlrs", len(vlrs))
     offset = len(fields.data) + sum(len(vlr.raw) for vlr in vlrs) + las.data_offset - las.vlr_end
     if offset >= 1 << 32:
-        raise OutputError(str(las.path), f"points would begin at byte {offset}, LAS allows 4294967295")
+        raise OutputError(
+            str(las.path), f"points would begin at byte {offset}, LAS allows 4294967295"
+        )
     fields.set("point_offset", offset)
     return fields
 
@@ -374,7 +408,9 @@ def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
     if not fields.has("evlr_start"):
         return
     if before.has("evlr_start"):
-        fields.set("evlr_start", tail.evlr_start if tail.n_evlrs or las.evlrs else before.get("evlr_start"))
+        fields.set(
+            "evlr_start", tail.evlr_start if tail.n_evlrs or las.evlrs else before.get("evlr_start")
+        )
         fields.set("n_evlrs", tail.n_evlrs)
     elif fields.get("waveform_start") and fields.get("global_encoding") & 2:
         # LAS 1.3 has its waveforms in an EVLR, but only LAS 1.4 has a count of EVLRs
@@ -401,9 +437,16 @@ class LasRewriter(ScatterWriter):
 
     def _write(self, record: RunRecord) -> RunRecord:
         las, before = read_las(self._source_path), self._las
-        if (las.raw, las.vlrs, las.evlrs, las.file_bytes) != (before.raw, before.vlrs, before.evlrs, before.file_bytes):
+        if (las.raw, las.vlrs, las.evlrs, las.file_bytes) != (
+            before.raw,
+            before.vlrs,
+            before.evlrs,
+            before.file_bytes,
+        ):
             problem = "found another header than at the start of the run, expected the same file"
-            raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
+            raise InputError(
+                str(self._source_path), problem, "run again when nothing else writes the input"
+            )
         check_copied(las)
         for columns in self._columns(las.n_records):
             self._count(columns.codes)
@@ -420,7 +463,9 @@ class LasRewriter(ScatterWriter):
         points = _Points(plan)
         moved: dict[int, tuple[int, int]] = {}
 
-        def write_points(source: Source, target: Target, open_sink: Callable[[], PointSink]) -> None:
+        def write_points(
+            source: Source, target: Target, open_sink: Callable[[], PointSink]
+        ) -> None:
             values = self._columns(las.n_records, plan.batch)
             if splice is not None:
                 codes = (columns.codes for columns in values)
@@ -430,17 +475,23 @@ class LasRewriter(ScatterWriter):
                 points.write(open_sink(), self._changed(plan, values, batches))
 
         drop = (RECORD_KEY[0],) if is_copc else (RECORD_KEY[0], COPC_USER)
-        tail = _write_again(plan, with_record(vlrs, record), self._temporary, write_points, points, drop)
+        tail = _write_again(
+            plan, with_record(vlrs, record), self._temporary, write_points, points, drop
+        )
         if splice is not None and is_copc:
             place = {at: tail.moved(at) for at, _ in splice.pages}
             move_index(self._temporary, las, splice, moved, place)
         points.check(self._temporary, self.path)
         if self._source_state() != self._state:
             problem = "changed while it was read"
-            raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
+            raise InputError(
+                str(self._source_path), problem, "run again when nothing else writes the input"
+            )
         return record
 
-    def _changed(self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]) -> Iterator[U8]:
+    def _changed(
+        self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]
+    ) -> Iterator[U8]:
         """Yield the records of the output; of a part, read no farther than to the last of them."""
         # the columns first: where they end, no further batch is decoded
         for k, (columns, records) in enumerate(zip(values, batches, strict=not plan.is_part)):
@@ -455,8 +506,12 @@ class LasRewriter(ScatterWriter):
         form = las.point_format
         if form < 6 and highest >= FIVE_BIT_LIMIT:
             form = FORMAT_FOR_CODES[las.point_format]
-            lost = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}.get(las.point_format, "")
-            self._notice(f"point format {las.point_format} cannot hold code {highest}; upgraded to {form}{lost}")
+            lost = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}.get(
+                las.point_format, ""
+            )
+            self._notice(
+                f"point format {las.point_format} cannot hold code {highest}; upgraded to {form}{lost}"
+            )
         moved = standard_bytes(form) - standard_bytes(las.point_format)
         appended, replaced = [], []
         there = {extra.name: extra for extra in read_layout(las).extra} if self._optional else {}
@@ -498,10 +553,16 @@ class LasRecoder(LasRewriter):
     """Writer of a LAS file from another: in its ``with`` block :meth:`put` every record, then :meth:`finish`."""
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
-        super().__init__(LabelOutput(path=path, source=source, n_records=None, points_per_line=0, codes=ClassCodes()))
+        super().__init__(
+            LabelOutput(
+                path=path, source=source, n_records=None, points_per_line=0, codes=ClassCodes()
+            )
+        )
         for name in carried:
             if name not in CARRIED:
-                raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")
+                raise ConfigError(
+                    "--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}"
+                )
         chosen = (column for column in OPTIONAL_COLUMNS if column.name in carried)
         self._optional = tuple(replace(column, keep=False) for column in chosen)
 

@@ -123,7 +123,11 @@ def find_chunks(source: Source, las: LasHeader) -> Splice | None:
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
     chunks = LazRecords(source, las)
-    if not chunks.is_usual() or chunks.table.n_unread or chunks.largest * las.record_bytes > LARGE_CHUNK_BYTES:
+    if (
+        not chunks.is_usual()
+        or chunks.table.n_unread
+        or chunks.largest * las.record_bytes > LARGE_CHUNK_BYTES
+    ):
         return None
     if list(chunks.heads(source, 0, chunks.n_chunks)) != list(map(tuple, chunks.sizes().tolist())):
         return None
@@ -136,15 +140,26 @@ def find_chunks(source: Source, las: LasHeader) -> Splice | None:
 def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
     """Return all pages of a COPC index; none if there is no index, or one lies outside it, is cut, or comes twice."""
     info, hierarchy = las.vlr(_COPC_KEY), [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
-    if info is None or info.data is None or len(info.data) != _INFO_BYTES or las.vlrs[0] is not info:
+    if (
+        info is None
+        or info.data is None
+        or len(info.data) != _INFO_BYTES
+        or las.vlrs[0] is not info
+    ):
         return ()
     at, size = struct.unpack_from("<QQ", info.data, _ROOT_AT)
     pages, seen, n_bytes = [(int(at), int(size))], {at}, 0
     for at, size in pages:
         n_bytes += size
         # pages that share bytes would be more than the records hold
-        is_sound = size > 0 and size % _ENTRY.size == 0 and n_bytes <= sum(evlr.n_bytes for evlr in hierarchy)
-        if not is_sound or not any(evlr.start + len(evlr.head) <= at and at + size <= evlr.stop for evlr in hierarchy):
+        is_sound = (
+            size > 0
+            and size % _ENTRY.size == 0
+            and n_bytes <= sum(evlr.n_bytes for evlr in hierarchy)
+        )
+        if not is_sound or not any(
+            evlr.start + len(evlr.head) <= at and at + size <= evlr.stop for evlr in hierarchy
+        ):
             return ()
         more = [(entry[4], entry[5]) for entry in _entries(source, at, size) if entry[6] == -1]
         for offset, _ in more:
@@ -169,7 +184,11 @@ def _names_chunks(source: Source, pages: Iterable[tuple[int, int]], chunks: LazR
 
 
 def splice_classes(
-    source: Source, target: Target, splice: Splice, codes: Iterator[U8], kept: ClassContexts | None = None
+    source: Source,
+    target: Target,
+    splice: Splice,
+    codes: Iterator[U8],
+    kept: ClassContexts | None = None,
 ) -> dict[int, tuple[int, int]]:
     """Write all chunks with new classes and their table; return new position and length by old position."""
     chunks = splice.chunks
@@ -187,9 +206,13 @@ def splice_classes(
             records = records_of(context)
             records[:, _CLASS_AT] = new
             layers = _class_layers(target, group[0], records)
-            for n_records, layer, first in zip(group, layers, range(0, len(new), group[0]), strict=True):
+            for n_records, layer, first in zip(
+                group, layers, range(0, len(new), group[0]), strict=True
+            ):
                 at, chunk = target.tell(), len(table)
-                table.append((n_records, _write_chunk(source, target, chunks, chunk, layer, int(new[first]))))
+                table.append(
+                    (n_records, _write_chunk(source, target, chunks, chunk, layer, int(new[first])))
+                )
                 moved[places[chunk]] = (at, table[-1][1])
     return moved
 
@@ -213,11 +236,18 @@ def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, 
 def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
     """Yield the contexts of the classes, kept or decoded; a damaged layer is refused here."""
     las = chunks.header
-    n, is_sound = batch_records(las, compressed=True), kept is not None and kept.n_checked == las.n_records
+    n, is_sound = (
+        batch_records(las, compressed=True),
+        kept is not None and kept.n_checked == las.n_records,
+    )
     if kept is not None and is_sound and kept.n_seen == las.n_records:
         yield from kept.take(n)
         return
-    layers = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL if is_sound else lazrs.SELECTIVE_DECOMPRESS_ALL
+    layers = (
+        lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+        if is_sound
+        else lazrs.SELECTIVE_DECOMPRESS_ALL
+    )
     # a handle of its own: the decoder needs its position unchanged
     with open_source(las.path) as source:
         for _, records in LazRecords(source, las).batches(n, layers):
@@ -242,7 +272,9 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
         at += n_bytes
 
 
-def _write_chunk(source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int) -> int:
+def _write_chunk(
+    source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int
+) -> int:
     """Write a chunk with a new layer of classes and a new class of its first record; return its number of bytes."""
     las = chunks.header
     first, stop = chunks.table.first_byte[chunk : chunk + 2].tolist()
@@ -264,7 +296,11 @@ def _write_chunk(source: Source, target: Target, chunks: LazRecords, chunk: int,
 
 
 def move_index(
-    written: Path, las: LasHeader, splice: Splice, moved: dict[int, tuple[int, int]], place: dict[int, int]
+    written: Path,
+    las: LasHeader,
+    splice: Splice,
+    moved: dict[int, tuple[int, int]],
+    place: dict[int, int],
 ) -> None:
     """Let the index of a COPC output point to its chunks and pages; ``place``: where the pages lie now."""
     with open_source(las.path) as source, written.open("r+b") as handle:

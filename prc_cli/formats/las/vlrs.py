@@ -11,7 +11,16 @@ from itertools import chain
 from pathlib import Path
 
 from prc_cli.core.classes import FIRST_USER_CODE
-from prc_cli.formats.las.header import GEO_KEYS_KEY, RECORD_KEY, WKT_KEY, LasHeader, Vlr, make_vlr, read_header, text_of
+from prc_cli.formats.las.header import (
+    GEO_KEYS_KEY,
+    RECORD_KEY,
+    WKT_KEY,
+    LasHeader,
+    Vlr,
+    make_vlr,
+    read_header,
+    text_of,
+)
 from prc_cli.formats.writing.record import RunRecord
 
 VLR_LIMIT = 65_535
@@ -44,7 +53,11 @@ def lookup_vlr(names: Mapping[int, str]) -> Vlr:
     >>> len(lookup_vlr({64: "stem", 65: "car"}).data)
     32
     """
-    return make_vlr(LOOKUP_KEY, b"".join(_entry(*each) for each in sorted(names.items())), "Classification Lookup")
+    return make_vlr(
+        LOOKUP_KEY,
+        b"".join(_entry(*each) for each in sorted(names.items())),
+        "Classification Lookup",
+    )
 
 
 def names_of_file(path: Path) -> dict[int, str]:
@@ -57,7 +70,9 @@ def names_of_file(path: Path) -> dict[int, str]:
     return found
 
 
-def with_lookup(las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]) -> tuple[list[Vlr], tuple[str, ...]]:
+def with_lookup(
+    las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]
+) -> tuple[list[Vlr], tuple[str, ...]]:
     """Return VLRs that name some classes, and notices; an existing record is extended in its place."""
     if not names:
         return vlrs, ()
@@ -68,7 +83,9 @@ def with_lookup(las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]) -> tu
         return [*vlrs, lookup_vlr(names)], ()
     data, notices = bytearray(vlrs[place].data or b""), []
     if len(data) % _ENTRY_BYTES:
-        return vlrs, (f"the names of classes take {len(data)} bytes, no multiple of 16; they were left as they are",)
+        return vlrs, (
+            f"the names of classes take {len(data)} bytes, no multiple of 16; they were left as they are",
+        )
     before = _names(bytes(data))
     for code, name in sorted(names.items()):
         entry = _entry(code, name)
@@ -78,14 +95,18 @@ def with_lookup(las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]) -> tu
             at = bytes(data[::_ENTRY_BYTES]).index(code) * _ENTRY_BYTES
             data[at : at + _ENTRY_BYTES] = entry
             if before[code]:
-                notices.append(f"class {code} was named {before[code]!r} in the input; its name is now {new!r}")
+                notices.append(
+                    f"class {code} was named {before[code]!r} in the input; its name is now {new!r}"
+                )
     if len(data) > VLR_LIMIT:
         return vlrs, ("the names of classes fill their record; they were left as they are",)
     return [*vlrs[:place], vlrs[place].with_data(bytes(data)), *vlrs[place + 1 :]], tuple(notices)
 
 
 def _entry(code: int, name: str) -> bytes:
-    return bytes([code]) + name.encode("ascii", "replace")[: _ENTRY_BYTES - 1].ljust(_ENTRY_BYTES - 1, b"\0")
+    return bytes([code]) + name.encode("ascii", "replace")[: _ENTRY_BYTES - 1].ljust(
+        _ENTRY_BYTES - 1, b"\0"
+    )
 
 
 def _names(data: bytes) -> dict[int, str]:

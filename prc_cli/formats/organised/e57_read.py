@@ -127,7 +127,9 @@ class E57File:
             text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
             where = f"{self._path}: {what}" if what else str(self._path)
             problem = f"the E57 structure is damaged or not as the standard has it ({text})"
-            raise InputError(where, problem, "copy it from the archive again or export it again") from error
+            raise InputError(
+                where, problem, "copy it from the archive again or export it again"
+            ) from error
 
     def scans(self) -> list[E57Scan]:
         """Return the metadata of every scan from the XML section."""
@@ -135,16 +137,16 @@ class E57File:
             root = self._image.root()
             n = root["data3D"].childCount() if root.isDefined("data3D") else 0
         if n > MAX_SCANS:
-            raise InputError(str(self._path), f"found {n} scans, expected at most {MAX_SCANS}", "split the file")
+            raise InputError(
+                str(self._path), f"found {n} scans, expected at most {MAX_SCANS}", "split the file"
+            )
         size = self._path.stat().st_size
         found = []
         for index in range(n):
             with self._errors(f"scan {index}"):
                 found.append(self._scan(index))
             if found[-1].n_points > 8 * size:
-                problem = (
-                    f"found {found[-1].n_points} points in a file of {size} bytes, expected a bit a point at least"
-                )
+                problem = f"found {found[-1].n_points} points in a file of {size} bytes, expected a bit a point at least"
                 raise InputError(f"{self._path}: scan {index}", problem, _AGAIN)
         return found
 
@@ -160,7 +162,15 @@ class E57File:
         if node.isDefined("pose") and node["pose"].isDefined("translation"):
             x, y, z = (_value(node["pose"]["translation"][key]) for key in "xyz")
             station = (x, y, z) if np.isfinite([x, y, z]).all() else station
-        return E57Scan(index, fields, int(points.childCount()), _bounds(node), _limits(node), quaternion, station)
+        return E57Scan(
+            index,
+            fields,
+            int(points.childCount()),
+            _bounds(node),
+            _limits(node),
+            quaternion,
+            station,
+        )
 
     def chunks(self, scan: E57Scan, names: tuple[str, ...]) -> Iterator[dict[str, F64]]:
         """Decode the named fields of all points of a scan, scaled to metres and radians."""
@@ -188,7 +198,9 @@ class E57File:
         buffers: dict[str, F64] = {name: np.zeros(capacity) for name in names}
         wrapped = self._library.VectorSourceDestBuffer()
         for name, values in buffers.items():
-            wrapped.append(self._library.SourceDestBuffer(self._image, name, values, capacity, True, True))
+            wrapped.append(
+                self._library.SourceDestBuffer(self._image, name, values, capacity, True, True)
+            )
         return self._image.root()["data3D"][scan.index]["points"].reader(wrapped), buffers
 
 
@@ -218,7 +230,9 @@ def _values(node: Any, table: str, *names: str) -> list[float] | None:
 
 
 def _bounds(node: Any) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    values = _values(node, "indexBounds", "rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
+    values = _values(
+        node, "indexBounds", "rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum"
+    )
     if values is None:
         return None
     row_low, row_high, column_low, column_high = map(int, values)
@@ -226,7 +240,10 @@ def _bounds(node: Any) -> tuple[tuple[int, int], tuple[int, int]] | None:
 
 
 def _limits(node: Any) -> tuple[float, float] | None:
-    low, high = _values(node, "intensityLimits", "intensityMinimum", "intensityMaximum") or (0.0, 0.0)
+    low, high = _values(node, "intensityLimits", "intensityMinimum", "intensityMaximum") or (
+        0.0,
+        0.0,
+    )
     return (low, high) if np.isfinite(high - low) and high > low else None
 
 
@@ -263,7 +280,9 @@ class E57Stream:
     several returns.
     """
 
-    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
+    def __init__(
+        self, path: Path, config: InputConfig, _lines_at_once: int = 1
+    ) -> None:  # scans are blocks
         check_rules(path, config)
         self._path, self._config = path, config
         self._scans: list[_Scan] = []
@@ -296,12 +315,19 @@ class E57Stream:
         if table.bounds is not None:
             rows, columns = table.bounds
             larger = (rows[1] - rows[0] + 1) * (columns[1] - columns[0] + 1)
-            inside = rows[0] <= row_low <= row_high <= rows[1] and columns[0] <= column_low <= column_high <= columns[1]
+            inside = (
+                rows[0] <= row_low <= row_high <= rows[1]
+                and columns[0] <= column_low <= column_high <= columns[1]
+            )
             sane = rows[1] - rows[0] < MAX_POINTS_PER_LINE and columns[1] - columns[0] < MAX_LINES
             if inside and sane and larger <= MAX_SPARSE * table.n_points:
                 (row_low, row_high), (column_low, column_high) = table.bounds
         shape = ScanShape(
-            table.index, column_high - column_low + 1, row_high - row_low + 1, table.n_points, first_record
+            table.index,
+            column_high - column_low + 1,
+            row_high - row_low + 1,
+            table.n_points,
+            first_record,
         )
         self._spare_cells -= max(shape.n_cells - MAX_SPARSE * table.n_points, 0)
         if self._spare_cells < 0:
@@ -322,7 +348,11 @@ class E57Stream:
         lacking = [name for name in (ROW, COLUMN) if name not in table.fields]
         if lacking:
             problem = f"no {' and no '.join(lacking)}: the points are not organised in rows and columns, found {shown}"
-            raise InputError(where, problem, "export it as a structured (gridded) E57 or PTX, with row and column")
+            raise InputError(
+                where,
+                problem,
+                "export it as a structured (gridded) E57 or PTX, with row and column",
+            )
         if not any(set(names) <= set(table.fields) for names in (CARTESIAN, SPHERICAL)):
             problem = f"expected {', '.join(CARTESIAN)} or {', '.join(SPHERICAL)}, found {shown}"
             raise InputError(where, problem, _AGAIN)
@@ -352,28 +382,40 @@ class E57Stream:
         full = [scan for scan in self._scans if scan.shape.n_cells]
         turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in full)
         how = "turned by the poses" if turned else "as they are: no pose turns them"
-        found = [Assumption("input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}")]
+        found = [
+            Assumption(
+                "input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}"
+            )
+        ]
         n_scattered = sum(not scan.in_order for scan in full)
         if n_scattered:
             why = f"the points of {n_scattered} of {len(full)} scans do not come column by column: put in order on disk"
             found.append(Assumption("input.columns", f"{ROW}, {COLUMN}", why))
         else:
-            found.append(Assumption("input.columns", f"{ROW}, {COLUMN}", "the points come column by column"))
+            found.append(
+                Assumption("input.columns", f"{ROW}, {COLUMN}", "the points come column by column")
+            )
         if any(INTENSITY in scan.table.fields and scan.table.intensity_limits for scan in full):
             why = "the header's limits are its ends"
             found.append(Assumption("input", "intensity: 0 to 65535 in the stream", why))
         used = {name for scan in full for name in (ROW, COLUMN, *_used_fields(scan.table))}
         if other := [
-            name for name in dict.fromkeys(name for scan in full for name in scan.table.fields) if name not in used
+            name
+            for name in dict.fromkeys(name for scan in full for name in scan.table.fields)
+            if name not in used
         ]:
-            found.append(Assumption("input", f"not read: {', '.join(other[:20])}", "they are not needed"))
+            found.append(
+                Assumption("input", f"not read: {', '.join(other[:20])}", "they are not needed")
+            )
         return found
 
     def _notes(self) -> list[str]:
         differ = [scan.shape.scanner for scan in self._scans if scan.bounds_differ]
         if not differ:
             return []
-        return [f"the header's index bounds do not fit the points of scan {listed(differ)}: the points' own are taken"]
+        return [
+            f"the header's index bounds do not fit the points of scan {listed(differ)}: the points' own are taken"
+        ]
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
@@ -390,7 +432,11 @@ class E57Stream:
         tallies: list[ReadTally] = []
         points = self._points(file, scan, tallies)
         sizes = np.diff(edges).tolist()
-        by_piece = in_turn(points, sizes, self._changed(scan)) if scan.in_order else _scattered(points, edges, lines)
+        by_piece = (
+            in_turn(points, sizes, self._changed(scan))
+            if scan.in_order
+            else _scattered(points, edges, lines)
+        )
         for (first, stop), found in zip(pieces, by_piece, strict=True):
             if len(found) and not (found["line"].min() >= first and found["line"].max() < stop):
                 raise self._changed(scan)
@@ -401,9 +447,13 @@ class E57Stream:
 
     def _changed(self, scan: _Scan) -> InputError:
         problem = "the points are not the ones that were found when it was opened"
-        return InputError(self._where(scan.table.index), problem, "run again when the copy is complete")
+        return InputError(
+            self._where(scan.table.index), problem, "run again when the copy is complete"
+        )
 
-    def _points(self, file: E57File, scan: _Scan, tallies: list[ReadTally]) -> Iterator[NDArray[Any]]:
+    def _points(
+        self, file: E57File, scan: _Scan, tallies: list[ReadTally]
+    ) -> Iterator[NDArray[Any]]:
         """Yield points with their cells, in the order of the file; points refused are added to the tallies."""
         table, shape = scan.table, scan.shape
         cartesian = _is_cartesian(table)
@@ -413,7 +463,9 @@ class E57Stream:
             n = len(chunk[ROW])
             points = np.zeros(n, _POINT)
             line, row = chunk[COLUMN] - scan.first_column, chunk[ROW] - scan.first_row
-            if not ((line >= 0) & (line < shape.n_lines) & (row >= 0) & (row < shape.points_per_line)).all():
+            if not (
+                (line >= 0) & (line < shape.n_lines) & (row >= 0) & (row < shape.points_per_line)
+            ).all():
                 raise self._changed(scan)
             points["line"], points["row"] = line, row
             points["record"] = np.arange(position, position + n)
@@ -421,7 +473,9 @@ class E57Stream:
             xyz, length = _coordinates(chunk, scan.pose, cartesian=cartesian)
             if state in chunk:
                 length[chunk[state] != 0] = np.nan
-            points["range"], tally = clean_ranges(length, self._config.min_range, self._config.max_range)
+            points["range"], tally = clean_ranges(
+                length, self._config.min_range, self._config.max_range
+            )
             tallies.append(tally + ReadTally(n_records=n))
             points["xyz"] = to_float32(xyz)
             points["intensity"] = _scaled(chunk[INTENSITY], table) if INTENSITY in chunk else np.nan
@@ -455,7 +509,11 @@ class E57Stream:
                 other["record"].copy(),
             )
             points, cell = points[stands], cell[stands]
-            tally = ReadTally(n_extra_returns=len(other)) if with_returns else ReadTally(n_collisions=len(other))
+            tally = (
+                ReadTally(n_extra_returns=len(other))
+                if with_returns
+                else ReadTally(n_collisions=len(other))
+            )
 
         def image(name: str, fill: float, *shape: int) -> NDArray[Any]:
             values = np.full((n_lines * m, *shape), fill, _POINT[name].base)
@@ -480,7 +538,9 @@ def _is_cartesian(table: E57Scan) -> bool:
 
 def _used_fields(table: E57Scan) -> tuple[str, ...]:
     """Return the fields of a point that are read beside row and column."""
-    own, state = (CARTESIAN, CARTESIAN_STATE) if _is_cartesian(table) else (SPHERICAL, SPHERICAL_STATE)
+    own, state = (
+        (CARTESIAN, CARTESIAN_STATE) if _is_cartesian(table) else (SPHERICAL, SPHERICAL_STATE)
+    )
     return (*own, *(name for name in (state, INTENSITY, RETURN) if name in table.fields))
 
 
@@ -499,7 +559,10 @@ class _IndexTally:
     def add(self, row: F64, column: F64) -> None:
         """Count points."""
         rows, columns = self._span(ROW, row, self.rows), self._span(COLUMN, column, self.columns)
-        for name, (low, high), limit in ((ROW, rows, MAX_POINTS_PER_LINE), (COLUMN, columns, MAX_LINES)):
+        for name, (low, high), limit in (
+            (ROW, rows, MAX_POINTS_PER_LINE),
+            (COLUMN, columns, MAX_LINES),
+        ):
             if high - low >= limit:
                 problem = f"found {name} from {low} to {high}, expected at most {limit} of them"
                 raise InputError(self._where, problem, _AGAIN)
@@ -513,7 +576,9 @@ class _IndexTally:
         low = int(number.min())
         found = np.bincount(number - low)
         self.counts[low - columns[0] : low - columns[0] + len(found)] += found
-        self.in_order = self.in_order and bool(column[0] >= self._last and (column[1:] >= column[:-1]).all())
+        self.in_order = self.in_order and bool(
+            column[0] >= self._last and (column[1:] >= column[:-1]).all()
+        )
         self._last = column[-1]
 
     def _span(self, name: str, index: F64, before: tuple[int, int]) -> tuple[int, int]:
@@ -524,7 +589,11 @@ class _IndexTally:
         if not is_whole:
             problem = f"found {name} from {low:g} to {high:g}, expected whole numbers"
             raise InputError(self._where, problem, _AGAIN)
-        return (int(low), int(high)) if before[1] < before[0] else (min(before[0], int(low)), max(before[1], int(high)))
+        return (
+            (int(low), int(high))
+            if before[1] < before[0]
+            else (min(before[0], int(low)), max(before[1], int(high)))
+        )
 
 
 def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple[F64, F64]:
@@ -537,7 +606,9 @@ def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple
     length, azimuth, elevation = (chunk[name] for name in SPHERICAL)
     with np.errstate(over="ignore", invalid="ignore"):
         flat = length * np.cos(elevation)
-        xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=1)
+        xyz = np.stack(
+            [flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=1
+        )
     # a range without a direction is no point
     length = np.where(np.isfinite(azimuth) & np.isfinite(elevation) & (length != 0), length, np.nan)
     return pose.apply(xyz), length
@@ -568,7 +639,11 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
                     handle.write(chunk[start:stop].tobytes())
                     filled[own] += stop - start
         if not np.array_equal(filled, edges[1:]):
-            raise InputError("E57", "the points changed while they were read", "run again when the copy is complete")
+            raise InputError(
+                "E57",
+                "the points changed while they were read",
+                "run again when the copy is complete",
+            )
         for first, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             with scratch_errors("the points of a scan"):
                 handle.seek(first * _POINT.itemsize)

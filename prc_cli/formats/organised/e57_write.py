@@ -45,7 +45,9 @@ class E57Stream(StreamWriter):
             raise OutputError(str(path), problem, "pip install prc-cli[e57]") from None
         super().__init__(path, shape)
         if shape.times or shape.returns:
-            self._notice("pye57 reads times and several returns of E57 only with ignore_unsupported_fields=True")
+            self._notice(
+                "pye57 reads times and several returns of E57 only with ignore_unsupported_fields=True"
+            )
         self._library = libe57
         self._scan: _Scan | None = None
         self._done: list[int] = []
@@ -65,19 +67,27 @@ class E57Stream(StreamWriter):
         seen = [*self._done, *([] if self._scan is None else [self._scan.scanner])]
         if seen == list(range(len(seen))):
             return ()
-        return (f"the numbers of the scanners ({', '.join(map(str, seen))}): scans are counted from 0",)
+        return (
+            f"the numbers of the scanners ({', '.join(map(str, seen))}): scans are counted from 0",
+        )
 
     def _start(self) -> None:
         with self._errors():
-            image = self._library.ImageFile(os.fsencode(self._temporary), "w")  # a name need not be UTF-8
+            image = self._library.ImageFile(
+                os.fsencode(self._temporary), "w"
+            )  # a name need not be UTF-8
             self._image = image
             self._stack.callback(self._cancel)
             image.extensionsAdd("", self._library.E57_V1_0_URI)
             root = image.root()
             root.set("formatName", self._library.StringNode(image, "ASTM E57 3D Imaging Data File"))
             root.set("guid", self._guid("file"))
-            root.set("versionMajor", self._library.IntegerNode(image, self._library.E57_FORMAT_MAJOR))
-            root.set("versionMinor", self._library.IntegerNode(image, self._library.E57_FORMAT_MINOR))
+            root.set(
+                "versionMajor", self._library.IntegerNode(image, self._library.E57_FORMAT_MAJOR)
+            )
+            root.set(
+                "versionMinor", self._library.IntegerNode(image, self._library.E57_FORMAT_MINOR)
+            )
             root.set("coordinateMetadata", self._library.StringNode(image, ""))
             self._scans = self._library.VectorNode(image, True)
             root.set("data3D", self._scans)
@@ -105,14 +115,20 @@ class E57Stream(StreamWriter):
             if code := why_not_written(self._temporary):
                 raise OSError(code, os.strerror(code), str(self._temporary)) from error
             text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
-            raise OutputError(str(self.path), f"cannot be written ({text})", "check the disk") from error
+            raise OutputError(
+                str(self.path), f"cannot be written ({text})", "check the disk"
+            ) from error
 
     def _add(self, item: StreamItem) -> None:
         block = item.block
         if self._scan is None or self._scan.scanner != block.scanner:
             if block.scanner in self._done:
                 problem = f"scanner {block.scanner} comes again after another, expected the lines of each together"
-                raise OutputError(str(self.path), problem, "write .csv, .laz or .parquet, or split the input first")
+                raise OutputError(
+                    str(self.path),
+                    problem,
+                    "write .csv, .laz or .parquet, or split the input first",
+                )
             with self._errors():
                 self._close_scan()
                 self._scan = _Scan(self, block.scanner, block.first_line)
@@ -145,14 +161,20 @@ class E57Stream(StreamWriter):
         points = {name: places[:, axis].copy() for axis, name in enumerate(_DOUBLES[:3])}
         points["cartesianInvalidState"] = gone * INVALID
         first = 0 if self._scan is None else self._scan.first_line
-        points["rowIndex"], points["columnIndex"] = values["column"], block.first_line - first + line
+        points["rowIndex"], points["columnIndex"] = (
+            values["column"],
+            block.first_line - first + line,
+        )
         own = np.zeros(len(cell), np.float32)
         if block.intensity is not None:
             own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)[cell]
         # the stream has the intensity of the chosen return of a shot only
         is_further = np.append(False, cell[1:] == cell[:-1])
         points["intensity"] = np.where(is_further, np.minimum(own, 0.0), own)
-        points["returnIndex"], points["returnCount"] = values["return_number"] - 1, values["number_of_returns"]
+        points["returnIndex"], points["returnCount"] = (
+            values["return_number"] - 1,
+            values["number_of_returns"],
+        )
         if "time_s" in values:
             points["timeStamp"] = np.nan_to_num(values["time_s"], nan=0.0)
         return points
@@ -172,7 +194,9 @@ class E57Stream(StreamWriter):
             )
             angle = 2.0 * np.pi * np.arange(block.points_per_line) / block.points_per_line
         else:
-            self._notice("coordinates lie in the scan plane, x = 0: the stream has ranges and angles alone")
+            self._notice(
+                "coordinates lie in the scan plane, x = 0: the stream has ranges and angles alone"
+            )
         turned = angle - (self.shape.down_rad or 0.0)
         fan = np.stack([np.zeros(len(turned)), np.sin(turned), -np.cos(turned)], axis=1)
         return np.tile(fan, (rows.stop - rows.start, 1))
@@ -200,7 +224,9 @@ class _Scan:
         self._buffers = {name: np.zeros(POINTS_AT_ONCE) for name in self._names}
         wrapped = library.VectorSourceDestBuffer()
         for name, values in self._buffers.items():
-            wrapped.append(library.SourceDestBuffer(image, name, values, POINTS_AT_ONCE, True, True))
+            wrapped.append(
+                library.SourceDestBuffer(image, name, values, POINTS_AT_ONCE, True, True)
+            )
         self.writer = points.writer(wrapped)
 
     def _kind(self, name: str) -> Any:
@@ -209,7 +235,9 @@ class _Scan:
             return library.FloatNode(image, 0.0, library.E57_DOUBLE)
         if name == "intensity":
             return library.FloatNode(image, 0.0, library.E57_SINGLE)
-        top = {"cartesianInvalidState": INVALID, "returnIndex": 254, "returnCount": 255}.get(name, LARGEST_INDEX)
+        top = {"cartesianInvalidState": INVALID, "returnIndex": 254, "returnCount": 255}.get(
+            name, LARGEST_INDEX
+        )
         return library.IntegerNode(image, 0, 0, top)
 
     def write(self, values: dict[str, NDArray[Any]]) -> None:
@@ -221,14 +249,19 @@ class _Scan:
                 buffer[: part.stop - first] = values[name][part]
             self.writer.write(part.stop - first)
         for name, (low, high) in self._limits.items():
-            self._limits[name] = min(low, float(values[name].min())), max(high, float(values[name].max()))
+            self._limits[name] = (
+                min(low, float(values[name].min())),
+                max(high, float(values[name].max())),
+            )
 
     def close(self) -> None:
         """Write the header of the scan."""
         self.writer.close()
         names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
         bounds = self._library.StructureNode(self._image)
-        for name, bound in zip(names, (*self._limits["rowIndex"], *self._limits["columnIndex"]), strict=True):
+        for name, bound in zip(
+            names, (*self._limits["rowIndex"], *self._limits["columnIndex"]), strict=True
+        ):
             bounds.set(name, self._library.IntegerNode(self._image, int(bound)))
         self._node.set("indexBounds", bounds)
         low, high = self._limits["intensity"]

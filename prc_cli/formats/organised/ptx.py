@@ -38,7 +38,14 @@ from prc_cli.formats.organised.scans import (
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.records import shorten
 from prc_cli.formats.text.dialect import to_number
-from prc_cli.formats.text.lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, count_line_ends, iter_lines, too_long
+from prc_cli.formats.text.lines import (
+    BLOCK_BYTES,
+    MAX_LINE_BYTES,
+    Lines,
+    count_line_ends,
+    iter_lines,
+    too_long,
+)
 from prc_cli.formats.text.read import PARSERS, parse_fast, single_blanks
 
 _ROW_BYTES = 64
@@ -81,14 +88,23 @@ class _Scan:
 
     def parts(self, block_bytes: int | None = None, threads: int = 1) -> Iterator[F64]:
         """Yield (n, 3 or 4) numbers: x, y, z [m] and intensity of consecutive points."""
-        blocks = iter_lines(self.path, block_bytes or BLOCK_BYTES, span=(self.start, self.stop), line=self.first_line)
+        blocks = iter_lines(
+            self.path,
+            block_bytes or BLOCK_BYTES,
+            span=(self.start, self.stop),
+            line=self.first_line,
+        )
         yield from ordered(self._parse, blocks, threads=threads, ahead=threads)
 
     def _parse(self, lines: Lines) -> F64:
         """Return (n, 3 or 4) float64, a row of it for every line of the text."""
         n = count_line_ends(lines.data) + (not lines.data.endswith(b"\n"))
         used = range(min(self.n_cells, 4))
-        found = None if b'"' in lines.data else parse_fast(single_blanks(lines.data), self.n_cells, used)
+        found = (
+            None
+            if b'"' in lines.data
+            else parse_fast(single_blanks(lines.data), self.n_cells, used)
+        )
         if found is not None and len(found[0]) == n:
             return np.stack(found, axis=1)
         rows = np.empty((n, len(used)))
@@ -125,7 +141,9 @@ class _Scan:
 class PtxStream:
     """A PTX file as a stream; points at 0, 0, 0 are missing shots, the header turns z up and has the origin."""
 
-    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
+    def __init__(
+        self, path: Path, config: InputConfig, _lines_at_once: int = 1
+    ) -> None:  # scans are blocks
         check_rules(path, config)
         self._path, self._config = path, config
         with open_to_read(path) as handle:
@@ -137,20 +155,40 @@ class PtxStream:
 
     def _assumptions(self) -> list[Assumption]:
         turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in self._scans)
-        how = "turned by the headers' transformations" if turned else "as they are: the headers do not turn them"
-        found = [Assumption("input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}")]
+        how = (
+            "turned by the headers' transformations"
+            if turned
+            else "as they are: the headers do not turn them"
+        )
+        found = [
+            Assumption(
+                "input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}"
+            )
+        ]
         scales = {scan.intensity_scale for scan in self._scans if scan.n_cells > 3}
         if scales:
-            how = "0 to 1 in the file, 0 to 65535 in the stream" if INTENSITY_STEPS in scales else "as in the file"
+            how = (
+                "0 to 1 in the file, 0 to 65535 in the stream"
+                if INTENSITY_STEPS in scales
+                else "as in the file"
+            )
             if len(scales) > 1:
                 how = "0 to 65535 where the file has 0 to 1, else as in the file"
-            found.append(Assumption("input", f"intensity: {how}", f"judged by the first {_LOOKED_AT} points of a scan"))
+            found.append(
+                Assumption(
+                    "input",
+                    f"intensity: {how}",
+                    f"judged by the first {_LOOKED_AT} points of a scan",
+                )
+            )
         if any(scan.n_cells > 4 for scan in self._scans):
             found.append(Assumption("input", "not read: colour", "it is not needed"))
         short = self._scans[-1].shape
         if short.n_records != short.n_cells:
             missing = short.n_cells - short.n_records
-            found.append(Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots"))
+            found.append(
+                Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots")
+            )
         return found
 
     def _notes(self) -> list[str]:
@@ -170,7 +208,9 @@ class PtxStream:
 
     def _scan_blocks(self, scan: _Scan) -> Iterator[ScanBlock]:
         shape, m = scan.shape, scan.shape.points_per_line
-        problem = f"found fewer points than before, expected {shape.n_records} in scan {shape.scanner}"
+        problem = (
+            f"found fewer points than before, expected {shape.n_records} in scan {shape.scanner}"
+        )
         missing = InputError(str(self._path), problem, "run again when the copy is complete")
         pieces = list(spans(shape.n_lines, lines_per_block(m)))
         sizes = (min(stop * m, shape.n_records) - first * m for first, stop in pieces)
@@ -225,7 +265,11 @@ class _Survey:
             self._handle.seek(0)
         while (line := self._next_header(found)) is not None:
             if len(found) == MAX_SCANS:
-                raise InputError(str(self._path), f"more than {MAX_SCANS} scans, expected fewer", "split the file")
+                raise InputError(
+                    str(self._path),
+                    f"more than {MAX_SCANS} scans, expected fewer",
+                    "split the file",
+                )
             scan = self._scan(len(found), n_records, line)
             found.append(scan)
             n_records += scan.shape.n_records
@@ -265,8 +309,12 @@ class _Survey:
         self._handle.seek(start)
         wanted = n_lines * m
         if wanted and n_cells not in _N_CELLS:
-            problem = f"found {n_cells} numbers, expected x y z, intensity and perhaps red green blue"
-            raise InputError(f"{self._path}: line {self._line + 1}", problem, "export the scan again")
+            problem = (
+                f"found {n_cells} numbers, expected x y z, intensity and perhaps red green blue"
+            )
+            raise InputError(
+                f"{self._path}: line {self._line + 1}", problem, "export the scan again"
+            )
         n_found = self._skip(wanted)
         if n_found < wanted and not (self._pad and n_found > wanted - m):
             problem = (
@@ -274,19 +322,23 @@ class _Survey:
                 f"{n_lines} columns x {m} rows = {wanted}"
             )
             pad = ", or set input.partial_line to pad" * (n_found > wanted - m)
-            raise InputError(f"{self._path}: line {self._line}", problem, f"copy it from the archive again{pad}")
+            raise InputError(
+                f"{self._path}: line {self._line}", problem, f"copy it from the archive again{pad}"
+            )
         shape = ScanShape(scanner, n_lines if m else 0, m if n_lines else 0, n_found, first_record)
         scan = _Scan(self._path, shape, header_line, pose, start, self._handle.tell(), n_cells)
-        return replace(scan, intensity_scale=_intensity_scale(scan)) if n_cells > 3 and wanted else scan
+        return (
+            replace(scan, intensity_scale=_intensity_scale(scan))
+            if n_cells > 3 and wanted
+            else scan
+        )
 
     def _pose(self, header_line: int, position: list[float], matrix: F64) -> Pose:
         rotation = matrix[:3, :3]
         # a row vector times the matrix: the translation is the last row
         if not (is_rotation(rotation) and np.array_equal(matrix[:, 3], (0.0, 0.0, 0.0, 1.0))):
             where = f"{self._path}: line {header_line + 6}"
-            problem = (
-                "the transformation is no rotation with a translation, expected four rows x x x 0 and last t t t 1"
-            )
+            problem = "the transformation is no rotation with a translation, expected four rows x x x 0 and last t t t 1"
             raise InputError(where, problem, "correct the header or export the scan again")
         # some programs omit the position
         offset = matrix[3, :3] - np.array(position) if any(position) else np.zeros(3)
@@ -306,19 +358,27 @@ class _Survey:
         if not _COUNT.fullmatch(text):
             shown = shorten(text.decode("utf-8", errors="replace"))
             problem = f"found {shown!r}, expected the number of {what} of a scan"
-            raise InputError(f"{self._path}: line {self._line}", problem, "check that this is a PTX file")
+            raise InputError(
+                f"{self._path}: line {self._line}", problem, "check that this is a PTX file"
+            )
         value = int(text)
         if value > limit:
             problem = f"found {value} {what}, expected at most {limit}"
-            raise InputError(f"{self._path}: line {self._line}", problem, "correct the header or split the scan")
+            raise InputError(
+                f"{self._path}: line {self._line}", problem, "correct the header or split the scan"
+            )
         return value
 
     def _numbers(self, n: int) -> list[float]:
         text = self._read_line().decode("utf-8", errors="replace").strip()
         values = [to_number(cell) for cell in text.split()]
-        if len(values) != n or not all(value is not None and np.isfinite(value) for value in values):
+        if len(values) != n or not all(
+            value is not None and np.isfinite(value) for value in values
+        ):
             problem = f"found {shorten(text)!r}, expected {n} numbers of the scan's header"
-            raise InputError(f"{self._path}: line {self._line}", problem, "check that this is a PTX file")
+            raise InputError(
+                f"{self._path}: line {self._line}", problem, "check that this is a PTX file"
+            )
         return [value for value in values if value is not None]
 
     def _skip(self, n: int) -> int:

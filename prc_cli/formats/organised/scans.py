@@ -54,7 +54,9 @@ class Pose:
         with np.errstate(over="ignore", invalid="ignore"):
             for axis in range(3):
                 a, b, c = self.rotation[:, axis]
-                placed[:, axis] = xyz[:, 0] * a + xyz[:, 1] * b + xyz[:, 2] * c + self.offset_m[axis]
+                placed[:, axis] = (
+                    xyz[:, 0] * a + xyz[:, 1] * b + xyz[:, 2] * c + self.offset_m[axis]
+                )
         return placed
 
 
@@ -106,7 +108,9 @@ def filled(values: F32, n: int) -> F32:
     """Return values padded with missing ones to n."""
     if len(values) == n:
         return values
-    return np.concatenate([values, np.full((n - len(values), *values.shape[1:]), np.nan, np.float32)])
+    return np.concatenate(
+        [values, np.full((n - len(values), *values.shape[1:]), np.nan, np.float32)]
+    )
 
 
 def lines_per_block(points_per_line: int) -> int:
@@ -129,19 +133,36 @@ def refuse_rules(path: Path, config: InputConfig, what: str, **allowed: tuple[st
 
 RULED_OUT = frozenset(
     (
-        "lines", "columns", "range", "trajectory", "scanner", "order", "angle_start", "angle_step", "points_per_line",
-        "layout", "azimuth_step", "partial_line", "time_origin",
+        "lines",
+        "columns",
+        "range",
+        "trajectory",
+        "scanner",
+        "order",
+        "angle_start",
+        "angle_step",
+        "points_per_line",
+        "layout",
+        "azimuth_step",
+        "partial_line",
+        "time_origin",
     )
-)  # fmt: skip
+)
 """Keys that scans refuse, or that do nothing for them: they hold lines, columns and angles themselves."""
 
 
 def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
     """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges."""
     refuse_rules(
-        path, config, f"holds {what}", lines=("auto",), columns=("auto",), range=("auto", "sensor-xyz"),
-        scanner=("none",), order=("require", "trust"),
-    )  # fmt: skip
+        path,
+        config,
+        f"holds {what}",
+        lines=("auto",),
+        columns=("auto",),
+        range=("auto", "sensor-xyz"),
+        scanner=("none",),
+        order=("require", "trust"),
+    )
     for key in ("angle_start", "angle_step"):
         if getattr(config, key) is not None:
             problem = f"given, but {path.name} holds {what}, whose angles follow from xyz"
@@ -182,7 +203,11 @@ def describe(
     if empty:
         notes = [*notes, f"{_scans(len(empty))} without points left out: {listed(empty)}"]
     assumed = [
-        Assumption("input.lines", "columns of the scan", f"{_scans(len(full))} of lines x beams {sizes}{more}"),
+        Assumption(
+            "input.lines",
+            "columns of the scan",
+            f"{_scans(len(full))} of lines x beams {sizes}{more}",
+        ),
         Assumption("input.scanner", "one a scan", "every scan of the file has its own lines"),
         *assumptions,
     ]
@@ -203,9 +228,14 @@ def describe(
     )
 
 
-def _stations(shapes: list[ScanShape], poses: Sequence[Pose]) -> dict[int, tuple[float, float, float]]:
+def _stations(
+    shapes: list[ScanShape], poses: Sequence[Pose]
+) -> dict[int, tuple[float, float, float]]:
     """Return the position of the scanner of every scan; empty where all are at the origin."""
-    placed = {shape.scanner: tuple(pose.station_m.tolist()) for shape, pose in zip(shapes, poses, strict=False)}
+    placed = {
+        shape.scanner: tuple(pose.station_m.tolist())
+        for shape, pose in zip(shapes, poses, strict=False)
+    }
     return placed if any(map(any, placed.values())) else {}
 
 
@@ -219,7 +249,9 @@ def spans(n_lines: int, lines: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + lines, n_lines)
 
 
-def in_turn(parts: Iterator[NDArray[Any]], sizes: Iterable[int], missing: InputError) -> Iterator[NDArray[Any]]:
+def in_turn(
+    parts: Iterator[NDArray[Any]], sizes: Iterable[int], missing: InputError
+) -> Iterator[NDArray[Any]]:
     """Cut parts that come one after the other into pieces of such sizes; an error where they end too early."""
     waiting: list[NDArray[Any]] = []
     n_waiting = 0

@@ -2,4 +2,10 @@
 
 from prc_cli.formats.registry import Format
 
-FORMATS = (Format(name="capture", scans=(".pcap", ".pcapng"), images="prc_cli.formats.packets.read:PacketStream"),)
+FORMATS = (
+    Format(
+        name="capture",
+        scans=(".pcap", ".pcapng"),
+        images="prc_cli.formats.packets.read:PacketStream",
+    ),
+)

@@ -21,8 +21,12 @@ MAX_PENDING = 64
 """Most datagrams whose fragments wait for the others."""
 MAX_DATAGRAM = 1 << 16
 _UDP, _FRAGMENT = 17, 44
-_PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6),
-         b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9)}  # fmt: skip
+_PCAP = {
+    b"\xd4\xc3\xb2\xa1": ("<", 1e-6),
+    b"\xa1\xb2\xc3\xd4": (">", 1e-6),
+    b"\x4d\x3c\xb2\xa1": ("<", 1e-9),
+    b"\xa1\xb2\x3c\x4d": (">", 1e-9),
+}
 """Byte order and unit of time by the first four bytes."""
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ETHERNET, _RAW, _LINUX, _LINUX2 = 1, 101, 113, 276
@@ -77,7 +81,9 @@ def _packets(path: Path, count: CaptureCount) -> Iterator[tuple[float, int, byte
             yield from _pcapng(path, handle, count)
         else:
             problem = f"begins with {magic.hex()}, expected a capture (pcap or pcapng)"
-            raise InputError(str(path), problem, "capture with tcpdump or Wireshark, and do not compress it")
+            raise InputError(
+                str(path), problem, "capture with tcpdump or Wireshark, and do not compress it"
+            )
 
 
 def _damaged(path: Path, at: int, problem: str) -> InputError:
@@ -96,7 +102,9 @@ def _pcap(
     while record := handle.read(16):
         kept, whole = struct.unpack(order + "II", record[8:]) if len(record) == 16 else (0, 0)
         if kept > MAX_PACKET:
-            raise _damaged(path, at, f"found a packet of {kept} bytes, expected at most {MAX_PACKET}")
+            raise _damaged(
+                path, at, f"found a packet of {kept} bytes, expected at most {MAX_PACKET}"
+            )
         data = handle.read(kept)
         if len(record) < 16 or len(data) < kept:
             count.end = f"the capture ends in the middle of packet {n} at byte {at}"
@@ -106,7 +114,9 @@ def _pcap(
         at, n = at + 16 + kept, n + 1
 
 
-def _pcapng(path: Path, handle: IO[bytes], count: CaptureCount) -> Iterator[tuple[float, int, bytes, bool]]:
+def _pcapng(
+    path: Path, handle: IO[bytes], count: CaptureCount
+) -> Iterator[tuple[float, int, bytes, bool]]:
     order, at = "<", 0
     interfaces: list[tuple[int, float]] = []
     while head := handle.read(8):
@@ -151,7 +161,9 @@ def _interface(order: str, body: bytes) -> tuple[int, float]:
     return link, unit
 
 
-def _packet(kind: int, order: str, body: bytes, interfaces: list[tuple[int, float]]) -> tuple[float, int, bytes, bool]:
+def _packet(
+    kind: int, order: str, body: bytes, interfaces: list[tuple[int, float]]
+) -> tuple[float, int, bytes, bool]:
     """Return a packet of an enhanced (6), simple (3) or obsolete (2) block."""
     if kind == 3:
         (whole,) = struct.unpack_from(order + "I", body)
@@ -217,7 +229,9 @@ def _udp(source: memoryview, body: memoryview, time_s: float) -> Datagram | None
     length = (body[4] << 8) | body[5]
     if not 8 <= length <= len(body):
         return None
-    return Datagram(time_s, str(ip_address(bytes(source))), (body[2] << 8) | body[3], bytes(body[8:length]))
+    return Datagram(
+        time_s, str(ip_address(bytes(source))), (body[2] << 8) | body[3], bytes(body[8:length])
+    )
 
 
 @dataclass(slots=True)
@@ -239,8 +253,14 @@ class _Fragments:
         self._pending: OrderedDict[tuple[bytes, bytes], _Pending] = OrderedDict()
 
     def add(
-        self, key: tuple[bytes, bytes], source: memoryview, offset: int, more: bool, body: memoryview, time_s: float
-    ) -> Datagram | None:  # fmt: skip
+        self,
+        key: tuple[bytes, bytes],
+        source: memoryview,
+        offset: int,
+        more: bool,
+        body: memoryview,
+        time_s: float,
+    ) -> Datagram | None:
         """Take a fragment; return the datagram if it is complete."""
         if offset + len(body) > MAX_DATAGRAM:
             return None

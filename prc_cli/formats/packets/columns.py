@@ -120,7 +120,9 @@ class ColumnLines:
             if stop > first:
                 self._put(columns.part(slice(first, stop)))
             # the last line stays, so that what comes late is counted with it
-            yield from self._give(int(columns.line[stop - 1]) if stop == columns.n else self._base + self._most)
+            yield from self._give(
+                int(columns.line[stop - 1]) if stop == columns.n else self._base + self._most
+            )
             first = stop
 
     def finish(self) -> Iterator[ScanBlock]:
@@ -133,7 +135,9 @@ class ColumnLines:
         said = []
         if self._n_lost:
             share = self._n_lost / (self._n_lost + self._n_columns)
-            said.append(f"{self._n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots")
+            said.append(
+                f"{self._n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"
+            )
         if self._pauses:
             begin_s, n = self._pauses[0]
             more = f", the first of {len(self._pauses)}," if len(self._pauses) > 1 else ""
@@ -151,7 +155,9 @@ class ColumnLines:
         if not keep.all():
             late = columns.part(~keep)
             self._unplaced += sum(
-                int(np.count_nonzero(one >= 0)) for one in (late.record, late.further_record) if one is not None
+                int(np.count_nonzero(one >= 0))
+                for one in (late.record, late.further_record)
+                if one is not None
             )
             columns = columns.part(keep)
         if not columns.n:
@@ -161,7 +167,9 @@ class ColumnLines:
         self._n_lost += int(gaps.sum())
         if self._n_lost > MAX_EMPTY * self._n_columns + SPARE_CELLS // self._m:
             problem = f"{self._n_lost} columns did not arrive, {self._n_columns} did, expected most of them"
-            raise InputError(self._where, problem, f"shorten the pauses: --set input.max_gap_lines={PAUSE_LINES}")
+            raise InputError(
+                self._where, problem, f"shorten the pauses: --set input.max_gap_lines={PAUSE_LINES}"
+            )
         self._next = int(columns.line[-1]) + 1
         return columns
 
@@ -212,7 +220,14 @@ class ColumnLines:
             return self._held
         return [
             np.concatenate(
-                [one, np.full((lacking, *one.shape[1:]), -1 if one.dtype.kind == "i" else np.nan, one.dtype)]
+                [
+                    one,
+                    np.full(
+                        (lacking, *one.shape[1:]),
+                        -1 if one.dtype.kind == "i" else np.nan,
+                        one.dtype,
+                    ),
+                ]
             )
             for one in self._held
         ]
@@ -239,9 +254,11 @@ class ColumnLines:
             further, more = clean_ranges(lines.further_m, low, high)
             line, column = np.nonzero(np.isfinite(further))
             extra = ExtraReturns(
-                line.astype(np.int32), column.astype(np.int32), further[line, column],
+                line.astype(np.int32),
+                column.astype(np.int32),
+                further[line, column],
                 lines.further_record[line, column],
-            )  # fmt: skip
+            )
             n_records += int(np.count_nonzero(lines.further_record >= 0))
             tally = tally + replace(more, n_extra_returns=len(line))
         n_records += self._unplaced + self._not_fired + self._collisions
@@ -257,7 +274,8 @@ class ColumnLines:
             intensity=lines.intensity,
             has_rings=True,
             extra=extra,
-            tally=tally + ReadTally(n_records=n_records, n_unplaced=unplaced, n_collisions=collisions),
+            tally=tally
+            + ReadTally(n_records=n_records, n_unplaced=unplaced, n_collisions=collisions),
         )
 
 
@@ -282,7 +300,11 @@ class PacketClock:
         elapsed = self._elapsed + np.cumsum(steps)
         # every step is rounded by itself: stamps of whole microseconds do not add up to a column
         line = self._line + np.cumsum(np.rint(steps / self._column_s).astype(np.int64))
-        self._last, self._elapsed, self._line = float(stamp_s[-1]), float(elapsed[-1]), int(line[-1])
+        self._last, self._elapsed, self._line = (
+            float(stamp_s[-1]),
+            float(elapsed[-1]),
+            int(line[-1]),
+        )
         every = (line[:, None] + np.arange(n_columns)).reshape(-1)
         start = self._start_s + elapsed
         return every, (start[:, None] + np.arange(n_columns) * self._column_s).reshape(-1)
@@ -311,4 +333,9 @@ def choose(range_m: F32, light: F32, record: I64, rule: str) -> tuple[F32, F32, 
         wins = {"strongest": other_lit > lit, "first": other < own, "last": other > own}[rule]
     swap = np.isfinite(other) & (wins | np.isnan(own))
     further = np.where(swap, own, other), np.where(swap, at, other_at)
-    return np.where(swap, other, own), np.where(swap, other_lit, lit), np.where(swap, other_at, at), further
+    return (
+        np.where(swap, other, own),
+        np.where(swap, other_lit, lit),
+        np.where(swap, other_at, at),
+        further,
+    )

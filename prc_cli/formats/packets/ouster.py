@@ -43,7 +43,9 @@ class _Profile(NamedTuple):
 
 
 _PROFILES = {
-    "LEGACY": _Profile(12, ((0, "<u4", 0xFFFFF, 1e-3, 6, "<u2"),), head=0, column=16, foot=4, end=0),
+    "LEGACY": _Profile(
+        12, ((0, "<u4", 0xFFFFF, 1e-3, 6, "<u2"),), head=0, column=16, foot=4, end=0
+    ),
     "RNG19_RFL8_SIG16_NIR16": _Profile(12, ((0, "<u4", 0x7FFFF, 1e-3, 6, "<u2"),)),
     "RNG15_RFL8_NIR8": _Profile(4, ((0, "<u2", 0x7FFF, 8e-3, 2, "u1"),)),
     "RNG19_RFL8_SIG16_NIR16_DUAL": _Profile(
@@ -81,7 +83,11 @@ class Metadata:
     def packet_size(self) -> int:
         """Bytes of a packet."""
         form = _PROFILES[self.profile]
-        return form.head + (form.column + form.size * self.n_pixels + form.foot) * self.n_columns + form.end
+        return (
+            form.head
+            + (form.column + form.size * self.n_pixels + form.foot) * self.n_columns
+            + form.end
+        )
 
 
 def read_metadata(path: Path) -> Metadata:
@@ -90,9 +96,15 @@ def read_metadata(path: Path) -> Metadata:
         table = json.loads(read_small(path, MAX_METADATA))
     except (OSError, ValueError, RecursionError) as error:
         text = str(error).split("\n")[0][:80]
-        raise InputError(str(path), f"cannot be read as JSON ({text})", "copy it from the sensor again") from None
+        raise InputError(
+            str(path), f"cannot be read as JSON ({text})", "copy it from the sensor again"
+        ) from None
     if not isinstance(table, dict):
-        raise InputError(str(path), "found no JSON object, expected metadata of an Ouster sensor", "copy it again")
+        raise InputError(
+            str(path),
+            "found no JSON object, expected metadata of an Ouster sensor",
+            "copy it again",
+        )
     return _Parser(path, table).metadata()
 
 
@@ -104,7 +116,7 @@ class _Parser:
         self._tables = [table, *(inner for inner in table.values() if isinstance(inner, dict))]
         self._tables += [
             inner for one in self._tables[1:] for inner in one.values() if isinstance(inner, dict)
-        ]  # fmt: skip
+        ]
 
     def _find(self, name: str, default: Any = None) -> Any:
         for table in self._tables:
@@ -116,7 +128,11 @@ class _Parser:
 
     def _wrong(self, name: str, found: Any, expected: str) -> InputError:
         shown = str(found)[:60]
-        return InputError(f"{self._path}: {name}", f"found {shown}, expected {expected}", "copy it from the sensor")
+        return InputError(
+            f"{self._path}: {name}",
+            f"found {shown}, expected {expected}",
+            "copy it from the sensor",
+        )
 
     def _whole(self, name: str, low: int, high: int, default: Any = None) -> int:
         value = self._find(name, default)
@@ -144,10 +160,16 @@ class _Parser:
         frame = self._whole("columns_per_frame", 1, _MAX_COLUMNS)
         azimuth = self._numbers("beam_azimuth_angles", n)
         window = self._numbers("column_window", 2, [0, frame - 1]).astype(np.int64)
-        shift = self._numbers("pixel_shift_by_row", n, np.rint(azimuth * frame / 360.0).tolist()).astype(np.int64)
+        shift = self._numbers(
+            "pixel_shift_by_row", n, np.rint(azimuth * frame / 360.0).tolist()
+        ).astype(np.int64)
         if np.abs(shift).max() > frame or window.min() < 0 or window.max() >= frame:
-            raise self._wrong("pixel_shift_by_row", shift.max(), f"shifts within the {frame} columns of a frame")
-        matrix = self._numbers("lidar_to_sensor_transform", 16, np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist())
+            raise self._wrong(
+                "pixel_shift_by_row", shift.max(), f"shifts within the {frame} columns of a frame"
+            )
+        matrix = self._numbers(
+            "lidar_to_sensor_transform", 16, np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist()
+        )
         origin = self._find("lidar_origin_to_beam_origin_mm", 0.0)
         if not isinstance(origin, int | float) or not abs(origin) < 1000:
             raise self._wrong("lidar_origin_to_beam_origin_mm", origin, "millimetres")
@@ -183,13 +205,29 @@ class OusterDecoder:
         column = np.dtype(
             {
                 "names": ["time", "number", "frame", "pixels", "status"],
-                "formats": ["<u8", "<u2", "<u2", ("u1", (m, form.size)), "<u4" if self._is_legacy else "<u2"],
-                "offsets": [0, 8, 10, form.column, form.column + form.size * m if self._is_legacy else 10],
+                "formats": [
+                    "<u8",
+                    "<u2",
+                    "<u2",
+                    ("u1", (m, form.size)),
+                    "<u4" if self._is_legacy else "<u2",
+                ],
+                "offsets": [
+                    0,
+                    8,
+                    10,
+                    form.column,
+                    form.column + form.size * m if self._is_legacy else 10,
+                ],
                 "itemsize": form.column + form.size * m + form.foot,
             }
         )
         self._packet = np.dtype(
-            [("head", "u1", form.head), ("columns", column, self.n_columns), ("end", "u1", form.end)]
+            [
+                ("head", "u1", form.head),
+                ("columns", column, self.n_columns),
+                ("end", "u1", form.end),
+            ]
         )
         first, last = metadata.window
         self._window_first = first
@@ -215,10 +253,14 @@ class OusterDecoder:
         number = columns["number"].ravel().astype(np.int64)
         within = (number - self._window_first) % self._meta.frame_columns
         is_good &= (number < self._meta.frame_columns) & (within < self._n_window)
-        record = first_record[:, None, None, None] + np.arange(self.n_records).reshape(self.n_columns, m, r)
+        record = first_record[:, None, None, None] + np.arange(self.n_records).reshape(
+            self.n_columns, m, r
+        )
         record = record.reshape(-1, m, r)[is_good]
         line = self._lines(frame.astype(np.int64)[is_good], within[is_good])
-        pixels = np.ascontiguousarray(columns["pixels"].reshape(-1, m, columns["pixels"].shape[-1])[is_good])
+        pixels = np.ascontiguousarray(
+            columns["pixels"].reshape(-1, m, columns["pixels"].shape[-1])[is_good]
+        )
         ranges, lights = self._pixels(pixels[:, self._order])
         time_s = np.repeat(columns["time"].ravel()[is_good, None] * 1e-9, m, axis=1)
         range_m, lit, record, further = choose(ranges, lights, record, self._rule)
@@ -257,7 +299,9 @@ class OusterDecoder:
         """Return ranges [m] and intensities of pixels, (n, M, returns) float32; NaN = no return."""
 
         def field(at: int, dtype: str) -> Any:
-            return np.ascontiguousarray(pixels[..., at : at + np.dtype(dtype).itemsize]).view(dtype)[..., 0]
+            return np.ascontiguousarray(pixels[..., at : at + np.dtype(dtype).itemsize]).view(
+                dtype
+            )[..., 0]
 
         ranges, lights = np.empty((2, *pixels.shape[:2], self.n_returns), np.float32)
         for one, (at, kind, mask, unit_m, light_at, light_kind) in enumerate(self._form.returns):

@@ -19,7 +19,14 @@ from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagra
 from prc_cli.formats.packets.columns import ColumnLines
 from prc_cli.formats.packets.ouster import Metadata, OusterDecoder, read_metadata
 from prc_cli.formats.packets.repeats import Repeats
-from prc_cli.formats.packets.spinning import KNOWN, NEEDED, SpinningDecoder, describe, is_hesai, is_spinning
+from prc_cli.formats.packets.spinning import (
+    KNOWN,
+    NEEDED,
+    SpinningDecoder,
+    describe,
+    is_hesai,
+    is_spinning,
+)
 
 BATCH_SHOTS = 1 << 17
 """Shots decoded at a time."""
@@ -36,7 +43,9 @@ def is_scan(packet: bytes, metadata: Metadata | None) -> bool:
     return is_spinning(packet) or (metadata is not None and len(packet) == metadata.packet_size)
 
 
-def open_decoder(where: str, first: bytes, metadata: Metadata | None, config: InputConfig) -> Decoder:
+def open_decoder(
+    where: str, first: bytes, metadata: Metadata | None, config: InputConfig
+) -> Decoder:
     """Return the decoder for a scanner's first packet."""
     if metadata is not None and len(first) == metadata.packet_size:
         return OusterDecoder(where, metadata, config.return_)
@@ -47,7 +56,9 @@ def open_decoder(where: str, first: bytes, metadata: Metadata | None, config: In
 class PacketLines:
     """Gathers the packets of one scanner into blocks."""
 
-    def __init__(self, where: str, scanner: int, first: bytes, metadata: Metadata | None, config: InputConfig) -> None:
+    def __init__(
+        self, where: str, scanner: int, first: bytes, metadata: Metadata | None, config: InputConfig
+    ) -> None:
         self._where, self._scanner, self._config = where, scanner, config
         self.decoder = open_decoder(where, first, metadata, config)
         self.points_per_line, self.n_records = self.decoder.points_per_line, self.decoder.n_records
@@ -128,9 +139,12 @@ class PacketStream:
         """What one of them says about its scanner."""
         self._scanners = self._wanted(self._look())
         decoders = [
-            open_decoder(f"{path}: {key}", one.first, self._metadata, config) for key, one in self._scanners.items()
+            open_decoder(f"{path}: {key}", one.first, self._metadata, config)
+            for key, one in self._scanners.items()
         ]
-        for number, (one, decoder) in enumerate(zip(self._scanners.values(), decoders, strict=True)):
+        for number, (one, decoder) in enumerate(
+            zip(self._scanners.values(), decoders, strict=True)
+        ):
             one.number, one.name = number, decoder.name
         self._has_returns = any(decoder.n_returns > 1 for decoder in decoders)
         self._widest = max(decoder.points_per_line for decoder in decoders)
@@ -141,13 +155,19 @@ class PacketStream:
     @property
     def info(self) -> StreamInfo:
         """What is known before reading, and afterwards also what was found while reading."""
-        shown = "; ".join(f"{one.number}: {one.name} at {key}" for key, one in self._scanners.items())
+        shown = "; ".join(
+            f"{one.number}: {one.name} at {key}" for key, one in self._scanners.items()
+        )
         assumed = [
-            Assumption("input.lines", "firing columns", "rings from low to high are the shots of a line"),
+            Assumption(
+                "input.lines", "firing columns", "rings from low to high are the shots of a line"
+            ),
             Assumption("input.scanner", "one a sender and port", shown[:500]),
         ]
         if self._metadata is not None:
-            assumed.append(Assumption("input.metadata", Path(self._metadata.path).name, "angles of the beams"))
+            assumed.append(
+                Assumption("input.metadata", Path(self._metadata.path).name, "angles of the beams")
+            )
         return StreamInfo(
             path=str(self._path),
             format="packets",
@@ -209,7 +229,9 @@ class PacketStream:
             if one is None:
                 if len(found) == MAX_SCANNERS:
                     problem = f"more than {MAX_SCANNERS} senders, expected scanners"
-                    raise InputError(str(self._path), problem, "capture the scanners' addresses alone")
+                    raise InputError(
+                        str(self._path), problem, "capture the scanners' addresses alone"
+                    )
                 one = found[_key(datagram)] = _Scanner(datagram.payload, datagram.time_s)
             one.n += 1
             one.end_s = datagram.time_s
@@ -234,7 +256,10 @@ class PacketStream:
             return f"{problem} ({self._unknown}), expected {KNOWN}", NEEDED
         if self._metadata is not None:
             size = self._metadata.packet_size
-            return f"{problem} (packets of {size} bytes, as the metadata say)", "check that the metadata belong to it"
+            return (
+                f"{problem} (packets of {size} bytes, as the metadata say)",
+                "check that the metadata belong to it",
+            )
         problem += ", expected Velodyne, Ouster or Hesai"
         if any(port == _USUAL_OUSTER or size > 3000 for port, size in self._others):
             return problem, "packets of an Ouster need its metadata: give --metadata FILE.json"
@@ -252,7 +277,9 @@ class PacketStream:
             one = lines.get(key)
             if one is None:
                 number = self._scanners[key].number
-                one = PacketLines(f"{self._path}: {key}", number, datagram.payload, self._metadata, self._config)
+                one = PacketLines(
+                    f"{self._path}: {key}", number, datagram.payload, self._metadata, self._config
+                )
                 lines[key] = one
             if repeats[key].is_again(datagram.payload):
                 one.skip()

@@ -68,13 +68,24 @@ class Model:
 
 VELODYNE_SIZE = 1206
 _SHOT3, _SHOT4 = (
-    np.dtype({"names": ["distance", "light"], "formats": ["<u2", "u1"], "offsets": [0, 2], "itemsize": size})
+    np.dtype(
+        {
+            "names": ["distance", "light"],
+            "formats": ["<u2", "u1"],
+            "offsets": [0, 2],
+            "itemsize": size,
+        }
+    )
     for size in (3, 4)
 )
 _VELODYNE = np.dtype(
-    [("blocks", [("flag", "<u2"), ("azimuth", "<u2"), ("shots", _SHOT3, 32)], 12), ("stamp", "<u4"), ("mode", "u1"),
-     ("kind", "u1")]
-)  # fmt: skip
+    [
+        ("blocks", [("flag", "<u2"), ("azimuth", "<u2"), ("shots", _SHOT3, 32)], 12),
+        ("stamp", "<u4"),
+        ("mode", "u1"),
+        ("kind", "u1"),
+    ]
+)
 
 
 class _Firing(NamedTuple):
@@ -121,10 +132,16 @@ def _velodyne(where: str, packet: bytes, calibration: Path | None) -> Model:
     )
     slot = np.arange(len(up)) // firing.at_once
     return Model(
-        name=f"Velodyne {firing.name}", packet=_VELODYNE, elevation_deg=up, azimuth_deg=0.0 - turned,
-        fired_us=(slot + firing.pauses * (2 * slot > slot[-1])) * firing.slot_us, column_us=firing.column_us,
-        banks=firing.banks, firings=firing.firings, unit_m=round(table["distance_resolution"], 4),
-    )  # fmt: skip
+        name=f"Velodyne {firing.name}",
+        packet=_VELODYNE,
+        elevation_deg=up,
+        azimuth_deg=0.0 - turned,
+        fired_us=(slot + firing.pauses * (2 * slot > slot[-1])) * firing.slot_us,
+        column_us=firing.column_us,
+        banks=firing.banks,
+        firings=firing.firings,
+        unit_m=round(table["distance_resolution"], 4),
+    )
 
 
 def _libraries(where: str) -> tuple[Any, Any]:
@@ -143,25 +160,52 @@ def _hdl64(where: str, calibration: Path | None) -> Model:
     """Return an HDL-64E with the calibration of its unit."""
     hint = "give --metadata FILE.yml; velodyne_decoder.hdl64e reads it from a capture of a minute"
     if calibration is None:
-        raise InputError(where, "packets of a Velodyne HDL-64E need the calibration of the unit", hint)
+        raise InputError(
+            where, "packets of a Velodyne HDL-64E need the calibration of the unit", hint
+        )
     _, yaml = _libraries(where)
     try:
         table = yaml.safe_load(read_small(calibration, _MAX_CALIBRATION))
         lasers = sorted(table["lasers"], key=lambda one: int(one["laser_id"]))
         keys = ("vert_correction", "rot_correction", "dist_correction")
         up, turned, added = np.array([[float(one.get(key, 0.0)) for one in lasers] for key in keys])
-        model, unit_m = str(table.get("status", {}).get("Model", "S2")), float(table.get("distance_resolution", 0.002))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, yaml.YAMLError):
+        model, unit_m = (
+            str(table.get("status", {}).get("Model", "S2")),
+            float(table.get("distance_resolution", 0.002)),
+        )
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        RecursionError,
+        yaml.YAMLError,
+    ):
         raise InputError(str(calibration), "found no calibration of lasers", hint) from None
-    if len(up) != 64 or not (np.abs([up, turned, added]) < 10).all() or not 0 < unit_m < 0.1 or model not in _FOUR_US:
-        raise InputError(str(calibration), f"found {len(up)} lasers ({model[:9]}), expected 64 with angles", hint)
+    if (
+        len(up) != 64
+        or not (np.abs([up, turned, added]) < 10).all()
+        or not 0 < unit_m < 0.1
+        or model not in _FOUR_US
+    ):
+        raise InputError(
+            str(calibration), f"found {len(up)} lasers ({model[:9]}), expected 64 with angles", hint
+        )
     column_us, four_us, within = _FOUR_US[model]
     laser = np.arange(64) % 32
     return Model(
-        name=f"Velodyne HDL-64E {model}", packet=_VELODYNE, elevation_deg=np.rad2deg(up),
-        azimuth_deg=-np.rad2deg(turned), fired_us=laser // 4 * four_us + np.array(within)[laser % 4],
-        column_us=column_us, banks=2, unit_m=unit_m, added_m=added, has_mode=False,
-    )  # fmt: skip
+        name=f"Velodyne HDL-64E {model}",
+        packet=_VELODYNE,
+        elevation_deg=np.rad2deg(up),
+        azimuth_deg=-np.rad2deg(turned),
+        fired_us=laser // 4 * four_us + np.array(within)[laser % 4],
+        column_us=column_us,
+        banks=2,
+        unit_m=unit_m,
+        added_m=added,
+        has_mode=False,
+    )
 
 
 # Hesai
@@ -190,20 +234,50 @@ class _Layout(NamedTuple):
 
 _LONG_TAIL = (33, 36, 42)
 _LAYOUTS = (
-    _Layout("40P", b"\xff\xee", (1262, 1266), 40, 10, 0, _SHOT3, (14, 16, 10), 55.56, -83.25, unit_m=0.004),
-    _Layout("64", b"\xee\xff\x40\x06", (1194, 1198), 64, 6, 8, _SHOT3, (14, 16, 10), 55.56, -97.248),
     _Layout(
-        "QT64", b"\xee\xff\x03\x01", (1068, 1072), 64, 4, 12, _SHOT4, (16, 18, 12), 166.67, 38.02, stamps_last=False
+        "40P",
+        b"\xff\xee",
+        (1262, 1266),
+        40,
+        10,
+        0,
+        _SHOT3,
+        (14, 16, 10),
+        55.56,
+        -83.25,
+        unit_m=0.004,
     ),
-    _Layout("QT128", b"\xee\xff\x03\x02", (1095, 1127), 128, 2, 12, _SHOT4, _LONG_TAIL, 111.11, 9.0),
+    _Layout(
+        "64", b"\xee\xff\x40\x06", (1194, 1198), 64, 6, 8, _SHOT3, (14, 16, 10), 55.56, -97.248
+    ),
+    _Layout(
+        "QT64",
+        b"\xee\xff\x03\x01",
+        (1068, 1072),
+        64,
+        4,
+        12,
+        _SHOT4,
+        (16, 18, 12),
+        166.67,
+        38.02,
+        stamps_last=False,
+    ),
+    _Layout(
+        "QT128", b"\xee\xff\x03\x02", (1095, 1127), 128, 2, 12, _SHOT4, _LONG_TAIL, 111.11, 9.0
+    ),
     _Layout("XT16", b"\xee\xff\x06\x01", (568,), 16, 8, 12, _SHOT4, (10, 13, 19), 50.0, 5.632),
     _Layout("XT32", b"\xee\xff\x06\x01", (1080,), 32, 8, 12, _SHOT4, (10, 13, 19), 50.0, 5.632),
     _Layout("XT32M", b"\xee\xff\x06\x01", (820,), 32, 6, 12, _SHOT4, (10, 13, 19), 50.0, 5.632),
     _Layout("128", b"\xee\xff\x01\x03", (861, 893), 128, 2, 12, _SHOT3, _LONG_TAIL, 55.556, 3.148),
-    _Layout("OT128", b"\xee\xff\x01\x04", (861, 893), 128, 2, 12, _SHOT3, _LONG_TAIL, 55.556, 43.346),
+    _Layout(
+        "OT128", b"\xee\xff\x01\x04", (861, 893), 128, 2, 12, _SHOT3, _LONG_TAIL, 55.556, 43.346
+    ),
 )
 KNOWN = ", ".join(
-    [f"Velodyne {one.name}" for one in _FIRINGS.values()] + ["HDL-64E"] + [f"Hesai {one.name}" for one in _LAYOUTS]
+    [f"Velodyne {one.name}" for one in _FIRINGS.values()]
+    + ["HDL-64E"]
+    + [f"Hesai {one.name}" for one in _LAYOUTS]
 )
 """Names of the models."""
 
@@ -241,9 +315,16 @@ def _hesai(layout: _Layout, size: int) -> Model:
     table = json.loads(Path(__file__).with_name("hesai.json").read_text("utf-8"))[layout.name]
     lasers: dict[str, Any] = {name: np.array(values) for name, values in table.items()}
     return Model(
-        name=f"Hesai {layout.name}", packet=packet, column_us=layout.column_us, stamp_us=layout.stamp_us,
-        stamps_last=layout.stamps_last, unit_m=layout.unit_m, least=4, clock_s=86_400.0, **lasers,
-    )  # fmt: skip
+        name=f"Hesai {layout.name}",
+        packet=packet,
+        column_us=layout.column_us,
+        stamp_us=layout.stamp_us,
+        stamps_last=layout.stamps_last,
+        unit_m=layout.unit_m,
+        least=4,
+        clock_s=86_400.0,
+        **lasers,
+    )
 
 
 # both
@@ -282,7 +363,9 @@ class SpinningDecoder:
     def __init__(self, where: str, first: bytes, calibration: Path | None, rule: str) -> None:
         self._where, self._rule = where, rule
         layout = _layout(first)
-        self._model = model = _velodyne(where, first, calibration) if layout is None else _hesai(layout, len(first))
+        self._model = model = (
+            _velodyne(where, first, calibration) if layout is None else _hesai(layout, len(first))
+        )
         table = np.frombuffer(first, model.packet)[0]
         self._mode, self._kind = int(table["mode"]), int(table["kind"])
         self.name, self._fields = model.name, model.packet.names or ()
@@ -315,7 +398,9 @@ class SpinningDecoder:
         table = np.ascontiguousarray(packets).view(model.packet)[:, 0]
         self._check(table)
         blocks = table["blocks"][:, : self._used]
-        azimuth, gap = self._azimuths(blocks["azimuth"][:, :: model.banks * self.n_returns].astype(np.int64))
+        azimuth, gap = self._azimuths(
+            blocks["azimuth"][:, :: model.banks * self.n_returns].astype(np.int64)
+        )
         distance = self._by_column(blocks["shots"]["distance"])
         metres = distance.astype(np.float32) * np.float32(model.unit_m or self._kind * 1e-3)
         metres += np.broadcast_to(model.added_m, m).astype(np.float32)[order, None]
@@ -332,7 +417,11 @@ class SpinningDecoder:
         turn = (np.arange(model.firings)[:, None] * model.column_us + model.fired_us[order]) / (
             model.firings * model.column_us
         )
-        turned = azimuth[:, :, None, None] + gap[:, :, None, None] * turn + model.azimuth_deg[order] * 100.0
+        turned = (
+            azimuth[:, :, None, None]
+            + gap[:, :, None, None] * turn
+            + model.azimuth_deg[order] * 100.0
+        )
         turned = np.deg2rad(turned.reshape(-1, m) / 100.0)
         xyz = place(range_m, turned, np.deg2rad(model.elevation_deg[order]))
         return Columns(line, range_m, record, time_s, xyz, lit, *further)
@@ -352,7 +441,14 @@ class SpinningDecoder:
     def _by_column(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the values of blocks, (n, blocks, shots), as (columns, M, returns); rings from low to high."""
         model = self._model
-        shape = (len(values), -1, model.banks, self.n_returns, model.firings, self._m // model.banks)
+        shape = (
+            len(values),
+            -1,
+            model.banks,
+            self.n_returns,
+            model.firings,
+            self._m // model.banks,
+        )
         parts = values.reshape(shape).transpose(0, 1, 4, 2, 5, 3)
         columns: NDArray[Any] = parts.reshape(-1, self._m, self.n_returns)[:, self._order]
         return columns

@@ -95,7 +95,9 @@ class RawBinarySource(FieldSource):
             "header_bytes": self.body.start,
             "record_bytes": self.body.dtype.itemsize,
             "records": self.n_records,
-            "fields": {column.key: self.body.dtype[column.key].str for column in self.columns.values()},
+            "fields": {
+                column.key: self.body.dtype[column.key].str for column in self.columns.values()
+            },
         }
 
 
@@ -104,16 +106,24 @@ def _count(path: Path, header: int, each: int) -> int:
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
     if size <= header:
-        problem, hint = f"nothing follows the header of {header} bytes, expected records of {each} bytes", ""
+        problem, hint = (
+            f"nothing follows the header of {header} bytes, expected records of {each} bytes",
+            "",
+        )
         if not size:
-            problem, hint = f"the file is empty (0 bytes), expected records of {each} bytes", "copy it again"
+            problem, hint = (
+                f"the file is empty (0 bytes), expected records of {each} bytes",
+                "copy it again",
+            )
         elif size < header:
             problem = f"found {size} bytes, fewer than the header of {header} bytes"
         raise InputError(str(path), problem, hint or "check layout.header_bytes")
     n_records, rest = divmod(size - header, each)
     if rest:
         problem = f"byte {size - rest} (record {n_records}): found {rest} bytes, expected a record of {each} bytes"
-        hint = "copy it from the archive again, or check layout.header_bytes, fields and record_bytes"
+        hint = (
+            "copy it from the archive again, or check layout.header_bytes, fields and record_bytes"
+        )
         raise InputError(str(path), problem, hint)
     return n_records
 
@@ -126,5 +136,9 @@ def open_dump(path: Path, layout: Layout | None) -> RecordSource:
         if is_count_file(path):
             return EchoPulseSource(path)
     if layout is None or not layout.fields:
-        layout = RANGES_ONLY if layout is None else layout.model_copy(update={"fields": RANGES_ONLY.fields})
+        layout = (
+            RANGES_ONLY
+            if layout is None
+            else layout.model_copy(update={"fields": RANGES_ONLY.fields})
+        )
     return RawBinarySource(path, layout)

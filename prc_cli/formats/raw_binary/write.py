@@ -66,8 +66,16 @@ class FrameStream(StreamWriter):
             self._handle.seek(0)
             self._handle.write(points[np.argsort(record, kind="stable")].data)
         self._handle.close()
-        rules = ["[input]", 'lines = "rings"', f"points_per_line = {self.shape.points_per_line}"] * self.shape.rings
-        lines = [f"# the points of {self.path.name}", *rules, *_layout(np.dtype([(name, "f4") for name in _FRAME]))]
+        rules = [
+            "[input]",
+            'lines = "rings"',
+            f"points_per_line = {self.shape.points_per_line}",
+        ] * self.shape.rings
+        lines = [
+            f"# the points of {self.path.name}",
+            *rules,
+            *_layout(np.dtype([(name, "f4") for name in _FRAME])),
+        ]
         self._config_temporary.write_text("\n".join(lines), encoding="utf-8")
 
 
@@ -109,7 +117,11 @@ class RawStream(StreamWriter):
         shots = np.empty(block.range_m.shape, self._dtype)
         shots["range"] = block.range_m
         names = self._dtype.names or ()
-        for name, image in (("intensity", block.intensity), ("time", block.time_s), ("class", item.codes)):
+        for name, image in (
+            ("intensity", block.intensity),
+            ("time", block.time_s),
+            ("class", item.codes),
+        ):
             if name in names and image is not None:
                 shots[name] = image
         xyz = item.registered_m if item.registered_m is not None else block.xyz_m
@@ -126,8 +138,16 @@ class RawStream(StreamWriter):
 
     def _config(self) -> str:
         assert self._dtype is not None
-        lines = [f"# reads {self.path.name}: prc classify {self.path.name} OUT --config {config_path(self.path).name}"]
-        lines += ["", "[input]", 'lines = "fixed"', 'columns = "order"', 'range = "dimension:range"']
+        lines = [
+            f"# reads {self.path.name}: prc classify {self.path.name} OUT --config {config_path(self.path).name}"
+        ]
+        lines += [
+            "",
+            "[input]",
+            'lines = "fixed"',
+            'columns = "order"',
+            'range = "dimension:range"',
+        ]
         if self._even is not None:
             lines += [f"angle_start = {self._even[0]!r}", f"angle_step = {self._even[1]!r}"]
         if self.shape.down_rad is not None and not self.shape.registered:
@@ -180,7 +200,12 @@ class FrameFolder:
                 (self._temporary / name).mkdir(parents=True)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         discard(self._temporary)
 
     def add(self, item: StreamItem, pose: F64) -> None:

@@ -51,11 +51,15 @@ class ArrayTable:
 
     def __init__(self, path: Path) -> None:
         self._file = ArrayFile(path)
-        shapes = [header.shape for header in self._file.headers.values() if header.dtype.kind in "iuf"]
+        shapes = [
+            header.shape for header in self._file.headers.values() if header.dtype.kind in "iuf"
+        ]
         images = [shape for shape in shapes if len(shape) == 2 and shape[1] > 3]
         clouds = [shape[:2] for shape in shapes if len(shape) == 3 and shape[2] == 3]
         lists = [shape for shape in shapes if len(shape) == 1]
-        self._image: tuple[int, ...] = max([*images, *clouds] or lists or [(0,)], key=lambda shape: int(np.prod(shape)))
+        self._image: tuple[int, ...] = max(
+            [*images, *clouds] or lists or [(0,)], key=lambda shape: int(np.prod(shape))
+        )
         self._columns: dict[str, tuple[str, int]] = {}
         for name, header in self._file.headers.items():
             if header.dtype.kind not in "iuf":
@@ -87,7 +91,9 @@ class ArrayTable:
         _check_names(self, names)
         row = self._image[1] if len(self._image) == 2 else 1
         each = max(1, CHUNK_RECORDS // row)
-        arrays = tuple(dict.fromkeys(self._columns[name][0] for name in names if name in self._columns))
+        arrays = tuple(
+            dict.fromkeys(self._columns[name][0] for name in names if name in self._columns)
+        )
         with self._file.open(*arrays) as readers:
             for first in range(0, self._image[0], each):
                 n = min(each, self._image[0] - first)
@@ -96,11 +102,17 @@ class ArrayTable:
                 for name in names:
                     if name not in self._columns:
                         line, column = np.arange(first, first + n), np.arange(row)
-                        values[name] = np.repeat(line, row) if name == "scan_line" else np.tile(column, n)
+                        values[name] = (
+                            np.repeat(line, row) if name == "scan_line" else np.tile(column, n)
+                        )
                         continue
                     array, axis = self._columns[name]
                     found = read[array]
-                    found = found.reshape(n * row, 3)[:, axis] if found.size == 3 * n * row else found.ravel()
+                    found = (
+                        found.reshape(n * row, 3)[:, axis]
+                        if found.size == 3 * n * row
+                        else found.ravel()
+                    )
                     values[name] = _decoded(found, self._units.get(name))
                 yield RecordChunk(first * row, values, n * row)
             for rows in readers:
@@ -151,7 +163,10 @@ class ParquetTable:
         try:
             for batch in self._batches(stored):
                 read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
-                values = {name: _decoded(read[self._columns[name]], self._units.get(name)) for name in names}
+                values = {
+                    name: _decoded(read[self._columns[name]], self._units.get(name))
+                    for name in names
+                }
                 yield RecordChunk(first, values, batch.num_rows)
                 first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -182,11 +197,16 @@ class FeatherTable(ParquetTable):
 
     def _measure(self) -> tuple[pa.Schema, int]:
         with self._open() as file:
-            return file.schema, sum(file.get_batch(k).num_rows for k in range(file.num_record_batches))
+            return file.schema, sum(
+                file.get_batch(k).num_rows for k in range(file.num_record_batches)
+            )
 
     def _batches(self, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
         with self._open() as file:
-            yield from bounded(self._path, (file.get_batch(k).select(columns) for k in range(file.num_record_batches)))
+            yield from bounded(
+                self._path,
+                (file.get_batch(k).select(columns) for k in range(file.num_record_batches)),
+            )
 
     def _open(self) -> pa.RecordBatchFileReader:
         import pyarrow as pa
@@ -226,7 +246,9 @@ def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:
     unknown = [name for name in names if name not in source.dimensions]
     if unknown:
         known = ", ".join(source.dimensions[:40])
-        raise ConfigError(source.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known or 'none'}")
+        raise ConfigError(
+            source.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known or 'none'}"
+        )
 
 
 def _damaged(path: Path, error: Exception, form: str = "Parquet") -> InputError:

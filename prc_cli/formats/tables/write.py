@@ -63,7 +63,9 @@ class _TableStream(StreamWriter):
             try:
                 self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema))
             except pa.ArrowException as error:
-                raise OutputError(str(self.path), f"cannot be written ({error})", "check the disk") from error
+                raise OutputError(
+                    str(self.path), f"cannot be written ({error})", "check the disk"
+                ) from error
 
 
 class CsvStream(_TableStream):
@@ -122,7 +124,11 @@ def stream_rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
     }
     if block.angle_rad is not None:
         values["angle_deg"] = np.round(np.rad2deg(block.angle_rad), ANGLE_DIGITS)[column]
-    for name, image in (("time_s", block.time_s), ("intensity", block.intensity), ("class", item.codes)):
+    for name, image in (
+        ("time_s", block.time_s),
+        ("intensity", block.intensity),
+        ("class", item.codes),
+    ):
         if image is not None:
             values[name] = image[rows].ravel()
     xyz = item.registered_m if item.registered_m is not None else block.xyz_m
@@ -132,10 +138,14 @@ def stream_rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
     return _with_extra(values, item, rows, inside) if len(inside) else values
 
 
-def _with_extra(values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, inside: I64) -> dict[str, NDArray[Any]]:
+def _with_extra(
+    values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, inside: I64
+) -> dict[str, NDArray[Any]]:
     """Insert further returns behind the chosen return of their shot."""
     block, extra = item.block, item.block.extra
-    cell = (extra.line[inside] - rows.start).astype(np.int64) * block.points_per_line + extra.column[inside]
+    cell = (extra.line[inside] - rows.start).astype(
+        np.int64
+    ) * block.points_per_line + extra.column[inside]
     more = {name: column[cell] for name, column in values.items()}
     more["range_m"] = extra.range_m[inside]
     more["intensity"] = np.full(len(inside), np.nan, np.float32)

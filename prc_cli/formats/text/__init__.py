@@ -11,7 +11,9 @@ FORMATS = (
         scans=(*_TABLE, ".txt", ".txt.gz", ".txt.zst"),
         records=_TEXT,
         has_layout=True,
-        streams=dict(zip(_TABLE, ("table, a row a cell", *("table, compressed",) * 2), strict=True)),
+        streams=dict(
+            zip(_TABLE, ("table, a row a cell", *("table, compressed",) * 2), strict=True)
+        ),
         write_stream="prc_cli.formats.tables.write:CsvStream",
         labels=(".csv",),
         write_labels="prc_cli.formats.labels:LabelFileWriter",

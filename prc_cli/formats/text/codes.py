@@ -26,7 +26,9 @@ def open_text_codes(path: Path, dimension: str | None) -> CodeSource:
 
     def read() -> Iterator[I64]:
         for cells in body.cells(column):
-            yield np.array([code_of_name(f"{path}: line {line}", cell) for line, cell in cells], np.int64)
+            yield np.array(
+                [code_of_name(f"{path}: line {line}", cell) for line, cell in cells], np.int64
+            )
 
     # without a name: the reader of numbers cannot deliver this column beside others
     return CodeSource(path, None, read)

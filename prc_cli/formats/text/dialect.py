@@ -28,7 +28,9 @@ BLANKS = " "
 """Delimiter that means any number of blanks and tabs."""
 _DELIMITERS = (";", "\t", ",")
 # no backtracking: a cell may hold a million digits
-_NUMBER = re.compile(r"[+-]?(?:(?:\d++\.?\d*+|\.\d++)(?:e[+-]?\d++)?+|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[+-]?(?:(?:\d++\.?\d*+|\.\d++)(?:e[+-]?\d++)?+|nan|inf|infinity)", re.ASCII | re.IGNORECASE
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +73,17 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
     """Detect the dialect from the first rows of a text file."""
     given = layout if layout is not None else Layout()
     if not given.delimiter.isascii() or given.delimiter in '"\r\n':
-        raise ConfigError("layout.delimiter", f"found {given.delimiter!r}, expected , ; a tab or a space")
+        raise ConfigError(
+            "layout.delimiter", f"found {given.delimiter!r}, expected , ; a tab or a space"
+        )
     draft = TextFormat(given.delimiter, given.comment.encode(), None, 0, (), layout is None)
     rows = _first_rows(path, draft)
     if not rows:
         is_empty = next(iter_lines(path, HEAD_BYTES), None) is None
         problem = "the file is empty" if is_empty else "only comments and blank lines"
-        raise InputError(str(path), f"{problem}, expected a record a row", "copy it from the archive again")
+        raise InputError(
+            str(path), f"{problem}, expected a record a row", "copy it from the archive again"
+        )
     skipped = None
     if (separator := separator_of(rows[0][1])) is not None and len(rows) > 1:
         skipped, rows = rows[0][0], rows[1:]
@@ -85,7 +91,9 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
     texts = [text for _, text in rows]
     # a line with the number of rows has no delimiter
     texts = [text for text in texts if not text.strip().isdecimal()] or texts
-    delimiter = (separator or _find_delimiter(texts, given.decimal)) if is_found else given.delimiter
+    delimiter = (
+        (separator or _find_delimiter(texts, given.decimal)) if is_found else given.delimiter
+    )
     decimal = given.decimal or _find_decimal(texts, delimiter)
     if decimal == delimiter:
         problem = "found ',' for both the decimals and the cells"
@@ -99,21 +107,44 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         if head is not None:
             names = head.names
             return TextFormat(
-                delimiter, draft.comment, head.names_line, head.last_line, names, is_found, decimal, head.last_line
+                delimiter,
+                draft.comment,
+                head.names_line,
+                head.last_line,
+                names,
+                is_found,
+                decimal,
+                head.last_line,
             )
     number, text = rows[0]
     cells = split(path, number, text, delimiter)
     if len(cells) > MAX_COLUMNS:
         problem = f"{len(cells)} cells, expected at most {MAX_COLUMNS}"
-        raise InputError(f"{path}: line {number}", problem, "check the delimiter, or that one record stands in one row")
-    has_header = given.header if given.header is not None else any(not is_number(cell, decimal) for cell in cells)
+        raise InputError(
+            f"{path}: line {number}",
+            problem,
+            "check the delimiter, or that one record stands in one row",
+        )
+    has_header = (
+        given.header
+        if given.header is not None
+        else any(not is_number(cell, decimal) for cell in cells)
+    )
     if has_header and len(rows) == 1:
         problem = f"no row follows the header in line {number}, expected a record a row"
         raise InputError(str(path), problem, "copy it from the archive again")
     names = tuple(cell.strip() for cell in cells) if has_header else ("",) * len(cells)
     if has_header:
         names = (without_mark(names[0]), *names[1:])
-    return TextFormat(delimiter, draft.comment, number if has_header else skipped, number, names, is_found, decimal)
+    return TextFormat(
+        delimiter,
+        draft.comment,
+        number if has_header else skipped,
+        number,
+        names,
+        is_found,
+        decimal,
+    )
 
 
 def _head_lines(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
@@ -137,11 +168,18 @@ def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> He
         plain = without_mark(text)
         cells = try_split(plain, delimiter) or [plain]
         rows.append((number, text, cells))
-    is_row = [not has_mark(text) and all(is_number(cell, decimal) for cell in cells) for _, text, cells in rows]
+    is_row = [
+        not has_mark(text) and all(is_number(cell, decimal) for cell in cells)
+        for _, text, cells in rows
+    ]
     # the rows have as many cells as the last one, of which R's row names may be quoted numbers
     n_columns = len(rows[-1][2]) if rows and is_row[-1] else 0
-    first = next((i for i, (_, _, cells) in enumerate(rows) if is_row[i] and len(cells) == n_columns), 0)
-    is_plain = first == 0 or (first == 1 and len(rows[0][2]) == n_columns and not has_mark(rows[0][1]))
+    first = next(
+        (i for i, (_, _, cells) in enumerate(rows) if is_row[i] and len(cells) == n_columns), 0
+    )
+    is_plain = first == 0 or (
+        first == 1 and len(rows[0][2]) == n_columns and not has_mark(rows[0][1])
+    )
     is_even = all(is_row[first:]) and all(len(cells) == n_columns for _, _, cells in rows[first:])
     # rows with fewer or more cells are damage
     is_odd = any(is_row[i] and len(rows[i][2]) > 1 for i in range(first))
@@ -154,7 +192,9 @@ def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> He
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
     """Return number and text of the first rows, comments and blank lines left out."""
     decoded: list[tuple[int, str]] = []
-    blocks = (enumerate(block.data.split(b"\n"), block.first) for block in iter_lines(path, HEAD_BYTES))
+    blocks = (
+        enumerate(block.data.split(b"\n"), block.first) for block in iter_lines(path, HEAD_BYTES)
+    )
     rows = ((number, line) for block in blocks for number, line in block if draft.is_row(line))
     for number, line in islice(rows, SNIFFED_ROWS):
         try:
@@ -174,7 +214,9 @@ _RECODE = "convert it: iconv -f ISO-8859-1 -t UTF-8 IN > OUT"
 def _find_decimal(rows: list[str], delimiter: str) -> str:
     """Return the comma where cells of the last rows are numbers with it and none is one with a point."""
     cells = [
-        cell.strip() for row in rows[-_LAST_ROWS:] for cell in row.split(None if delimiter == BLANKS else delimiter)
+        cell.strip()
+        for row in rows[-_LAST_ROWS:]
+        for cell in row.split(None if delimiter == BLANKS else delimiter)
     ]
     has_comma = delimiter != "," and any("," in cell and is_number(cell, ",") for cell in cells)
     return "," if has_comma and not any("." in cell and is_number(cell) for cell in cells) else "."
@@ -188,7 +230,9 @@ def _has_inner_comma(cell: str) -> bool:
 def _find_delimiter(rows: list[str], decimal: str | None) -> str:
     """Return the first of ``;``, tab and comma that occurs equally often in every row, else blanks if there are any."""
     last = [row.split() for row in rows[-_LAST_ROWS:]]
-    if all(len(cells) > 1 and all(map(_has_inner_comma, cells)) for cells in last) and any("," in row for row in rows):
+    if all(len(cells) > 1 and all(map(_has_inner_comma, cells)) for cells in last) and any(
+        "," in row for row in rows
+    ):
         return BLANKS
     # text before the header is of another kind than the rows
     for sample in (rows, rows[-_LAST_ROWS:] if len(rows) > _LAST_ROWS else rows):

@@ -74,7 +74,9 @@ def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> He
     for number, text, cells in lines:
         stripped = [cell.strip() for cell in cells]
         if names and _are_units(stripped, n_columns):
-            names = tuple(_with_unit(name, unit) for name, unit in zip(names, stripped, strict=True))
+            names = tuple(
+                _with_unit(name, unit) for name, unit in zip(names, stripped, strict=True)
+            )
             continue
         is_usual = bool(usual_names(stripped))
         fits = len(stripped) in (n_columns, n_columns - 1) and any(map(_has_letters, stripped))
@@ -105,7 +107,11 @@ def _unit(cell: str) -> str:
 def _are_units(cells: list[str], n_columns: int) -> bool:
     """Whether a row holds units of the columns."""
     units = [_unit(cell) for cell in cells]
-    return len(cells) == n_columns and all(unit in FACTORS or unit in _NO_UNIT for unit in units) and any(units)
+    return (
+        len(cells) == n_columns
+        and all(unit in FACTORS or unit in _NO_UNIT for unit in units)
+        and any(units)
+    )
 
 
 def _with_unit(name: str, cell: str) -> str:

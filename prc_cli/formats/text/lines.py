@@ -38,19 +38,31 @@ class Lines:
 
 
 def iter_lines(
-    path: Path, block_bytes: int = BLOCK_BYTES, *, span: tuple[int, int] | None = None, line: int = 1
+    path: Path,
+    block_bytes: int = BLOCK_BYTES,
+    *,
+    span: tuple[int, int] | None = None,
+    line: int = 1,
 ) -> Iterator[Lines]:
     """Read text, compressed or not, in blocks of whole lines; of ``span`` bytes alone, from ``line`` on."""
     rest, at_start, n_bytes = b"", span is None, 0
     with _open(path) as handle:
-        most = max(LEAST_BYTES, MAX_RATIO * path.stat().st_size) if path.suffix.lower() in _CODECS else None
+        most = (
+            max(LEAST_BYTES, MAX_RATIO * path.stat().st_size)
+            if path.suffix.lower() in _CODECS
+            else None
+        )
         if span is not None:
             handle.seek(span[0])
-        while found := _read(path, handle, block_bytes if span is None else min(block_bytes, span[1] - span[0]), line):
+        while found := _read(
+            path, handle, block_bytes if span is None else min(block_bytes, span[1] - span[0]), line
+        ):
             n_bytes += len(found)
             span = None if span is None else (span[0] + len(found), span[1])
             if most is not None and n_bytes > most:
-                problem = f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
+                problem = (
+                    f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
+                )
                 raise InputError(str(path), problem, "unpack it first if it is what it should be")
             if at_start:
                 found, at_start = _without_mark(path, handle, found, block_bytes), False
@@ -78,7 +90,9 @@ def count_line_ends(data: bytes) -> int:
 def too_long(path: Path, line: int) -> InputError:
     """Return the error of a line without end."""
     problem = f"more than {MAX_LINE_BYTES} bytes without a line end, expected rows of text"
-    return InputError(f"{path}: line {line}", problem, "check that this is a text file with LF or CR LF line ends")
+    return InputError(
+        f"{path}: line {line}", problem, "check that this is a text file with LF or CR LF line ends"
+    )
 
 
 @contextmanager

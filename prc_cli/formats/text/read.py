@@ -40,7 +40,9 @@ CLOUD_SUFFIXES = (".xyz", ".asc", ".pts")
 UOS = Layout(
     delimiter=BLANKS,
     # left-handed, y up, z forward: swap y and z for a right-handed frame with z up
-    fields=tuple(LayoutField(name=axis, source=index, scale=0.01) for index, axis in enumerate("xzy")),
+    fields=tuple(
+        LayoutField(name=axis, source=index, scale=0.01) for index, axis in enumerate("xzy")
+    ),
 )
 """Scans of 3DTK, one point per row, columns x, y, z in centimetres: relative to the scanner in metres, z up."""
 
@@ -49,7 +51,11 @@ class TextBody:
     """Rows of numbers; the key of a column is its number."""
 
     def __init__(
-        self, path: Path, text: TextFormat, block_bytes: int = BLOCK_BYTES, n_records: int | None = None
+        self,
+        path: Path,
+        text: TextFormat,
+        block_bytes: int = BLOCK_BYTES,
+        n_records: int | None = None,
     ) -> None:
         self._path, self.text, self._block_bytes = path, text, block_bytes
         self.n_records = n_records
@@ -81,7 +87,9 @@ class TextBody:
         if first is not None:
             yield self._parse(first, used)
             threads = min(PARSERS, default_threads())
-            yield from ordered(lambda lines: self._parse(lines, used), rows, threads=threads, ahead=PARSERS)
+            yield from ordered(
+                lambda lines: self._parse(lines, used), rows, threads=threads, ahead=PARSERS
+            )
 
     def _rows(self) -> Iterator[Lines]:
         """Yield the lines behind the header."""
@@ -149,7 +157,9 @@ class TextBody:
         for lines in self._rows():
             numbered = enumerate(lines.data.split(b"\n"), lines.first)
             rows = [
-                (number, line.rstrip(b"\r").decode(errors="replace")) for number, line in numbered if text.is_row(line)
+                (number, line.rstrip(b"\r").decode(errors="replace"))
+                for number, line in numbered
+                if text.is_row(line)
             ]
             yield [(number, self._split(number, row)[index]) for number, row in rows]
 
@@ -159,7 +169,9 @@ class TextBody:
         cells = split(self._path, number, row, text.delimiter)
         if len(cells) != text.n_columns:
             problem = f"{len(cells)} cells, expected {text.n_columns} as in line {text.first_row}: {shorten(row)!r}"
-            raise InputError(f"{self._path}: line {number}", problem, "correct the row; an empty cell is missing")
+            raise InputError(
+                f"{self._path}: line {number}", problem, "correct the row; an empty cell is missing"
+            )
         return cells
 
     def _not_a_number(self, number: int, index: int, cell: str) -> InputError:
@@ -175,10 +187,19 @@ class TextBody:
 _MINUS = "\u2212\u2013"
 """Characters that look like a minus."""
 _HINTS = (
-    (r"[+-]?\d{1,3}(?:[,.' \u00a0\u202f\u2019]\d{3})+(?:[.,]\d+)?", "write numbers without thousands separators"),
-    (r"[+-]?\d*\.?\d+[dD][+-]?\d+", r"write exponents with E: sed -E 's/([0-9.])[dD]([+-]?[0-9])/\1E\2/g' IN > OUT"),
+    (
+        r"[+-]?\d{1,3}(?:[,.' \u00a0\u202f\u2019]\d{3})+(?:[.,]\d+)?",
+        "write numbers without thousands separators",
+    ),
+    (
+        r"[+-]?\d*\.?\d+[dD][+-]?\d+",
+        r"write exponents with E: sed -E 's/([0-9.])[dD]([+-]?[0-9])/\1E\2/g' IN > OUT",
+    ),
     (rf"[{_MINUS}].*", "write the minus as -: sed 's/\u2212/-/g; s/\u2013/-/g' IN > OUT"),
-    (r"\d{4}-\d\d-\d\d.*|\d{1,2}:\d\d(?::.*)?", "write times as seconds, such as GPS seconds of the week"),
+    (
+        r"\d{4}-\d\d-\d\d.*|\d{1,2}:\d\d(?::.*)?",
+        "write times as seconds, such as GPS seconds of the week",
+    ),
     (r"\x1a", "the end mark of an old program: tr -d '\\032' < IN > OUT"),
 )
 """Cells that are no numbers, by what they hold, and what to do."""
@@ -257,7 +278,9 @@ class TextSource(FieldSource):
     layout or the name of the column (``angle_rad``) gives another unit. A single column without a name is the range.
     """
 
-    def __init__(self, path: Path, layout: Layout | None = None, block_bytes: int = BLOCK_BYTES) -> None:
+    def __init__(
+        self, path: Path, layout: Layout | None = None, block_bytes: int = BLOCK_BYTES
+    ) -> None:
         self.text = find_format(path, layout)
         names, n = self.text.names, self.text.n_columns
         self._has_layout = layout is not None and bool(layout.fields)
@@ -277,7 +300,9 @@ class TextSource(FieldSource):
         if {"ring", *AXES} <= set(columns) and not has_lines:
             rules += ring_rules()
         range_name = columns["range"].name if "range" in columns else "range"
-        self.facts = SourceFacts(notes=self.notes, range_name=range_name, rules=rules, describe=self.describe)
+        self.facts = SourceFacts(
+            notes=self.notes, range_name=range_name, rules=rules, describe=self.describe
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -285,19 +310,29 @@ class TextSource(FieldSource):
         text, columns = self.text, self.columns
         shown = {BLANKS: "blanks", "\t": "tabs"}.get(text.delimiter, repr(text.delimiter))
         axes = "x, y, z and intensity" if "intensity" in columns else "x, y, z"
-        renamed = [f"{one.name} as {name}" for name, one in columns.items() if one.name not in ("", name)]
-        units = [f"{name} in {one.item.unit}" for name, one in columns.items() if one.item.unit not in ("", "rad")]
+        renamed = [
+            f"{one.name} as {name}" for name, one in columns.items() if one.name not in ("", name)
+        ]
+        units = [
+            f"{name} in {one.item.unit}"
+            for name, one in columns.items()
+            if one.item.unit not in ("", "rad")
+        ]
         angle = columns.get("angle", Column("", "", LayoutField(name="angle")))
         told = {
-            f"cells are separated by {shown}, found by looking": text.found_delimiter and text.n_columns > 1,
+            f"cells are separated by {shown}, found by looking": text.found_delimiter
+            and text.n_columns > 1,
             "decimals stand behind a comma, found by looking": text.decimal == ",",
             f"line {text.header_line} holds the names of the columns": any(text.names),
             f"the first columns have no names: taken as {axes}": self._is_cloud
             and "x" in columns
             and not any(text.names),
-            f"units from the names of the columns: {', '.join(units)}": units and not self._has_layout,
+            f"units from the names of the columns: {', '.join(units)}": units
+            and not self._has_layout,
             f"columns taken under another name: {', '.join(renamed)}": renamed,
-            "angles are taken as degrees": angle.name and not angle.item.unit and "deg" not in angle.name.lower(),
+            "angles are taken as degrees": angle.name
+            and not angle.item.unit
+            and "deg" not in angle.name.lower(),
             "a single column without a name: taken as the range [m]": text.header_line is None
             and "range" in columns
             and text.n_columns == 1,

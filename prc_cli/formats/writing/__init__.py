@@ -58,11 +58,17 @@ def beside_of(path: Path) -> tuple[Path, ...]:
 
 
 def prepare_stream_output(
-    path: Path, *more: Path, overwrite: bool, inputs: tuple[Path, ...] = (), folders: tuple[Path, ...] = ()
+    path: Path,
+    *more: Path,
+    overwrite: bool,
+    inputs: tuple[Path, ...] = (),
+    folders: tuple[Path, ...] = (),
 ) -> None:
     """Prepare the files of a stream output, and more of its set (:func:`prc_cli.core.files.prepare_outputs`)."""
     members = (*more, *outputs_of(path))
-    prepare_outputs(*members, overwrite=overwrite, inputs=inputs, folders=folders, beside=beside_of(path))
+    prepare_outputs(
+        *members, overwrite=overwrite, inputs=inputs, folders=folders, beside=beside_of(path)
+    )
 
 
 def prepare_label_outputs(*paths: Path, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:

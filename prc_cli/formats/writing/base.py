@@ -86,7 +86,9 @@ class StreamShape:
     """Deflate the arrays of an archive (as ``numpy.savez_compressed``)."""
 
     @classmethod
-    def of(cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool) -> StreamShape:
+    def of(
+        cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool
+    ) -> StreamShape:
         """Return the shape of a stream from its first block."""
         block = item.block
         return cls(
@@ -125,7 +127,9 @@ class StagedWriter(ABC):
     one_scanner = ""
     """Name of the format in messages, for formats of a single scanner; empty = several scanners are allowed."""
 
-    def __init__(self, path: Path, labels: LabelOutput | None = None, columns: Sequence[OptionalColumn] = ()) -> None:
+    def __init__(
+        self, path: Path, labels: LabelOutput | None = None, columns: Sequence[OptionalColumn] = ()
+    ) -> None:
         self.path = path
         self._labels = labels
         self._codes = ClassCodes() if labels is None else labels.codes
@@ -167,7 +171,11 @@ class StagedWriter(ABC):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
     ) -> None:
         self._stack.close()
 
@@ -185,10 +193,10 @@ class StagedWriter(ABC):
         if self._scanner is None:
             self._scanner = scanner
         elif self.one_scanner and scanner != self._scanner:
-            problem = (
-                f"found scanners {self._scanner} and {scanner}, expected one: {self.one_scanner} holds one scanner"
+            problem = f"found scanners {self._scanner} and {scanner}, expected one: {self.one_scanner} holds one scanner"
+            raise OutputError(
+                str(self.path), problem, "write .csv, .laz or .parquet, or split the input first"
             )
-            raise OutputError(str(self.path), problem, "write .csv, .laz or .parquet, or split the input first")
         with output_errors(self.path):
             self._settle(None)
             self._add(item)
@@ -249,7 +257,9 @@ class StagedWriter(ABC):
         if not len(known):
             return
         if known[0] < self._last_record or np.any(known[1:] < known[:-1]):
-            self._notice("points are in the order of the shots, not of the input's records; label files keep that one")
+            self._notice(
+                "points are in the order of the shots, not of the input's records; label files keep that one"
+            )
             self._last_record = None
             return
         self._last_record = int(known[-1])
@@ -258,7 +268,9 @@ class StagedWriter(ABC):
         """Class codes of labels, same shape."""
         if labels.size and int(labels.max()) >= len(LABEL_NAMES):
             problem = f"found label {int(labels.max())}, expected 0 to {len(LABEL_NAMES) - 1}"
-            raise OutputError(str(self.path), problem, "this is a fault of the classifier; please report it")
+            raise OutputError(
+                str(self.path), problem, "this is a fault of the classifier; please report it"
+            )
         codes = recode(labels, self._lookup)
         beyond = self._options.high_noise_beyond
         if beyond is not None:
@@ -275,7 +287,9 @@ class StagedWriter(ABC):
             added = {column.option for column in self._optional if found[column.name]}
             for column in self._optional:
                 if not found[column.name] and column.option not in added:
-                    self._notice(f"output.{column.option} needs the {column.needs}; nothing was added")
+                    self._notice(
+                        f"output.{column.option} needs the {column.needs}; nothing was added"
+                    )
             self._optional = tuple(column for column in self._optional if found[column.name])
         self._begin()
 
@@ -296,7 +310,9 @@ class StagedWriter(ABC):
         """Coordinates of the cells and further returns of a block: its own, else as the output asks for."""
         if item.registered_m is not None and item.extra_registered_m is not None:
             return item.registered_m, item.extra_registered_m
-        found, notice = coordinates(item.block, None if self._labels is None else self._labels.place)
+        found, notice = coordinates(
+            item.block, None if self._labels is None else self._labels.place
+        )
         if notice:
             self._notice(notice)
         return found
@@ -307,10 +323,14 @@ class StagedWriter(ABC):
     def _completed(self, record: RunRecord) -> RunRecord:
         """Return the record with counts by class, where there are some, and notices."""
         classes = tuple(
-            ClassCount(int(code), self._names.get(int(code), f"class {code}"), int(self._counts[code]))
+            ClassCount(
+                int(code), self._names.get(int(code), f"class {code}"), int(self._counts[code])
+            )
             for code in np.flatnonzero(self._counts)
         )
-        return replace(record, classes=classes or record.classes, notices=(*record.notices, *self.notices))
+        return replace(
+            record, classes=classes or record.classes, notices=(*record.notices, *self.notices)
+        )
 
 
 class StreamWriter(StagedWriter):
@@ -324,7 +344,9 @@ class StreamWriter(StagedWriter):
 class ScatterWriter(StagedWriter):
     """A writer of outputs in record order: labels wait on disk until all have arrived."""
 
-    def __init__(self, labels: LabelOutput, columns: Sequence[OptionalColumn], n_records: int | None) -> None:
+    def __init__(
+        self, labels: LabelOutput, columns: Sequence[OptionalColumn], n_records: int | None
+    ) -> None:
         super().__init__(labels.path, labels, columns)
         self._n_records = n_records
         self._is_part = labels.is_part or labels.is_thinned
@@ -338,16 +360,24 @@ class ScatterWriter(StagedWriter):
         self._code_spool = self._spool(*fill)
 
     def _begin(self) -> None:
-        self._spools = {column.name: self._spool(column.dtype, column.fill) for column in self._optional}
+        self._spools = {
+            column.name: self._spool(column.dtype, column.fill) for column in self._optional
+        }
 
     def _spool(self, dtype: DTypeLike, fill: Any) -> DiskColumn:
-        return self._stack.enter_context(DiskColumn(self.path, dtype, fill, n_records=self._n_records))
+        return self._stack.enter_context(
+            DiskColumn(self.path, dtype, fill, n_records=self._n_records)
+        )
 
     def _add(self, item: StreamItem) -> None:
         scan, codes, extra_codes, block = item.block, item.codes, item.extra_codes, item.labelled
         assert codes is not None
         assert extra_codes is not None
-        values = {} if block is None else {one.name: self._cells(one, block).ravel() for one in self._optional}
+        values = (
+            {}
+            if block is None
+            else {one.name: self._cells(one, block).ravel() for one in self._optional}
+        )
         first = scan.first_line * scan.points_per_line
         most = sys.maxsize if self._n_records is None else self._n_records
         if scan.record is None and first + codes.size <= most:
@@ -359,7 +389,11 @@ class ScatterWriter(StagedWriter):
             self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
             # records without a value have the fill value already
-            own = {one.name: one.of_extra(block) for one in self._optional if one.of_extra and block is not None}
+            own = {
+                one.name: one.of_extra(block)
+                for one in self._optional
+                if one.of_extra and block is not None
+            }
             self._put(scan.extra.record, extra_codes, own)
 
     def _put(self, record: I64, codes: NDArray[Any], values: dict[str, Values]) -> None:
@@ -369,7 +403,9 @@ class ScatterWriter(StagedWriter):
             # cells that pad the last line have no record, unless they have a label
             if np.any(outside & (codes != MISSING_CODE)):
                 problem = f"found a label for record {int(record.max())}, expected records below {self._n_records}"
-                raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
+                raise OutputError(
+                    str(self.path), problem, "check that the input did not change while it was read"
+                )
             keep &= ~outside
         if not keep.all():
             record, codes = record[keep], codes[keep]
@@ -391,7 +427,9 @@ class ScatterWriter(StagedWriter):
         for codes in self._code_spool.chunks(CHUNK_RECORDS, first=n):
             if np.any(codes != MISSING_CODE):
                 problem = f"found labels for {len(self._code_spool)} records, expected {n}"
-                raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
+                raise OutputError(
+                    str(self.path), problem, "check that the input did not change while it was read"
+                )
         return n
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:

@@ -47,7 +47,12 @@ class LinesApart:
         extra, line = block.extra, np.arange(block.n_lines)[:, None]
         angle, is_upright = self._angles(block)
         own = behind(self._along(block, line), angle[None, :], block.range_m, is_upright=is_upright)
-        other = behind(self._along(block, extra.line), angle[extra.column], extra.range_m, is_upright=is_upright)
+        other = behind(
+            self._along(block, extra.line),
+            angle[extra.column],
+            extra.range_m,
+            is_upright=is_upright,
+        )
         return own, other
 
     def notice(self, block: ScanBlock) -> str:
@@ -58,7 +63,9 @@ class LinesApart:
             plane = "straight down is not known: scan planes lie flat, x = r cos(angle), y = r sin(angle)"
         else:
             m = block.points_per_line
-            plane = f"nor angles: scan planes lie flat, with {m} columns spread evenly over a full turn"
+            plane = (
+                f"nor angles: scan planes lie flat, with {m} columns spread evenly over a full turn"
+            )
         told = f"{self.apart_m:.2g} m apart ({self.how})"
         return f"the input has no coordinates; {plane}, one line behind the other, {told}"
 
@@ -95,7 +102,9 @@ class AtStations:
         return own + station_m, extra + station_m
 
 
-def behind(along_m: NDArray[Any], angle: NDArray[Any], range_m: NDArray[Any], *, is_upright: bool = True) -> F64:
+def behind(
+    along_m: NDArray[Any], angle: NDArray[Any], range_m: NDArray[Any], *, is_upright: bool = True
+) -> F64:
     """Return shots of planes behind each other, upright ones along x, others one above the other, (..., 3) [m]."""
     r = np.asarray(range_m, np.float64)
     along = np.broadcast_to(along_m, r.shape)
@@ -134,7 +143,9 @@ class OutputConfig(Params):
         False,
         description="add the segment id R_b of every shot: extra bytes uint32 `segment_id`, or a column `segment`",
     )
-    range: bool = Field(False, description="add the range of every shot [m]: extra bytes float32 `range` (LAS, LAZ)")
+    range: bool = Field(
+        False, description="add the range of every shot [m]: extra bytes float32 `range` (LAS, LAZ)"
+    )
     stages: bool = Field(
         False,
         description="add what the classifier found on the way, as extra bytes or columns: float32 "
@@ -163,7 +174,9 @@ class OutputConfig(Params):
         "code occurs; below-32 = refuse to start unless every code in [classes] is below 32",
     )
     high_noise_beyond: float | None = Field(
-        None, gt=0.0, description="noise farther than this gets code 18 (high noise) [m]; default: never"
+        None,
+        gt=0.0,
+        description="noise farther than this gets code 18 (high noise) [m]; default: never",
     )
 
 
@@ -306,7 +319,9 @@ OPTIONAL_COLUMNS = (
         "segment_ids",
         "segment id",
         0,
-        lambda block: np.zeros(block.labels.shape, np.uint32) if block.segments is None else block.segments,
+        lambda block: (
+            np.zeros(block.labels.shape, np.uint32) if block.segments is None else block.segments
+        ),
     ),
     OptionalColumn(
         RANGE,
@@ -319,7 +334,9 @@ OPTIONAL_COLUMNS = (
         keep=True,
     ),
     _of_stages("surface", "u1", "T 1, H 2, V 3, undecided 4", "stages.surface"),
-    _of_stages("dense_vegetation", "u1", "less sensitive test T', 1 = yes", "stages.dense_vegetation"),
+    _of_stages(
+        "dense_vegetation", "u1", "less sensitive test T', 1 = yes", "stages.dense_vegetation"
+    ),
     _of_stages("ground_height", "<f4", "z_g, 0 = height of scanner [m]", "stages.ground_height_m"),
     _of_stages("height_above_ground", "<f4", "above ground [m], NaN unknown", "above_m"),
     _of_stages("trigger", "u1", "0 none, 1 before, 2 it, 3 after", "stages.trigger"),
@@ -335,7 +352,9 @@ OPTIONAL_COLUMNS = (
         0,
         _found("confidence"),
         lambda block: (
-            np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
+            np.zeros(len(block.extra_labels), np.uint8)
+            if block.extra_confidence is None
+            else block.extra_confidence
         ),
         needs="fused method",
     ),

@@ -31,7 +31,9 @@ copy."""
 class DiskColumn:
     """One value, or one row of several, per record, in a file beside an output; others read as ``fill``."""
 
-    def __init__(self, output: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None) -> None:
+    def __init__(
+        self, output: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None
+    ) -> None:
         self._dtype = np.dtype(dtype)
         self._size = self._dtype.itemsize
         # stored as value XOR fill: holes in the file read as zero, so as the fill value
@@ -118,7 +120,10 @@ class DiskColumn:
 
     def _stored(self, values: NDArray[Any]) -> U8:
         """Return the bytes of values as they are stored, (n, bytes) uint8."""
-        rows: U8 = np.ascontiguousarray(values, self._dtype).view(np.uint8).reshape(-1, self._size) ^ self._mask
+        rows: U8 = (
+            np.ascontiguousarray(values, self._dtype).view(np.uint8).reshape(-1, self._size)
+            ^ self._mask
+        )
         return rows
 
     def _values(self, rows: U8) -> NDArray[Any]:
@@ -189,7 +194,9 @@ class NpyFile:
 def npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
     """Return the header of a ``.npy`` file."""
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": dtype, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": dtype, "fortran_order": False, "shape": shape}
+    )
     return header.getvalue()
 
 

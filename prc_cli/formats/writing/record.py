@@ -141,7 +141,11 @@ def dropped_of(record: Any) -> str:
     >>> dropped_of({"program": PROGRAM, "notices": ["thinned: 3 of 9 returns were dropped"]})
     '3 of 9 returns were dropped'
     """
-    notices = record.get("notices") if isinstance(record, dict) and record.get("program") == PROGRAM else ()
+    notices = (
+        record.get("notices")
+        if isinstance(record, dict) and record.get("program") == PROGRAM
+        else ()
+    )
     for text in notices if isinstance(notices, list) else ():
         # of a file that was made of a thinned one, too
         before, mark, told = text.partition("thinned: ") if isinstance(text, str) else ("", "", "")
@@ -162,7 +166,11 @@ def dense_line_beside(path: Path) -> int | None:
         stream, tally, inputs = record["stream"], record["tally"], record["config"]["input"]
         m, others = stream["points_per_line"], ("n_collisions", "n_extra_returns", "n_unplaced")
         if record["program"] == PROGRAM and m * stream["n_lines"] == stream["n_records"] and m:
-            return None if {"only_lines", "only_time"} & set(inputs) or any(tally[name] for name in others) else int(m)
+            return (
+                None
+                if {"only_lines", "only_time"} & set(inputs) or any(tally[name] for name in others)
+                else int(m)
+            )
     return None
 
 
@@ -171,7 +179,11 @@ def reading_beside(path: Path) -> dict[str, Any]:
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
         if record["program"] == PROGRAM:
-            return {name: record["config"][name] for name in ("input", "layout") if record["config"].get(name)}
+            return {
+                name: record["config"][name]
+                for name in ("input", "layout")
+                if record["config"].get(name)
+            }
     return {}
 
 
@@ -245,12 +257,18 @@ class FingerprintBeside:
                     size += n
         except OSError as error:
             problem = f"cannot be read ({error.strerror or error})"
-            raise InputError(str(self._path), problem, "check that the file exists and its permissions") from error
-        return None if self._stop.is_set() else Fingerprint(self._path.name, size, digest.hexdigest())
+            raise InputError(
+                str(self._path), problem, "check that the file exists and its permissions"
+            ) from error
+        return (
+            None if self._stop.is_set() else Fingerprint(self._path.name, size, digest.hexdigest())
+        )
 
 
 def _dump(value: Any) -> bytes:
-    return (json.dumps(value, sort_keys=True, indent=1, ensure_ascii=True, allow_nan=False) + "\n").encode("ascii")
+    return (
+        json.dumps(value, sort_keys=True, indent=1, ensure_ascii=True, allow_nan=False) + "\n"
+    ).encode("ascii")
 
 
 def _without_folders(value: Any) -> Any:

@@ -42,7 +42,9 @@ def check_path_suffix(path: Path) -> None:
     """Refuse names that say no format of a trajectory."""
     if path.suffix.lower() not in (*CSV_SUFFIXES, *SBET_SUFFIXES):
         known = ", ".join((*CSV_SUFFIXES, *SBET_SUFFIXES))
-        raise OutputError(str(path), f"ends in {path.suffix or 'nothing'!r}, expected one of {known}", "rename it")
+        raise OutputError(
+            str(path), f"ends in {path.suffix or 'nothing'!r}, expected one of {known}", "rename it"
+        )
 
 
 def write_path(path: Path, name: Path, table: PathTable, crs: str | None) -> None:
@@ -72,7 +74,9 @@ def _rows(table: PathTable) -> Iterator[str]:
         part = slice(first, first + BATCH_ROWS)
         columns = (table.xyz[part], table.sigma[part], table.axis[part])
         values = np.concatenate(columns, axis=1).tolist()
-        for time_s, row, number in zip(table.time_s[part].tolist(), values, table.number[part].tolist(), strict=True):
+        for time_s, row, number in zip(
+            table.time_s[part].tolist(), values, table.number[part].tolist(), strict=True
+        ):
             # times are exact: a rounded one may lie outside of the points
             position = ",".join(f"{value:.5f}" for value in row[:6])
             axis = ",".join(f"{value:.7f}" for value in row[6:])

@@ -125,12 +125,19 @@ def do_order(order: Order) -> Report:
     key = str(worker.get_current_task())
     me, task = str(worker.address), order.task
     if order.version != __version__:
-        problem = f"the worker on {socket.gethostname()} runs prc {__version__}, this run {order.version}"
+        problem = (
+            f"the worker on {socket.gethostname()} runs prc {__version__}, this run {order.version}"
+        )
         raise PrcError(f"worker {me}", problem, f"pip install '{EXTRA}=={order.version}' there")
-    lines = _Lines(lambda kind, n: worker.log_event(order.topic, (kind, key, me, n)), lambda: _is_wanted(worker, key))
+    lines = _Lines(
+        lambda kind, n: worker.log_event(order.topic, (kind, key, me, n)),
+        lambda: _is_wanted(worker, key),
+    )
     lines.report(BEGUN, 0)
     ended = threading.Event()
-    beating = threading.Thread(target=beat, args=(lambda: lines.report(LINES, lines.n), ended), daemon=True)
+    beating = threading.Thread(
+        target=beat, args=(lambda: lines.report(LINES, lines.n), ended), daemon=True
+    )
     beating.start()
     try:
         if not task.source.exists():
@@ -176,7 +183,12 @@ class DaskEngine:
     """Runs tasks on the workers of a Dask scheduler."""
 
     def __init__(
-        self, scheduler: str, *, notice: Notice = lambda text: None, jobs: int | None = None, threads: int = 1
+        self,
+        scheduler: str,
+        *,
+        notice: Notice = lambda text: None,
+        jobs: int | None = None,
+        threads: int = 1,
     ) -> None:
         self._scheduler = scheduler
         self._notice = notice
@@ -216,7 +228,9 @@ class DaskEngine:
         try:
             with warnings.catch_warnings(record=True) as raised:
                 warnings.simplefilter("always")
-                client = connect(self._scheduler, timeout=CONNECT_S, set_as_default=False, name="prc")
+                client = connect(
+                    self._scheduler, timeout=CONNECT_S, set_as_default=False, name="prc"
+                )
         except (OSError, TimeoutError, ValueError, ImportError) as error:
             problem = f"no scheduler answers at {self._scheduler} ({_one_line(error)})"
             hint = "start one with: dask scheduler; its address looks like tcp://HOST:8786"
@@ -249,7 +263,9 @@ def _examine(client: Any, first: Task) -> None:
     finally:
         token.unlink(missing_ok=True)
     for address, facts in found.items():
-        if isinstance(facts, OSError):  # it is gone: who takes its place is looked at by its first task
+        if isinstance(
+            facts, OSError
+        ):  # it is gone: who takes its place is looked at by its first task
             continue
         if not isinstance(facts, WorkerFacts):
             _check_version(f"worker {address}", facts)
@@ -292,7 +308,9 @@ class _Job:
 class _Run:
     """The tasks of one run and the messages about them."""
 
-    def __init__(self, client: Any, scheduler: str, settings: EngineSettings, notice: Notice) -> None:
+    def __init__(
+        self, client: Any, scheduler: str, settings: EngineSettings, notice: Notice
+    ) -> None:
         self._client = client
         self._scheduler = scheduler
         self._settings = settings
@@ -307,7 +325,9 @@ class _Run:
         self._workers: dict[str, int] = {}
         self._checked = 0.0
         self._workers_seen = time.monotonic()
-        self._client.subscribe_topic(self._topic, lambda event: self._messages.put(("event", event[1])))
+        self._client.subscribe_topic(
+            self._topic, lambda event: self._messages.put(("event", event[1]))
+        )
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
         """Keep the workers busy and yield what happens."""
@@ -356,7 +376,9 @@ class _Run:
         for job in self._pending.values():
             if job.worker is not None and job.worker not in self._workers:
                 job.worker = None  # its worker died: the scheduler gives it to another one
-        self._running = {key: worker for key, worker in self._running.items() if worker in self._workers}
+        self._running = {
+            key: worker for key, worker in self._running.items() if worker in self._workers
+        }
 
     def _order(self, task: Task) -> Order:
         return Order(task, self._settings.threads, self._topic, __version__, str(Path.cwd()))
@@ -427,17 +449,26 @@ class _Run:
             job.n_lost += 1
             if job.n_lost < FETCHES:
                 return None
-            problem = Problem("killed", name, f"its outcome was lost {FETCHES} times with the worker that had it", "")
+            problem = Problem(
+                "killed",
+                name,
+                f"its outcome was lost {FETCHES} times with the worker that had it",
+                "",
+            )
         elif future.status != "error":
             raise _lost()
-        elif isinstance(error := future.exception(), PrcError):  # no outcome of a file: the worker itself is wrong
+        elif isinstance(
+            error := future.exception(), PrcError
+        ):  # no outcome of a file: the worker itself is wrong
             raise error
         elif type(error).__name__ == "KilledWorker":
             died = f"{error.allowed_failures + 1} workers died while they had it"
             hint = "look at their logs; often memory is short: fewer threads a worker"
             problem = Problem("killed", name, died, hint)
         elif isinstance(error, StoppedError):
-            problem = Problem("interrupted", name, f"its worker {worker} was told to let go of it", "run again")
+            problem = Problem(
+                "interrupted", name, f"its worker {worker} was told to let go of it", "run again"
+            )
         else:
             problem = Problem.of(error)
         return Report(worker, tuple(failed(job.task, seconds, problem)))
@@ -445,20 +476,30 @@ class _Run:
     def _watch(self) -> Iterator[Event]:
         """Give up files without progress for too long, and restart their workers."""
         now, stall_s = time.monotonic(), self._settings.stall_s
-        late = {key: job for key, job in self._pending.items() if job.worker is not None and now - job.seen > stall_s}
+        late = {
+            key: job
+            for key, job in self._pending.items()
+            if job.worker is not None and now - job.seen > stall_s
+        }
         for key, job in late.items():
             del self._pending[key]
             name = job.task.name
             hint = "check that its disk or share answers; --stall allows more"
-            problem = Problem("timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint)
+            problem = Problem(
+                "timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint
+            )
             self._client.cancel([job.future], force=True)
             yield from failed(job.task, now - (job.begun or now), problem)
             try:
-                came = self._client.restart_workers([job.worker], timeout=STOP_S, raise_for_error=False)
+                came = self._client.restart_workers(
+                    [job.worker], timeout=STOP_S, raise_for_error=False
+                )
             except Exception as error:  # without a nanny nobody can
                 came = {job.worker: _one_line(error)}
             if (what := came.get(job.worker)) != "OK":
-                self._notice(f"worker {job.worker} hangs and cannot be restarted from here ({what})")
+                self._notice(
+                    f"worker {job.worker} hangs and cannot be restarted from here ({what})"
+                )
 
 
 def _lost() -> PrcError:
@@ -478,7 +519,11 @@ def _started(job: _Job, worker: str) -> Iterator[Event]:
 def _quiet() -> Iterator[None]:
     """Keep Dask from printing: what matters is reported as an event, a notice or an error."""
     # each logger has a level and a handler of its own
-    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
+    names = [
+        name
+        for name in logging.root.manager.loggerDict
+        if name.split(".")[0] in ("distributed", "tornado")
+    ]
     levels = {name: logging.getLogger(name).level for name in names}
     for name in names:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -492,7 +537,9 @@ def _quiet() -> Iterator[None]:
 def _absolute(task: Task) -> Task:
     """Return a task with absolute paths, which are the same on every machine."""
     others = tuple(map(_absolute, task.others))
-    return replace(task, source=task.source.absolute(), output=task.output.absolute(), others=others)
+    return replace(
+        task, source=task.source.absolute(), output=task.output.absolute(), others=others
+    )
 
 
 def _one_line(error: object) -> str:

@@ -67,7 +67,11 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
     n_not_selected = 0
     newest: Counter[str] = Counter()
     since_ns = -1 if settings.since is None else parse_since(settings.since)
-    include, exclude, drives = Patterns(settings.include), Patterns(settings.exclude), Drives(settings.drives)
+    include, exclude, drives = (
+        Patterns(settings.include),
+        Patterns(settings.exclude),
+        Drives(settings.drives),
+    )
     # all calls that may hang are made in the thread
     for item in _in_time(_walk(settings, exclude), settings.archive, patience_s):
         if isinstance(item, LeftOut):
@@ -105,7 +109,9 @@ def _folders(settings: BatchSettings) -> tuple[Path, Path]:
         archive, out = settings.archive.resolve(strict=True), settings.out.resolve()
     except (OSError, RuntimeError) as error:
         problem = f"cannot be opened ({getattr(error, 'strerror', None) or error})"
-        raise InputError(str(settings.archive), problem, "check the name and that the disk is mounted") from error
+        raise InputError(
+            str(settings.archive), problem, "check the name and that the disk is mounted"
+        ) from error
     if not archive.is_dir():
         problem = "is no folder, expected a tree of inputs"
         raise ConfigError(str(settings.archive), problem, "prc classify takes a single file")
@@ -113,7 +119,9 @@ def _folders(settings: BatchSettings) -> tuple[Path, Path]:
         problem = "the archive is the output folder or lies in it; inputs are never modified"
         raise ConfigError(str(settings.out), problem, "choose another output folder")
     if out.exists() and not out.is_dir():
-        raise ConfigError(str(settings.out), "is no folder, expected one for the outputs", "choose another")
+        raise ConfigError(
+            str(settings.out), "is no folder, expected one for the outputs", "choose another"
+        )
     return archive, out
 
 
@@ -134,7 +142,9 @@ def _walk(settings: BatchSettings, exclude: Patterns) -> Iterator[Found | LeftOu
         except OSError as error:
             if not prefix:
                 problem = f"cannot be listed ({error.strerror or error})"
-                raise InputError(str(archive), problem, "check its permissions and that the disk is mounted") from error
+                raise InputError(
+                    str(archive), problem, "check its permissions and that the disk is mounted"
+                ) from error
             yield LeftOut(prefix, f"folder cannot be listed ({error.strerror or error})")
             continue
         if prefix and any(entry.name == OWN_FOLDER for entry in entries):
@@ -170,7 +180,9 @@ def _look(entry: os.DirEntry[str], name: str, archive: Path) -> Found | LeftOut 
     if not stat.S_ISREG(status.st_mode):
         return LeftOut(name, "not a regular file")
     inside = PurePosixPath(entry.name)
-    if inside.stem.endswith(LABELS) and inside.suffix.lower() not in LAS_SUFFIXES:  # which are never labels alone
+    if (
+        inside.stem.endswith(LABELS) and inside.suffix.lower() not in LAS_SUFFIXES
+    ):  # which are never labels alone
         return LeftOut(name, "labels that this program wrote")
     return Found(name, Path(entry.path), status.st_size, status.st_mtime_ns)
 
@@ -207,7 +219,9 @@ def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Itera
             answer = answers.get(timeout=patience_s)
         except queue.Empty:
             problem = f"the file system has not answered for {patience_s:g} s"
-            raise InputError(str(archive), problem, "check that the disk or share is mounted and reachable") from None
+            raise InputError(
+                str(archive), problem, "check that the disk or share is mounted and reachable"
+            ) from None
         if answer is None:
             return
         if isinstance(answer, BaseException):
@@ -232,10 +246,14 @@ class Patterns:
         for pattern in patterns:
             text = pattern.replace(os.sep, "/").removeprefix("./").rstrip("/")
             if not text or "\0" in text:
-                raise ConfigError("pattern", f"found {pattern!r}, expected a glob such as *.laz or night/**/*.laz")
+                raise ConfigError(
+                    "pattern", f"found {pattern!r}, expected a glob such as *.laz or night/**/*.laz"
+                )
             parts = text.removeprefix("/").split("/")
             # a part of its own, so that no star matches a slash; None for any folders
-            compiled = [None if part == "**" else re.compile(fnmatch.translate(part)) for part in parts]
+            compiled = [
+                None if part == "**" else re.compile(fnmatch.translate(part)) for part in parts
+            ]
             self._patterns.append(("/" in text, compiled))
 
     def __bool__(self) -> bool:
@@ -244,7 +262,9 @@ class Patterns:
     def match(self, name: str) -> bool:
         """Tell whether any pattern matches a name."""
         parts = name.split("/")
-        return any(_match(parts if whole else parts[-1:], pattern) for whole, pattern in self._patterns)
+        return any(
+            _match(parts if whole else parts[-1:], pattern) for whole, pattern in self._patterns
+        )
 
 
 class Drives:
@@ -253,7 +273,10 @@ class Drives:
     def __init__(self, patterns: Iterable[str]) -> None:
         self._patterns: list[tuple[Patterns, str, str, str]] = []
         for text in patterns:
-            found = re.fullmatch(r"(.*?)((?:[*?]|\[[^]]+\])+)([^]*?[]*)", text.replace(os.sep, "/").rpartition("/")[2])
+            found = re.fullmatch(
+                r"(.*?)((?:[*?]|\[[^]]+\])+)([^]*?[]*)",
+                text.replace(os.sep, "/").rpartition("/")[2],
+            )
             if found is None or found[2] == "**":
                 problem = f"found {text!r}, expected a wildcard in the file's name that stands for the number of a part"
                 raise ConfigError("--drive", problem, "for example 'drive_*_??.laz'")
@@ -266,7 +289,9 @@ class Drives:
             middle = last.removesuffix(after)
             # as little as possible is the part
             for i in range(len(middle), -1, -1) if pattern.match(name) else ():
-                if fnmatch.fnmatchcase(middle[:i], before) and fnmatch.fnmatchcase(middle[i:], part):
+                if fnmatch.fnmatchcase(middle[:i], before) and fnmatch.fnmatchcase(
+                    middle[i:], part
+                ):
                     words = re.split(r"([0-9]+)", middle[i:])
                     number = tuple(int(word) if k % 2 else word for k, word in enumerate(words))
                     return f"{folder}{slash}{middle[:i]}{part}{after}", number

@@ -79,7 +79,9 @@ ON CONFLICT (name) DO UPDATE SET
 
 def journal_paths(folder: Path) -> list[Path]:
     """Return all journals of an output folder, that of the whole archive first."""
-    return sorted(folder.glob("journal*.sqlite"), key=lambda path: (path.name != "journal.sqlite", path.name))
+    return sorted(
+        folder.glob("journal*.sqlite"), key=lambda path: (path.name != "journal.sqlite", path.name)
+    )
 
 
 class Journal:
@@ -111,12 +113,21 @@ class Journal:
                 self._database.execute(_SOURCES)
             # shards of one count share no files
             siblings = "/" if self._shard is None else f"-of-{self._shard.count}.sqlite"
-            others = (path for path in journal_paths(self._folder) if not path.name.endswith(siblings))
-            self._others = _newest(entry for path in others if path != self.path for entry in _all_entries(path))
+            others = (
+                path for path in journal_paths(self._folder) if not path.name.endswith(siblings)
+            )
+            self._others = _newest(
+                entry for path in others if path != self.path for entry in _all_entries(path)
+            )
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._stack.close()
 
     def begin_run(self, owner: str) -> str:
@@ -140,8 +151,14 @@ class Journal:
 
     def start(self, task: Task, owner: str) -> None:
         """Record that a worker will write an output; called before the worker gets the task."""
-        values = {"name": os.fsencode(task.name), "config": task.config_sha256, "version": __version__,
-                  "run": self.run, "now": _now(), "owner": _text(owner)}  # fmt: skip
+        values = {
+            "name": os.fsencode(task.name),
+            "config": task.config_sha256,
+            "version": __version__,
+            "run": self.run,
+            "now": _now(),
+            "owner": _text(owner),
+        }
         source = {"name": values["name"], "source": os.fsencode(os.path.realpath(task.source))}
         with _errors(self.path), _transaction(self._database):
             self._database.execute(_START, values)
@@ -153,10 +170,14 @@ class Journal:
         entry = None if isinstance(outcome, Done) else self.entry(outcome.name)
         known = isinstance(outcome, Done) or (entry is not None and entry.owns_output)
         values = {
-            "name": os.fsencode(outcome.name), "state": "done" if isinstance(outcome, Done) else "failed",
-            "version": __version__, "run": self.run, "now": _now(), "owns": int(known and not foreign),
+            "name": os.fsencode(outcome.name),
+            "state": "done" if isinstance(outcome, Done) else "failed",
+            "version": __version__,
+            "run": self.run,
+            "now": _now(),
+            "owns": int(known and not foreign),
             "outcome": json.dumps(asdict(outcome)),
-        }  # fmt: skip
+        }
         with _errors(self.path):
             self._database.execute(_FINISH, values)
 
@@ -212,7 +233,9 @@ def _all_entries(path: Path) -> list[Entry]:
 
 def _select(database: sqlite3.Connection, condition: str = "", *values: bytes) -> sqlite3.Cursor:
     """Return the rows of files, the last column the path of the input where it is known."""
-    is_known = database.execute("SELECT count(*) FROM sqlite_master WHERE name = 'sources'").fetchone()[0]
+    is_known = database.execute(
+        "SELECT count(*) FROM sqlite_master WHERE name = 'sources'"
+    ).fetchone()[0]
     source = "(SELECT path FROM sources WHERE sources.name = files.name)" if is_known else "NULL"
     return database.execute(f"SELECT {_ENTRY}, {source} FROM files {condition}", values)
 
@@ -241,14 +264,20 @@ def _check(database: sqlite3.Connection, path: Path) -> None:
     """Refuse what is no journal, or one of another version, or a damaged one."""
     application = database.execute("PRAGMA application_id").fetchone()[0]
     version = database.execute("PRAGMA user_version").fetchone()[0]
-    if not application and not _n_tables(database):  # a run was killed when it had just made the file
+    if not application and not _n_tables(
+        database
+    ):  # a run was killed when it had just made the file
         return
     if application != APPLICATION:
         hint = f"move it away: {shlex.join(['mv', str(path), f'{path}.other'])}"
         raise OutputError(str(path), "is a database of another program", hint)
     if version > SCHEMA:
         problem = f"was written by a newer prc-cli (tables of version {version}, this program knows {SCHEMA})"
-        raise OutputError(str(path), problem, "upgrade: pip install --upgrade prc-cli, or choose another output folder")
+        raise OutputError(
+            str(path),
+            problem,
+            "upgrade: pip install --upgrade prc-cli, or choose another output folder",
+        )
     found = database.execute("PRAGMA quick_check(1)").fetchone()
     if version < SCHEMA or found != ("ok",):
         raise _damaged(path, f"tables of version {version}" if version < SCHEMA else str(found))
@@ -280,19 +309,42 @@ def _errors(path: Path) -> Iterator[None]:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             problem = f"is held by another program ({error})"
-            raise BusyError(str(path), problem, "close what has the journal open, then run again") from error
+            raise BusyError(
+                str(path), problem, "close what has the journal open, then run again"
+            ) from error
         why = why_not_written(path) if code == sqlite3.SQLITE_IOERR else 0
         if code == sqlite3.SQLITE_FULL or why == errno.ENOSPC:
-            raise OutputError(str(path), "the disk is full", "free space on the disk, then run again") from error
+            raise OutputError(
+                str(path), "the disk is full", "free space on the disk, then run again"
+            ) from error
         if why == errno.EFBIG:
             problem = "the system's limit for the size of a file is too small"
             raise OutputError(str(path), problem, "raise it: ulimit -f unlimited") from error
-        if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR):
+        if code in (
+            sqlite3.SQLITE_READONLY,
+            sqlite3.SQLITE_CANTOPEN,
+            sqlite3.SQLITE_PERM,
+            sqlite3.SQLITE_IOERR,
+        ):
             problem = f"cannot be read or written ({error})"
-            raise OutputError(str(path), problem, "check the disk, the folder and its permissions") from error
+            raise OutputError(
+                str(path), problem, "check the disk, the folder and its permissions"
+            ) from error
         raise _damaged(path, str(error)) from error
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError, OverflowError) as error:
-        said = error.reason if isinstance(error, UnicodeDecodeError) else str(error) or type(error).__name__
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        RecursionError,
+        OverflowError,
+    ) as error:
+        said = (
+            error.reason
+            if isinstance(error, UnicodeDecodeError)
+            else str(error) or type(error).__name__
+        )
         raise _damaged(path, f"a row makes no sense: {said}") from error
 
 
@@ -311,8 +363,17 @@ def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:
     return found
 
 
-_COUNTS = ("size", "mtime_ns", "output_size", "output_mtime_ns", "seconds", "cpu_seconds", "n_lines", "n_shots",
-           "n_records")  # fmt: skip
+_COUNTS = (
+    "size",
+    "mtime_ns",
+    "output_size",
+    "output_mtime_ns",
+    "seconds",
+    "cpu_seconds",
+    "n_lines",
+    "n_shots",
+    "n_records",
+)
 _TEXTS = ("kind", "where", "hint", "output_name")
 
 
@@ -332,7 +393,20 @@ def _sound(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _entry(row: tuple[Any, ...]) -> Entry:
-    name, state, config_sha256, version, run, attempts, started, finished, owner, outcome, owns, source = row
+    (
+        name,
+        state,
+        config_sha256,
+        version,
+        run,
+        attempts,
+        started,
+        finished,
+        owner,
+        outcome,
+        owns,
+        source,
+    ) = row
     _need(str, config_sha256, version, run, started, owner, finished or "")
     _need(int, attempts, owns)
     if state not in get_args(State):
@@ -340,9 +414,19 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         raise ValueError(message)
     found = None if outcome is None else _outcome(json.loads(outcome, object_hook=_sound))
     return Entry(
-        os.fsdecode(name), state, config_sha256, version, run, attempts, started, finished, owner, found, bool(owns),
+        os.fsdecode(name),
+        state,
+        config_sha256,
+        version,
+        run,
+        attempts,
+        started,
+        finished,
+        owner,
+        found,
+        bool(owns),
         os.fsdecode(source or b""),
-    )  # fmt: skip
+    )
 
 
 def _outcome(table: dict[str, Any]) -> Outcome:

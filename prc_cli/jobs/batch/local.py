@@ -25,7 +25,17 @@ from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_unfinished
 from prc_cli.core.threads import default_threads, drain
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.types import Comparison, EngineSettings, Event, Failed, Problem, Progress, Started, Task, failed
+from prc_cli.jobs.batch.types import (
+    Comparison,
+    EngineSettings,
+    Event,
+    Failed,
+    Problem,
+    Progress,
+    Started,
+    Task,
+    failed,
+)
 from prc_cli.jobs.batch.worker import MEMORY, READY, STOP_S
 
 START_S = 120.0
@@ -116,10 +126,14 @@ class _Worker:
 class LocalEngine:
     """Runs tasks in processes of this machine."""
 
-    def run(self, tasks: Iterable[Task | Comparison], settings: EngineSettings) -> Generator[Event, None, None]:
+    def run(
+        self, tasks: Iterable[Task | Comparison], settings: EngineSettings
+    ) -> Generator[Event, None, None]:
         """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`), or compare outputs with references."""
         if settings.memory_limit_mib is not None and os.name != "posix":
-            raise ConfigError("--memory-limit", "this system cannot limit the memory of a process", "leave it out")
+            raise ConfigError(
+                "--memory-limit", "this system cannot limit the memory of a process", "leave it out"
+            )
         pool = _Pool(settings)
         try:
             yield from pool.run(iter(tasks))
@@ -176,7 +190,11 @@ class _Pool:
         self._workers.clear()
 
     def _free_worker(self) -> _Worker | None:
-        free = (worker for worker in self._workers if worker.ready and not worker.retiring and worker.task is None)
+        free = (
+            worker
+            for worker in self._workers
+            if worker.ready and not worker.retiring and worker.task is None
+        )
         return next(free, None)
 
     def _start(self) -> None:
@@ -184,24 +202,43 @@ class _Pool:
         threads = self._settings.threads
         path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
         environment = {**{name: str(threads) for name in _POOLS}, **os.environ, "PYTHONPATH": path}
-        apart: dict[str, Any] = {"process_group": 0} if os.name == "posix" else {"creationflags": _NEW_GROUP}
+        apart: dict[str, Any] = (
+            {"process_group": 0} if os.name == "posix" else {"creationflags": _NEW_GROUP}
+        )
         try:
             process = subprocess.Popen(
                 # -P: nothing is imported from the current folder
-                [sys.executable, "-P", "-m", "prc_cli.jobs.batch.worker",
-                 str(threads), str(self._settings.memory_limit_mib or 0)],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=printed, env=environment,
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "prc_cli.jobs.batch.worker",
+                    str(threads),
+                    str(self._settings.memory_limit_mib or 0),
+                ],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=printed,
+                env=environment,
                 **apart,  # Ctrl-C on the terminal is for this process, which knows what to do
-            )  # fmt: skip
+            )
         except OSError as error:
             printed.close()
             problem = f"cannot be started ({error.strerror or error})"
             raise PrcError(
                 "worker process", problem, "fewer --jobs; check the limits of processes and memory"
             ) from error
-        worker = _Worker(process, printed, f"process {process.pid}", begun=time.monotonic(), seen=time.monotonic())
+        worker = _Worker(
+            process,
+            printed,
+            f"process {process.pid}",
+            begun=time.monotonic(),
+            seen=time.monotonic(),
+        )
         self._workers.append(worker)
-        threading.Thread(target=_read, args=(worker, self._messages), name="worker-messages", daemon=True).start()
+        threading.Thread(
+            target=_read, args=(worker, self._messages), name="worker-messages", daemon=True
+        ).start()
 
     def _drain(self) -> Iterator[Event]:
         """Wait a little for messages, and turn all that came into events."""

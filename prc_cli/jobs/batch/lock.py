@@ -27,7 +27,14 @@ from filelock import FileLock, Timeout
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, OutputError
-from prc_cli.core.files import atomic_output, make_folder, output_errors, read_small, refuse_links, remove_stale
+from prc_cli.core.files import (
+    atomic_output,
+    make_folder,
+    output_errors,
+    read_small,
+    refuse_links,
+    remove_stale,
+)
 from prc_cli.jobs.batch.types import Shard, own_name
 
 LOOK_S = 0.5
@@ -68,7 +75,9 @@ class Owner:
         return f"process {self.pid} of {self.user} on {self.host} (since {self.since}{part})"
 
 
-_UNKNOWN = Owner("an unknown machine", 0, "an unknown user", "an unknown time", version="", token="")
+_UNKNOWN = Owner(
+    "an unknown machine", 0, "an unknown user", "an unknown time", version="", token=""
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +113,12 @@ class Lock:
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._release()
 
     def check(self) -> None:
@@ -133,13 +147,21 @@ class Lock:
             raise OutputError(str(self._folder), problem, hint) from error
         self.inherited_from = _read(self.path)
         with atomic_output(self.path, overwrite=True) as temporary:
-            temporary.write_text(json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii")
-        self._refuse(LOOK_S if self._shard is None else STATUS_S)  # so that a shard gives way to the whole archive
+            temporary.write_text(
+                json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii"
+            )
+        self._refuse(
+            LOOK_S if self._shard is None else STATUS_S
+        )  # so that a shard gives way to the whole archive
 
     def _refuse(self, wait_s: float) -> None:
         """Raise if a living run has files in common with this one."""
         for path in self._folder.glob("lock*.json"):
-            if path != self.path and self._shard is not None and path.name.endswith(f"-of-{self._shard.count}.json"):
+            if (
+                path != self.path
+                and self._shard is not None
+                and path.name.endswith(f"-of-{self._shard.count}.json")
+            ):
                 continue
             owner = _read(path)
             if owner is not None and owner.token != self.owner.token and _is_held(path, wait_s):
@@ -159,7 +181,9 @@ class Lock:
 def holders(folder: Path) -> list[Holder]:
     """Return who holds, or held, a lock of an output folder; for ``prc batch status``."""
     found = ((path, _read(path)) for path in sorted(folder.glob("lock*.json")))
-    return [Holder(path, owner, _is_held(path, STATUS_S)) for path, owner in found if owner is not None]
+    return [
+        Holder(path, owner, _is_held(path, STATUS_S)) for path, owner in found if owner is not None
+    ]
 
 
 def has_locks(folder: Path) -> bool:
@@ -190,13 +214,23 @@ def _read(path: Path) -> Owner | None:
     try:
         values = json.loads(read_small(path, _MOST_BYTES))
         owner = Owner(**{item.name: values[item.name] for item in fields(Owner)})
-        if any(type(getattr(owner, item.name)) is not type(getattr(_UNKNOWN, item.name)) for item in fields(Owner)):
+        if any(
+            type(getattr(owner, item.name)) is not type(getattr(_UNKNOWN, item.name))
+            for item in fields(Owner)
+        ):
             return _UNKNOWN
         return owner
     except FileNotFoundError:
         return None
     except OSError as error:
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EINVAL, errno.EFBIG, errno.EISDIR, errno.ENXIO):
+        if error.errno in (
+            errno.EACCES,
+            errno.EPERM,
+            errno.EINVAL,
+            errno.EFBIG,
+            errno.EISDIR,
+            errno.ENXIO,
+        ):
             return _UNKNOWN
         raise
     except (ValueError, TypeError, KeyError, RecursionError):
@@ -205,4 +239,6 @@ def _read(path: Path) -> Owner | None:
 
 def _busy(path: Path, owner: Owner) -> BusyError:
     here = f", or stop it: kill {owner.pid}" if owner.host == platform.node() else ""
-    return BusyError(str(path), f"another run is at work here: {owner}", f"wait until it has ended{here}")
+    return BusyError(
+        str(path), f"another run is at work here: {owner}", f"wait until it has ended{here}"
+    )

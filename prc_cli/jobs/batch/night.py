@@ -41,18 +41,27 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
     nights = [*_earlier(kept), _night(summary, found)][-MOST_NIGHTS:]
     _write(kept, json.dumps(nights, indent=1, allow_nan=False) + "\n")
     compared = [one for one in found.files if one.matrix is not None]
-    worst = sorted(compared, key=lambda one: 0.0 if one.matrix is None else scores(one.matrix).accuracy)
+    worst = sorted(
+        compared, key=lambda one: 0.0 if one.matrix is None else scores(one.matrix).accuracy
+    )
     pooled = scores(found.matrix)
-    names = [item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference]
+    names = [
+        item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference
+    ]
     values = {
         "style": (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8"),
-        "summary": summary, "found": found, "pooled": pooled, "names": names,
+        "summary": summary,
+        "found": found,
+        "pooled": pooled,
+        "names": names,
         "trend": _trend(nights, names),
         "files": [(one, scores(one.matrix)) for one in worst[:LISTED] if one.matrix is not None],
         "n_more": max(len(worst) - LISTED, 0),
         "pictures": [(one.name, _pictures(one, summary, to, found)) for one in worst[:WORST]],
-    }  # fmt: skip
-    page = render_page("prc_cli.jobs.batch", "night.html", values, {"percent": percent, "colour": class_colour})
+    }
+    page = render_page(
+        "prc_cli.jobs.batch", "night.html", values, {"percent": percent, "colour": class_colour}
+    )
     path = summary.out / own_name("report", summary.shard, ".html")
     _write(path, page)
     return path
@@ -61,21 +70,34 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
 def _write(path: Path, text: str) -> None:
     remove_stale(path)  # of a run that was killed just here
     with atomic_output(path, overwrite=True) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")  # names may be any bytes
+        temporary.write_text(
+            text, encoding="utf-8", errors="backslashreplace", newline="\n"
+        )  # names may be any bytes
 
 
 def _earlier(path: Path) -> list[dict[str, Any]]:
     """Return the nights before; none where there are none, or their file was damaged."""
     with contextlib.suppress(OSError, ValueError, PrcError, RecursionError):
         nights = json.loads(read_own(path, _LARGEST))
-        return [night for night in nights if isinstance(night, dict) and {"finished", "f1", "records"} <= night.keys()]
+        return [
+            night
+            for night in nights
+            if isinstance(night, dict) and {"finished", "f1", "records"} <= night.keys()
+        ]
     return []
 
 
 def _night(summary: BatchSummary, found: BatchEvaluation) -> dict[str, Any]:
     pooled = scores(found.matrix)
-    f1 = {item.name: float(item.f1) for item in pooled.classes if item.f1 == item.f1}  # NaN where it is undefined
-    return {"finished": summary.finished, "records": pooled.n_scored, "accuracy": float(pooled.accuracy), "f1": f1}
+    f1 = {
+        item.name: float(item.f1) for item in pooled.classes if item.f1 == item.f1
+    }  # NaN where it is undefined
+    return {
+        "finished": summary.finished,
+        "records": pooled.n_scored,
+        "accuracy": float(pooled.accuracy),
+        "f1": f1,
+    }
 
 
 def _trend(nights: list[dict[str, Any]], names: list[str]) -> str:
@@ -88,19 +110,29 @@ def _trend(nights: list[dict[str, Any]], names: list[str]) -> str:
         for place, name in enumerate(names)
     ]
     ticks = [date if i in (0, len(dates) - 1) else "" for i, date in enumerate(dates)]
-    return line_chart("F1 by night", "night", dates, [int(night["records"]) for night in nights], curves, ticks)
+    return line_chart(
+        "F1 by night", "night", dates, [int(night["records"]) for night in nights], curves, ticks
+    )
 
 
-def _pictures(one: Compared, summary: BatchSummary, to: str, found: BatchEvaluation) -> list[tuple[str, str]]:
+def _pictures(
+    one: Compared, summary: BatchSummary, to: str, found: BatchEvaluation
+) -> list[tuple[str, str]]:
     """Draw a file's classes beside those of its reference; none where its lines are not known."""
     if one.reference is None or found.settings.mapping_name is None:
         return []
-    predicted, mapping = summary.out / output_name(one.name, to), load_mapping(found.settings.mapping_name)
+    predicted, mapping = (
+        summary.out / output_name(one.name, to),
+        load_mapping(found.settings.mapping_name),
+    )
     with contextlib.suppress(PrcError, OSError, ValueError, KeyError, TypeError):
         record = read_record(predicted)
         drawn = class_pictures(
-            predicted, found.settings.tree / one.reference, mapping, record["stream"]["points_per_line"],
+            predicted,
+            found.settings.tree / one.reference,
+            mapping,
+            record["stream"]["points_per_line"],
             points=(summary.archive / one.name, None),
-        )  # fmt: skip
+        )
         return [(caption, base64.b64encode(png).decode()) for caption, png in drawn]
     return []

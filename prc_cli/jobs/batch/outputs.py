@@ -73,7 +73,9 @@ def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> C
 
 def _vanished(folder: Path, archive: Path) -> Iterator[str]:
     if not archive.is_dir():
-        raise InputError(str(archive), "no such folder, expected the archive", "check that its disk is mounted")
+        raise InputError(
+            str(archive), "no such folder, expected the archive", "check that its disk is mounted"
+        )
     names = [entry.name for entry in read_entries(folder)]
     lost = [name for name in names if not os.path.lexists(archive / name)]
     if names and len(lost) == len(names):
@@ -87,7 +89,9 @@ def _temporary_files(out: Path) -> Iterator[Path]:
     for place, _, names in os.walk(out):
         for name in sorted(names):
             path = Path(place, name)
-            if is_left_behind(path) is not False or (Path(place).name == OWN_FOLDER and _SHARED.fullmatch(name)):
+            if is_left_behind(path) is not False or (
+                Path(place).name == OWN_FOLDER and _SHARED.fullmatch(name)
+            ):
                 yield path
 
 
@@ -124,13 +128,17 @@ def verify_outputs(out: Path) -> Iterator[Verified]:
     expected: dict[str, tuple[int, str | None] | None] = dict(_recorded(out))
     for entry in read_entries(out / OWN_FOLDER):
         if isinstance(entry.outcome, Done):
-            name = str(Path(entry.name).with_name(entry.outcome.output_name or Path(entry.name).name))
+            name = str(
+                Path(entry.name).with_name(entry.outcome.output_name or Path(entry.name).name)
+            )
             if entry.state == "done":
                 expected[name] = entry.outcome.output_size, entry.outcome.output_sha256
             else:
                 expected.pop(name, None)
     if not expected:
-        raise InputError(str(out), "holds no outputs that prc wrote", "name the output folder of a run")
+        raise InputError(
+            str(out), "holds no outputs that prc wrote", "name the output folder of a run"
+        )
     for name in sorted(expected):
         yield _verified(out, name, expected[name])
 
@@ -156,7 +164,9 @@ def _verified(out: Path, name: str, expected: tuple[int, str | None] | None) -> 
     try:
         if not path.is_file():
             there = os.path.lexists(path)
-            return Verified(name, *(("damaged", "is no file") if there else ("missing", "is not there")))
+            return Verified(
+                name, *(("damaged", "is no file") if there else ("missing", "is not there"))
+            )
         if (size := path.stat().st_size) != expected[0]:
             return Verified(name, "damaged", f"has {size:,} bytes, expected {expected[0]:,}")
         if fingerprint(path).sha256 != expected[1]:

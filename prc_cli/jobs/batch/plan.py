@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table, refuse_window
+from prc_cli.config import (
+    LoadedConfig,
+    RunConfig,
+    from_folder,
+    from_layers,
+    preset_table,
+    refuse_window,
+)
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError, PrcError
 from prc_cli.core.files import is_same, parts_of, suffix_of
@@ -38,9 +45,16 @@ from prc_cli.jobs.drive import is_of_drive, output_name
 from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[
-    "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing",
-    "changed output", "changed drive",
-]  # fmt: skip
+    "new",
+    "unfinished",
+    "failed before",
+    "changed input",
+    "changed config",
+    "changed version",
+    "output missing",
+    "changed output",
+    "changed drive",
+]
 """Why a file is to be classified."""
 
 TRAJECTORY = "trajectory:"
@@ -145,7 +159,9 @@ class BatchConfig:
         self._preset = table.pop("preset", None)
         self._table = self._placed(table)
         if not isinstance(overrides, list) or not all(isinstance(item, dict) for item in overrides):
-            raise ConfigError(self._where, "override: expected tables, each beginning with [[override]]")
+            raise ConfigError(
+                self._where, "override: expected tables, each beginning with [[override]]"
+            )
         self._overrides = [self._override(number, item) for number, item in enumerate(overrides, 1)]
         self._built: dict[tuple[int, ...], LoadedConfig] = {}
         self._prints: dict[Path, str] = {}
@@ -160,7 +176,11 @@ class BatchConfig:
         rest = dict(table)
         preset, match = rest.pop("preset", None), rest.pop("match", None)
         patterns = [match] if isinstance(match, str) else match
-        if not isinstance(patterns, list) or not patterns or not all(isinstance(item, str) for item in patterns):
+        if (
+            not isinstance(patterns, list)
+            or not patterns
+            or not all(isinstance(item, str) for item in patterns)
+        ):
             found = "" if match is None else f", found {match!r}"
             problem = f"match: expected a pattern or a list of patterns{found}"
             raise ConfigError(where, problem, 'for example match = "night/*.laz"')
@@ -169,7 +189,9 @@ class BatchConfig:
     def _placed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Resolve a trajectory relative to the folder of the configuration file, unless it begins with ``{folder}``."""
         rule = table["input"].get("range") if isinstance(table.get("input"), Mapping) else None
-        if self._layers.path is None or (isinstance(rule, str) and rule.startswith(f"{TRAJECTORY}{{folder}}")):
+        if self._layers.path is None or (
+            isinstance(rule, str) and rule.startswith(f"{TRAJECTORY}{{folder}}")
+        ):
             return table
         return from_folder(table, self._layers.path.parent)
 
@@ -178,7 +200,9 @@ class BatchConfig:
             given = self._layers
             chosen = [self._overrides[number] for number in matching]
             named = [item.preset for item in chosen if item.preset is not None]
-            preset = given.preset if given.preset is not None else (named[-1] if named else self._preset)
+            preset = (
+                given.preset if given.preset is not None else (named[-1] if named else self._preset)
+            )
             layers: list[tuple[str, Mapping[str, Any]]] = []
             if preset is not None:
                 layers.append((f"preset {preset}", preset_table(preset)))
@@ -194,7 +218,9 @@ class BatchConfig:
 
     def of(self, name: str, path: Path) -> tuple[LoadedConfig, str]:
         """Return the configuration of a file and its hash."""
-        loaded = self._build(tuple(i for i, item in enumerate(self._overrides) if item.patterns.match(name)))
+        loaded = self._build(
+            tuple(i for i, item in enumerate(self._overrides) if item.patterns.match(name))
+        )
         rule = loaded.config.input.range
         if not rule.startswith(TRAJECTORY):
             is_base = loaded.config is self.base.config
@@ -210,13 +236,17 @@ class BatchConfig:
         """Return the hash of a trajectory, computed once per run."""
         if path not in self._prints:
             if path.exists() and not path.is_file():
-                raise InputError(str(path), "not a regular file, expected a trajectory", "check [input] range")
+                raise InputError(
+                    str(path), "not a regular file, expected a trajectory", "check [input] range"
+                )
             try:
                 self._prints[path] = fingerprint(path).sha256 or ""
             except (InputError, OSError) as error:
                 why = error.problem if isinstance(error, InputError) else error.strerror
                 problem = f"the trajectory cannot be read ({why})"
-                raise InputError(str(path), problem, "check [input] range and its placeholders") from error
+                raise InputError(
+                    str(path), problem, "check [input] range and its placeholders"
+                ) from error
         return self._prints[path]
 
 
@@ -236,7 +266,9 @@ def _fill(template: str, name: str, path: Path) -> str:
     def value(found: re.Match[str]) -> str:
         if found[1] not in values:
             known = ", ".join(f"{{{key}}}" for key in values)
-            raise ConfigError("input.range", f"unknown placeholder {found[0]!r}, expected one of: {known}")
+            raise ConfigError(
+                "input.range", f"unknown placeholder {found[0]!r}, expected one of: {known}"
+            )
         return values[found[1]]
 
     return _PLACEHOLDER.sub(value, template)
@@ -254,12 +286,16 @@ def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
 # -- decisions --------------------------------------------------------------------------------------------------------
 
 
-def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConfig, known: Mapping[str, Entry]) -> Plan:
+def make_plan(
+    settings: BatchSettings, files: Sequence[Found], config: BatchConfig, known: Mapping[str, Entry]
+) -> Plan:
     """Decide what to do with every file; the files of a drive are done together or not at all."""
     drives = [list(some) for _, some in groupby(files, key=lambda item: item.drive or item.name)]
     if settings.only_failed:
         drives = [
-            some for some in drives if any(item.name in known and known[item.name].state != "done" for item in some)
+            some
+            for some in drives
+            if any(item.name in known and known[item.name].state != "done" for item in some)
         ]
     names = {item.name: output_name(item.name, settings.to) for some in drives for item in some}
     twice = collisions(names.values())
@@ -274,7 +310,8 @@ def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConf
         try:
             tasks = list(_tasks(some, names, twice, config, settings))
             found = [
-                _decide(item, task, known.get(item.name), settings) for item, task in zip(some, tasks, strict=True)
+                _decide(item, task, known.get(item.name), settings)
+                for item, task in zip(some, tasks, strict=True)
             ]
         except (PrcError, OSError) as error:
             for item in some:
@@ -296,14 +333,22 @@ def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConf
                 done.append(task.name)
                 confirmed += [outcome] if isinstance(outcome, Done) else []
     return Plan(
-        tuple(todo), tuple(done), tuple(adopted), tuple(confirmed), tuple(refused), n_beyond_limit=n_beyond_limit
-    )  # fmt: skip
+        tuple(todo),
+        tuple(done),
+        tuple(adopted),
+        tuple(confirmed),
+        tuple(refused),
+        n_beyond_limit=n_beyond_limit,
+    )
 
 
 def _tasks(
-    some: Sequence[Found], names: Mapping[str, str], twice: Collection[str], config: BatchConfig,
+    some: Sequence[Found],
+    names: Mapping[str, str],
+    twice: Collection[str],
+    config: BatchConfig,
     settings: BatchSettings,
-) -> Iterator[Task]:  # fmt: skip
+) -> Iterator[Task]:
     """Yield the tasks of the files of a drive, or of one alone; refuse another configuration than the first one's."""
     drive = tuple(one.name for one in some) if len(some) > 1 else ()
     first = ""
@@ -316,21 +361,33 @@ def _tasks(
         first = first or digest
         if digest != first:
             problem = f"has another configuration than {some[0].name}, expected one for all files of a drive"
-            raise ConfigError(item.name, problem, "look at the tables [[override]] and at the name of the trajectory")
-        yield Task(item.name, item.path, output.absolute(), loaded, digest, settings.overwrite, drive)
+            raise ConfigError(
+                item.name,
+                problem,
+                "look at the tables [[override]] and at the name of the trajectory",
+            )
+        yield Task(
+            item.name, item.path, output.absolute(), loaded, digest, settings.overwrite, drive
+        )
 
 
-def _together(some: Sequence[Found], tasks: Sequence[Task], found: Sequence[Planned | Done | None]) -> list[Planned]:
+def _together(
+    some: Sequence[Found], tasks: Sequence[Task], found: Sequence[Planned | Done | None]
+) -> list[Planned]:
     """Return what is to be done of a drive: all of it, if one of its files is."""
     if not any(isinstance(one, Planned) for one in found):
         return []
     return [
-        one if isinstance(one, Planned) else Planned(replace(task, overwrite=True), "changed drive", item.size)
+        one
+        if isinstance(one, Planned)
+        else Planned(replace(task, overwrite=True), "changed drive", item.size)
         for item, task, one in zip(some, tasks, found, strict=True)
     ]
 
 
-def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSettings) -> Planned | Done | None:
+def _decide(
+    item: Found, task: Task, entry: Entry | None, settings: BatchSettings
+) -> Planned | Done | None:
     """Return the plan for a file, the outcome that adopts or confirms its output, or None if it is done."""
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
@@ -340,7 +397,9 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
             if found is None:
                 raise _foreign(task.output, adopt=settings.adopt)
             if not is_whole(task.output, written, found):
-                return Planned(replace(task, overwrite=True), "changed output", item.size, keeps=True)
+                return Planned(
+                    replace(task, overwrite=True), "changed output", item.size, keeps=True
+                )
             if _is_accepted_otherwise(found, task.config.config, __version__):
                 return Planned(replace(task, overwrite=True), "changed config", item.size)
             return found
@@ -350,11 +409,20 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
         return found
     if written is not None and not settings.overwrite and _is_of_other(item, entry):
         problem = f"was made of {entry.source}, not of {item.path}, which is another file"
-        raise OutputError(str(task.output), problem, "choose another OUT for this archive, or add --overwrite")
+        raise OutputError(
+            str(task.output), problem, "choose another OUT for this archive, or add --overwrite"
+        )
     keeps = reason == "changed output"
-    if written is not None and not keeps and entry.state == "done" and isinstance(entry.outcome, Done):
+    if (
+        written is not None
+        and not keeps
+        and entry.state == "done"
+        and isinstance(entry.outcome, Done)
+    ):
         keeps = _is_changed(task.output, written, entry.outcome, settings)
-    return Planned(replace(task, overwrite=True), reason, item.size, keeps and not settings.overwrite)
+    return Planned(
+        replace(task, overwrite=True), reason, item.size, keeps and not settings.overwrite
+    )
 
 
 def _is_of_other(item: Found, entry: Entry) -> bool:
@@ -398,7 +466,9 @@ def _compare(
     times = item.mtime_ns, written.st_mtime_ns
     if times == (before.input.mtime_ns, before.output_mtime_ns):
         return None, None
-    return None, replace(before, input=replace(before.input, mtime_ns=times[0]), output_mtime_ns=times[1])
+    return None, replace(
+        before, input=replace(before.input, mtime_ns=times[0]), output_mtime_ns=times[1]
+    )
 
 
 def _is_accepted_otherwise(done: Done, config: RunConfig, version: str) -> bool:
@@ -422,13 +492,23 @@ def _stat(output: Path) -> os.stat_result | None:
 def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
     problem = "exists already, and no journal knows it"
     if adopt:
-        problem += f"; {record_path(output).name} does not say that it was made of this input like this"
-    return OutputExistsError(str(output), problem, "move it away, or --overwrite" + ("" if adopt else ", or --adopt"))
+        problem += (
+            f"; {record_path(output).name} does not say that it was made of this input like this"
+        )
+    return OutputExistsError(
+        str(output), problem, "move it away, or --overwrite" + ("" if adopt else ", or --adopt")
+    )
 
 
-def _is_changed(output: Path, written: os.stat_result, before: Done, settings: BatchSettings) -> bool:
+def _is_changed(
+    output: Path, written: os.stat_result, before: Done, settings: BatchSettings
+) -> bool:
     """Tell whether an output is another than was written: by size and time, by content where only the time differs."""
-    if written.st_size == before.output_size and written.st_mtime_ns == before.output_mtime_ns and not settings.verify:
+    if (
+        written.st_size == before.output_size
+        and written.st_mtime_ns == before.output_mtime_ns
+        and not settings.verify
+    ):
         return False
     return not is_whole(output, written, before)
 
@@ -449,22 +529,39 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
         for one in (record, *records):
             one["config"].get("input", {}).pop("accept_doubts", None)
         keys = ("program", "version", "config", "input", "trajectory")
-        wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
+        wanted = next(
+            (one for one in records if all(record[key] == one[key] for key in keys)), None
+        )
         if wanted is None or not is_of_drive(record["notices"], task.drive_files):
             return None
         stream = record["stream"]
         missing = ("missing", int(stream["n_missing"]))
         labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
         return Done(
-            name=task.name, input=InputPrint(before.size, before.mtime_ns, wanted["input"]["sha256"]),
-            output_size=int(record["output"]["size"]), output_mtime_ns=written.st_mtime_ns,
-            seconds=0.0, cpu_seconds=0.0, peak_mib=None, n_lines=int(stream["n_lines"]),
+            name=task.name,
+            input=InputPrint(before.size, before.mtime_ns, wanted["input"]["sha256"]),
+            output_size=int(record["output"]["size"]),
+            output_mtime_ns=written.st_mtime_ns,
+            seconds=0.0,
+            cpu_seconds=0.0,
+            peak_mib=None,
+            n_lines=int(stream["n_lines"]),
             n_shots=int(stream["n_lines"]) * int(stream["points_per_line"]),
-            n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
+            n_records=int(stream["n_records"] or 0),
+            labels=(missing, *labels),
             notices=tuple(str(text) for text in record["notices"]),
-            output_name=task.output.name, output_sha256=str(record["output"]["sha256"]),
-        )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+            output_name=task.output.name,
+            output_sha256=str(record["output"]["sha256"]),
+        )
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        OverflowError,
+    ):
         return None
 
 
@@ -500,16 +597,25 @@ def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> 
     sources = []
     for suffix, some in sorted(sizes.items()):
         ended = [
-            (entry.config_sha256 in wanted, entry.outcome) for name, entry in known.items()
-            if isinstance(entry.outcome, Done) and suffix_of(Path(name)) == suffix and entry.outcome.seconds > 0
-        ]  # fmt: skip
+            (entry.config_sha256 in wanted, entry.outcome)
+            for name, entry in known.items()
+            if isinstance(entry.outcome, Done)
+            and suffix_of(Path(name)) == suffix
+            and entry.outcome.seconds > 0
+        ]
         same = [done for is_wanted, done in ended if is_wanted]
         used = same or [done for _, done in ended]
-        source = f"from {len(used)} earlier file{'s' * (len(used) != 1)} of this archive" if used else "nothing known"
+        source = (
+            f"from {len(used)} earlier file{'s' * (len(used) != 1)} of this archive"
+            if used
+            else "nothing known"
+        )
         another = ", of another configuration" if used and not same else ""
         sources.append(f"{suffix.removeprefix('.')}: {source}{another}")
         if used:
-            rate = sum(done.seconds for done in used) / max(1, sum(done.input.size for done in used))
+            rate = sum(done.seconds for done in used) / max(
+                1, sum(done.input.size for done in used)
+            )
             seconds += [rate * size for size in some]
             peaks += [max(done.peak_mib or 0.0 for done in used)] * len(some)
     # the longest file may take longer than its share

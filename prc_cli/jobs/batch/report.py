@@ -40,7 +40,12 @@ from prc_cli.jobs.batch.types import (
     Shard,
     own_name,
 )
-from prc_cli.jobs.evaluate.options import DEFAULT_MAPPING, MAPPINGS, EvaluateOptions, mapping_of_runs
+from prc_cli.jobs.evaluate.options import (
+    DEFAULT_MAPPING,
+    MAPPINGS,
+    EvaluateOptions,
+    mapping_of_runs,
+)
 from prc_cli.matching.pairs import stem_of
 
 SCHEMA = 1
@@ -95,7 +100,11 @@ class BatchSummary:
         total: Counter[str] = Counter()
         for found in self.done:
             total.update(dict(found.labels))
-        return tuple((label.name.lower(), total[label.name.lower()]) for label in Label if total[label.name.lower()])
+        return tuple(
+            (label.name.lower(), total[label.name.lower()])
+            for label in Label
+            if total[label.name.lower()]
+        )
 
     @property
     def n_doubted(self) -> int:
@@ -155,9 +164,15 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         # after a signal the program ends with the signal's own
         "exit_code": None if summary.ended == "interrupted" else summary.exit_code,
         "counts": {
-            "found": summary.n_found, "skipped": summary.n_skipped, "done": len(summary.done),
-            "failed": len(summary.failed), "failed_before": len(summary.standing), "waiting": summary.n_waiting,
-            "doubted": summary.n_doubted, "alarms": len(summary.alarms), "left_out": len(summary.left_out),
+            "found": summary.n_found,
+            "skipped": summary.n_skipped,
+            "done": len(summary.done),
+            "failed": len(summary.failed),
+            "failed_before": len(summary.standing),
+            "waiting": summary.n_waiting,
+            "doubted": summary.n_doubted,
+            "alarms": len(summary.alarms),
+            "left_out": len(summary.left_out),
         },
         "reasons": dict(summary.reasons),
         "shots": summary.n_shots,
@@ -172,7 +187,7 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "left_out": [asdict(found) for found in summary.left_out],
         "notes": list(summary.notes),
         "evaluation": None if summary.evaluation is None else summary.evaluation.as_dict(),
-    }  # fmt: skip
+    }
 
 
 def done_dict(found: Done) -> dict[str, Any]:
@@ -220,13 +235,19 @@ def check_reference(settings: ReferenceSettings) -> None:
     """Refuse what makes no sense before any file is classified."""
     if not settings.tree.is_dir():
         raise ConfigError(
-            str(settings.tree), "no such folder, expected a tree of reference classes", "check --reference"
+            str(settings.tree),
+            "no such folder, expected a tree of reference classes",
+            "check --reference",
         )
     kind, _, name = settings.match.partition(":")
     if settings.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
         problem = f"found {settings.match!r}, expected one of: order, time, dimension:NAME, nearest"
         raise ConfigError("--match", problem)
-    names = (DEFAULT_MAPPING, *MAPPINGS.values()) if settings.mapping_name is None else (settings.mapping_name,)
+    names = (
+        (DEFAULT_MAPPING, *MAPPINGS.values())
+        if settings.mapping_name is None
+        else (settings.mapping_name,)
+    )
     mappings = [load_mapping(name) for name in names]
     for text in settings.gates:
         # which of them it is, the outputs will say
@@ -306,7 +327,9 @@ class Output:
     """The input: the points that labels alone belong to."""
 
 
-def evaluate_tree(outputs: Sequence[Output], settings: ReferenceSettings, *, jobs: int = 1) -> BatchEvaluation:
+def evaluate_tree(
+    outputs: Sequence[Output], settings: ReferenceSettings, *, jobs: int = 1
+) -> BatchEvaluation:
     """Compare outputs with their references, each alone in a process as ``prc evaluate`` does, and pool them."""
     check_reference(settings)
     name = settings.mapping_name or mapping_of_runs([output.path for output in outputs])[0]
@@ -322,15 +345,21 @@ def evaluate_tree(outputs: Sequence[Output], settings: ReferenceSettings, *, job
             continue
         if reference is None:
             problem = "no reference, expected a file of this name but for the suffix in the reference tree"
-            found[output.name] = Compared(output.name, None, None, Problem(NO_REFERENCE, output.name, problem))
+            found[output.name] = Compared(
+                output.name, None, None, Problem(NO_REFERENCE, output.name, problem)
+            )
             continue
         options = EvaluateOptions(match=settings.match)
         if settings.match != "order" and output.path.suffix.lower() not in LAS_SUFFIXES:
-            options = replace(options, predicted_points=output.source)  # labels alone have neither time nor place
+            options = replace(
+                options, predicted_points=output.source
+            )  # labels alone have neither time nor place
         shown = reference.relative_to(settings.tree).as_posix()
         todo.append(Comparison(output.name, output.path, reference, shown, mapping, options))
     shown_as = {item.name: item.shown for item in todo}
-    with contextlib.closing(LocalEngine().run(todo, EngineSettings(jobs=min(jobs, len(todo))))) as events:
+    with contextlib.closing(
+        LocalEngine().run(todo, EngineSettings(jobs=min(jobs, len(todo))))
+    ) as events:
         for event in events:
             if isinstance(event, Compared):
                 found[event.name] = event
@@ -339,10 +368,14 @@ def evaluate_tree(outputs: Sequence[Output], settings: ReferenceSettings, *, job
     files = tuple(found[output.name] for output in outputs)
     matrices = [item.matrix for item in files if item.matrix is not None]
     pooled = sum(matrices, ConfusionMatrix.empty(mapping))
-    return BatchEvaluation(settings, files, pooled, tuple(_results(settings.gates, mapping, scores(pooled))))
+    return BatchEvaluation(
+        settings, files, pooled, tuple(_results(settings.gates, mapping, scores(pooled)))
+    )
 
 
-def _reference_of(output: Output, tree: Path, folders: dict[Path, dict[str, list[Path]]]) -> Path | None:
+def _reference_of(
+    output: Output, tree: Path, folders: dict[Path, dict[str, list[Path]]]
+) -> Path | None:
     """Return the reference named as the input, or as any run's output, but for the suffix; None = none is."""
     name = PurePosixPath(output.name)
     place = tree / name.parent
@@ -352,7 +385,9 @@ def _reference_of(output: Output, tree: Path, folders: dict[Path, dict[str, list
     for stem in (stem_of(Path(output.relative)), name.name, input_stem):
         found = folders[place].get(stem, [])
         if len(found) > 1:
-            problem = f"{' and '.join(path.name for path in found[:2])} have one name, expected one file"
+            problem = (
+                f"{' and '.join(path.name for path in found[:2])} have one name, expected one file"
+            )
             raise InputError(str(place), problem, "move one of them away")
         if found:
             return found[0]
@@ -429,7 +464,9 @@ def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> st
 
 def _shares(histograms: list[Mapping[str, int]], names: list[str]) -> F64:
     """Return the shares of the classes, (files, classes) float64, each row summing to 1."""
-    counts = np.array([[histogram.get(name, 0) for name in names] for histogram in histograms], np.float64)
+    counts = np.array(
+        [[histogram.get(name, 0) for name in names] for histogram in histograms], np.float64
+    )
     shares: F64 = counts / counts.sum(axis=1, keepdims=True)
     return shares
 

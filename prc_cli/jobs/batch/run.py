@@ -102,7 +102,9 @@ def plan_batch(settings: BatchSettings) -> tuple[Plan, Estimate]:
     return plan, estimate(plan.todo, known, share_cores(settings.jobs, 1, plan.n_items)[0])
 
 
-def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore) -> BatchSummary:
+def run_batch(
+    settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore
+) -> BatchSummary:
     """Classify every file of an archive that is not done yet."""
     config = BatchConfig(settings.config)
     if settings.reference is not None:
@@ -119,14 +121,21 @@ def _plan(settings: BatchSettings, config: BatchConfig, known: dict[str, Entry])
     found = discover(settings)
     plan = make_plan(settings, found.files, config, known)
     names = found.older.union(item.name for item in found.files)
-    return replace(plan, left_out=found.left_out, n_not_selected=found.n_not_selected, archive=names)
+    return replace(
+        plan, left_out=found.left_out, n_not_selected=found.n_not_selected, archive=names
+    )
 
 
 class _Run:
     """One run under its lock."""
 
     def __init__(
-        self, settings: BatchSettings, engine: Engine, listener: Listener, lock: Lock, journal: Journal
+        self,
+        settings: BatchSettings,
+        engine: Engine,
+        listener: Listener,
+        lock: Lock,
+        journal: Journal,
     ) -> None:
         self._settings = settings
         self._engine = engine
@@ -139,7 +148,10 @@ class _Run:
         self._outcomes: dict[str, Outcome] = {}
         self._running: set[str] = set()
         self._stopping = False
-        self._started, self._clock = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
+        self._started, self._clock = (
+            datetime.now(UTC).isoformat(timespec="seconds"),
+            time.monotonic(),
+        )
 
     def execute(self, plan: Plan, config: BatchConfig, known: Mapping[str, Entry]) -> BatchSummary:
         """Do what is planned and return its summary."""
@@ -159,7 +171,9 @@ class _Run:
                 ended = "stopped"
         except (KeyboardInterrupt, SystemExit) as raised:
             ended, stop = "interrupted", raised
-            for name in self._running:  # what the journal calls running is cut off, and the next run does it
+            for name in (
+                self._running
+            ):  # what the journal calls running is cut off, and the next run does it
                 self._outcomes.pop(name, None)
         except BusyError:  # the journal now belongs to another run
             raise
@@ -169,11 +183,17 @@ class _Run:
             raise
         summary = self._summarise(plan, config, run, ended, evaluation)
         code = summary.exit_code if stop is None else getattr(stop, "code", INTERRUPTED)
-        totals = {"done": len(summary.done), "failed": len(summary.failed), "doubted": summary.n_doubted}
+        totals = {
+            "done": len(summary.done),
+            "failed": len(summary.failed),
+            "doubted": summary.n_doubted,
+        }
         self._journal.end_run(code, totals)
         write_summary(summary)
         if summary.evaluation is not None:
-            from prc_cli.jobs.batch.night import write_night  # the page's modules take a while to load
+            from prc_cli.jobs.batch.night import (
+                write_night,
+            )  # the page's modules take a while to load
 
             write_night(summary, self._settings.to)
         if stop is not None:
@@ -193,7 +213,9 @@ class _Run:
             self._journal.finish(done)
         if plan.adopted:
             n = len(plan.adopted)
-            self._note(f"{n} output{'' if n == 1 else 's'} taken as done: made of the same input in the same way")
+            self._note(
+                f"{n} output{'' if n == 1 else 's'} taken as done: made of the same input in the same way"
+            )
         for failed in plan.refused:
             entry = self._journal.entry(failed.name)
             # a done file stays done: it may only lack its trajectory tonight
@@ -209,7 +231,9 @@ class _Run:
             self._outcomes[failed.name] = failed
         if plan.refused and self._settings.fail_fast:
             self._stopping = True
-        settings = EngineSettings(jobs, threads, self._settings.stall_s, self._settings.memory_limit_mib)
+        settings = EngineSettings(
+            jobs, threads, self._settings.stall_s, self._settings.memory_limit_mib
+        )
         self._pass(plan.todo, settings, attempt=0)
         attempt = 1
         while again := self._to_try_again(plan.todo, attempt):
@@ -276,7 +300,9 @@ class _Run:
         make_folder(kept.parent)
         with output_errors(kept), contextlib.suppress(FileNotFoundError):
             task.output.rename(kept)
-            self._note(f"{task.name}: its output was changed or damaged; it is done anew, the old one is kept: {kept}")
+            self._note(
+                f"{task.name}: its output was changed or damaged; it is done anew, the old one is kept: {kept}"
+            )
 
     def _end(self, outcome: Outcome, attempt: int) -> None:
         self._journal.finish(outcome)
@@ -299,13 +325,20 @@ class _Run:
         """Raise an alarm for every file whose class shares are far from those of earlier runs."""
         earlier = _earlier(known.values()) if self._settings.drift else {}
         for item in plan.todo:
-            outcome, others = self._outcomes.get(item.task.name), earlier.get(item.task.config_sha256, [])
+            outcome, others = (
+                self._outcomes.get(item.task.name),
+                earlier.get(item.task.config_sha256, []),
+            )
             labels = [
                 dict(entry.outcome.labels)
                 for entry in others
                 if isinstance(entry.outcome, Done) and entry.name != item.task.name
             ]
-            sentence = drift(dict(outcome.labels), labels[:EARLIER_FILES]) if isinstance(outcome, Done) else None
+            sentence = (
+                drift(dict(outcome.labels), labels[:EARLIER_FILES])
+                if isinstance(outcome, Done)
+                else None
+            )
             if sentence is not None:
                 alarm = Alarm(item.task.name, sentence)
                 self._alarms.append(alarm)
@@ -323,14 +356,25 @@ class _Run:
         for name in sorted(names):
             relative = output_name(name, settings.to)
             outputs.append(Output(name, relative, settings.out / relative, settings.archive / name))
-        return evaluate_tree(outputs, settings.reference, jobs=share_cores(settings.jobs, 1, len(outputs))[0])
+        return evaluate_tree(
+            outputs, settings.reference, jobs=share_cores(settings.jobs, 1, len(outputs))[0]
+        )
 
     def _summarise(
-        self, plan: Plan, config: BatchConfig, run: str, ended: Ended, evaluation: BatchEvaluation | None
+        self,
+        plan: Plan,
+        config: BatchConfig,
+        run: str,
+        ended: Ended,
+        evaluation: BatchEvaluation | None,
     ) -> BatchSummary:
         outcomes = [self._outcomes[name] for name in sorted(self._outcomes)]
         entries = [entry for entry in self._journal.entries() if entry.name in plan.archive]
-        before = (entry.outcome for entry in entries if entry.state == "failed" and entry.name not in self._outcomes)
+        before = (
+            entry.outcome
+            for entry in entries
+            if entry.state == "failed" and entry.name not in self._outcomes
+        )
         n_ended = sum(item.task.name in self._outcomes for item in plan.todo)
         return BatchSummary(
             run=run,
@@ -365,6 +409,9 @@ def _earlier(known: Iterable[Entry]) -> dict[str, list[Entry]]:
     """Return the files that were done last before this run, by configuration; one more than are compared with."""
     files: dict[str, list[Entry]] = {}
     for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
-        if entry.state == "done" and len(some := files.setdefault(entry.config_sha256, [])) <= EARLIER_FILES:
+        if (
+            entry.state == "done"
+            and len(some := files.setdefault(entry.config_sha256, [])) <= EARLIER_FILES
+        ):
             some.append(entry)
     return files

@@ -58,7 +58,10 @@ class Shard:
 
     def holds(self, name: str) -> bool:
         """Tell whether a file belongs to this shard; the same on every machine and in every version."""
-        return int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big") % self.count == self.index - 1
+        return (
+            int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big") % self.count
+            == self.index - 1
+        )
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"

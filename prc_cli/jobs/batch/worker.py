@@ -24,7 +24,16 @@ from prc_cli.core.errors import OutputExistsError, PrcError
 from prc_cli.core.process import claim_process, hold_limits, raise_or_hold, return_memory
 from prc_cli.core.profile import peak_memory
 from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
-from prc_cli.jobs.batch.types import Compared, Comparison, Done, Failed, InputPrint, Outcome, Problem, Task
+from prc_cli.jobs.batch.types import (
+    Compared,
+    Comparison,
+    Done,
+    Failed,
+    InputPrint,
+    Outcome,
+    Problem,
+    Task,
+)
 from prc_cli.jobs.classify import Progress, RunSummary, classify, load_classifier
 from prc_cli.jobs.drive import classify_drive
 
@@ -48,7 +57,9 @@ MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
 # -- one file ---------------------------------------------------------------------------------------------------------
 
 
-def run_item(task: Task, *, threads: int = 1, progress: Progress | None = None) -> tuple[Outcome, ...]:
+def run_item(
+    task: Task, *, threads: int = 1, progress: Progress | None = None
+) -> tuple[Outcome, ...]:
     """Classify one file, or the files of a drive as one stream; only interrupts are raised."""
     if not task.others:
         return (run_task(task, threads=threads, progress=progress),)
@@ -62,9 +73,13 @@ def run_item(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         load_classifier(task.config)
         begun, cpu = time.perf_counter(), time.process_time()
         runs = classify_drive(
-            [one.source for one in task.files], [one.output for one in task.files], task.config, progress=progress,
-            overwrite=any(one.overwrite for one in task.files), threads=threads,
-        )  # fmt: skip
+            [one.source for one in task.files],
+            [one.output for one in task.files],
+            task.config,
+            progress=progress,
+            overwrite=any(one.overwrite for one in task.files),
+            threads=threads,
+        )
         for summary in runs:
             ended.append((task.files[len(ended)], summary))
     except Exception as error:
@@ -75,9 +90,14 @@ def run_item(task: Task, *, threads: int = 1, progress: Progress | None = None) 
     seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu
     n_shots = sum(summary.counts.n_shots for _, summary in ended) or 1
     return *(
-        _done(one, before[one.name], summary, *(each * summary.counts.n_shots / n_shots for each in (seconds, cpu)))
+        _done(
+            one,
+            before[one.name],
+            summary,
+            *(each * summary.counts.n_shots / n_shots for each in (seconds, cpu)),
+        )
         for one, summary in ended
-    ), *failed  # fmt: skip
+    ), *failed
 
 
 def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
@@ -99,7 +119,9 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
                 found = outcome_of_record(task, before, written)
                 if found is not None and is_whole(task.output, written, found):
                     return found
-        return Failed(task.name, before, time.perf_counter() - begun, _problem_of(error, task, before))
+        return Failed(
+            task.name, before, time.perf_counter() - begun, _problem_of(error, task, before)
+        )
 
 
 def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary:
@@ -107,7 +129,12 @@ def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary
     while True:
         try:
             return classify(
-                task.source, task.output, task.config, overwrite=task.overwrite, progress=progress, threads=threads
+                task.source,
+                task.output,
+                task.config,
+                overwrite=task.overwrite,
+                progress=progress,
+                threads=threads,
             )
         except OutputExistsError:
             if not remove_unfinished(task):
@@ -120,40 +147,69 @@ def _stat_input(path: Path) -> InputPrint:
     return InputPrint(status.st_size, status.st_mtime_ns, None)
 
 
-def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float) -> Done:
+def _done(
+    task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float
+) -> Done:
     record, counts = summary.record, summary.counts
     written, peak = task.output.stat(), peak_memory()
     return Done(
-        name=task.name, input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
-        output_size=written.st_size, output_mtime_ns=written.st_mtime_ns, seconds=seconds, cpu_seconds=cpu_seconds,
-        peak_mib=None if peak is None else peak / (1 << 20), n_lines=counts.n_lines, n_shots=counts.n_shots,
+        name=task.name,
+        input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
+        output_size=written.st_size,
+        output_mtime_ns=written.st_mtime_ns,
+        seconds=seconds,
+        cpu_seconds=cpu_seconds,
+        peak_mib=None if peak is None else peak / (1 << 20),
+        n_lines=counts.n_lines,
+        n_shots=counts.n_shots,
         n_records=record.n_records or 0,
-        labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label), notices=record.notices,
-        output_name=task.output.name, output_sha256=None if record.output is None else record.output.sha256,
-    )  # fmt: skip
+        labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label),
+        notices=record.notices,
+        output_name=task.output.name,
+        output_sha256=None if record.output is None else record.output.sha256,
+    )
 
 
 def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
     """Return why a file failed: separates causes outside the file, which may pass, from faults of the file."""
     found = Problem.of(error)
-    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "start new thread" in str(error)):
+    if isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and "start new thread" in str(error)
+    ):
         hint = "fewer --jobs or threads, or a higher --memory-limit"
         return Problem(MEMORY, task.name, f"out of memory ({found.problem})", hint)
     if isinstance(error, OSError):
         where = os.fsdecode(error.filename) if error.filename is not None else task.name
-        found = Problem(found.kind, where, error.strerror or str(error), "check the disk, the name and its permissions")
+        found = Problem(
+            found.kind,
+            where,
+            error.strerror or str(error),
+            "check the disk, the name and its permissions",
+        )
     elif isinstance(error, PrcError) and isinstance(error.__cause__, OSError):
         found = Problem(type(error.__cause__).__name__, found.where, found.problem, found.hint)
     elif isinstance(error, ImportError):
-        found = Problem(found.kind, task.name, f"a package cannot be loaded ({error})", "prc doctor says which")
+        found = Problem(
+            found.kind, task.name, f"a package cannot be loaded ({error})", "prc doctor says which"
+        )
     elif not isinstance(error, PrcError):
-        found = Problem(found.kind, task.name, f"{found.kind}: {found.problem}", "a fault of prc; please report it")
+        found = Problem(
+            found.kind,
+            task.name,
+            f"{found.kind}: {found.problem}",
+            "a fault of prc; please report it",
+        )
     if before is None:
         return found
     try:
         after = _stat_input(task.source)
     except OSError as gone:
-        return Problem(VANISHED, found.where, f"the input went away while it was read ({gone.strerror})", found.hint)
+        return Problem(
+            VANISHED,
+            found.where,
+            f"the input went away while it was read ({gone.strerror})",
+            found.hint,
+        )
     if after != before:  # the change may have caused the error
         hint = "run again when the copy is complete"
         return Problem(CHANGED, str(task.source), "changed while it was read", hint)
@@ -166,9 +222,19 @@ def may_pass(problem: Problem) -> bool:
     >>> may_pass(Problem("killed", "a.laz", "")), may_pass(Problem("InputError", "a.laz", "cut short"))
     (True, False)
     """
-    if problem.kind in ("killed", "timeout", "interrupted", "OutputError", MEMORY, CHANGED, VANISHED):
+    if problem.kind in (
+        "killed",
+        "timeout",
+        "interrupted",
+        "OutputError",
+        MEMORY,
+        CHANGED,
+        VANISHED,
+    ):
         return True
-    return problem.kind.isidentifier() and issubclass(getattr(builtins, problem.kind, object), OSError)
+    return problem.kind.isidentifier() and issubclass(
+        getattr(builtins, problem.kind, object), OSError
+    )
 
 
 def _compare(pair: Comparison) -> Compared:
@@ -249,14 +315,18 @@ class _Parent:
         self._n_lines, self._last = 0, time.monotonic()
 
 
-def _serve(tasks: queue.SimpleQueue[Any], parent: _Parent, threads: int, limit_mib: int | None) -> None:
+def _serve(
+    tasks: queue.SimpleQueue[Any], parent: _Parent, threads: int, limit_mib: int | None
+) -> None:
     """Do one task after the other until no more come."""
     while (task := tasks.get()) is not None:
         if isinstance(task, Comparison):
             parent.send((_compare(task),))
             continue
         if limit_mib is not None:
-            with contextlib.suppress(Exception):  # the same error comes again, and is reported, with the file
+            with contextlib.suppress(
+                Exception
+            ):  # the same error comes again, and is reported, with the file
                 load_classifier(task.config)  # memory of the libraries does not count
             _limit_memory(limit_mib)
             limit_mib = None
@@ -272,7 +342,9 @@ def _limit_memory(mib: int) -> None:
     kind = resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS
     _, hard = resource.getrlimit(kind)
     wanted = mib << 20
-    resource.setrlimit(kind, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+    resource.setrlimit(
+        kind, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
+    )
 
 
 def bytes_moved() -> Callable[[], int]:
@@ -284,7 +356,14 @@ def bytes_moved() -> Callable[[], int]:
         nonlocal own
         text = place.read_text(encoding="ascii")
         own += len(text)  # reading this moves bytes, too
-        return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith(("rchar", "wchar"))) - own
+        return (
+            sum(
+                int(line.split()[1])
+                for line in text.splitlines()
+                if line.startswith(("rchar", "wchar"))
+            )
+            - own
+        )
 
     try:
         counted()
@@ -320,7 +399,9 @@ def main(threads: int, limit_mib: int | None) -> int:
     hold_limits()
     claim_process()
     return_memory()  # before any thread: else every file's threads keep memory of their own
-    with contextlib.suppress(OSError):  # when memory is short, the system kills a worker, not its parent
+    with contextlib.suppress(
+        OSError
+    ):  # when memory is short, the system kills a worker, not its parent
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
     # what libraries print goes to stderr, which the parent keeps for error messages
     out = os.fdopen(os.dup(1), "wb")
@@ -328,8 +409,12 @@ def main(threads: int, limit_mib: int | None) -> int:
     parent = _Parent(out)
     tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
     try:
-        threading.Thread(target=_receive, args=(sys.stdin.buffer, tasks, interrupts), daemon=True).start()
-        threading.Thread(target=beat, args=(lambda: parent.send(0), threading.Event()), daemon=True).start()
+        threading.Thread(
+            target=_receive, args=(sys.stdin.buffer, tasks, interrupts), daemon=True
+        ).start()
+        threading.Thread(
+            target=beat, args=(lambda: parent.send(0), threading.Event()), daemon=True
+        ).start()
         parent.send(READY)
         _serve(tasks, parent, threads, limit_mib)
     except SystemExit as ended:

@@ -56,9 +56,7 @@ LEAST_LINES = 3
 GROUPS = 40
 """Number of line groups for training and held-out lines, unless they become too large."""
 NOTHING = "fused measures the sensor in every run: there is nothing to calibrate, and the configuration changes nothing"
-STAYS_OPEN = (
-    "the configuration leaves the method open: where the angles of the beams are known, fused is taken all the same"
-)
+STAYS_OPEN = "the configuration leaves the method open: where the angles of the beams are known, fused is taken all the same"
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,13 +166,17 @@ def calibrate(
     elif prepared is not None and search is not None:
         mapping, codes = prepared
         n_records = stream.info.n_records or n_records
-        training, held_out = _groups(stream, run, (codes, mapping), search, lines, n_records, progress)
+        training, held_out = _groups(
+            stream, run, (codes, mapping), search, lines, n_records, progress
+        )
         found, doubted = _search(run, advice, mapping, (training, held_out), search, tried)
         advice, notes = _found_advice(advice, found, run), (*notes, *doubted)
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
-    return Calibration(str(source), sensor, curves, advice, calibrated, found, notes, watch.findings())
+    return Calibration(
+        str(source), sensor, curves, advice, calibrated, found, notes, watch.findings()
+    )
 
 
 def _implied(
@@ -185,18 +187,26 @@ def _implied(
     if run.method == "fused":
         why = "" if choice is None else f" (taken because {choice.why})"
         return (), (f"{NOTHING}{why}; for PRC's parameters give --method prc", *_notes(sensor))
-    notes = _notes(sensor) if choice is None else (f"{choice.why}: PRC is calibrated; {STAYS_OPEN}", *_notes(sensor))
+    notes = (
+        _notes(sensor)
+        if choice is None
+        else (f"{choice.why}: PRC is calibrated; {STAYS_OPEN}", *_notes(sensor))
+    )
     return imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m), notes
 
 
 def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:
     """Check everything that can be checked before reading the stream."""
-    mapping = search.mapping if isinstance(search.mapping, ClassMapping) else load_mapping(search.mapping)
+    mapping = (
+        search.mapping if isinstance(search.mapping, ClassMapping) else load_mapping(search.mapping)
+    )
     check_objective(search.objective, mapping)
     axes_of(config, search.keep)
     if not 0 < search.training_share < 1:
         where = "--training-share"
-        raise ConfigError(where, f"found {search.training_share:g}, expected a share between 0 and 1")
+        raise ConfigError(
+            where, f"found {search.training_share:g}, expected a share between 0 and 1"
+        )
     return mapping, open_codes(search.reference, search.dimension)
 
 
@@ -207,7 +217,9 @@ def _measure(
     meter, counter = SensorMeter(stream.info), CurveCounter(config.prc)
     lines: dict[int, int] = {}
     tally, info = ReadTally(), stream.info
-    for block in regroup(stream.blocks(), max(LEAST_LINES, SHOTS_AT_ONCE // stream.info.points_per_line)):
+    for block in regroup(
+        stream.blocks(), max(LEAST_LINES, SHOTS_AT_ONCE // stream.info.points_per_line)
+    ):
         meter.add(block)
         counter.add(block)
         lines[block.scanner] = lines.get(block.scanner, 0) + block.n_lines
@@ -252,12 +264,21 @@ def _groups(
                 continue
             if at in kept:
                 record = block.records().ravel()
-                truth: I64 = np.where(record >= 0, classes[np.maximum(record, 0)], -1).astype(np.int64)
+                truth: I64 = np.where(record >= 0, classes[np.maximum(record, 0)], -1).astype(
+                    np.int64
+                )
                 # drop what the classifiers do not use, to save memory
                 light = replace(
-                    block, record=None, time_s=None, intensity=None, extra=type(block.extra).none(), next_m=None,
-                    first_line=0, scanner=0, is_last=True,
-                )  # fmt: skip
+                    block,
+                    record=None,
+                    time_s=None,
+                    intensity=None,
+                    extra=type(block.extra).none(),
+                    next_m=None,
+                    first_line=0,
+                    scanner=0,
+                    is_last=True,
+                )
                 groups.append(Group(light, truth))
             at += 1
         del classes
@@ -296,27 +317,39 @@ def _search(
     for name, side in (("training", training), ("held-out", held_out)):
         if not any((group.reference >= 0).any() for group in side):
             problem = f"no {name} line has a class that is scored"
-            raise InputError(str(search.reference), problem, "choose another --seed or --training-share")
+            raise InputError(
+                str(search.reference), problem, "choose another --seed or --training-share"
+            )
     implied = {item.key: item.value for item in advice}
     axes = axes_of(config, search.keep)
     kept = with_values(config, {key: implied[key] for key in search.keep if key in implied})
     m = training[0].block.points_per_line
     configured = {axis.key: _configured(config, axis.key, m) for axis in axes}
     start = {key: float(implied.get(key, value)) for key, value in configured.items()}
-    searcher = Searcher(kept, mapping, training, search.objective, max(2, search.budget), axes, tried)
+    searcher = Searcher(
+        kept, mapping, training, search.objective, max(2, search.budget), axes, tried
+    )
     values = searcher.run((configured, start))
     tables = {"configured": {}, "from the sensor": implied, "search": {**implied, **values}}
     judged, has_noise = [], False
     for name, these in tables.items():
         sides = [scores(confusion(side, with_values(config, these), mapping)) for side in groups]
-        has_noise = has_noise or any(one.name == "noise" and one.n_reference for one in sides[0].classes)
+        has_noise = has_noise or any(
+            one.name == "noise" and one.n_reference for one in sides[0].classes
+        )
         judged.append(Judged(name, *(figures(side, search.objective) for side in sides)))
     notes = (*_blind(values, has_noise=has_noise), *_doubts(judged, search.objective))
     n_training, n_held_out = (sum(group.block.range_m.size for group in side) for side in groups)
     result = SearchResult(
-        search.objective, values, searcher.n_trials, n_training, n_held_out, len(training), len(held_out),
+        search.objective,
+        values,
+        searcher.n_trials,
+        n_training,
+        n_held_out,
+        len(training),
+        len(held_out),
         tuple(judged),
-    )  # fmt: skip
+    )
     return result, notes
 
 
@@ -328,7 +361,9 @@ def _configured(config: RunConfig, key: str, points_per_line: int) -> float:
     return float(value)
 
 
-def _found_advice(advice: tuple[Advice, ...], found: SearchResult, config: RunConfig) -> tuple[Advice, ...]:
+def _found_advice(
+    advice: tuple[Advice, ...], found: SearchResult, config: RunConfig
+) -> tuple[Advice, ...]:
     """Replace values implied by the sensor with those of the search."""
     by_key = {item.key: item for item in advice}
     rest = tuple(item for item in advice if item.key not in found.values)

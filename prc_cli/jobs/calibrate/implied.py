@@ -16,7 +16,13 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
 from prc_cli.methods.prc.pipeline import PrcParams
-from prc_cli.methods.prc.support import BackgroundParams, required_counts, stream_window, tail_after, window_reach
+from prc_cli.methods.prc.support import (
+    BackgroundParams,
+    required_counts,
+    stream_window,
+    tail_after,
+    window_reach,
+)
 from prc_cli.methods.prc.surfaces import PUBLISHED_AREA, PUBLISHED_BLOCK
 
 DECADES = (-3, 2)
@@ -89,7 +95,10 @@ class Curves:
                 "zeta_s": self.zetas_s.tolist(),
                 "supported_share": self.over_zeta_s(zeta_p).tolist(),
             },
-            "over_d_c": {"d_c": self.lengths.tolist(), "background_share": self.background_share().tolist()},
+            "over_d_c": {
+                "d_c": self.lengths.tolist(),
+                "background_share": self.background_share().tolist(),
+            },
         }
 
 
@@ -125,8 +134,12 @@ class CurveCounter:
         self._tails[block.scanner] = tail_after(tail, block.range_m)
         in_slice, adjacent = required_counts(self.params.support)
         n = block.n_lines
-        self._support += kernels.support_histogram(window, n, m, self.zetas_p, self.zetas_s, in_slice, adjacent)
-        self._bend += kernels.bend_histogram(window, n, m, self.lengths, self.params.background.alpha)
+        self._support += kernels.support_histogram(
+            window, n, m, self.zetas_p, self.zetas_s, in_slice, adjacent
+        )
+        self._bend += kernels.bend_histogram(
+            window, n, m, self.lengths, self.params.background.alpha
+        )
         self.n_shots += block.range_m.size
 
     def finish(self) -> Curves:
@@ -172,7 +185,9 @@ class Advice:
     reason: str
 
 
-def imply(sensor: SensorEstimate, curves: Curves, params: PrcParams, range_noise_m: float) -> tuple[Advice, ...]:
+def imply(
+    sensor: SensorEstimate, curves: Curves, params: PrcParams, range_noise_m: float
+) -> tuple[Advice, ...]:
     """Derive d_c, A, k, zeta_s, zeta_p and the noise of the sequential-angle method."""
     return (
         _block(sensor, params),
@@ -208,7 +223,9 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
     for name, configured, grid, shares in rows:
         plateau = float(shares[np.searchsorted(grid, PLATEAU_M)])
         good = (shares >= need * plateau) & (grid >= ZETA_SIGMAS * noise)
-        at = float(shares[np.searchsorted(grid, configured if configured in grid else grid[0])])  # zero is not on it
+        at = float(
+            shares[np.searchsorted(grid, configured if configured in grid else grid[0])]
+        )  # zero is not on it
         if plateau < LEAST_PLATEAU:
             value = configured
             reason = (
@@ -221,7 +238,9 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
         else:
             place = int(np.argmax(good)) if good.any() else len(grid) - 1
             value = round_up(float(grid[place]))
-            least = f"{need:.0%} of that and {ZETA_SIGMAS:g} times the noise of {1000 * noise:.2g} mm"
+            least = (
+                f"{need:.0%} of that and {ZETA_SIGMAS:g} times the noise of {1000 * noise:.2g} mm"
+            )
             reason = (
                 f"{configured:g} m supports {at:.1%} of the returns, {PLATEAU_M:g} m {plateau:.1%}; this is the "
                 f"least threshold that reaches {least}"
@@ -229,7 +248,9 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
         found.append(Advice(f"prc.support.{name}", configured, value, reason))
     zeta_s, zeta_p = found
     if float(zeta_s.value) < float(zeta_p.value):
-        reason = f"raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B); by itself: {zeta_s.reason}"
+        reason = (
+            f"raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B); by itself: {zeta_s.reason}"
+        )
         zeta_s = replace(zeta_s, value=zeta_p.value, reason=reason)
     return zeta_s, zeta_p
 
@@ -255,7 +276,9 @@ def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice
     others = "; ".join(f"{other:.2g} m for: {text}" for other, text in bounds[1:] if other != value)
     value = round_up(value)
     share = float(np.interp(math.log(value), np.log(curves.lengths), curves.background_share()))
-    reason += f"; marks {share:.1%} of the returns" + (f" (less is asked by the rest: {others})" if others else "")
+    reason += f"; marks {share:.1%} of the returns" + (
+        f" (less is asked by the rest: {others})" if others else ""
+    )
     return Advice("prc.background.d_c", params.background.d_c, value, reason)
 
 

@@ -34,7 +34,9 @@ def as_toml(found: Calibration) -> str:
     if found.search is not None:
         for judged in found.search.judged:
             sides = {"training": judged.training, "held-out": judged.held_out}
-            told = (f"{name} {figure(side, found.search.objective):.3f}" for name, side in sides.items())
+            told = (
+                f"{name} {figure(side, found.search.objective):.3f}" for name, side in sides.items()
+            )
             lines.append(f"#   {found.search.objective} {judged.name}: {', '.join(told)}")
     lines += [f"# note: {_plain(note)}" for note in found.notes]
     lines += [f"# doubt: {_plain(doubt.sentence())}" for doubt in found.doubts]
@@ -42,7 +44,9 @@ def as_toml(found: Calibration) -> str:
     for line in to_toml(found.config).splitlines():
         setting, mark, reason = line.partition(f"  # from: {_MARK}")
         if mark:
-            lines += [f"# {part}" for part in textwrap.wrap(f"calibrated: {_plain(reason)}", _WIDTH)]
+            lines += [
+                f"# {part}" for part in textwrap.wrap(f"calibrated: {_plain(reason)}", _WIDTH)
+            ]
         lines.append(setting if mark else line)
     return "\n".join(lines) + "\n"
 
@@ -52,21 +56,43 @@ def sensor_rows(sensor: SensorEstimate) -> Iterator[tuple[str, str]]:
     ranges = sensor.range_quantiles_m
     yield "shots", f"{sensor.n_shots:,} in {sensor.n_lines:,} lines of {sensor.points_per_line:,}"
     yield "missing", f"{sensor.missing_share:.1%}"
-    yield "range", f"median {ranges['50%']:.3g} m, 5 % to 95 %: {ranges['5%']:.3g} to {ranges['95%']:.3g} m"
+    yield (
+        "range",
+        f"median {ranges['50%']:.3g} m, 5 % to 95 %: {ranges['5%']:.3g} to {ranges['95%']:.3g} m",
+    )
     if sensor.sigma_m is None or sensor.sigma_per_m is None:
         yield "noise", "not measured: no flat stretch"
     else:
-        growth = f", and {1000 * sensor.sigma_per_m:.2g} mm per metre of range" if sensor.sigma_per_m else ""
+        growth = (
+            f", and {1000 * sensor.sigma_per_m:.2g} mm per metre of range"
+            if sensor.sigma_per_m
+            else ""
+        )
         yield "noise", f"standard deviation about a plane {1000 * sensor.sigma_m:.2g} mm{growth}"
-    step = "not measured" if sensor.step_rad is None else f"{math.degrees(sensor.step_rad):.3g} degrees"
+    step = (
+        "not measured"
+        if sensor.step_rad is None
+        else f"{math.degrees(sensor.step_rad):.3g} degrees"
+    )
     yield "angular step", f"{step}, from: {sensor.step_source}"
-    yield "rounding", "none found" if sensor.rounding_m is None else f"ranges are multiples of {sensor.rounding_m:g} m"
+    yield (
+        "rounding",
+        "none found"
+        if sensor.rounding_m is None
+        else f"ranges are multiples of {sensor.rounding_m:g} m",
+    )
     if sensor.in_line_m is not None:
         yield "next shot", f"median range difference {sensor.in_line_m:.2g} m"
     if sensor.across_lines_m is not None:
-        yield "next line", f"median range difference {sensor.across_lines_m:.2g} m in the same column"
+        yield (
+            "next line",
+            f"median range difference {sensor.across_lines_m:.2g} m in the same column",
+        )
     if sensor.line_hz:
-        yield "line spacing", f"{1 / sensor.line_hz:.3g} m for every m/s of speed ({sensor.line_hz:.4g} lines a second)"
+        yield (
+            "line spacing",
+            f"{1 / sensor.line_hz:.3g} m for every m/s of speed ({sensor.line_hz:.4g} lines a second)",
+        )
     else:
         yield "line spacing", "unknown: the stream holds neither times nor speed"
 
@@ -97,7 +123,9 @@ def judged_rows(found: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ..
 def curve_rows(found: Calibration) -> Iterator[tuple[str, str, str, str]]:
     """Yield threshold, share over zeta_p, share over zeta_s and share of background over d_c, three per decade."""
     curves = found.curves
-    wanted = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {100.0}
+    wanted = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {
+        100.0
+    }
     # thresholds are a tenth of a decade apart: the nearest ones are shown for 2 and 5
     for target in sorted(wanted):
         cells = []
@@ -121,7 +149,10 @@ CURVE_HEADER = (
 
 def as_markdown(found: Calibration) -> str:
     """Return everything as Markdown tables."""
-    parts = [f"# Calibration on {_plain(found.path)}", _table(("measured", ""), list(sensor_rows(found.sensor)))]
+    parts = [
+        f"# Calibration on {_plain(found.path)}",
+        _table(("measured", ""), list(sensor_rows(found.sensor))),
+    ]
     parts.append(_table(("key", "before", "value", "reason"), list(advice_rows(found))))
     header, rows = judged_rows(found)
     if header and found.search is not None:
@@ -160,28 +191,59 @@ def as_svg(found: Calibration) -> str:
     def y(share: float) -> float:
         return _BOTTOM - share * (_BOTTOM - _TOP)
 
-    def curve(name: str, grid: F64, shares: F64, colour: str, dash: str, key: str, value: float) -> dict[str, object]:
-        points = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True))
+    def curve(
+        name: str, grid: F64, shares: F64, colour: str, dash: str, key: str, value: float
+    ) -> dict[str, object]:
+        points = " ".join(
+            f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True)
+        )
         # a chosen threshold off the scale is drawn at its edge
         off = "" if first <= value <= last else " (off the scale)"
         return {
-            "name": name, "points": points, "colour": colour, "dash": dash, "chosen": f"{key} = {value:g} m{off}",
+            "name": name,
+            "points": points,
+            "colour": colour,
+            "dash": dash,
+            "chosen": f"{key} = {value:g} m{off}",
             "at": x(min(max(value, first), last)),
-        }  # fmt: skip
+        }
 
     of_p, of_s, of_d = curves.over_zeta_p(1.0), curves.over_zeta_s(1.0), curves.background_share()
     zeta_p, zeta_s, d_c = prc.support.zeta_p, prc.support.zeta_s, prc.background.d_c
     values = {
-        "width": WIDTH, "height": HEIGHT, "left": _LEFT, "right": _RIGHT, "top": _TOP, "bottom": _BOTTOM,
+        "width": WIDTH,
+        "height": HEIGHT,
+        "left": _LEFT,
+        "right": _RIGHT,
+        "top": _TOP,
+        "bottom": _BOTTOM,
         "title": f"{_plain(found.path).rsplit('/', 1)[-1]}: share of {curves.n_returns:,} returns",
         "shares": [(y(tenth / 10), f"{tenth * 10} %") for tenth in range(0, 11, 2)],
-        "thresholds": [(x(10.0**n), f"{10.0**n:g}") for n in range(math.ceil(low), math.floor(high) + 1)],
+        "thresholds": [
+            (x(10.0**n), f"{10.0**n:g}") for n in range(math.ceil(low), math.floor(high) + 1)
+        ],
         "curves": [
-            curve("supported over zeta_p, zeta_s = 1 m", grids[0], of_p, "#0072b2", "", "zeta_p", zeta_p),
-            curve("supported over zeta_s, zeta_p = 1 m", grids[1], of_s, "#d55e00", "7 3", "zeta_s", zeta_s),
+            curve(
+                "supported over zeta_p, zeta_s = 1 m",
+                grids[0],
+                of_p,
+                "#0072b2",
+                "",
+                "zeta_p",
+                zeta_p,
+            ),
+            curve(
+                "supported over zeta_s, zeta_p = 1 m",
+                grids[1],
+                of_s,
+                "#d55e00",
+                "7 3",
+                "zeta_s",
+                zeta_s,
+            ),
             curve("background over d_c", grids[2], of_d, "#009e73", "2 3", "d_c", d_c),
         ],
-    }  # fmt: skip
+    }
     return render_page("prc_cli.jobs.calibrate", "curves.svg", values)
 
 
@@ -191,4 +253,6 @@ def _value(value: float | int | str) -> str:
 
 def _plain(text: str) -> str:
     """Escape a file name so that it cannot end a comment or a table cell."""
-    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+    return "".join(
+        character if character.isprintable() else ascii(character)[1:-1] for character in text
+    )

@@ -59,7 +59,9 @@ PRC_AXES = (
     Axis(ZETA_S, (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
     Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 20.0), whole=True),
 )
-ANGLE_AXES = (Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05), (0.0005, 0.5)),)
+ANGLE_AXES = (
+    Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05), (0.0005, 0.5)),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +184,9 @@ def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
             raise ConfigError(where, f"found {key!r}, expected one of: {', '.join(known)}")
     left = tuple(axis for axis in axes if axis.key not in keep)
     if not left:
-        raise ConfigError(where, "all keys are kept, expected one or more to search", "leave out --reference")
+        raise ConfigError(
+            where, "all keys are kept, expected one or more to search", "leave out --reference"
+        )
     return left
 
 
@@ -197,13 +201,17 @@ def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
     return build(RunConfig, table, "calibration")
 
 
-def confusion(groups: tuple[Group, ...], config: RunConfig, mapping: ClassMapping) -> ConfusionMatrix:
+def confusion(
+    groups: tuple[Group, ...], config: RunConfig, mapping: ClassMapping
+) -> ConfusionMatrix:
     """Classify groups of lines, each as a stream, and compare them with their reference; first returns alone."""
     names = mapping.names("reference"), mapping.names("predicted")
     n_classes = len(names[0])
     counts = np.zeros((len(Label), n_classes + 1), dtype=np.int64)
     for group in groups:
-        labels = [item.labels.ravel() for item in label_blocks(iter([group.block]), config.classifier)]
+        labels = [
+            item.labels.ravel() for item in label_blocks(iter([group.block]), config.classifier)
+        ]
         cells = np.concatenate(labels).astype(np.int64) * (n_classes + 1) + group.reference + 1
         counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
     codes = config.classes.lookup()
@@ -223,7 +231,9 @@ def confusion(groups: tuple[Group, ...], config: RunConfig, mapping: ClassMappin
 def objective_value(found: Scores, objective: str) -> float:
     """Return the figure that is maximised."""
     if objective == MEAN_F1:
-        values = [item.f1 for item in found.classes if item.n_reference and item.name in _scored(found)]
+        values = [
+            item.f1 for item in found.classes if item.n_reference and item.name in _scored(found)
+        ]
         return sum(values) / len(values) if values else math.nan
     return gate_value(found, objective)
 
@@ -241,7 +251,9 @@ def check_objective(objective: str, mapping: ClassMapping) -> None:
         else:
             names = [MEAN_F1, *OVERALL_SCORES, *(f"{name}.CLASS" for name in CLASS_SCORES)]
         expected = ", ".join(names)
-        raise ConfigError("--objective", f"found score {objective!r}, expected one of: {expected}") from None
+        raise ConfigError(
+            "--objective", f"found score {objective!r}, expected one of: {expected}"
+        ) from None
 
 
 def figure(figures: dict[str, float | None], name: str) -> float:
@@ -257,7 +269,11 @@ def figures(found: Scores, objective: str) -> dict[str, float | None]:
         MEAN_F1: objective_value(found, MEAN_F1),
         "balanced_accuracy": found.balanced_accuracy,
         "kappa": found.kappa,
-        **{f"f1.{item.name}": item.f1 for item in found.classes if item.n_reference and item.name in _scored(found)},
+        **{
+            f"f1.{item.name}": item.f1
+            for item in found.classes
+            if item.n_reference and item.name in _scored(found)
+        },
     }
     return {name: None if math.isnan(value) else value for name, value in values.items()}
 
@@ -270,7 +286,9 @@ def _scored(found: Scores) -> set[str]:
 def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
     """Return the values next to one, on whole numbers or by a factor."""
     low, high = axis.bounds
-    near = (value - 1, value + 1) if axis.whole else (_round(value / factor), _round(value * factor))
+    near = (
+        (value - 1, value + 1) if axis.whole else (_round(value / factor), _round(value * factor))
+    )
     return tuple(other for other in near if low <= other <= high)
 
 

@@ -42,7 +42,11 @@ _NOISE_EDGES: F64 = np.geomspace(1e-6, 10.0, 281)
 """Deviation bins, forty per decade [m]."""
 _LENGTH_EDGES: F64 = np.geomspace(1e-9, 1e39, 4801)
 """Bins for ranges and range differences, a hundred per decade [m]."""
-_ROUNDINGS = tuple(sorted((factor * 10.0**power for power in range(-4, 1) for factor in (1, 2, 2.5, 5)), reverse=True))
+_ROUNDINGS = tuple(
+    sorted(
+        (factor * 10.0**power for power in range(-4, 1) for factor in (1, 2, 2.5, 5)), reverse=True
+    )
+)
 """Candidate roundings of stored ranges, coarse ones first [m]."""
 _ROUNDED_SHARE = 0.99
 _SAMPLE_STEP = 37
@@ -104,7 +108,10 @@ class SensorEstimate:
         """Return everything as plain values: the share of missing shots, and the step in degrees."""
         shown = {
             "n_missing": ("missing_share", self.missing_share),
-            "step_rad": ("step_deg", None if self.step_rad is None else math.degrees(self.step_rad)),
+            "step_rad": (
+                "step_deg",
+                None if self.step_rad is None else math.degrees(self.step_rad),
+            ),
         }
         return dict(shown.get(name, (name, value)) for name, value in asdict(self).items())
 
@@ -117,7 +124,9 @@ class SensorMeter:
     n_lines: int = 0
     n_shots: int = 0
     n_missing: int = 0
-    _noise: I64 = field(default_factory=lambda: np.zeros((len(_RANGE_EDGES) - 1, len(_NOISE_EDGES) - 1), np.int64))
+    _noise: I64 = field(
+        default_factory=lambda: np.zeros((len(_RANGE_EDGES) - 1, len(_NOISE_EDGES) - 1), np.int64)
+    )
     _ranges: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
     _in_line: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
     _across: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
@@ -151,12 +160,17 @@ class SensorMeter:
         self._in_line += _log_counts(np.abs(np.diff(ranges, axis=1)), _LENGTH_EDGES)
         self._across += _log_counts(np.abs(np.diff(ranges, axis=0)), _LENGTH_EDGES)
         middle, deviation = stretch_deviations(ranges)
-        self._noise += np.histogram2d(middle, deviation, (_RANGE_EDGES, _NOISE_EDGES))[0].astype(np.int64)
+        self._noise += np.histogram2d(middle, deviation, (_RANGE_EDGES, _NOISE_EDGES))[0].astype(
+            np.int64
+        )
         self._count_rounding(ranges)
 
     def finish(self) -> SensorEstimate:
         """Return the estimates."""
-        quantiles = {f"{q}%": _quantile(self._ranges, _LENGTH_EDGES, q / 100) or math.nan for q in (5, 25, 50, 75, 95)}
+        quantiles = {
+            f"{q}%": _quantile(self._ranges, _LENGTH_EDGES, q / 100) or math.nan
+            for q in (5, 25, 50, 75, 95)
+        }
         bins = _noise_bins(self._noise)
         sigma, per_metre = _fit_noise(bins)
         step, source = self._step()
@@ -185,7 +199,9 @@ class SensorMeter:
     def _step(self) -> tuple[float | None, str]:
         angle = self._angle_rad if self._angle_rad is not None else self.info.angle_rad
         windows = self._lines.windows() if self._lines is not None else ()
-        measured = measure_step(np.concatenate([one.range_m for one in windows])) if windows else None
+        measured = (
+            measure_step(np.concatenate([one.range_m for one in windows])) if windows else None
+        )
         shown = "" if measured is None else measured.shown(windows[0].range_m.shape[1])
         if angle is not None and len(angle) > 1:
             told = "the angles in the file"
@@ -281,13 +297,20 @@ def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
         return ()
     # start at the flattest well-filled bin relative to its range, then go outwards on either side
     most = max(n for _, _, n in found)
-    start = min((place for place, (_, _, n) in enumerate(found) if n >= most / 10), key=lambda i: found[i][1])
+    start = min(
+        (place for place, (_, _, n) in enumerate(found) if n >= most / 10),
+        key=lambda i: found[i][1],
+    )
     flat = {start} if found[start][1] < FLAT_M else set()
     for order in (range(start + 1, len(found)), range(start - 1, -1, -1)):
         last = start
         for place in order:
             scale = max(1.0, found[place][0] / found[last][0])
-            if flat and found[place][1] <= MAX_GROWTH * scale * found[last][1] and found[place][1] < FLAT_M:
+            if (
+                flat
+                and found[place][1] <= MAX_GROWTH * scale * found[last][1]
+                and found[place][1] < FLAT_M
+            ):
                 flat.add(place)
                 last = place
     return tuple(NoiseBin(*item, flat=place in flat) for place, item in enumerate(found))

@@ -28,7 +28,13 @@ from prc_cli.jobs.evaluate.counts import (
     reliability_notes,
     scored_parts,
 )
-from prc_cli.jobs.evaluate.options import PLACE_BY_POSES, EvaluateOptions, check_options, mapping_of_runs, tolerance_of
+from prc_cli.jobs.evaluate.options import (
+    PLACE_BY_POSES,
+    EvaluateOptions,
+    check_options,
+    mapping_of_runs,
+    tolerance_of,
+)
 from prc_cli.jobs.evaluate.registered import Registered
 from prc_cli.matching.join import (
     CODE,
@@ -50,20 +56,26 @@ APART_M, MOST_APART = 0.5, 0.25
 """Ranges of one cell that differ by more are not one shot; the share of them in two scans of one street is .38 [m]."""
 
 
-def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOptions) -> list[tuple[Side, Side]]:
+def open_pools(
+    predicted: list[Path], reference: list[Path], options: EvaluateOptions
+) -> list[tuple[Side, Side]]:
     """Return the pairs of sides to compare."""
     if not predicted or not reference:
         raise ConfigError("files", "found none on one side, expected predicted and reference files")
     for path in (*predicted, *reference):
         if not path.exists():
-            raise InputError(str(path), "no such file or folder, expected class codes", "check the name")
+            raise InputError(
+                str(path), "no such file or folder, expected class codes", "check the name"
+            )
     pooled: list[tuple[list[Path], list[Path]]] = []
     if options.pool:
         pooled.append((files_of(predicted), files_of(reference)))
     elif len(predicted) != len(reference):
         if options.match == "order":
             problem = f"found {len(predicted)} predicted and {len(reference)} reference files, expected as many"
-            raise ConfigError("files", problem, "give pairs, or match by time, dimension or nearest")
+            raise ConfigError(
+                "files", problem, "give pairs, or match by time, dimension or nearest"
+            )
         pooled.append((files_of(predicted), files_of(reference)))
     else:
         for one, other in zip(predicted, reference, strict=True):
@@ -91,7 +103,9 @@ def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOp
 def open_side(path: Path, options: EvaluateOptions, key: KeyRule | None) -> Side:
     """Open a third labelling, a file or a folder."""
     if not path.exists():
-        raise InputError(str(path), "no such file or folder, expected class codes", "check the name")
+        raise InputError(
+            str(path), "no such file or folder, expected class codes", "check the name"
+        )
     side = Side(_open(files_of([path]), None, None), key, options.points_per_line)
     side.check()
     return side
@@ -121,7 +135,9 @@ def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
     if options.match.startswith("dimension:"):
         left, _, right = options.match.removeprefix("dimension:").partition("=")
         return KeyRule("dimension", left), KeyRule("dimension", right or left)
-    key = {"order": None, "time": KeyRule("time"), "nearest": KeyRule("place", AXES[0])}[options.match]
+    key = {"order": None, "time": KeyRule("time"), "nearest": KeyRule("place", AXES[0])}[
+        options.match
+    ]
     return key, key
 
 
@@ -132,7 +148,11 @@ def _open(files: list[Path], dimension: str | None, points: Path | None) -> list
     if not points.is_dir():
         if len(files) > 1:
             problem = f"one file of points for {len(files)} files of labels, expected a folder"
-            raise ConfigError(str(points), problem, "give the folder with the points of every file, of the same name")
+            raise ConfigError(
+                str(points),
+                problem,
+                "give the folder with the points of every file, of the same name",
+            )
         return [SideFile.open(files[0], dimension, points)]
     named = {stem_of(path): path for path in files_of([points])}
     missing = [path.name for path in files if stem_of(path) not in named]
@@ -190,10 +210,14 @@ def evaluate_all(
     why = ""
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     if mapping is None:
-        mapping, why = mapping_of_runs(files_of(paths[0]), files_of(paths[1]), options.reference_dimension)
+        mapping, why = mapping_of_runs(
+            files_of(paths[0]), files_of(paths[1]), options.reference_dimension
+        )
     found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     pools = open_pools(*paths, options)
-    counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
+    counts = Counts(
+        found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))}
+    )
     if options.third is not None:
         other = found if options.third_mapping is None else load_mapping(options.third_mapping)
         counts.third = ThreeCounts(found, other)
@@ -208,7 +232,11 @@ def evaluate_all(
             how.append(_compare(left, right, len(names), counts, options, by_lines=by_lines))
         except UnlistedError as error:
             side = left if error.side == "predicted" else right
-            codes = (codes for file in side.files for codes in open_codes(Path(file.codes.path), file.name).chunks())
+            codes = (
+                codes
+                for file in side.files
+                for codes in open_codes(Path(file.codes.path), file.name).chunks()
+            )
             raise UnlistedError.of(error.mapping, error.side, codes) from error
         names += [file.codes.path for file in left.files]
     if options.allow_missing:
@@ -220,21 +248,48 @@ def evaluate_all(
     matrix = counts.parts["all"].matrix(0)
     if not matrix.counts.any():
         problem = f"none of {counts.n_matched} records has a class to score: code 0, or codes that the mapping ignores"
-        raise InputError(str(paths[1][0]), problem, "name the dimension with the codes: --reference-dimension NAME")
+        raise InputError(
+            str(paths[1][0]),
+            problem,
+            "name the dimension with the codes: --reference-dimension NAME",
+        )
     intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
-    files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
+    files = (
+        dict.fromkeys(names),
+        dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files),
+    )
     splits = {
-        SPLITS[name]: scored_parts(counts, name, names, options) for name in asked_parts(options) if name in SPLITS
+        SPLITS[name]: scored_parts(counts, name, names, options)
+        for name in asked_parts(options)
+        if name in SPLITS
     }
     tolerance = max(counts.tolerances) if counts.tolerances else tolerance_of(options)
     shown = "{:,}" if options.match == "nearest" else "{}"
     notes = tuple(sentence.replace("{n}", shown.format(n)) for sentence, n in counts.notes.items())
-    n = counts.n_predicted, counts.n_reference, counts.n_matched, tolerance, notes, counts.n_reference_matched
+    n = (
+        counts.n_predicted,
+        counts.n_reference,
+        counts.n_matched,
+        tolerance,
+        notes,
+        counts.n_reference_matched,
+    )
     match = MatchReport(" and ".join(dict.fromkeys(how)), *n)
     label = "" if isinstance(mapping, ClassMapping) else str(mapping)
     three = None if counts.third is None else counts.third.result(str(options.third))
     plan = counts.plan.picture() if three is not None else None
-    return Evaluation(tuple(files[0]), tuple(files[1]), label, match, matrix, splits, intervals, method, three, plan)
+    return Evaluation(
+        tuple(files[0]),
+        tuple(files[1]),
+        label,
+        match,
+        matrix,
+        splits,
+        intervals,
+        method,
+        three,
+        plan,
+    )
 
 
 def evaluate(
@@ -261,11 +316,15 @@ def evaluate(
     InputError
         When the files hold different numbers of records, and one does not know the cells of its records.
     """
-    options = EvaluateOptions(predicted_dimension=predicted_dimension, reference_dimension=reference_dimension)
+    options = EvaluateOptions(
+        predicted_dimension=predicted_dimension, reference_dimension=reference_dimension
+    )
     return evaluate_all([Path(predicted)], [Path(reference)], mapping, options=options).matrix
 
 
-def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: Counts) -> None:
+def _note_missing(
+    paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: Counts
+) -> None:
     """Report the files left out because they have no partner."""
     for k, side in enumerate(paths):
         used = {file.codes.path for pool in pools for file in pool[k].files}
@@ -287,7 +346,13 @@ def _with_own_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, Side
 
 
 def _compare(
-    left: Side, right: Side, first_file: int, counts: Counts, options: EvaluateOptions, *, by_lines: bool
+    left: Side,
+    right: Side,
+    first_file: int,
+    counts: Counts,
+    options: EvaluateOptions,
+    *,
+    by_lines: bool,
 ) -> str:
     """Match one pool of files and count its pairs; return how they were matched."""
     left, right = _with_own_lines(left, right, counts)
@@ -298,7 +363,10 @@ def _compare(
     on_disk = [False, False]
     registered: Registered | None = None
     while True:
-        counting, tally = Counting(counts, options, plan, first_file, by_lines=by_lines), JoinTally()
+        counting, tally = (
+            Counting(counts, options, plan, first_file, by_lines=by_lines),
+            JoinTally(),
+        )
         if options.match == "nearest":
             registered = Registered(left, right, options, counts)
             pairs = registered.pairs(plan, tally, third)
@@ -309,7 +377,9 @@ def _compare(
             for item in pairs:
                 counting.add(item)
                 if RANGE in item.one and RANGE in item.other:
-                    n_apart += int(np.count_nonzero(np.abs(item.one[RANGE] - item.other[RANGE]) > APART_M))
+                    n_apart += int(
+                        np.count_nonzero(np.abs(item.one[RANGE] - item.other[RANGE]) > APART_M)
+                    )
         except _UnequalError as error:
             counts.note(f"the files hold other records, or others first: matched by {error.words}")
             options = replace(options, match=error.match)
@@ -358,7 +428,9 @@ class _UnsortedRecordsError(_UnequalError):
 
 def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> Plan:
     has, other_has, asked = left.dimensions, right.dimensions, asked_parts(options)
-    wanted = dict.fromkeys(LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines)
+    wanted = dict.fromkeys(
+        LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines
+    )
     if options.window is not None:
         place = LINE if options.window.in_lines else SECONDS
         wanted[place] = None
@@ -389,14 +461,22 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
 def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
     what = "scan lines" if window.in_lines else "times"
     problem = f"no {what} in {left.path} or {right.path}, expected them for {window.option}"
-    hint = "give --predicted-points with the points of the labels" + (", or -M" if window.in_lines else "")
+    hint = "give --predicted-points with the points of the labels" + (
+        ", or -M" if window.in_lines else ""
+    )
     return ConfigError("window", problem, hint)
 
 
 def _pairs(
-    left: Side, right: Side, plan: Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions,
-    mapping: ClassMapping, third: Side | None,
-) -> Iterator[Compared]:  # fmt: skip
+    left: Side,
+    right: Side,
+    plan: Plan,
+    tally: JoinTally,
+    on_disk: Sequence[bool],
+    options: EvaluateOptions,
+    mapping: ClassMapping,
+    third: Side | None,
+) -> Iterator[Compared]:
     """Yield records with their partners by order or by key."""
     if options.match == "order":
         pairs = _in_order(left, right, plan, tally, third)
@@ -404,9 +484,13 @@ def _pairs(
         tolerance = tolerance_of(options) or 0.0
         one, other = (
             columns_of(side, (CODE, *plan.keys, *names), sort=sort, with_record=False)
-            for side, names, sort in zip((left, right), (plan.predicted, plan.reference), on_disk, strict=True)
+            for side, names, sort in zip(
+                (left, right), (plan.predicted, plan.reference), on_disk, strict=True
+            )
         )
-        joined = merge_join(one, other, MutualKeys(tolerance), tolerance, tally, (left.path, right.path))
+        joined = merge_join(
+            one, other, MutualKeys(tolerance), tolerance, tally, (left.path, right.path)
+        )
         pairs = ((*item.pairs(), None) for item in joined)
     for one_side, other_side, thirds in pairs:
         rows = mapping.class_indices(other_side[CODE], "reference")
@@ -448,7 +532,9 @@ def _in_order(
             if np.any(apart != off):
                 if numbered and third is not None:
                     problem = "rows are not in the order of their record numbers"
-                    raise InputError(left.path, problem, "sort them by record in all files, or leave --third out")
+                    raise InputError(
+                        left.path, problem, "sort them by record in all files, or leave --third out"
+                    )
                 raise _UnsortedRecordsError if numbered else _UnequalError
         tally.n_pairs += len(one[CODE])
         tally.n_right += len(one[CODE])
@@ -459,7 +545,11 @@ def _hint_for_registered(left: Side, right: Side) -> str:
     """Return how shots find their partners among registered points; empty where the reference has no coordinates."""
     if not set(AXES) <= set(right.dimensions):
         return ""
-    points = "" if set(AXES) <= set(left.dimensions) else " --predicted-points INPUT, the file that was classified"
+    points = (
+        ""
+        if set(AXES) <= set(left.dimensions)
+        else " --predicted-points INPUT, the file that was classified"
+    )
     hint = f"if {right.path} holds registered points (CAR), add --match nearest{points}"
     times = {SECONDS} <= {*left.dimensions} & {*right.dimensions}
     return f"{hint}; if both hold times of one clock: --match time" if times else hint
@@ -495,11 +585,17 @@ def _refuse_unsorted(side: Side) -> None:
             apart = values[KEY] - values[ROW]
             off = apart[0] if off is None else off
             if np.any(apart != off):
-                problem = "rows are not in the order of their record numbers, and the other file has none"
-                raise InputError(side.path, problem, "sort them by record, or match by time or nearest")
+                problem = (
+                    "rows are not in the order of their record numbers, and the other file has none"
+                )
+                raise InputError(
+                    side.path, problem, "sort them by record, or match by time or nearest"
+                )
 
 
-def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions) -> None:
+def _report(
+    left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions
+) -> None:
     """Add up the match counts, report what was left out, and refuse a poor match."""
     counts.n_predicted += left.tally.n_records
     counts.n_reference += right.tally.n_records
@@ -511,27 +607,38 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: 
     for side, who in ((left, "predicted"), (right, "reference")):
         counts.note(f"{{n}} {who} records have no finite {what}: left out", side.tally.n_not_finite)
         if not side.tally.n_usable:
-            raise InputError(side.path, f"no record has finite {what}, expected them to match by", "check the file")
+            raise InputError(
+                side.path,
+                f"no record has finite {what}, expected them to match by",
+                "check the file",
+            )
     shared = {"nearest": "places", "time": "times", "cell": "cells"}.get(options.match, "ids")
     counts.note(
         f"{{n}} predicted records share their {shared} with another number of reference records: which is which "
         "cannot be told, left out",
         tally.n_ambiguous,
     )
-    counts.note(f"{{n}} pairs share their {shared} with other pairs: paired in their order", tally.n_in_order)
+    counts.note(
+        f"{{n}} pairs share their {shared} with other pairs: paired in their order",
+        tally.n_in_order,
+    )
     if options.match == "time" and not (SAME in left.dimensions and SAME in right.dimensions):
         counts.note("return numbers are not on both sides: not compared")
 
 
 def _refuse_other_scan(whole: Side, other: Side) -> None:
     """Refuse records whose cells lie outside a grid that is whole: the files are of two scans."""
-    (lines, columns), (far, wide) = ((one.tally.n_lines, one.tally.n_columns) for one in (whole, other))
+    (lines, columns), (far, wide) = (
+        (one.tally.n_lines, one.tally.n_columns) for one in (whole, other)
+    )
     if whole.tally.n_usable > (lines - 1) * columns and (far > lines or wide > columns):
         problem = f"its records lie in {far} lines of {wide} shots, but {whole.path} has {lines} of {columns}"
         raise InputError(other.path, f"{problem}: another scan", "give both files of the same one")
 
 
-def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions, outside: tuple[int, int]) -> None:
+def _refuse_poor(
+    left: Side, right: Side, tally: JoinTally, options: EvaluateOptions, outside: tuple[int, int]
+) -> None:
     if options.match == "cell":
         _refuse_other_scan(left, right)
         _refuse_other_scan(right, left)
@@ -552,4 +659,6 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
         "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
         "nearest": f"register both in one coordinate system, or give a larger tolerance; {PLACE_BY_POSES}",
     }
-    raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))
+    raise InputError(
+        smaller.path, share, hints.get(options.match, "check that the ids come from one run")
+    )

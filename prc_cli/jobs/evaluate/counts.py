@@ -24,7 +24,15 @@ from prc_cli.evaluation.confusion import (
     range_groups,
 )
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.scores import FEW_BLOCKS, LEVEL, NO_STATE, Interval, SplitPart, ThreeCounts, block_intervals
+from prc_cli.evaluation.scores import (
+    FEW_BLOCKS,
+    LEVEL,
+    NO_STATE,
+    Interval,
+    SplitPart,
+    ThreeCounts,
+    block_intervals,
+)
 from prc_cli.jobs.evaluate.cuts import ScoredWindow
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.join import CODE, Columns
@@ -78,7 +86,9 @@ class StatePlan:
         image.putpalette([value for colour in (_WHITE, *STATE_COLOURS) for value in colour])
         zoom = max(1, 800 // max(shape))
         target = io.BytesIO()
-        image.resize((shape[1] * zoom, shape[0] * zoom), Image.Resampling.NEAREST).save(target, "PNG", optimize=True)
+        image.resize((shape[1] * zoom, shape[0] * zoom), Image.Resampling.NEAREST).save(
+            target, "PNG", optimize=True
+        )
         return target.getvalue()
 
 
@@ -115,8 +125,12 @@ class Compared:
 
     def kept(self, keep: Mask) -> Compared:
         """Return some of the records."""
-        one, other = ({name: values[keep] for name, values in side.items()} for side in (self.one, self.other))
-        return Compared(one, other, self.rows[keep], None if self.third is None else self.third[keep])
+        one, other = (
+            {name: values[keep] for name, values in side.items()} for side in (self.one, self.other)
+        )
+        return Compared(
+            one, other, self.rows[keep], None if self.third is None else self.third[keep]
+        )
 
 
 @dataclass(slots=True)
@@ -145,9 +159,17 @@ class Counts:
     def fold(self) -> None:
         """Count predicted classes as coarser ones where the reference never has them, as the mapping says."""
         matrix = self.parts["all"].matrix(0)
-        held = {name for name, n in zip(matrix.reference_names, matrix.counts.sum(axis=1), strict=True) if n}
+        held = {
+            name
+            for name, n in zip(matrix.reference_names, matrix.counts.sum(axis=1), strict=True)
+            if n
+        }
         into = {name: to for name, to in self.mapping.coarser.items() if name not in held}
-        moved = {name: to for name, to in into.items() if matrix.counts[:, matrix.predicted_names.index(name)].any()}
+        moved = {
+            name: to
+            for name, to in into.items()
+            if matrix.counts[:, matrix.predicted_names.index(name)].any()
+        }
         if moved:
             told = ", ".join(f"{name} as {to}" for name, to in moved.items())
             self.note(f"the reference has no {', '.join(moved)}: counted {told}")
@@ -173,7 +195,13 @@ class Counting:
     """Counts of one pool of files, until its match has succeeded."""
 
     def __init__(
-        self, counts: Counts, options: EvaluateOptions, plan: Plan, first_file: int, *, by_lines: bool
+        self,
+        counts: Counts,
+        options: EvaluateOptions,
+        plan: Plan,
+        first_file: int,
+        *,
+        by_lines: bool,
     ) -> None:
         self._counts, self._options, self._plan = counts, options, plan
         self._first_file, self._by_lines = first_file, by_lines
@@ -225,23 +253,31 @@ class Counting:
         if self._window is not None:
             self._counts.note(*self._window.outside(path))
         least = self._options.min_confidence
-        self._counts.note(f"{{n}} pairs have a confidence below {least} %: left out", self._n_unsure)
+        self._counts.note(
+            f"{{n}} pairs have a confidence below {least} %: left out", self._n_unsure
+        )
 
 
-def scored_parts(counts: Counts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
+def scored_parts(
+    counts: Counts, name: str, files: Sequence[str], options: EvaluateOptions
+) -> tuple[SplitPart, ...]:
     """Return the parts of a split that have scored records, and note the number of ignored records in the others."""
     parts = _parts(counts.parts[name], name, files, options)
     empty = [part for part in parts if not part.matrix.n_scored]
     if empty:
         n_ignored = sum(part.matrix.n_ignored for part in empty)
         many = (
-            "1 part without scored records is" if len(empty) == 1 else f"{len(empty)} parts without scored records are"
+            "1 part without scored records is"
+            if len(empty) == 1
+            else f"{len(empty)} parts without scored records are"
         )
         counts.note(f"by {SPLITS[name]}: {many} left out, with {n_ignored} ignored records")
     return tuple(part for part in parts if part.matrix.n_scored)
 
 
-def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
+def _parts(
+    counts: GroupedCounts, name: str, files: Sequence[str], options: EvaluateOptions
+) -> tuple[SplitPart, ...]:
     """Return the parts of a split in order, unknown ones last."""
     if name == CONFIDENCE:
         return confidence_parts(counts, options.split_confidence)
@@ -294,12 +330,12 @@ def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
         return ()
     expected = np.arange(MOST_CONFIDENCE + 1) * n / 100.0
     error = np.abs(right - expected).sum() / n.sum()
-    said = (
-        f"confidence: {100 * expected.sum() / n.sum():.2f} % on the mean, {100 * right.sum() / n.sum():.2f} % are right"
-    )
+    said = f"confidence: {100 * expected.sum() / n.sum():.2f} % on the mean, {100 * right.sum() / n.sum():.2f} % are right"
     # of equals, each counts in part
     taken = np.clip(TOP_SHARE * n.sum() - (np.cumsum(n[::-1]) - n[::-1]), 0.0, n[::-1])
-    top = (np.divide(right[::-1], n[::-1], out=np.zeros_like(n), where=n[::-1] > 0) * taken).sum() / taken.sum()
+    top = (
+        np.divide(right[::-1], n[::-1], out=np.zeros_like(n), where=n[::-1] > 0) * taken
+    ).sum() / taken.sum()
     return (
         f"{said}; expected calibration error {100 * error:.2f} %",
         f"confidence: of the {100 * TOP_SHARE:g} % with the most, {100 * top:.2f} % are right",

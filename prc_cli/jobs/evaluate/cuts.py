@@ -56,7 +56,10 @@ class ScoredWindow:
             what = "lines" if self._window.in_lines else "times"
             problem = f"found {what} from {self._low:.9g} to {self._high:.9g}, expected some in {self._window.option}"
             raise InputError(path, problem, f"choose {what} that it has")
-        return f"{self._window.option}: {{n}} records outside are not scored", self._n - self._n_inside
+        return (
+            f"{self._window.option}: {{n}} records outside are not scored",
+            self._n - self._n_inside,
+        )
 
 
 class Area:
@@ -93,7 +96,15 @@ def _numbers(text: str) -> list[float]:
         return []
 
 
-_NO_GEOJSON = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError)
+_NO_GEOJSON = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    OverflowError,
+)
 
 
 def _polygons(path: Path) -> Any:
@@ -101,20 +112,30 @@ def _polygons(path: Path) -> Any:
         import shapely
         from shapely.geometry import shape
     except ImportError:
-        raise ConfigError(str(path), "polygons need shapely", "pip install prc-cli[geo], or give X1,Y1,X2,Y2") from None
+        raise ConfigError(
+            str(path), "polygons need shapely", "pip install prc-cli[geo], or give X1,Y1,X2,Y2"
+        ) from None
     try:
         found = json.loads(read_small(path, _MOST_BYTES))
         features = found["features"] if found["type"] == "FeatureCollection" else [found]
-        shapes = [shape(item["geometry"] if item["type"] == "Feature" else item) for item in features]
-        area = shapely.union_all([item for item in shapes if item.geom_type in ("Polygon", "MultiPolygon")])
+        shapes = [
+            shape(item["geometry"] if item["type"] == "Feature" else item) for item in features
+        ]
+        area = shapely.union_all(
+            [item for item in shapes if item.geom_type in ("Polygon", "MultiPolygon")]
+        )
         if not np.isfinite(area.bounds).all() and not area.is_empty:
             message = "coordinates that are no numbers"
             raise ValueError(message)
     except (*_NO_GEOJSON, shapely.errors.ShapelyError) as error:
         text = " ".join(str(error).split())[:160]
-        raise InputError(str(path), f"no GeoJSON ({text})", "export the test area as GeoJSON polygons") from error
+        raise InputError(
+            str(path), f"no GeoJSON ({text})", "export the test area as GeoJSON polygons"
+        ) from error
     if area.is_empty:
-        raise InputError(str(path), f"found {len(shapes)} geometries, none of them a polygon", "export polygons")
+        raise InputError(
+            str(path), f"found {len(shapes)} geometries, none of them a polygon", "export polygons"
+        )
     shapely.prepare(area)
     return area
 
@@ -178,7 +199,9 @@ class Trees:
                 message = f"row {int(np.argmax(wrong)) + 1}: a number that is not finite, or a width below 0"
                 raise ValueError(message)
         except OSError as error:
-            raise InputError(str(path), f"cannot be read ({error.strerror or error})", "check the name") from error
+            raise InputError(
+                str(path), f"cannot be read ({error.strerror or error})", "check the name"
+            ) from error
         except (ValueError, LookupError, TypeError, csv.Error) as error:
             problem = f"found no trees ({error}), expected a CSV file with the columns x,y,radius[,height] in metres"
             raise InputError(str(path), problem, "write these columns, a tree a row") from error
@@ -193,7 +216,9 @@ class Trees:
         if not len(low) or not len(self.xy):
             return found
         points = cKDTree(np.stack([columns["x"][low], columns["y"][low]], axis=1))
-        for members, top in zip(points.query_ball_point(self.xy, self.radius), self.top.tolist(), strict=True):
+        for members, top in zip(
+            points.query_ball_point(self.xy, self.radius), self.top.tolist(), strict=True
+        ):
             inside = low[np.asarray(members, np.int64)]
             found[inside[height[inside] <= top]] = True
         return found
@@ -236,7 +261,9 @@ class Cover:
 
         edge = self.EDGE_M * self.COARSE
         mean = float(self._n.sum()) / max(len(self._coarse), 1)
-        cells = np.array(sorted(cell for cell, n in self._empty.items() if n > self.FEW * mean), np.int64)
+        cells = np.array(
+            sorted(cell for cell, n in self._empty.items() if n > self.FEW * mean), np.int64
+        )
         if not len(cells):
             return None
         column, row = cell_places(cells)
@@ -250,4 +277,9 @@ class Cover:
         n = np.bincount(names, grid[place])
         mine = names == int(np.argmax(n))
         x, y = column[mine] * edge, row[mine] * edge
-        return int(n.max()), (float(x.min()), float(y.min()), float(x.max() + edge), float(y.max() + edge))
+        return int(n.max()), (
+            float(x.min()),
+            float(y.min()),
+            float(x.max() + edge),
+            float(y.max() + edge),
+        )

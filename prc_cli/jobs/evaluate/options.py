@@ -21,9 +21,7 @@ TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz
 are further apart, so none is paired with its neighbour."""
 
-PLACE_BY_POSES = (
-    "shots that are relative to the scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW"
-)
+PLACE_BY_POSES = "shots that are relative to the scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW"
 """What makes raw shots find registered points."""
 
 
@@ -98,14 +96,24 @@ def check_options(options: EvaluateOptions) -> None:
     tolerance = options.tolerance
     if tolerance is not None:
         if options.match not in ("time", "nearest"):
-            raise ConfigError("tolerance", f"records matched by {options.match} have none", "leave it out")
-        if not math.isfinite(tolerance) or tolerance < 0 or (tolerance == 0 and options.match == "nearest"):
+            raise ConfigError(
+                "tolerance", f"records matched by {options.match} have none", "leave it out"
+            )
+        if (
+            not math.isfinite(tolerance)
+            or tolerance < 0
+            or (tolerance == 0 and options.match == "nearest")
+        ):
             raise ConfigError("tolerance", f"found {tolerance:g}, expected a finite number above 0")
     _check_places(options)
     if options.pool and options.match == "order":
-        raise ConfigError("pool", "records of pooled files have no order", "match by time, dimension or nearest")
+        raise ConfigError(
+            "pool", "records of pooled files have no order", "match by time, dimension or nearest"
+        )
     if not 0 <= options.min_matched <= 1:
-        raise ConfigError("min_matched", f"found {options.min_matched:g}, expected a share from 0 to 1")
+        raise ConfigError(
+            "min_matched", f"found {options.min_matched:g}, expected a share from 0 to 1"
+        )
     for key in ("split_lines", "points_per_line", "interval_lines"):
         value = getattr(options, key)
         if value is not None and value < 1:
@@ -116,8 +124,13 @@ def check_options(options: EvaluateOptions) -> None:
 
 def _check_places(options: EvaluateOptions) -> None:
     """Refuse options that need coordinates, or a match that has none."""
-    by_place = {"unmatched": options.unmatched != "leave", **{
-        key: getattr(options, key) is not None for key in ("inside", "height", "trees", "trajectory")}}  # fmt: skip
+    by_place = {
+        "unmatched": options.unmatched != "leave",
+        **{
+            key: getattr(options, key) is not None
+            for key in ("inside", "height", "trees", "trajectory")
+        },
+    }
     for key, is_asked in by_place.items():
         if is_asked and options.match != "nearest":
             problem = f"needs coordinates of both sides, records are matched by {options.match}"
@@ -137,7 +150,9 @@ def _check_confidence(options: EvaluateOptions) -> None:
     edges = options.split_confidence
     if any(low >= high for low, high in pairwise((-1, *edges, 101))):
         shown = ", ".join(map(str, edges))
-        raise ConfigError("split by confidence", f"found the edges {shown}, expected rising per cents, 0 to 100")
+        raise ConfigError(
+            "split by confidence", f"found the edges {shown}, expected rising per cents, 0 to 100"
+        )
 
 
 def tolerance_of(options: EvaluateOptions) -> float | None:
@@ -188,9 +203,13 @@ def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> s
         codes = np.unique(next(iter(open_codes(reference, dimension).chunks()), ()))
     except (PrcError, OSError):  # whoever compares the files says so
         return ""
-    names = mapping.fitting(codes, "reference") if mapping.is_unlisted(codes, "reference").any() else []
+    names = (
+        mapping.fitting(codes, "reference") if mapping.is_unlisted(codes, "reference").any() else []
+    )
     # codes of one kind of data alone leave no doubt
-    kinds = {load_mapping(name).is_unlisted(np.arange(1 << 16), "reference").tobytes() for name in names}
+    kinds = {
+        load_mapping(name).is_unlisted(np.arange(1 << 16), "reference").tobytes() for name in names
+    }
     return names[0] if len(kinds) == 1 else ""
 
 

@@ -47,7 +47,9 @@ def class_pictures(
     names = mapping.names("reference")
     names += tuple(name for name in mapping.names("predicted") if name not in names)
     paths = zip((predicted, reference), dimensions, strict=True)
-    points_per_line = points_per_line or next(filter(None, (_line_length(*side) for side in paths)), None)
+    points_per_line = points_per_line or next(
+        filter(None, (_line_length(*side) for side in paths)), None
+    )
     if points_per_line is None:
         return ()
     most_lines = min(MAX_LINES, _MAX_CELLS // points_per_line)
@@ -71,7 +73,11 @@ def class_pictures(
         place = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
         codes = one.image(first_line, n_lines, points_per_line)
         found.append(place[mapping.class_indices(codes, side) + 1].astype(np.uint8))
-    beside = (_points_of(path, where) for (_, path), where in zip(sides, points, strict=True) if where is not None)
+    beside = (
+        _points_of(path, where)
+        for (_, path), where in zip(sides, points, strict=True)
+        if where is not None
+    )
     rows = _rows((*beside, predicted, reference), points_per_line, -(-points_per_line // _HEIGHT))
     first, second = (places[:, rows].T for places in found)
     differ = np.where(first == second, np.uint8(len(names) + 1), first)
@@ -80,7 +86,10 @@ def class_pictures(
     return (
         (f"Predicted, {lines} of {predicted.name}", _png(first, names)),
         (f"Reference, {lines} of {reference.name}", _png(second, names)),
-        ("Where they differ, in the colour of the predicted class; grey: they agree", _png(differ, names)),
+        (
+            "Where they differ, in the colour of the predicted class; grey: they agree",
+            _png(differ, names),
+        ),
     )
 
 
@@ -138,7 +147,10 @@ class _Cells:
             codes = _first_codes(file, wanted)
             # LAS holds no shots without return; of labels the run record says whether there is one for every cell
             is_said = file.dense_line == points_per_line
-            is_assumed = not isinstance(file.table, LasSource) and not record_path(Path(file.codes.path)).is_file()
+            is_assumed = (
+                not isinstance(file.table, LasSource)
+                and not record_path(Path(file.codes.path)).is_file()
+            )
             cell = np.arange(len(codes)) if is_said or is_assumed else None
             return cls(codes, cell, file.codes.n, is_assumed=not is_said)
         codes_read: list[I64] = []
@@ -217,5 +229,7 @@ def _png(places: U8, names: tuple[str, ...]) -> bytes:
     image = Image.fromarray(np.ascontiguousarray(places))
     image.putpalette([value for colour in colours for value in colour])
     target = io.BytesIO()
-    image.resize((width * across, height * down), Image.Resampling.NEAREST).save(target, "PNG", optimize=True)
+    image.resize((width * across, height * down), Image.Resampling.NEAREST).save(
+        target, "PNG", optimize=True
+    )
     return target.getvalue()

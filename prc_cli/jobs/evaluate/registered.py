@@ -55,15 +55,33 @@ class Registered:
         self.n_cut = self.n_beside = self._n_left_out = 0
         self._is_thinned = self._is_narrow = False
         self._noise = dict.fromkeys(
-            ("reference", "predicted", "agreed", "sparse", "sparse_agreed", "estimated", "estimated_agreed"), 0
+            (
+                "reference",
+                "predicted",
+                "agreed",
+                "sparse",
+                "sparse_agreed",
+                "estimated",
+                "estimated_agreed",
+            ),
+            0,
         )
         names = self._mapping.names("reference")
-        asked = ((options.unmatched == NOISE, NOISE, "--unmatched noise"), (self._heights, GROUND, "heights"),
-                 (self._trees is not None, STEM, "--trees"))  # fmt: skip
+        asked = (
+            (options.unmatched == NOISE, NOISE, "--unmatched noise"),
+            (self._heights, GROUND, "heights"),
+            (self._trees is not None, STEM, "--trees"),
+        )
         for wanted, name, option in asked:
             if wanted and name not in names:
-                problem = f"{option} needs a class {name!r} in [reference], found {', '.join(names)}"
-                raise ConfigError("class mapping", problem, f"add {name} = [...] to it, with no codes if it has none")
+                problem = (
+                    f"{option} needs a class {name!r} in [reference], found {', '.join(names)}"
+                )
+                raise ConfigError(
+                    "class mapping",
+                    problem,
+                    f"add {name} = [...] to it, with no codes if it has none",
+                )
 
     def pairs(self, plan: Plan, tally: JoinTally, third: Side | None) -> Iterator[Compared]:
         """Yield the predicted shots with the class of their nearest reference point, tile by tile."""
@@ -74,11 +92,18 @@ class Registered:
         others = tuple(dict.fromkeys((CODE, *AXES, *plan.reference, *timed, FILE)))
         with ExitStack() as stack:
             files = [stack.enter_context(scratch_file("matching")) for _ in range(3)]
-            sides = self._predicted(left, names), self._reference(right, others, keep_file=FILE in plan.reference)
+            sides = (
+                self._predicted(left, names),
+                self._reference(right, others, keep_file=FILE in plan.reference),
+            )
             ours, theirs = ordered(lambda k: Cloud(sides[k], files[k]), range(2), threads=2)
             self._cover = Cover(ours.squares(), theirs.squares())
             self._check(ours, theirs)
-            beside = None if third is None else Cloud(columns_of(third, (CODE, *AXES), sort=False), files[2])
+            beside = (
+                None
+                if third is None
+                else Cloud(columns_of(third, (CODE, *AXES), sort=False), files[2])
+            )
             reach = REACHES * self.tolerance if self._options.unmatched == NOISE else None
             for item in nearest_join(ours, theirs, self.tolerance, tally, reach):
                 yield from self._compared(item, plan, beside)
@@ -91,7 +116,9 @@ class Registered:
                 columns = {name: values[inside] for name, values in columns.items()}
             yield columns
 
-    def _reference(self, side: Side, names: tuple[str, ...], *, keep_file: bool) -> Iterator[Columns]:
+    def _reference(
+        self, side: Side, names: tuple[str, ...], *, keep_file: bool
+    ) -> Iterator[Columns]:
         for columns in columns_of(side, names, sort=False, with_record=False):
             if self._area is not None:
                 columns = self._around(columns)
@@ -101,7 +128,10 @@ class Registered:
             index = int((columns[FILE] if keep_file else columns.pop(FILE))[0])
             low, high = self._bounds.get(index, (np.full(2, np.inf), np.full(2, -np.inf)))
             xy = columns["x"], columns["y"]
-            self._bounds[index] = np.minimum(low, [v.min() for v in xy]), np.maximum(high, [v.max() for v in xy])
+            self._bounds[index] = (
+                np.minimum(low, [v.min() for v in xy]),
+                np.maximum(high, [v.max() for v in xy]),
+            )
             rows = self._mapping.class_indices(columns[CODE], "reference")
             if self._heights:
                 ground = rows == self._mapping.names("reference").index(GROUND)
@@ -113,7 +143,12 @@ class Registered:
         assert self._area is not None
         x, y = columns["x"], columns["y"]
         x0, y0, x1, y1 = self._area.bounds
-        near = (x >= x0 - _AROUND_M) & (x <= x1 + _AROUND_M) & (y >= y0 - _AROUND_M) & (y <= y1 + _AROUND_M)
+        near = (
+            (x >= x0 - _AROUND_M)
+            & (x <= x1 + _AROUND_M)
+            & (y >= y0 - _AROUND_M)
+            & (y <= y1 + _AROUND_M)
+        )
         self.n_beside += len(x) - int(np.count_nonzero(self._area.holds(x, y)))
         return {name: values[near] for name, values in columns.items()}
 
@@ -127,8 +162,11 @@ class Registered:
             return
         _refuse_apart((left.path, ours), (right.path, theirs))
         if self._heights and self._ground.is_empty:
-            raise InputError(right.path, "no point has the class ground, expected some to measure heights from",
-                             "check the class mapping")  # fmt: skip
+            raise InputError(
+                right.path,
+                "no point has the class ground, expected some to measure heights from",
+                "check the class mapping",
+            )
         fit = fit_of(ours, theirs)
         self._is_thinned = fit is not None and fit.sparse > MOSTLY
         if self._options.tolerance is None and fit is not None:
@@ -152,7 +190,9 @@ class Registered:
 
     def _overlaps(self) -> Iterator[str]:
         found = []
-        for (one, (low, high)), (other, (low2, high2)) in combinations(sorted(self._bounds.items()), 2):
+        for (one, (low, high)), (other, (low2, high2)) in combinations(
+            sorted(self._bounds.items()), 2
+        ):
             width, depth = np.minimum(high, high2) - np.maximum(low, low2)
             if min(width, depth) > _OVERLAP_M:
                 found.append((width * depth, width, depth, one, other))
@@ -169,7 +209,10 @@ class Registered:
         """Yield the shots of a tile that are scored."""
         partner = item.to >= 0
         # which shots without partner lie where the reference covers the plan, or in the area that is given
-        covered, place = np.zeros(len(partner), np.bool_), [item.left[axis][~partner] for axis in "xy"]
+        covered, place = (
+            np.zeros(len(partner), np.bool_),
+            [item.left[axis][~partner] for axis in "xy"],
+        )
         covered[~partner] = self._cover.holds(*place) | (self._area is not None)
         chosen = partner
         if self._options.unmatched == NOISE:
@@ -199,7 +242,9 @@ class Registered:
                 one, to, rows = {n: v[kept] for n, v in one.items()}, to[kept], rows[kept]
                 sparse, apart = sparse[kept], apart[kept]
         self._count_noise(one, rows, sparse & (to < 0), np.where(to < 0, apart, 0.0))
-        yield Compared(one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third))
+        yield Compared(
+            one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third)
+        )
 
     def _count_noise(self, one: Columns, rows: I64, sparse: Mask, apart: F64) -> None:
         """Count what is noise in the reference and what is called so; ``apart`` is 0 for shots with a partner."""
@@ -211,8 +256,13 @@ class Registered:
         noise = (rows == self._mapping.names("reference").index(NOISE)) & (column >= 0)
         clear = noise & (apart > CLEAR * self.tolerance)
         n = np.where(clear, 1 + (apart <= (CLEAR + 1) * self.tolerance), 0)
-        for name, mask in (("reference", noise), ("predicted", said & (rows >= 0)), ("agreed", noise & said),
-                           ("sparse", sparse & noise), ("sparse_agreed", sparse & noise & said)):  # fmt: skip
+        for name, mask in (
+            ("reference", noise),
+            ("predicted", said & (rows >= 0)),
+            ("agreed", noise & said),
+            ("sparse", sparse & noise),
+            ("sparse_agreed", sparse & noise & said),
+        ):
             self._noise[name] += int(np.count_nonzero(mask))
         self._noise["estimated"] += int(n.sum())
         self._noise["estimated_agreed"] += int(n[said].sum())
@@ -240,9 +290,15 @@ class Registered:
         lone, outside = tally.n_left - tally.n_pairs, self._cover.n_outside
         share = f"({lone / n_left:.1%}) have no partner within {self.tolerance:g} m"
         if self._options.unmatched != NOISE:
-            note(f"{{n}} predicted shots {share}: not scored; --unmatched noise counts them as noise", lone)
+            note(
+                f"{{n}} predicted shots {share}: not scored; --unmatched noise counts them as noise",
+                lone,
+            )
             return
-        note(f"{{n}} predicted shots {share}: noise in the reference, as far as it covers the plan", lone)
+        note(
+            f"{{n}} predicted shots {share}: noise in the reference, as far as it covers the plan",
+            lone,
+        )
         if self._area is None:
             note("{n} of these lie beside the reference: not scored", outside)
         self._note_noise()
@@ -261,7 +317,13 @@ class Registered:
         spans = [
             f"{name} {min(both):.3f} to {max(both):.3f}"
             for name, both in (
-                ("recall", [a / b if b else 0.0 for a, b in ((found["agreed"], found["reference"]), (sure, noise))]),
+                (
+                    "recall",
+                    [
+                        a / b if b else 0.0
+                        for a, b in ((found["agreed"], found["reference"]), (sure, noise))
+                    ],
+                ),
                 ("precision", [a / max(found["predicted"], 1) for a in (found["agreed"], sure)]),
             )
         ]
@@ -294,7 +356,11 @@ def _refuse_apart(left: tuple[str, Cloud], right: tuple[str, Cloud]) -> None:
     """Refuse coordinates in degrees, swapped axes and clouds at other places."""
     spans = [cloud.high - cloud.low for _, cloud in (left, right)]
     for (path, cloud), span in zip((left, right), spans, strict=True):
-        if (np.abs(cloud.high[:2]) <= (180.0, 180.0)).all() and span[:2].max() < _DEGREES_SPAN and span[2] > 1.0:
+        if (
+            (np.abs(cloud.high[:2]) <= (180.0, 180.0)).all()
+            and span[:2].max() < _DEGREES_SPAN
+            and span[2] > 1.0
+        ):
             problem = f"x {cloud.low[0]:.7g} to {cloud.high[0]:.7g}, y {cloud.low[1]:.7g} to {cloud.high[1]:.7g} with "
             problem += f"heights over {span[2]:.0f} m: coordinates in degrees, expected metres"
             raise InputError(path, problem, "project them first")
@@ -303,7 +369,10 @@ def _refuse_apart(left: tuple[str, Cloud], right: tuple[str, Cloud]) -> None:
         return
     swapped = theirs.low[1::-1], theirs.high[1::-1]
     is_swapped = bool((ours.low[:2] <= swapped[1]).all() and (swapped[0] <= ours.high[:2]).all())
-    places = [f"x {c.low[0]:.9g} to {c.high[0]:.9g}, y {c.low[1]:.9g} to {c.high[1]:.9g}" for c in (theirs, ours)]
+    places = [
+        f"x {c.low[0]:.9g} to {c.high[0]:.9g}, y {c.low[1]:.9g} to {c.high[1]:.9g}"
+        for c in (theirs, ours)
+    ]
     problem = f"{places[0]}, but {left[0]} has {places[1]}: nothing overlaps"
     hint = (
         "x and y are swapped in one of them"
@@ -319,6 +388,8 @@ def check_crs(sides: tuple[Side, ...], counts: Counts) -> None:
     for (path, crs), (other_path, other) in pairwise(named):
         if not same_crs(crs, other):
             problem = f"coordinates in {short_crs(crs)}, but {other_path} has {short_crs(other)}"
-            raise InputError(path, problem, "reproject one of them, or match by time or by a dimension")
+            raise InputError(
+                path, problem, "reproject one of them, or match by time or by a dimension"
+            )
     if len(named) < sum(len(side.files) for side in sides):
         counts.note("not every file names its coordinate system: taken to be the same")

@@ -24,7 +24,14 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_output, check_unchanged, file_state, output_errors, prepare_outputs, whole_set
+from prc_cli.core.files import (
+    atomic_output,
+    check_unchanged,
+    file_state,
+    output_errors,
+    prepare_outputs,
+    whole_set,
+)
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import U8
@@ -154,7 +161,11 @@ def rules_for(config: RunConfig, kinds: tuple[str, ...] = ()) -> dict[Label, Rul
             where = "--kind"
             raise ConfigError(where, f"found {kind!r}, expected one of: {', '.join(KINDS)}")
     labels = {label.name.lower(): label for label in config.classifier.method().gives}
-    found = {labels[kind]: rule for kind, rule in RULES.items() if kind in labels and (not kinds or kind in kinds)}
+    found = {
+        labels[kind]: rule
+        for kind, rule in RULES.items()
+        if kind in labels and (not kinds or kind in kinds)
+    }
     if not found:
         problem = f"found {config.method}, which tells none of: {', '.join(kinds or KINDS)}"
         raise ConfigError("method", problem, "give --preset fused, fused-forest or street-scan")
@@ -208,9 +219,14 @@ def find_objects(
         own, told = ({}, "") if loaded.config.is_decided else _own_rules(source, loaded, kinds)
         loaded = loaded if own else decide(source, loaded)
         put = None if out is None else stack.enter_context(open_things(out))
-        run = _Run(source, loaded, own or rules_for(loaded.config, kinds), told, takes_classes=bool(own))
+        run = _Run(
+            source, loaded, own or rules_for(loaded.config, kinds), told, takes_classes=bool(own)
+        )
         # coordinates of the records wait beside the output, or where there is room for temporary files
-        folder = out or Path(stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))) / "objects.csv"
+        folder = (
+            out
+            or Path(stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))) / "objects.csv"
+        )
         for thing in run.things(folder, progress):
             for call in (put, each):
                 if call is not None:
@@ -223,7 +239,9 @@ def find_objects(
     return summary
 
 
-def _own_rules(source: Path, loaded: LoadedConfig, kinds: tuple[str, ...]) -> tuple[dict[Label, Rule], str]:
+def _own_rules(
+    source: Path, loaded: LoadedConfig, kinds: tuple[str, ...]
+) -> tuple[dict[Label, Rule], str]:
     """Return the rule of every object class that records of the input have, and what the user has to know."""
     records = open_source(source, loaded.config.layout)
     names = () if records is None else records.dimensions
@@ -249,7 +267,13 @@ class _Run:
     """One call of :func:`find_objects`."""
 
     def __init__(
-        self, source: Path, loaded: LoadedConfig, rules: dict[Label, Rule], told: str, *, takes_classes: bool
+        self,
+        source: Path,
+        loaded: LoadedConfig,
+        rules: dict[Label, Rule],
+        told: str,
+        *,
+        takes_classes: bool,
     ) -> None:
         self._source, self._loaded, self._rules, self._told = source, loaded, rules, told
         self._takes_classes = takes_classes
@@ -285,7 +309,9 @@ class _Run:
         told = filter(None, (self._told, *notices(self._found)))
         record = replace(record, notices=(*record.notices, *told))
         kinds = (label.name.lower() for label in self._rules)
-        return ObjectsSummary(record, self._counts, {kind: self._n[kind] for kind in kinds}, self._found)
+        return ObjectsSummary(
+            record, self._counts, {kind: self._n[kind] for kind in kinds}, self._found
+        )
 
     def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
         """Watch the blocks of a stream, and label them unless their own classes are taken."""
@@ -295,19 +321,31 @@ class _Run:
         # coordinates that come with the directions of a leaning plane are not those of the input
         is_own = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
-        self._watch = watched(stream, config.input, needs=method.needs, others=self._loaded.findings)
+        self._watch = watched(
+            stream, config.input, needs=method.needs, others=self._loaded.findings
+        )
         if self._takes_classes:
-            return (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
+            return (
+                block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks()
+            )
         wanted = Wanted(stages=True, confidence=config.output.confidence)
         self._judge = Judge(self._watch, config)
         labelled = self._judge.label(self._watch.blocks(), wanted=wanted)
-        return (item if is_own else replace(item, block=replace(item.block, xyz_m=None)) for item in labelled)
+        return (
+            item if is_own else replace(item, block=replace(item.block, xyz_m=None))
+            for item in labelled
+        )
 
     def _add(self, item: StreamItem) -> Iterator[Thing]:
-        block, labelled = item.block, self._as_stored(item) if item.labelled is None else item.labelled
+        block, labelled = (
+            item.block,
+            self._as_stored(item) if item.labelled is None else item.labelled,
+        )
         self._counts = self._counts.add(labelled)
         if labelled.block.beam_rad is None:
-            raise InputError(str(self._source), "no beam angles, expected those of every column", "see prc info")
+            raise InputError(
+                str(self._source), "no beam angles, expected those of every column", "see prc info"
+            )
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
         runs = runs_of(labelled, tuple(self._rules), item.registered_m)
         for line, of_line in groupby(runs, attrgetter("last_line")):
@@ -319,8 +357,13 @@ class _Run:
         block, codes, further = item.block, item.codes, item.extra_codes
         assert codes is not None
         assert further is not None
-        own, extra = (self._label_of[np.where((each >= 0) & (each < 256), each, 0)] for each in (codes, further))
-        return LabelledBlock(block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), own), extra)
+        own, extra = (
+            self._label_of[np.where((each >= 0) & (each < 256), each, 0)]
+            for each in (codes, further)
+        )
+        return LabelledBlock(
+            block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), own), extra
+        )
 
     def _numbered(self, thing: Thing) -> Thing:
         number = sum(self._n.values())

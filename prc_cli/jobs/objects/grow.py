@@ -114,7 +114,10 @@ class Part:
         self.first_line = min(self.first_line, other.first_line)
         self.last_line = max(self.last_line, other.last_line)
         self.n += other.n
-        self.columns = min(self.columns[0], other.columns[0]), max(self.columns[1], other.columns[1])
+        self.columns = (
+            min(self.columns[0], other.columns[0]),
+            max(self.columns[1], other.columns[1]),
+        )
         self.side_m, self.up_m = _both(self.side_m, other.side_m), _both(self.up_m, other.up_m)
         self.above_m = _both(self.above_m, other.above_m)
         self.nearest_m = min(self.nearest_m, other.nearest_m)
@@ -138,7 +141,9 @@ def _both(first: Extent, second: Extent) -> Extent:
     return float(np.fmin(first[0], second[0])), float(np.fmax(first[1], second[1]))
 
 
-def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | None = None) -> Iterator[Part]:
+def runs_of(
+    item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | None = None
+) -> Iterator[Part]:
     """Find the runs of a block, line by line."""
     block = item.block
     assert block.beam_rad is not None
@@ -164,7 +169,16 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
     stop = np.append(start[1:], len(at))
     placed = np.asarray(np.isfinite(xyz).all(axis=1))
     total = np.add.reduceat(
-        np.column_stack([side, range_m, beam, placed.astype(np.float64), np.where(placed[:, None], xyz, 0.0), sure]),
+        np.column_stack(
+            [
+                side,
+                range_m,
+                beam,
+                placed.astype(np.float64),
+                np.where(placed[:, None], xyz, 0.0),
+                sure,
+            ]
+        ),
         start,
     )
     # fmin passes over what is not known
@@ -174,10 +188,18 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
         where = block.first_line + int(line[first])
         (side_0, up_0, above_0, nearest_m), (side_1, up_1, above_1) = low[i], high[i]
         yield Part(
-            Label(int(label[first])), where, where, end - first, (int(column[first]), int(column[end - 1])),
-            (side_0, side_1), (up_0, up_1), (above_0, above_1), nearest_m, total[i],
+            Label(int(label[first])),
+            where,
+            where,
+            end - first,
+            (int(column[first]), int(column[end - 1])),
+            (side_0, side_1),
+            (up_0, up_1),
+            (above_0, above_1),
+            nearest_m,
+            total[i],
             [(where, (side_0, side_1), (up_0, up_1))],
-        )  # fmt: skip
+        )
 
 
 class Grower:
@@ -198,7 +220,9 @@ class Grower:
                 growing.remove(other)
             if near:
                 near[0].join(run)
-                near[0].front = [one for one in near[0].front if line - one[0] <= rule.gap_lines + 1]
+                near[0].front = [
+                    one for one in near[0].front if line - one[0] <= rule.gap_lines + 1
+                ]
             else:
                 growing.append(run)
         return ended
@@ -223,15 +247,33 @@ class Grower:
                 elif one.n >= rule.least_shots and one.up_m[1] - one.up_m[0] >= rule.least_height_m:
                     ended.append(self._thing(one))
             self._growing[label] = stay
-        return sorted(ended, key=lambda thing: (thing.last_line, thing.first_line, thing.first_column, thing.kind))
+        return sorted(
+            ended,
+            key=lambda thing: (thing.last_line, thing.first_line, thing.first_column, thing.kind),
+        )
 
     def _thing(self, one: Part) -> Thing:
         side, range_m, angle, n_placed, *xyz, sure = one.sums.tolist()
         x, y, z = (value / n_placed if n_placed else math.nan for value in xyz)
         return Thing(
-            id=-1, kind=one.kind.name.lower(), scanner=self._scanner, first_line=one.first_line,
-            last_line=one.last_line, first_column=one.columns[0], last_column=one.columns[1], n_shots=one.n,
-            range_m=range_m / one.n, nearest_m=one.nearest_m, angle_deg=math.degrees(angle / one.n),
-            side_m=side / one.n, width_m=one.side_m[1] - one.side_m[0], height_m=one.up_m[1] - one.up_m[0],
-            base_m=one.above_m[0], top_m=one.above_m[1], x=x, y=y, z=z, confidence=sure / one.n,
-        )  # fmt: skip
+            id=-1,
+            kind=one.kind.name.lower(),
+            scanner=self._scanner,
+            first_line=one.first_line,
+            last_line=one.last_line,
+            first_column=one.columns[0],
+            last_column=one.columns[1],
+            n_shots=one.n,
+            range_m=range_m / one.n,
+            nearest_m=one.nearest_m,
+            angle_deg=math.degrees(angle / one.n),
+            side_m=side / one.n,
+            width_m=one.side_m[1] - one.side_m[0],
+            height_m=one.up_m[1] - one.up_m[0],
+            base_m=one.above_m[0],
+            top_m=one.above_m[1],
+            x=x,
+            y=y,
+            z=z,
+            confidence=sure / one.n,
+        )

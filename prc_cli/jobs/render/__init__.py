@@ -16,7 +16,15 @@ from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.imaging.viewer import html_page
 from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.classify import Progress
-from prc_cli.jobs.render.options import CAPTIONS, COLOURS, PRC_STEPS, SUFFIXES, VIEWS, RenderOptions, RenderResult
+from prc_cli.jobs.render.options import (
+    CAPTIONS,
+    COLOURS,
+    PRC_STEPS,
+    SUFFIXES,
+    VIEWS,
+    RenderOptions,
+    RenderResult,
+)
 from prc_cli.jobs.render.scan import NOT_LABELLED, Drawing, describe, draw_scan
 
 
@@ -73,17 +81,32 @@ def render(
         if chosen.view == "scan":
             drawing = draw_scan(source, config, chosen, scratch, progress)
             result = RenderResult(
-                (), (0, 0), describe(drawing, config, chosen, source.name), drawing.steps,
-                (drawing.part.first, drawing.part.stop), drawing.thinned_by, drawing.counts, drawing.n_compared,
+                (),
+                (0, 0),
+                describe(drawing, config, chosen, source.name),
+                drawing.steps,
+                (drawing.part.first, drawing.part.stop),
+                drawing.thinned_by,
+                drawing.counts,
+                drawing.n_compared,
                 drawing.n_differing,
-            )  # fmt: skip
+            )
             pages, key = _pages(drawing), drawing.key
         else:
             from prc_cli.jobs.render.cloud import draw_cloud
 
             panel, key, result = draw_cloud(source, config, chosen, scratch, progress)
             pages = [("", [panel])]
-    return _write(output, source.name, result, pages, key, max_height=chosen.height, overwrite=overwrite, inputs=inputs)
+    return _write(
+        output,
+        source.name,
+        result,
+        pages,
+        key,
+        max_height=chosen.height,
+        overwrite=overwrite,
+        inputs=inputs,
+    )
 
 
 def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> LoadedConfig:
@@ -103,7 +126,9 @@ def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
     per_page, part = drawing.strips_per_page, drawing.part
     for first in range(0, len(drawing.strips), per_page):
         strips = drawing.strips[first : first + per_page]
-        lines = [axis for strip in strips for axis in (strip[0].x, strip[0].y) if axis.name == "line"]
+        lines = [
+            axis for strip in strips for axis in (strip[0].x, strip[0].y) if axis.name == "line"
+        ]
         heading = f"lines {lines[0].first:,.0f} to {min(lines[-1].stop, part.stop) - 1:,.0f}"
         panels = [panel for strip in strips for panel in strip]
         pages.append((heading if len(drawing.strips) > per_page else "", panels))
@@ -113,29 +138,49 @@ def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
 def _pages_there(output: Path) -> tuple[Path, ...]:
     """Return the further pages beside an output, in their order; a run that was killed may have left them."""
     number = re.compile(re.escape(output.stem) + r"_([0-9]{1,6})" + re.escape(output.suffix))
-    known = [(int(match[1]), path) for path in output.parent.glob("*") if (match := number.fullmatch(path.name))]
+    known = [
+        (int(match[1]), path)
+        for path in output.parent.glob("*")
+        if (match := number.fullmatch(path.name))
+    ]
     return tuple(path for _, path in sorted(known))
 
 
 def _write(
-    output: Path, name: str, result: RenderResult, pages: Sequence[tuple[str, list[Panel]]], key: Key,
-    *, max_height: int, overwrite: bool, inputs: tuple[Path, ...],
-) -> RenderResult:  # fmt: skip
+    output: Path,
+    name: str,
+    result: RenderResult,
+    pages: Sequence[tuple[str, list[Panel]]],
+    key: Key,
+    *,
+    max_height: int,
+    overwrite: bool,
+    inputs: tuple[Path, ...],
+) -> RenderResult:
     """Write all pages or none."""
     if output.suffix.lower() == ".html":
         text = html_page(name, result.drawn, pages, key, f"prc {__version__}")
         with atomic_output(output, overwrite=overwrite) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
         width = max(panel.size[0] for _, panels in pages for panel in panels)
-        return replace(result, files=(output,), size=(width, sum(p.size[1] for _, panels in pages for p in panels)))
-    paths = [output, *(output.with_stem(f"{output.stem}_{number}") for number in range(2, len(pages) + 1))]
+        return replace(
+            result,
+            files=(output,),
+            size=(width, sum(p.size[1] for _, panels in pages for p in panels)),
+        )
+    paths = [
+        output,
+        *(output.with_stem(f"{output.stem}_{number}") for number in range(2, len(pages) + 1)),
+    ]
     prepare_outputs(*paths, overwrite=overwrite, inputs=inputs)
     size = (0, 0)
     single = len({(panel.x, panel.y) for _, panels in pages for panel in panels}) == 1
     with whole_set():
         for path, (heading, panels) in zip(paths, pages, strict=True):
             head = result.drawn if not heading else f"{result.drawn} · this page: {heading}"
-            image = draw_sheet(head, panels, key, columns=choose_columns(panels, max_height) if single else 1)
+            image = draw_sheet(
+                head, panels, key, columns=choose_columns(panels, max_height) if single else 1
+            )
             size = image.size if path is output else size
             with atomic_output(path, overwrite=overwrite) as temporary:
                 image.save(temporary, format="PNG")

@@ -14,7 +14,15 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.records import RecordSource
-from prc_cli.imaging.cloud import Camera, DepthBuffer, FromAbove, Perspective, Sample, fullest_azimuth, splat_for
+from prc_cli.imaging.cloud import (
+    Camera,
+    DepthBuffer,
+    FromAbove,
+    Perspective,
+    Sample,
+    fullest_azimuth,
+    splat_for,
+)
 from prc_cli.imaging.pictures import Bar
 from prc_cli.imaging.sheet import Axis, Key, Panel, round_step
 from prc_cli.jobs.classify import Progress, classify, open_stream
@@ -97,7 +105,11 @@ class Cloud:
         present = [name for name in names if name in self.records.dimensions]
         for chunk in self.records.chunks((*AXES, *present)):
             xyz = np.stack([np.asarray(chunk.values[axis], np.float64) for axis in AXES], axis=1)
-            yield Points(xyz, chunk.records(), {name: np.asarray(chunk.values[name], np.float64) for name in present})
+            yield Points(
+                xyz,
+                chunk.records(),
+                {name: np.asarray(chunk.values[name], np.float64) for name in present},
+            )
 
     def _of_stream(self, names: tuple[str, ...]) -> Iterator[Points]:
         stream = open_stream(self.source, self.loaded.config.model_copy(update={"method": "prc"}))
@@ -113,11 +125,17 @@ class Cloud:
                 if plane is not None and name in names
             }
             n_without = len(block.extra) + block.tally.n_unplaced
-            yield Points(block.xyz_m[seen].astype(np.float64), block.records()[seen], values, n_without)
+            yield Points(
+                block.xyz_m[seen].astype(np.float64), block.records()[seen], values, n_without
+            )
 
 
 def draw_cloud(
-    source: Path, loaded: LoadedConfig, options: RenderOptions, folder: Path, progress: Progress | None = None
+    source: Path,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    folder: Path,
+    progress: Progress | None = None,
 ) -> tuple[Panel, Key, RenderResult]:
     """Draw the points of an input in space."""
     _check_options(options)
@@ -126,7 +144,9 @@ def draw_cloud(
     sample, has_classes, n_without = _look(cloud)
     kept = sample.rows()
     if not len(kept):
-        raise InputError(str(source), "found no point with coordinates", "check --range and the layout")
+        raise InputError(
+            str(source), "found no point with coordinates", "check --range and the layout"
+        )
     colour = options.colour
     if colour is None:
         # inputs other than LAS are scans that can be classified now
@@ -144,37 +164,66 @@ def draw_cloud(
     counts = np.zeros(len(words.table.names), np.int64)
     for points in cloud.points((colour,) if colour in _VALUES else ()):
         for first in range(0, len(points.xyz), POINTS_AT_ONCE):
-            _add(buffer, points, slice(first, first + POINTS_AT_ONCE), (colour, limits), (words, classes), counts)
+            _add(
+                buffer,
+                points,
+                slice(first, first + POINTS_AT_ONCE),
+                (colour, limits),
+                (words, classes),
+                counts,
+            )
     n_hidden = sum(int(counts[place]) for place in words.table.hidden)
     bar = None if colour == "class" else SCALES[colour].bar(limits)
     head = heading(
-        source.name, _labelled(cloud, options, colour, folder, own=has_classes), _seen_from(camera),
+        source.name,
+        _labelled(cloud, options, colour, folder, own=has_classes),
+        _seen_from(camera),
         f"{sample.n_seen - n_hidden:,} points by {colour}",
         f"without {', '.join(options.hide)}" if options.hide else "",
-    )  # fmt: skip
+    )
     n_out = sample.n_seen - n_hidden - buffer.n_inside
     notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
     if not np.ptp(kept[:, 2]):
-        notes.append("all points have one height, as in the scan plane: --html draws lines one behind the other")
+        notes.append(
+            "all points have one height, as in the scan plane: --html draws lines one behind the other"
+        )
     if n_without:
-        notes.append(f"{n_without:,} further returns or records that share a cell with another are not drawn")
+        notes.append(
+            f"{n_without:,} further returns or records that share a cell with another are not drawn"
+        )
     by_class = colour == "class"
     result = RenderResult(
-        (), (0, 0), head, counts=words.table.count_by_name(counts) if by_class else None, n_points=buffer.n_inside,
+        (),
+        (0, 0),
+        head,
+        counts=words.table.count_by_name(counts) if by_class else None,
+        n_points=buffer.n_inside,
         notes=tuple(notes),
-    )  # fmt: skip
-    return _panel(buffer.picture(), camera, bar, colour), words.table.key(counts) if by_class else (), result
+    )
+    return (
+        _panel(buffer.picture(), camera, bar, colour),
+        words.table.key(counts) if by_class else (),
+        result,
+    )
 
 
 def _check_options(options: RenderOptions) -> None:
     for name, given in (
-        ("--steps", options.steps), ("--block", options.block), ("--only-lines", options.lines),
+        ("--steps", options.steps),
+        ("--block", options.block),
+        ("--only-lines", options.lines),
         ("--figure1", options.figure1 or None),
-    ):  # fmt: skip
+    ):
         if given is not None:
-            raise ConfigError(name, f"belongs to the scan view, found --view {options.view}", "leave one of them out")
+            raise ConfigError(
+                name,
+                f"belongs to the scan view, found --view {options.view}",
+                "leave one of them out",
+            )
     if options.labels is not None and options.reference is not None:
-        raise ConfigError("--reference", "given together with --labels, expected one of them to colour a cloud by")
+        raise ConfigError(
+            "--reference", "given together with --labels, expected one of them to colour a cloud by"
+        )
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
@@ -183,7 +232,9 @@ def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
     has_classes, n_without = False, 0
     for points in cloud.points((*_VALUES, "classification") if cloud.has_own_classes else _VALUES):
         none = np.full(len(points.xyz), np.nan)
-        rows = np.column_stack([points.xyz, *(points.values.get(name, none) for name in _VALUES), points.record])
+        rows = np.column_stack(
+            [points.xyz, *(points.values.get(name, none) for name in _VALUES), points.record]
+        )
         sample.add(rows[np.isfinite(points.xyz).all(axis=1)])
         n_without += points.n_without
         if not has_classes and "classification" in points.values:
@@ -192,8 +243,14 @@ def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
 
 
 def _classes(
-    cloud: Cloud, options: RenderOptions, words: Vocabulary, folder: Path, progress: Progress | None, *, has_own: bool
-) -> RecordClasses:  # fmt: skip
+    cloud: Cloud,
+    options: RenderOptions,
+    words: Vocabulary,
+    folder: Path,
+    progress: Progress | None,
+    *,
+    has_own: bool,
+) -> RecordClasses:
     """Return the class of every record: from the label file, else from the file itself, else by classifying it."""
     if options.reference is not None:
         return words.read(options.reference, options.reference_dimension, "reference", folder)
@@ -205,7 +262,9 @@ def _classes(
     return words.read(folder / _LABELS, None, "predicted", folder)
 
 
-def _labelled(cloud: Cloud, options: RenderOptions, colour: ColourBy, folder: Path, *, own: bool) -> str:
+def _labelled(
+    cloud: Cloud, options: RenderOptions, colour: ColourBy, folder: Path, *, own: bool
+) -> str:
     """Return what the classes are from, for the headline."""
     if colour != "class":
         return ""
@@ -222,15 +281,22 @@ def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
     """Return the points of a sample that a view must hold, (n, 3) float64: neither noise nor hidden ones, if any."""
     if classes is None:
         return kept[:, :3]
-    inside = ~np.isin(classes.look_up(kept[:, -1].astype(np.int64)), sorted(words.table.hidden | words.noise))
+    inside = ~np.isin(
+        classes.look_up(kept[:, -1].astype(np.int64)), sorted(words.table.hidden | words.noise)
+    )
     return kept[inside, :3] if inside.any() else kept[:, :3]
 
 
 def _camera(framed: F64, options: RenderOptions) -> Camera:
     width = options.width
     if options.view == "top":
-        return FromAbove.around(framed, width, min(options.height, round(HIGHEST_FROM_ABOVE * width)))
-    height, azimuth_deg = min(options.height, round(HIGHEST_PERSPECTIVE * width)), options.azimuth_deg
+        return FromAbove.around(
+            framed, width, min(options.height, round(HIGHEST_FROM_ABOVE * width))
+        )
+    height, azimuth_deg = (
+        min(options.height, round(HIGHEST_PERSPECTIVE * width)),
+        options.azimuth_deg,
+    )
     if azimuth_deg is None:
         azimuth_deg = fullest_azimuth(framed, options.elevation_deg, width, height)
     return Perspective.around(framed, azimuth_deg, options.elevation_deg, width, height)
@@ -256,9 +322,13 @@ def _limits(colour: ColourBy, sample: F64, source: Path) -> tuple[float, float]:
 
 
 def _add(
-    buffer: DepthBuffer, points: Points, part: slice, scale: tuple[ColourBy, tuple[float, float]],
-    labels: tuple[Vocabulary, RecordClasses | None], counts: I64,
-) -> None:  # fmt: skip
+    buffer: DepthBuffer,
+    points: Points,
+    part: slice,
+    scale: tuple[ColourBy, tuple[float, float]],
+    labels: tuple[Vocabulary, RecordClasses | None],
+    counts: I64,
+) -> None:
     """Draw some points that are not hidden, and count the classes of all of them."""
     (colour, limits), (words, classes) = scale, labels
     xyz = points.xyz[part]
@@ -284,7 +354,16 @@ def _panel(picture: U8, camera: Camera, bar: Bar | None, colour: ColourBy) -> Pa
         length = round_step(width * metres / 8)
         _draw_scale(picture, max(1, round(length / metres)))
         pixel = f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm"
-        return Panel("from above", picture, x, y, f"scale bar {length:g} m, 1 pixel = {pixel}", bar, (), caption)
+        return Panel(
+            "from above",
+            picture,
+            x,
+            y,
+            f"scale bar {length:g} m, 1 pixel = {pixel}",
+            bar,
+            (),
+            caption,
+        )
     return Panel("perspective", picture, Axis("", 0, 0), Axis("", 0, 0), "", bar, (), caption)
 
 

@@ -78,7 +78,9 @@ class ClassTable:
         >>> sorted(LABEL_TABLE.without(["noise"]).hidden)
         [2]
         """
-        return replace(self, hidden=frozenset(i for i, name in enumerate(self.names) if i and name in names))
+        return replace(
+            self, hidden=frozenset(i for i, name in enumerate(self.names) if i and name in names)
+        )
 
     @property
     def shown(self) -> U8:
@@ -100,7 +102,8 @@ class ClassTable:
         """Return names and colours of the classes that occur, with their shares of all classified records."""
         total = max(int(counts[self.drawn(counts)].sum()), 1)
         return tuple(
-            (f"{self.names[i]} {share_text(int(counts[i]), total)}", self.colour(i)) for i in self.drawn(counts)
+            (f"{self.names[i]} {share_text(int(counts[i]), total)}", self.colour(i))
+            for i in self.drawn(counts)
         )
 
     def count_by_name(self, counts: I64) -> dict[str, int]:
@@ -121,9 +124,15 @@ def share_text(count: int, total: int) -> str:
 LABEL_TABLE = ClassTable(LABEL_NAMES, np.array([LABEL_COLOURS[label] for label in Label], np.uint8))
 """The program's own classes, in the order of :class:`~prc_cli.core.classes.Label`."""
 ASPRS = {
-    3: Label.VEGETATION, 4: Label.VEGETATION, 5: Label.VEGETATION, 2: Label.GROUND, 6: Label.BUILDING, 7: Label.NOISE,
-    11: Label.GROUND, 18: Label.NOISE,
-}  # fmt: skip
+    3: Label.VEGETATION,
+    4: Label.VEGETATION,
+    5: Label.VEGETATION,
+    2: Label.GROUND,
+    6: Label.BUILDING,
+    7: Label.NOISE,
+    11: Label.GROUND,
+    18: Label.NOISE,
+}
 """Codes of LAS 1.4, table 17, that have a counterpart among the program's classes."""
 
 
@@ -153,7 +162,9 @@ class Vocabulary:
         """Convert class codes of a side to indices of the table."""
         if self.mapping is None:
             return self._own(codes, side)
-        places = np.array([0, *(self.table.names.index(name) for name in self.mapping.names(side))], np.uint8)
+        places = np.array(
+            [0, *(self.table.names.index(name) for name in self.mapping.names(side))], np.uint8
+        )
         found: U8 = places[self.mapping.class_indices(codes, side) + 1]
         return found
 
@@ -167,9 +178,13 @@ class Vocabulary:
         wrong = ~inside | ((found == 255) & (codes != NO_CODE))
         if wrong.any():
             distinct = np.unique(codes[wrong])
-            shown = ", ".join(str(code) for code in distinct[:8]) + (", ..." if distinct.size > 8 else "")
+            shown = ", ".join(str(code) for code in distinct[:8]) + (
+                ", ..." if distinct.size > 8 else ""
+            )
             problem = f"found {np.count_nonzero(wrong)} records with codes that are none of [classes]: {shown}"
-            raise InputError(f"{side} codes", problem, "add --mapping NAME|FILE.toml, which says what they mean")
+            raise InputError(
+                f"{side} codes", problem, "add --mapping NAME|FILE.toml, which says what they mean"
+            )
         return found
 
     def turn_las(self, codes: I64) -> U8:
@@ -196,7 +211,9 @@ class Vocabulary:
         found: U8 = turned[labels]
         return found
 
-    def read(self, path: Path, dimension: str | None, side: Side | Literal["las"], folder: Path) -> RecordClasses:
+    def read(
+        self, path: Path, dimension: str | None, side: Side | Literal["las"], folder: Path
+    ) -> RecordClasses:
         """Read a label file once; keep its classes in a file of one byte per record."""
         n, target = 0, folder / f"{side}.classes"
         with target.open("wb") as handle:
@@ -216,15 +233,30 @@ def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
         mapping = load_mapping(options.mapping)
         found = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
         # the program's own classes first, in their order, then unknown ones
-        names = tuple(sorted(found, key=lambda one: LABEL_NAMES.index(one) if one in LABEL_NAMES else len(LABEL_NAMES)))
+        names = tuple(
+            sorted(
+                found,
+                key=lambda one: LABEL_NAMES.index(one) if one in LABEL_NAMES else len(LABEL_NAMES),
+            )
+        )
         if len(names) > MAX_CLASSES:
-            raise InputError("class mapping", f"found {len(names)} classes, at most {MAX_CLASSES} can be drawn")
+            raise InputError(
+                "class mapping", f"found {len(names)} classes, at most {MAX_CLASSES} can be drawn"
+            )
     own = {LABEL_NAMES[label]: LABEL_COLOURS[label] for label in Label}
-    colours = [MISSING_COLOUR, *(own.get(name, LABEL_COLOURS[Label.UNCLASSIFIED]) for name in names), NOT_SCORED_COLOUR]
-    table = ClassTable((LABEL_NAMES[Label.MISSING], *names, NOT_SCORED), np.array(colours, np.uint8))
+    colours = [
+        MISSING_COLOUR,
+        *(own.get(name, LABEL_COLOURS[Label.UNCLASSIFIED]) for name in names),
+        NOT_SCORED_COLOUR,
+    ]
+    table = ClassTable(
+        (LABEL_NAMES[Label.MISSING], *names, NOT_SCORED), np.array(colours, np.uint8)
+    )
     for name in options.hide:
         if name not in table.names[1:]:
-            raise ConfigError("--hide", f"found {name!r}, expected classes: {', '.join(table.names[1:])}")
+            raise ConfigError(
+                "--hide", f"found {name!r}, expected classes: {', '.join(table.names[1:])}"
+            )
     return Vocabulary(table.without(options.hide), mapping, codes)
 
 
@@ -243,7 +275,11 @@ class RecordClasses:
         """Return the class of records, (...) int64 to (...) uint8; -1 = none."""
         last = int(record.max(initial=-1))
         if last >= len(self.places):
-            raise InputError(self.path, f"found {len(self.places):,} labels, but the input has record {last:,}", _HINT)
+            raise InputError(
+                self.path,
+                f"found {len(self.places):,} labels, but the input has record {last:,}",
+                _HINT,
+            )
         found: U8 = np.where(record >= 0, self.places[np.maximum(record, 0)], np.uint8(0))
         return found
 
@@ -286,7 +322,9 @@ def thinned(step: tuple[int, int]) -> str:
     >>> thinned((3, 2))
     '1 line of 3 and 1 column of 2'
     """
-    return " and ".join(f"1 {name} of {n}" for name, n in zip(("line", "column"), step, strict=True) if n > 1)
+    return " and ".join(
+        f"1 {name} of {n}" for name, n in zip(("line", "column"), step, strict=True) if n > 1
+    )
 
 
 def made_with(loaded: LoadedConfig) -> str:
@@ -317,7 +355,11 @@ def origin(labels: Sequence[Path]) -> tuple[str, ...]:
     found = [_record_of(path) for path in labels]
     methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
     inputs = dict.fromkeys(filter(None, (_text(record, "input", "name", 200) for record in found)))
-    source = f"{len(inputs):,} inputs" if len(inputs) > 1 else "".join(f"input {name}" for name in inputs)
+    source = (
+        f"{len(inputs):,} inputs"
+        if len(inputs) > 1
+        else "".join(f"input {name}" for name in inputs)
+    )
     return tuple(filter(None, (today(), f"prc {__version__}", ", ".join(methods), source)))
 
 

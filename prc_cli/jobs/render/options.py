@@ -15,13 +15,24 @@ ColourBy: TypeAlias = Literal["class", "range", "height", "intensity", "confiden
 COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity", "confidence")
 SUFFIXES = (".png", ".html")
 
-PRC_STEPS = ("support", "critical", "background", "components", "segments", "surfaces", "segmentation")
+PRC_STEPS = (
+    "support",
+    "critical",
+    "background",
+    "components",
+    "segments",
+    "surfaces",
+    "segmentation",
+)
 SEQUENTIAL_STEPS = ("coarse", "dense", "ground", "triggers", "dividers", "tests")
 FIGURE_1 = ("range", *(step for step in PRC_STEPS if step != "critical"), "classes")
 """The paper's Fig. 1 (Lehtola et al. 2019)."""
 
 CAPTIONS: dict[str, tuple[str, str]] = {
-    "range": ("range", "Slant range of every shot, near bright, far dark, on a logarithmic scale; white: no return."),
+    "range": (
+        "range",
+        "Slant range of every shot, near bright, far dark, on a logarithmic scale; white: no return.",
+    ),
     "intensity": ("intensity", "Strength of the return as the input gives it; white: none."),
     "support": (
         "supported S (white)",
@@ -195,12 +206,20 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
         whole = options.block is None and options.lines is None and method != "sequential-angle"
-        chosen = ("range", "classes", *of_reference) if whole else tuple(s for s in possible if s not in ON_REQUEST)
+        chosen = (
+            ("range", "classes", *of_reference)
+            if whole
+            else tuple(s for s in possible if s not in ON_REQUEST)
+        )
     elif options.figure1 and of_reference:
         chosen = (*chosen, "reference")
     hint = f"possible here: {', '.join(possible)}"
     for step in (one for one in chosen if one not in possible):
-        holder = "which a label file does not hold" if options.labels is not None else f"which is no step of {method}"
+        holder = (
+            "which a label file does not hold"
+            if options.labels is not None
+            else f"which is no step of {method}"
+        )
         problem = f"found {step!r}, {holder if step in CAPTIONS else 'which is no step'}"
         if step in REFERENCE_STEPS:
             problem = f"{step!r} needs a reference, expected --reference FILE"

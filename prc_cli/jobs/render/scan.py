@@ -47,7 +47,13 @@ from prc_cli.jobs.render.colours import (
 )
 from prc_cli.jobs.render.options import CAPTIONS, PRC_STEPS, RenderOptions, choose_steps
 from prc_cli.methods.base import MethodParams, OneByOne, Wanted
-from prc_cli.methods.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
+from prc_cli.methods.prc.pipeline import (
+    PrcParams,
+    PrcState,
+    PrcTrace,
+    classify_block,
+    initial_state,
+)
 from prc_cli.streams.beams import with_beams
 
 Plane: TypeAlias = NDArray[Any]
@@ -78,17 +84,29 @@ INTERVALS = ClassTable(
 """Intervals between dividers in turn, as in the paper's Fig. 4; 0 = missing."""
 TESTS = ClassTable(
     (
-        _NO_RETURN, "in no interval", "tall vertical, cut out", "vegetation by its spectrum", "behind a high vertical",
-        "next to the ground", "behind a curb", "car",
+        _NO_RETURN,
+        "in no interval",
+        "tall vertical, cut out",
+        "vegetation by its spectrum",
+        "behind a high vertical",
+        "next to the ground",
+        "behind a curb",
+        "car",
     ),
     np.array(
         [
-            (255, 255, 255), _PALE, LABEL_COLOURS[Label.VERTICAL], LABEL_COLOURS[Label.VEGETATION], (106, 61, 154),
-            LABEL_COLOURS[Label.HORIZONTAL], LABEL_COLOURS[Label.CURB], LABEL_COLOURS[Label.CAR],
+            (255, 255, 255),
+            _PALE,
+            LABEL_COLOURS[Label.VERTICAL],
+            LABEL_COLOURS[Label.VEGETATION],
+            (106, 61, 154),
+            LABEL_COLOURS[Label.HORIZONTAL],
+            LABEL_COLOURS[Label.CURB],
+            LABEL_COLOURS[Label.CAR],
         ],
         np.uint8,
     ),
-)  # fmt: skip
+)
 """What became of the shots of intervals: :class:`~prc_cli.core.classes.CarTest` plus 1; 0 = missing."""
 STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
 
@@ -104,7 +122,9 @@ def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
     return stream
 
 
-def of_station(stream: ScanStream, station: int | None, met: dict[int, None] | None = None) -> Iterator[ScanBlock]:
+def of_station(
+    stream: ScanStream, station: int | None, met: dict[int, None] | None = None
+) -> Iterator[ScanBlock]:
     """Yield the blocks of one scanner, by default the first; note in ``met`` all that are met."""
     met = {} if met is None else met
     for block in stream.blocks():
@@ -173,7 +193,9 @@ _TRACED: Mapping[str, Callable[[PrcTrace], Plane]] = {
     "background": lambda trace: trace.background,
     "critical": _critical,
     # filling gives labels to shots of G alone, so without them the components are those before it
-    "components": lambda trace: np.where(trace.supported & ~trace.background, trace.components.image, np.int32(0)),
+    "components": lambda trace: np.where(
+        trace.supported & ~trace.background, trace.components.image, np.int32(0)
+    ),
     "segments": lambda trace: _ids(trace.components.to_segments()),
     "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
     "segmentation": lambda trace: _ids(trace.surfaces.to_segments()),
@@ -202,17 +224,27 @@ def _traced(
         turn = turn or OneByOne(initial_state(block.points_per_line))
         trace = classify_block(
             block.range_m, block.next_m, turn, params, segments=True, critical="critical" in steps
-        )  # fmt: skip
-        yield block, {"classes": trace.labels, **{step: _TRACED[step](trace) for step in steps if step in _TRACED}}
+        )
+        yield (
+            block,
+            {
+                "classes": trace.labels,
+                **{step: _TRACED[step](trace) for step in steps if step in _TRACED},
+            },
+        )
 
 
 def _labelled(
     blocks: Iterator[ScanBlock], params: MethodParams, steps: tuple[str, ...]
 ) -> Iterator[tuple[ScanBlock, Images]]:
-    for item in label_blocks(blocks, params, wanted=Wanted(stages=True, confidence="confidence" in steps)):
+    for item in label_blocks(
+        blocks, params, wanted=Wanted(stages=True, confidence="confidence" in steps)
+    ):
         planes, seen, stages = {"classes": item.labels}, ~np.isnan(item.block.range_m), item.stages
         if item.confidence is not None:
-            planes["confidence"] = np.where(seen, item.confidence.astype(np.float32), np.float32(np.nan))
+            planes["confidence"] = np.where(
+                seen, item.confidence.astype(np.float32), np.float32(np.nan)
+            )
         if stages is not None:
             planes |= {step: _STAGES[step](stages, seen) for step in steps if step in _STAGES}
         yield item.block, planes
@@ -236,7 +268,9 @@ class Part:
 
     def inside(self, block: ScanBlock) -> tuple[int, int]:
         """Return which lines of a block are drawn: the first, and the last + 1."""
-        return max(self.first - block.first_line, 0), min(self.stop - block.first_line, block.n_lines)
+        return max(self.first - block.first_line, 0), min(
+            self.stop - block.first_line, block.n_lines
+        )
 
     def sentence(self) -> str:
         """Name the lines for a headline."""
@@ -275,7 +309,11 @@ class _Layout:
 
 
 def draw_scan(
-    source: Path, loaded: LoadedConfig, options: RenderOptions, folder: Path, progress: Progress | None = None
+    source: Path,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    folder: Path,
+    progress: Progress | None = None,
 ) -> Drawing:
     """Draw the steps of a scan."""
     method = loaded.config.method
@@ -286,9 +324,13 @@ def draw_scan(
     # labels are checked first: they are small, and classifying takes long
     sides: dict[Side, RecordClasses] = {}
     if options.labels is not None:
-        sides["predicted"] = words.read(options.labels, options.labels_dimension, "predicted", folder)
+        sides["predicted"] = words.read(
+            options.labels, options.labels_dimension, "predicted", folder
+        )
     if options.reference is not None:
-        sides["reference"] = words.read(options.reference, options.reference_dimension, "reference", folder)
+        sides["reference"] = words.read(
+            options.reference, options.reference_dimension, "reference", folder
+        )
     for given in sides.values():
         given.check(stream.info.n_records)
     part = choose_part(options, loaded, stream)
@@ -309,7 +351,12 @@ def draw_scan(
         tally, n_read = tally + block.tally, max(n_read, int(block.records().max(initial=-1)) + 1)
         if block.first_line + block.n_lines >= part.stop:
             break
-    if part.stop == part.n_lines and tally.n_records and stream.info.n_records is None and options.station is None:
+    if (
+        part.stop == part.n_lines
+        and tally.n_records
+        and stream.info.n_records is None
+        and options.station is None
+    ):
         for given in sides.values():
             given.check(max(tally.n_records, n_read))
     return sheet.drawing()
@@ -319,7 +366,9 @@ def _check_part(method: str, options: RenderOptions) -> None:
     if options.block is not None and options.lines is not None:
         raise ConfigError("--block", "given together with --only-lines, expected one of them")
     if options.figure1 and method != "prc":
-        raise ConfigError("--figure1", f"belongs to prc, found the method {method}", "add --method prc")
+        raise ConfigError(
+            "--figure1", f"belongs to prc, found the method {method}", "add --method prc"
+        )
     if options.figure1 and options.labels is not None:
         problem = "the figure shows the steps of prc, which a label file does not hold"
         raise ConfigError("--figure1", problem, "leave --labels out")
@@ -330,14 +379,23 @@ def _check_part(method: str, options: RenderOptions) -> None:
 def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream) -> Part:
     """Return the lines to draw; reads the stream where its number of lines is not known otherwise."""
     info = stream.info
-    many = loaded.config.input.scanner != "none" or info.facts.has_scans or len(info.facts.scanners) > 1
+    many = (
+        loaded.config.input.scanner != "none"
+        or info.facts.has_scans
+        or len(info.facts.scanners) > 1
+    )
     n_lines = info.n_lines if not many and options.station is None else None
     scanner, met = "", dict[int, None]()
     if n_lines is None:
         n_lines = sum(block.n_lines for block in of_station(stream, options.station, met))
     if len(met) > 1:
-        number, names = next(iter(met)) if options.station is None else options.station, info.facts.scanners
-        scanner = f"scanner {number} of {len(met)}" + (f": {names[number]}" if number < len(names) else "")
+        number, names = (
+            next(iter(met)) if options.station is None else options.station,
+            info.facts.scanners,
+        )
+        scanner = f"scanner {number} of {len(met)}" + (
+            f": {names[number]}" if number < len(names) else ""
+        )
     k = loaded.config.prc.lines_per_block
     n_blocks = -(-n_lines // k)
     block = options.block
@@ -345,7 +403,9 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
         block = min(1, n_blocks - 1)
     if block is not None:
         if not 0 <= block < n_blocks:
-            problem = f"found {block}, expected 0 to {n_blocks - 1}: {n_lines:,} lines in blocks of {k}"
+            problem = (
+                f"found {block}, expected 0 to {n_blocks - 1}: {n_lines:,} lines in blocks of {k}"
+            )
             raise ConfigError("--block", problem)
         return Part(block * k, min((block + 1) * k, n_lines), n_lines, scanner)
     if options.lines is not None:
@@ -378,7 +438,9 @@ def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOp
     return _Layout("strips", line_step, column_step, -(-drawn // n_strips), per_page)
 
 
-def _add_sides(block: ScanBlock, planes: Images, words: Vocabulary, sides: Mapping[Side, RecordClasses]) -> None:
+def _add_sides(
+    block: ScanBlock, planes: Images, words: Vocabulary, sides: Mapping[Side, RecordClasses]
+) -> None:
     """Add the classes of label files, and the classifier's classes in the vocabulary of both sides."""
     record, seen = block.records(), ~np.isnan(block.range_m)
     for side, given in sides.items():
@@ -421,16 +483,25 @@ class _Sheet:
         size = max(len(self.words.table.names), len(Label))
         for side in ("classes", "predicted", "reference", *STAGE_TABLES):
             if side in inside:
-                self.counts[side] = np.bincount(inside[side].ravel(), minlength=size) + self.counts.get(side, 0)
+                self.counts[side] = np.bincount(
+                    inside[side].ravel(), minlength=size
+                ) + self.counts.get(side, 0)
         if "predicted" in inside and "reference" in inside:
             one, other = inside["predicted"], inside["reference"]
-            both = (one > 0) & (one != self.words.unscored) & (other > 0) & (other != self.words.unscored)
+            both = (
+                (one > 0)
+                & (one != self.words.unscored)
+                & (other > 0)
+                & (other != self.words.unscored)
+            )
             self.n_compared += int(np.count_nonzero(both))
             self.n_differing += int(np.count_nonzero(both & (one != other)))
         start = (self.part.first - block.first_line - low) % self.layout.line_step
         wanted = {*self.steps, *(("predicted", "reference") if "difference" in self.steps else ())}
         for name in wanted & set(inside):
-            thin = np.ascontiguousarray(inside[name][start :: self.layout.line_step, :: self.layout.column_step])
+            thin = np.ascontiguousarray(
+                inside[name][start :: self.layout.line_step, :: self.layout.column_step]
+            )
             self.kept.setdefault(name, []).append(thin)
 
     def drawing(self) -> Drawing:
@@ -446,15 +517,28 @@ class _Sheet:
             lines = part.first + first * layout.line_step, part.first + stop * layout.line_step
             panels = []
             for step in self.steps:
-                picture, bar = self._paint(step, {name: plane[first:stop] for name, plane in planes.items()}, scales)
-                panels.append(self._panel(step, picture, bar, () if is_folded else keys.get(step, ()), lines))
+                picture, bar = self._paint(
+                    step, {name: plane[first:stop] for name, plane in planes.items()}, scales
+                )
+                panels.append(
+                    self._panel(step, picture, bar, () if is_folded else keys.get(step, ()), lines)
+                )
             strips.append(tuple(panels))
-        side, table = ("classes", self.own) if "classes" in self.counts else ("reference", self.words.table)
+        side, table = (
+            ("classes", self.own) if "classes" in self.counts else ("reference", self.words.table)
+        )
         counts = table.count_by_name(self.counts.get(side, np.zeros(len(table.names), np.int64)))
         return Drawing(
-            tuple(strips), layout.strips_per_page, self._shared_key(keys) if is_folded else (), part, self.steps,
-            (layout.line_step, layout.column_step), counts, self.n_compared, self.n_differing,
-        )  # fmt: skip
+            tuple(strips),
+            layout.strips_per_page,
+            self._shared_key(keys) if is_folded else (),
+            part,
+            self.steps,
+            (layout.line_step, layout.column_step),
+            counts,
+            self.n_compared,
+            self.n_differing,
+        )
 
     def _keys(self) -> dict[str, Key]:
         """Return the key of every class picture: classes that occur, with shares."""
@@ -466,7 +550,9 @@ class _Sheet:
             keys[step] = table.key(counts[: len(table.names)])
             if counts[0]:
                 share = share_text(int(counts[0]), int(counts.sum()))
-                keys[step] += ((f"{_NO_RETURN} ({share} of all shots)", LABEL_COLOURS[Label.MISSING]),)
+                keys[step] += (
+                    (f"{_NO_RETURN} ({share} of all shots)", LABEL_COLOURS[Label.MISSING]),
+                )
         if "triggers" in self.kept:
             keys["triggers"] = trigger_key()
         if "predicted" in self.counts and "reference" in self.counts:
@@ -483,17 +569,27 @@ class _Sheet:
         entries: dict[Any, None] = {}
         for step in shown:
             table = self.tables.get(step)
-            key = keys[step] if table is None else _names(table, self.counts[step][: len(table.names)])
+            key = (
+                keys[step]
+                if table is None
+                else _names(table, self.counts[step][: len(table.names)])
+            )
             entries |= dict.fromkeys(key)
         # entries that are no class go last
         last = (NOT_SCORED, _AGREE, _NO_RETURN)
-        return tuple(sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1))
+        return tuple(
+            sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1)
+        )
 
-    def _paint(self, step: str, planes: Images, scales: Mapping[str, tuple[float, float]]) -> tuple[U8, Bar | None]:
+    def _paint(
+        self, step: str, planes: Images, scales: Mapping[str, tuple[float, float]]
+    ) -> tuple[U8, Bar | None]:
         """Return the (lines, columns, 3) picture of some of the drawn lines, and its colour bar."""
         if step == "difference":
             table, unscored = self.words.table.shown, self.words.unscored
-            return difference_picture(planes["predicted"], planes["reference"], table, unscored), None
+            return difference_picture(
+                planes["predicted"], planes["reference"], table, unscored
+            ), None
         plane = planes[step]
         if step in SCALES:
             return SCALES[step].picture(plane, scales[step]), SCALES[step].bar(scales[step])
@@ -504,7 +600,9 @@ class _Sheet:
             return trigger_picture(plane), None
         return (mask_picture if step in ("support", "background") else segment_picture)(plane), None
 
-    def _panel(self, step: str, picture: U8, bar: Bar | None, key: Key, lines: tuple[int, int]) -> Panel:
+    def _panel(
+        self, step: str, picture: U8, bar: Bar | None, key: Key, lines: tuple[int, int]
+    ) -> Panel:
         """Orient a picture for viewing and add its axes."""
         title, caption = CAPTIONS[step]
         layout, (n, m) = self.layout, picture.shape[:2]
@@ -518,13 +616,23 @@ class _Sheet:
             return Panel(title, picture, across, along, note, bar, key, caption, zoom_for(m, n))
         if beam_rad is None or order is None:
             zoom = zoom_for(layout.strip, m)
-            return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom)
+            return Panel(
+                title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom
+            )
         picture = picture[:, order].swapaxes(0, 1)
         if self.turn_rad > 0:
             picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
         side = _elevations(beam_rad, order, m * layout.column_step)
         return Panel(
-            title, picture, along, side, note, bar, key, caption, _upright_zoom(layout.strip, m, self._shape())
+            title,
+            picture,
+            along,
+            side,
+            note,
+            bar,
+            key,
+            caption,
+            _upright_zoom(layout.strip, m, self._shape()),
         )
 
     def _shape(self) -> float | None:
@@ -562,7 +670,9 @@ def _elevations(beam_rad: F64, order: NDArray[np.intp], n_columns: int) -> Axis:
         step = (elevation[-1] - elevation[0]) / (len(elevation) - 1)
         even = elevation[0] + step * np.arange(len(elevation))
         if step and np.abs(elevation - even).max() <= max(2 * abs(step), 0.02 * np.ptp(elevation)):
-            return Axis("elevation [°]", elevation[0] - step / 2, elevation[-1] + step / 2, cells=False)
+            return Axis(
+                "elevation [°]", elevation[0] - step / 2, elevation[-1] + step / 2, cells=False
+            )
     first, stop = (n_columns, 0) if order[0] > order[-1] else (0, n_columns)
     return Axis("column", first, stop)
 
@@ -579,6 +689,10 @@ def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, nam
         lines = f"block {part.first // loaded.config.prc.lines_per_block}, {lines}"
     step = thinned(drawing.thinned_by)
     return heading(
-        name, labelled, lines, f"{step} drawn" if step else "", part.scanner,
+        name,
+        labelled,
+        lines,
+        f"{step} drawn" if step else "",
+        part.scanner,
         f"without {', '.join(options.hide)}" if options.hide else "",
-    )  # fmt: skip
+    )

@@ -40,7 +40,14 @@ from prc_cli.jobs.render.colours import (
     vocabulary,
 )
 from prc_cli.jobs.render.options import RenderOptions, RenderResult
-from prc_cli.jobs.render.scan import Part, choose_part, of_station, open_for_pictures, turns, upright
+from prc_cli.jobs.render.scan import (
+    Part,
+    choose_part,
+    of_station,
+    open_for_pictures,
+    turns,
+    upright,
+)
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.reasons import sentences
 
@@ -51,13 +58,18 @@ STAGES: dict[str, Values] = {
     "height_above_ground": Values("height above ground", _NONE, 0.001),
     "ground_height": Values("height of the ground", _NONE, 0.001, is_scale=False),
     "surface": Values(
-        "coarse class", _NONE, 1.0, 1, "", words={one.value: one.name.lower() for one in Surface if one}
+        "coarse class",
+        _NONE,
+        1.0,
+        1,
+        "",
+        words={one.value: one.name.lower() for one in Surface if one},
     ),
     "dense_vegetation": Values("dense vegetation", _NONE, 1.0, 1, "", words={0: "no", 1: "yes"}),
     "segment_id": Values("segment", _NONE, 1.0, 4, "", is_scale=False),
     "confidence": Values("confidence", _NONE, 1.0, 1, "%"),
     "reason": Values("because", _NONE, 1.0, 1, "", words=sentences()),
-}  # fmt: skip
+}
 """Values of the classifier by the names of its output columns."""
 
 
@@ -83,18 +95,30 @@ class _Kept:
         if low >= high:
             return
         record, seen = block.records(), ~np.isnan(block.range_m)
-        classes = self.words.turn_labels(item.labels) if self.given is None else self.given.look_up(record)
+        classes = (
+            self.words.turn_labels(item.labels)
+            if self.given is None
+            else self.given.look_up(record)
+        )
         classes = self.words.mark_unscored(np.where(seen, classes, np.uint8(0)), seen)
         self.counts += np.bincount(classes[low:high].ravel(), minlength=len(self.counts))
         start = low + (self.part.first - block.first_line - low) % self.step[0]
         cells = (slice(start, high, self.step[0]), slice(None, None, self.step[1]))
         planes: dict[str, NDArray[Any] | None] = {
-            "range": block.range_m, "class": classes, "record": record, "time": block.time_s,
-            "intensity": block.intensity, "xyz": block.xyz_m, "height_above_ground": item.above_m,
+            "range": block.range_m,
+            "class": classes,
+            "record": record,
+            "time": block.time_s,
+            "intensity": block.intensity,
+            "xyz": block.xyz_m,
+            "height_above_ground": item.above_m,
             "reason": item.reasons,
-        }  # fmt: skip
+        }
         if item.stages is not None:
-            planes["surface"], planes["dense_vegetation"] = item.stages.surface, item.stages.dense_vegetation
+            planes["surface"], planes["dense_vegetation"] = (
+                item.stages.surface,
+                item.stages.dense_vegetation,
+            )
             planes["ground_height"] = item.stages.ground_height_m
         for name, plane in planes.items():
             if plane is not None:
@@ -136,34 +160,52 @@ def render_viewer(
     part = kept.part
     head = heading(origin, f"{part.sentence()} lines", part.scanner, thinned(kept.step))
     text = viewer_page(
-        shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.",
+        shots,
+        title=source.name,
+        head=head,
+        notes=notes,
+        foot=f"Written by prc render {__version__}.",
         why="" if given is not None else _explain(source, config, chosen),
-    )  # fmt: skip
+    )
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     return RenderResult(
-        (output,), (0, 0), f"{source.name} · {head}", lines=(part.first, part.stop), thinned_by=kept.step,
+        (output,),
+        (0, 0),
+        f"{source.name} · {head}",
+        lines=(part.first, part.stop),
+        thinned_by=kept.step,
         counts=words.table.count_by_name(kept.counts),
-        n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()), notes=notes,
-    )  # fmt: skip
+        n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()),
+        notes=notes,
+    )
 
 
 def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
     """Return the command that tells why a shot has its class, without the place of the shot."""
     preset, station = preset_of(loaded), options.station
     words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
-    words += [*options_of(loaded), *([] if station is None else ["--station", str(station)]), "--at"]
+    words += [
+        *options_of(loaded),
+        *([] if station is None else ["--station", str(station)]),
+        "--at",
+    ]
     return shlex.join(words)
 
 
 def _check(output: Path, options: RenderOptions) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(str(output), f"found the suffix {output.suffix!r}, expected .html", "rename the output")
+        raise ConfigError(
+            str(output), f"found the suffix {output.suffix!r}, expected .html", "rename the output"
+        )
     for name, given in (
-        ("--steps", options.steps), ("--figure1", options.figure1 or None), ("--reference", options.reference),
-        ("--colour", options.colour), ("--block", options.block),
+        ("--steps", options.steps),
+        ("--figure1", options.figure1 or None),
+        ("--reference", options.reference),
+        ("--colour", options.colour),
+        ("--block", options.block),
         ("--view", None if options.view == "scan" else options.view),
-    ):  # fmt: skip
+    ):
         if given is not None:
             raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
 
@@ -175,11 +217,17 @@ def _given(
     if options.labels is not None:
         found = words.read(options.labels, options.labels_dimension, "predicted", folder)
         return found, labels_of(options.labels)
-    records = open_source(source, loaded.config.layout) if source.suffix.lower() in LAS_SUFFIXES else None
+    records = (
+        open_source(source, loaded.config.layout) if source.suffix.lower() in LAS_SUFFIXES else None
+    )
     name = "classification"
-    if records is None or not any((~np.isin(one.values[name], NO_CLASSES)).any() for one in records.chunks((name,))):
+    if records is None or not any(
+        (~np.isin(one.values[name], NO_CLASSES)).any() for one in records.chunks((name,))
+    ):
         return None, ""
-    return words.read(source, options.labels_dimension, "las", folder), made_by(source) or "classes of the file"
+    return words.read(source, options.labels_dimension, "las", folder), made_by(
+        source
+    ) or "classes of the file"
 
 
 def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
@@ -198,9 +246,13 @@ def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
 
 
 def _collect(
-    stream: ScanStream, loaded: LoadedConfig, options: RenderOptions, words: Vocabulary, given: RecordClasses | None,
+    stream: ScanStream,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    words: Vocabulary,
+    given: RecordClasses | None,
     progress: Progress | None,
-) -> _Kept:  # fmt: skip
+) -> _Kept:
     """Read, and classify unless classes are given."""
     part = choose_part(options, loaded, stream)
     kept = _Kept(part, words, given, np.zeros(len(words.table.names), np.int64))
@@ -223,10 +275,14 @@ def _labelled(
 ) -> Iterator[LabelledBlock]:
     blocks = of_station(stream, options.station)
     if classify:
-        yield from label_blocks(blocks, loaded.config.classifier, wanted=Wanted(stages=True, reasons=True))
+        yield from label_blocks(
+            blocks, loaded.config.classifier, wanted=Wanted(stages=True, reasons=True)
+        )
         return
     for block in blocks:
-        yield LabelledBlock(block, np.zeros(block.range_m.shape, np.uint8), np.zeros(len(block.extra), np.uint8))
+        yield LabelledBlock(
+            block, np.zeros(block.range_m.shape, np.uint8), np.zeros(len(block.extra), np.uint8)
+        )
 
 
 def _shots(
@@ -234,40 +290,68 @@ def _shots(
 ) -> tuple[Shots, tuple[str, ...]]:
     """Put together what the page shows, and what it says of it."""
     words, step = kept.words, kept.step
-    classes, range_m, record = (np.concatenate(kept.parts[name]) for name in ("class", "range", "record"))
+    classes, range_m, record = (
+        np.concatenate(kept.parts[name]) for name in ("class", "range", "record")
+    )
     range_m, seen = range_m.astype(np.float64), classes > 0
     found = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
-    values: dict[str, F64] = {name: each.astype(np.float64) for name, each in found.items() if each is not None}
+    values: dict[str, F64] = {
+        name: each.astype(np.float64) for name, each in found.items() if each is not None
+    }
     sensor_m = values.pop("xyz", None)
     values |= _of_files(source, loaded, options, record)
-    file_m = np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
+    file_m = (
+        np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
+    )
     config = loaded.config
     in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
     spacing_m, assumed = options.line_spacing_m, ""
     if spacing_m is None:
-        spacing_m, assumed = spacing(stream.info, values.get("time"), in_forest=in_forest, step=step[0])
-    told = f"{spacing_m:.2g} m apart" + (f" ({assumed}; --line-spacing tells it)" if assumed else "")
+        spacing_m, assumed = spacing(
+            stream.info, values.get("time"), in_forest=in_forest, step=step[0]
+        )
+    told = f"{spacing_m:.2g} m apart" + (
+        f" ({assumed}; --line-spacing tells it)" if assumed else ""
+    )
     how = f"The input has no trajectory: its lines are drawn one behind the other, {told}."
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
     xyz_m, is_measured = _place(range_m, beam_rad, (file_m, sensor_m), spacing_m * step[0], seen)
     notes = [] if is_measured else [how]
     if step != (1, 1):
         n_all = (kept.part.stop - kept.part.first) * stream.info.points_per_line
-        notes.append(f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; --shots sets the most.")
+        notes.append(
+            f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; --shots sets the most."
+        )
     order, left_out = upright(beam_rad), sorted(words.table.hidden | words.noise)
     shots = Shots(
-        classes, range_m, xyz_m, seen & ~np.isin(classes, left_out), (kept.part.first, 0), step,
+        classes,
+        range_m,
+        xyz_m,
+        seen & ~np.isin(classes, left_out),
+        (kept.part.first, 0),
+        step,
         _entries(words, kept.counts, left_out),
-        {name: _values(name, each, seen) for name, each in values.items() if np.isfinite(each[seen]).any()},
-        None if order is None else order.tolist(), order is not None and kept.turn_rad > 0,
-    )  # fmt: skip
+        {
+            name: _values(name, each, seen)
+            for name, each in values.items()
+            if np.isfinite(each[seen]).any()
+        },
+        None if order is None else order.tolist(),
+        order is not None and kept.turn_rad > 0,
+    )
     return shots, tuple(notes)
 
 
 def _entries(words: Vocabulary, counts: I64, left_out: list[int]) -> list[ClassEntry]:
     table, total = words.table, max(int(counts[1:].sum()), 1)
     return [
-        ClassEntry(place, name, table.colour(place), share_text(int(counts[place]), total), place in left_out)
+        ClassEntry(
+            place,
+            name,
+            table.colour(place),
+            share_text(int(counts[place]), total),
+            place in left_out,
+        )
         for place, name in enumerate(table.names)
         if place and counts[place]
     ]
@@ -280,19 +364,30 @@ def _values(name: str, values: F64, seen: Mask) -> Values:
         return replace(STAGES[name], values=np.where(seen, values, np.nan))
     if name == "time":
         span = float(np.nanmax(values) - np.nanmin(values))
-        return Values("time", values, max(1e-7, 10.0 ** math.ceil(math.log10(max(span, 1e-3) / 4e9))), 4, "s", False)
+        return Values(
+            "time",
+            values,
+            max(1e-7, 10.0 ** math.ceil(math.log10(max(span, 1e-3) / 4e9))),
+            4,
+            "s",
+            False,
+        )
     known = values[np.isfinite(values)]
     step = 1.0 if (known == np.rint(known)).all() else max(float(np.ptp(known)), 1e-9) / 60_000
     return Values(name, values, step, 2, "")
 
 
-def _of_files(source: Path, loaded: LoadedConfig, options: RenderOptions, record: I64) -> dict[str, F64]:
+def _of_files(
+    source: Path, loaded: LoadedConfig, options: RenderOptions, record: I64
+) -> dict[str, F64]:
     """Return coordinates and stages that files hold, by name, each in the shape of ``record``."""
     found: dict[str, F64] = {}
     cloud: RecordSource | None = None
     labels = None
     if options.trajectory is not None:
-        cloud = placed_source(source, source, options.trajectory, options.mount, layout=loaded.config.layout)
+        cloud = placed_source(
+            source, source, options.trajectory, options.mount, layout=loaded.config.layout
+        )
     else:
         with suppress(InputError):
             cloud = Cloud.open(source, loaded, options.station).records
@@ -301,7 +396,9 @@ def _of_files(source: Path, loaded: LoadedConfig, options: RenderOptions, record
         labels = None if options.labels is None else open_source(options.labels, None)
     own = open_source(source, loaded.config.layout)
     for records, names in ((cloud, AXES), (own, tuple(STAGES)), (labels, tuple(STAGES))):
-        wanted = () if records is None else tuple(name for name in names if name in records.dimensions)
+        wanted = (
+            () if records is None else tuple(name for name in names if name in records.dimensions)
+        )
         if records is not None and wanted and (names is not AXES or wanted == AXES):
             found |= _look_up(records, wanted, record)
     return found
@@ -322,12 +419,18 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
         place = np.minimum(np.searchsorted(ids[by_id], sorted_ids[low:high]), len(ids) - 1)
         hit = ids[by_id][place] == sorted_ids[low:high]
         for name in names:
-            found[name][order[low:high][hit]] = np.asarray(chunk.values[name], np.float64)[by_id][place[hit]]
+            found[name][order[low:high][hit]] = np.asarray(chunk.values[name], np.float64)[by_id][
+                place[hit]
+            ]
     return {name: values.reshape(record.shape) for name, values in found.items()}
 
 
 def _place(
-    range_m: F64, beam_rad: F64 | None, measured_m: tuple[F64 | None, ...], apart_m: float, seen: Mask
+    range_m: F64,
+    beam_rad: F64 | None,
+    measured_m: tuple[F64 | None, ...],
+    apart_m: float,
+    seen: Mask,
 ) -> tuple[F64 | None, bool]:
     """Return where shots are, (lines, columns, 3) float64 [m], and whether that is as measured, or not known."""
     behind_m = np.arange(len(range_m)) * apart_m

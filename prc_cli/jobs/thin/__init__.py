@@ -20,7 +20,14 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig, refuse_window, with_layout_beside
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, output_errors, prepare_outputs, suffix_of
+from prc_cli.core.files import (
+    atomic_outputs,
+    check_unchanged,
+    file_state,
+    output_errors,
+    prepare_outputs,
+    suffix_of,
+)
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
@@ -35,7 +42,14 @@ from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Judge, Progress, run_record
-from prc_cli.jobs.convert import OpenedItems, find_losses, how_to_read, open_items, prepare_output, record_of_scanners
+from prc_cli.jobs.convert import (
+    OpenedItems,
+    find_losses,
+    how_to_read,
+    open_items,
+    prepare_output,
+    record_of_scanners,
+)
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.frames import frames_of, labels_of, thin_frames
 from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
@@ -151,19 +165,41 @@ def thin(
     source, output = scan_file(Path(source)), Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
     if min_confidence is not None and not 0 <= min_confidence <= 100:
-        raise ConfigError("--min-confidence", f"found {min_confidence}, expected per cent, 0 to 100")
+        raise ConfigError(
+            "--min-confidence", f"found {min_confidence}, expected per cent, 0 to 100"
+        )
     common: dict[str, Any] = {"min_confidence": min_confidence, "keep_empty": keep_empty}
     if source.is_dir():
-        return _thin_folder(source, output, rules, loaded, labels, every_frame=every_frame, progress=progress, **common)
+        return _thin_folder(
+            source,
+            output,
+            rules,
+            loaded,
+            labels,
+            every_frame=every_frame,
+            progress=progress,
+            **common,
+        )
     if every_frame:
-        raise ConfigError("--every-frame", f"{source.name} is a file", "it numbers the frames of a folder")
-    return _thin_file(source, output, rules, loaded, labels, overwrite=overwrite, progress=progress, **common)
+        raise ConfigError(
+            "--every-frame", f"{source.name} is a file", "it numbers the frames of a folder"
+        )
+    return _thin_file(
+        source, output, rules, loaded, labels, overwrite=overwrite, progress=progress, **common
+    )
 
 
 def _thin_file(
-    source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | str | None,
-    *, overwrite: bool, progress: Progress | None, **common: Any,
-) -> ThinningSummary:  # fmt: skip
+    source: Path,
+    output: Path,
+    rules: tuple[ThinRule, ...],
+    loaded: LoadedConfig,
+    labels: Path | str | None,
+    *,
+    overwrite: bool,
+    progress: Progress | None,
+    **common: Any,
+) -> ThinningSummary:
     if labels is None:
         labels = _own_labels(source, loaded)
     if labels == CLASSIFY:
@@ -172,7 +208,9 @@ def _thin_file(
     more = () if run.labels is None else (run.labels,)
     if is_bag(output):
         check_input(source)
-        prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=loaded.inputs(source, *more))
+        prepare_outputs(
+            output, record_path(output), overwrite=overwrite, inputs=loaded.inputs(source, *more)
+        )
     else:
         prepare_output(source, output, loaded, overwrite=overwrite, more=more)
     before = file_state(source)
@@ -201,21 +239,37 @@ def _own_labels(source: Path, loaded: LoadedConfig) -> Path | str | None:
 
 
 def _thin_folder(
-    source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | str | None,
-    *, every_frame: bool, **common: Any,
-) -> ThinningSummary:  # fmt: skip
+    source: Path,
+    output: Path,
+    rules: tuple[ThinRule, ...],
+    loaded: LoadedConfig,
+    labels: Path | str | None,
+    *,
+    every_frame: bool,
+    **common: Any,
+) -> ThinningSummary:
     """Thin the frames of a folder, with the method that labels the first one best where none is named."""
     frames = frames_of(source)
     known = labels_of(Path(labels), frames) if labels is not None and labels != CLASSIFY else {}
     first = next((frame for frame in frames if frame.stat().st_size), None)
     if first is None:
-        raise InputError(str(source), f"all {len(frames)} frames are empty, expected points", "copy them again")
+        raise InputError(
+            str(source), f"all {len(frames)} frames are empty, expected points", "copy them again"
+        )
     if not known and (labels == CLASSIFY or _own_labels(first, loaded) == CLASSIFY):
         loaded, labels = decide(first, loaded), CLASSIFY
 
     def thin_one(frame: Path, thinned: Path) -> ThinningSummary:
-        return _thin_file(frame, thinned, rules, loaded, known.get(frame, labels),
-                          overwrite=False, is_frame=True, **common)  # fmt: skip
+        return _thin_file(
+            frame,
+            thinned,
+            rules,
+            loaded,
+            known.get(frame, labels),
+            overwrite=False,
+            is_frame=True,
+            **common,
+        )
 
     with thin_frames(frames, output, thin_one, every_frame=every_frame) as found:
         summary = _joined(source, output, frames, found)
@@ -224,7 +278,9 @@ def _thin_folder(
     return summary
 
 
-def _joined(source: Path, output: Path, frames: list[Path], found: list[ThinningSummary]) -> ThinningSummary:
+def _joined(
+    source: Path, output: Path, frames: list[Path], found: list[ThinningSummary]
+) -> ThinningSummary:
     """Return the summary of a folder of frames."""
     n_input, n_kept, n_bytes, names = Counter[int](), Counter[int](), Counter[int](), {}
     for item in (item for one in found for item in one.classes):
@@ -238,19 +294,33 @@ def _joined(source: Path, output: Path, frames: list[Path], found: list[Thinning
         raise ConfigError(str(source), problem, "keep more: --keep noise=1, or other classes")
     n_empty = len(frames) - sum(any(item.n_kept for item in one.classes) for one in found)
     told = [text for text in found[0].record.notices if text.startswith(_METHOD)]
-    told.append(f"thinned: {n_all - n_left} of {n_all} returns of {len(frames)} frames were dropped")
+    told.append(
+        f"thinned: {n_all - n_left} of {n_all} returns of {len(frames)} frames were dropped"
+    )
     told += [f"{n_empty} frames have no point: their files are there"] * bool(n_empty)
     record = replace(
-        found[0].record, input=Fingerprint(source.name, sum(frame.stat().st_size for frame in frames), None),
-        output=None, n_lines=None, n_records=None, n_missing=None, classes=(), notices=tuple(told),
-    )  # fmt: skip
-    classes = tuple(
-        ClassSaving(code, names[code], n, n_kept[code], n_bytes[code]) for code, n in sorted(n_input.items())
+        found[0].record,
+        input=Fingerprint(source.name, sum(frame.stat().st_size for frame in frames), None),
+        output=None,
+        n_lines=None,
+        n_records=None,
+        n_missing=None,
+        classes=(),
+        notices=tuple(told),
     )
-    sizes = (sum(getattr(one, key) for one in found) for key in ("bytes_input", "bytes_output", "n_lines"))
+    classes = tuple(
+        ClassSaving(code, names[code], n, n_kept[code], n_bytes[code])
+        for code, n in sorted(n_input.items())
+    )
+    sizes = (
+        sum(getattr(one, key) for one in found)
+        for key in ("bytes_input", "bytes_output", "n_lines")
+    )
     n_read, n_written, n_lines = sizes
     doubts = {doubt.check: doubt for one in found for doubt in one.doubts}
-    return ThinningSummary(output, record, classes, found[0].rules, n_read, n_written, n_lines, tuple(doubts.values()))
+    return ThinningSummary(
+        output, record, classes, found[0].rules, n_read, n_written, n_lines, tuple(doubts.values())
+    )
 
 
 _METHOD = "classified on the way: "
@@ -260,9 +330,17 @@ class _Run:
     """One call of :func:`thin`."""
 
     def __init__(
-        self, source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | str | None,
-        *, min_confidence: int | None, keep_empty: bool, is_frame: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        source: Path,
+        output: Path,
+        rules: tuple[ThinRule, ...],
+        loaded: LoadedConfig,
+        labels: Path | str | None,
+        *,
+        min_confidence: int | None,
+        keep_empty: bool,
+        is_frame: bool = False,
+    ) -> None:
         self.source, self.output, self.rules, self.loaded = source, output, rules, loaded
         self.classify, self.min_confidence = labels == CLASSIFY, min_confidence
         self.labels = None if labels is None or self.classify else Path(labels)
@@ -281,24 +359,40 @@ class _Run:
         las = read_las(self.source)
         check_copied(las)
         with contextlib.ExitStack() as stack:
-            temporary, beside = stack.enter_context(atomic_outputs(self.output, record_path(self.output)))
-            stays = stack.enter_context(DiskColumn(self.output, np.uint8, 1, n_records=las.n_records))
-            with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (opened, items):
+            temporary, beside = stack.enter_context(
+                atomic_outputs(self.output, record_path(self.output))
+            )
+            stays = stack.enter_context(
+                DiskColumn(self.output, np.uint8, 1, n_records=las.n_records)
+            )
+            with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (
+                opened,
+                items,
+            ):
                 hints = _check_lines(self.source, opened)
                 for item in items:
                     kept, kept_extra = self._choose(item)
                     block = item.block
                     gone = np.concatenate(
-                        [block.records()[~kept & ~np.isnan(block.range_m)], block.extra.record[~kept_extra]]
+                        [
+                            block.records()[~kept & ~np.isnan(block.range_m)],
+                            block.extra.record[~kept_extra],
+                        ]
                     )
                     stays.put(gone[gone >= 0], np.zeros(int((gone >= 0).sum()), np.uint8))
                     advance(progress, block, opened.info)
                 self._check_labels(opened.info)
                 if len(set(self.counts.scanners.values())) > 1:
-                    hints += ("lines of scanners differ in length: the highest column that is left is taken for it",)
+                    hints += (
+                        "lines of scanners differ in length: the highest column that is left is taken for it",
+                    )
                 record = self._record(opened.info, hints)
             notices = copy_las(
-                las, self.output, temporary, lambda n: (part.view(np.bool_) for part in stays.chunks(n)), record
+                las,
+                self.output,
+                temporary,
+                lambda n: (part.view(np.bool_) for part in stays.chunks(n)),
+                record,
             )
             record = replace(record, notices=(*record.notices, *notices))
             check_unchanged(self.source, before)
@@ -309,7 +403,9 @@ class _Run:
         """Write the stream anew without the dropped shots, or the points of the input without those."""
         with self._open(xyz=not is_bag(self.output)) as (opened, items):
             if is_bag(self.output) or (
-                opened.shape.rings and not self.keep_empty and keeps_points(self.source, self.output)
+                opened.shape.rings
+                and not self.keep_empty
+                and keeps_points(self.source, self.output)
             ):
                 return self._rewrite(opened, items, progress, before)
             shape = replace(opened.shape, codes=True)
@@ -319,21 +415,33 @@ class _Run:
                     advance(progress, item.block, opened.info)
                 self._check_labels(opened.info)
                 opened = replace(opened, shape=shape)
-                losses = (f"not kept: {loss}" for loss in find_losses(self.output, opened, self.counts, writer.losses))
+                losses = (
+                    f"not kept: {loss}"
+                    for loss in find_losses(self.output, opened, self.counts, writer.losses)
+                )
                 hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.counts))
                 record = self._record(opened.info, hints)
                 check_unchanged(self.source, before)
                 return writer.finish(record)
 
     def _rewrite(
-        self, opened: OpenedItems, items: Iterator[StreamItem], progress: Progress | None, before: tuple[int, ...]
+        self,
+        opened: OpenedItems,
+        items: Iterator[StreamItem],
+        progress: Progress | None,
+        before: tuple[int, ...],
     ) -> RunRecord:
         """Leave points out of a cloud or a bag, and add the classes of the others."""
         config = self.loaded.config
         labels = LabelOutput(
-            path=self.output, source=self.source, n_records=opened.info.n_records,
-            points_per_line=opened.info.points_per_line, codes=config.classes, is_thinned=True, rules=config.input,
-        )  # fmt: skip
+            path=self.output,
+            source=self.source,
+            n_records=opened.info.n_records,
+            points_per_line=opened.info.points_per_line,
+            codes=config.classes,
+            is_thinned=True,
+            rules=config.input,
+        )
         with open_writer(labels, overwrite=True) as writer:
             for item in items:
                 kept, kept_extra = self._choose(item)
@@ -354,11 +462,19 @@ class _Run:
         counts = [(code, n, self.n_kept[code]) for code, n in sorted(self.n_input.items())]
         n_dropped, saved = sum(n - kept for _, n, kept in counts), bytes_input - bytes_output
         classes = tuple(
-            ClassSaving(code, names.get(code, f"class {code}"), n, kept, round(saved * (n - kept) / max(1, n_dropped)))
+            ClassSaving(
+                code,
+                names.get(code, f"class {code}"),
+                n,
+                kept,
+                round(saved * (n - kept) / max(1, n_dropped)),
+            )
             for code, n, kept in counts
         )
         rules, n_lines = tuple(map(str, self.rules)), self.counts.n_lines
-        return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._found)
+        return ThinningSummary(
+            self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._found
+        )
 
     @contextlib.contextmanager
     def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[StreamItem]]]:
@@ -367,7 +483,10 @@ class _Run:
 
         def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
             directed = with_beams(stream, config.input) if config.needs_beams else stream
-            needs, wanted = config.classifier.method().needs, Wanted(confidence=self.min_confidence is not None)
+            needs, wanted = (
+                config.classifier.method().needs,
+                Wanted(confidence=self.min_confidence is not None),
+            )
             watch = watched(directed, config.input, needs=needs, others=self.loaded.findings)
             self._judge = Judge(watch, config)
             return self._judge.label(watch.blocks(), wanted=wanted)
@@ -375,14 +494,25 @@ class _Run:
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
             items_of = open_items(
-                self.source, self.output, self.loaded,
-                blocks_of=labelled if self.classify else None, codes=own, xyz=xyz, points=not self.keep_empty,
-            )  # fmt: skip
+                self.source,
+                self.output,
+                self.loaded,
+                blocks_of=labelled if self.classify else None,
+                codes=own,
+                xyz=xyz,
+                points=not self.keep_empty,
+            )
             opened = stack.enter_context(items_of)
-            given = None if self.labels is None else self._read_values(self.labels, None, opened.info, stack)
+            given = (
+                None
+                if self.labels is None
+                else self._read_values(self.labels, None, opened.info, stack)
+            )
             self._n_labels = 0 if given is None else len(given)
             if self.min_confidence is not None and not self.classify:
-                self._sure = self._read_values(self.labels or self.source, CONFIDENCE, opened.info, stack)
+                self._sure = self._read_values(
+                    self.labels or self.source, CONFIDENCE, opened.info, stack
+                )
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
 
@@ -394,7 +524,9 @@ class _Run:
                         codes = given.get(block.records()), given.get(block.extra.record)
                         yield replace(item, codes=codes[0], extra_codes=codes[1])
                     elif found is not None:
-                        yield replace(item, codes=lookup[found.labels], extra_codes=lookup[found.extra_labels])
+                        yield replace(
+                            item, codes=lookup[found.labels], extra_codes=lookup[found.extra_labels]
+                        )
                     else:
                         yield item
 
@@ -409,9 +541,13 @@ class _Run:
         except (ConfigError, InputError) as refusal:
             if dimension is None:
                 raise
-            hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
+            hint = (
+                "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
+            )
             raise ConfigError("--min-confidence", f"{path}: {refusal.problem}", hint) from refusal
-        if None not in (codes.n, info.n_records) and codes.n != info.n_records:  # before a long file is read
+        if (
+            None not in (codes.n, info.n_records) and codes.n != info.n_records
+        ):  # before a long file is read
             raise self._other_labels(path, codes.n, info.n_records)
         values = stack.enter_context(DiskColumn(self.output, "<i4", NO_CODE))
         for chunk in codes.chunks():
@@ -436,7 +572,14 @@ class _Run:
             self.n_unsure += n_kept - int(kept.sum() + kept_extra.sum())
         for codes, stays in ((item.codes[there], kept[there]), (item.extra_codes, kept_extra)):
             for into, part in ((self.n_input, codes), (self.n_kept, codes[stays])):
-                into.update(dict(zip(*(found.tolist() for found in np.unique(part, return_counts=True)), strict=True)))
+                into.update(
+                    dict(
+                        zip(
+                            *(found.tolist() for found in np.unique(part, return_counts=True)),
+                            strict=True,
+                        )
+                    )
+                )
         return kept, kept_extra
 
     def _check_labels(self, info: StreamInfo) -> None:
@@ -448,7 +591,9 @@ class _Run:
             raise self._other_labels(self.labels, self._n_labels, n_records)
 
     def _other_labels(self, path: Path, n_labels: int | None, n_records: int | None) -> InputError:
-        problem = f"found {n_labels} labels, expected {n_records}, one a record of {self.source.name}"
+        problem = (
+            f"found {n_labels} labels, expected {n_records}, one a record of {self.source.name}"
+        )
         return InputError(str(path), problem, "give the labels of this file")
 
     def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
@@ -460,20 +605,31 @@ class _Run:
                 for found in (self.n_input, self.n_kept)
             )
             if n:
-                told.append(f"{rule.name}: {n - n_kept} of {n} dropped" + ("" if rule.is_rest else f" ({rule})"))
+                told.append(
+                    f"{rule.name}: {n - n_kept} of {n} dropped"
+                    + ("" if rule.is_rest else f" ({rule})")
+                )
             elif (rule.share != 0 or rule.name != "noise") and not rule.is_rest:
-                told.append(f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})")
+                told.append(
+                    f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})"
+                )
         if self.min_confidence is not None:
-            told.append(f"confidence below {self.min_confidence} %: {self.n_unsure} more returns dropped")
+            told.append(
+                f"confidence below {self.min_confidence} %: {self.n_unsure} more returns dropped"
+            )
         if not n_all_kept and not self.is_frame:
             problem = f"all {n_input} returns would be dropped, expected some to stay"
-            raise ConfigError(str(self.source), problem, "keep more: --keep noise=1, or other classes")
+            raise ConfigError(
+                str(self.source), problem, "keep more: --keep noise=1, or other classes"
+            )
         note = f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped and are missing in this file"
         record = run_record(info, self.counts, self.loaded)
         choice = self.loaded.choice if self.classify else None
         method = () if choice is None else (f"{_METHOD}method {choice.method}: {choice.why}",)
         self._found = () if self._judge is None else self._judge.findings()
-        record = replace(record, notices=(*record.notices, *method, note, *told, *hints, *notices(self._found)))
+        record = replace(
+            record, notices=(*record.notices, *method, note, *told, *hints, *notices(self._found))
+        )
         return record_of_scanners(record, self.counts)
 
 
@@ -505,11 +661,15 @@ def _needed(grid: GridStream) -> tuple[str, ...]:
         told.append(f"read it with --set input.time_origin={float(first[0])!r}")
     if rules.columns == "time":
         told.append("columns follow from the times: shots that share a stamp may move by a column")
-    if rules.columns == "angle" and (rules.config.angle_start is None or rules.config.angle_step is None):
+    if rules.columns == "angle" and (
+        rules.config.angle_start is None or rules.config.angle_step is None
+    ):
         for setup in grid.setups.values():
             if (angles := setup.columns.grid) is not None:
                 start, step = math.degrees(angles.start_rad), math.degrees(angles.step_rad)
-                told.append(f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}")
+                told.append(
+                    f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}"
+                )
     return tuple(dict.fromkeys(told))
 
 

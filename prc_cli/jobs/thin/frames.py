@@ -22,26 +22,42 @@ def frames_of(folder: Path) -> list[Path]:
     """Return the frames of a folder, in the order of the numbers in their names; all of one kind."""
     known = by_suffix("streams").keys() & by_suffix("scans").keys()
     try:
-        found = [path for path in folder.iterdir() if suffix_of(path) in known and not path.name.startswith(".")]
+        found = [
+            path
+            for path in folder.iterdir()
+            if suffix_of(path) in known and not path.name.startswith(".")
+        ]
     except OSError as error:
-        raise InputError(str(folder), f"cannot be read ({error.strerror})", "check its permissions") from error
+        raise InputError(
+            str(folder), f"cannot be read ({error.strerror})", "check its permissions"
+        ) from error
     kinds = sorted({suffix_of(path) for path in found})
     if len(kinds) == 1:
-        return sorted(found, key=lambda path: ([int(number) for number in re.findall(r"\d+", path.name)], path.name))
+        return sorted(
+            found,
+            key=lambda path: ([int(number) for number in re.findall(r"\d+", path.name)], path.name),
+        )
     inside = folder / "velodyne"
     hint = f"give {inside}" if inside.is_dir() else "name a folder that has nothing but frames"
-    raise InputError(str(folder), f"found {', '.join(kinds) or 'no frames'}, expected frames of one kind", hint)
+    raise InputError(
+        str(folder), f"found {', '.join(kinds) or 'no frames'}, expected frames of one kind", hint
+    )
 
 
 def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
     """Return the file of class codes of every frame: of its name, with another suffix or with one more."""
     if not folder.is_dir():
         problem = "found a file, expected a folder" if folder.exists() else "no such folder"
-        raise InputError(str(folder), f"{problem} with the class codes of every frame", "check the name")
+        raise InputError(
+            str(folder), f"{problem} with the class codes of every frame", "check the name"
+        )
     by_name: dict[str, Path] = {}
     for path in files_of([folder]):
         by_name.setdefault(stem_of(path).removesuffix(".labels"), path)
-    found = {frame: by_name.get(frame.name, by_name.get(frame.name[: -len(suffix_of(frame))])) for frame in frames}
+    found = {
+        frame: by_name.get(frame.name, by_name.get(frame.name[: -len(suffix_of(frame))]))
+        for frame in frames
+    }
     if missing := [frame.name for frame, labels in found.items() if labels is None]:
         shown = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
         problem = f"no class codes of {len(missing)} of {len(frames)} frames: {shown}"
@@ -51,12 +67,18 @@ def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
 
 @contextmanager
 def thin_frames(
-    frames: list[Path], output: Path, thin_one: Callable[[Path, Path], Summary], *, every_frame: bool
+    frames: list[Path],
+    output: Path,
+    thin_one: Callable[[Path, Path], Summary],
+    *,
+    every_frame: bool,
 ) -> Iterator[list[Summary]]:
     """Thin frames into a folder; an empty dump stays one; with ``every_frame`` they are numbered from 000000."""
     for path in (output, record_path(output)):
         if path.exists() or path.is_symlink():
-            raise OutputExistsError(str(path), "exists already", "frames go to a new folder: choose another name")
+            raise OutputExistsError(
+                str(path), "exists already", "frames go to a new folder: choose another name"
+            )
     if not output.absolute().parent.is_dir():
         raise ConfigError(str(output), "the folder above it is not there", "make it first")
     remove_stale(output)

@@ -47,9 +47,13 @@ class ThinRule:
 
 
 def parse_rules(
-    keep: Iterable[str] = (), spacing: Iterable[str] = (), drop: Iterable[str] = (), codes: ClassCodes | None = None,
-    *, keep_only: Iterable[str] = (),
-) -> tuple[ThinRule, ...]:  # fmt: skip
+    keep: Iterable[str] = (),
+    spacing: Iterable[str] = (),
+    drop: Iterable[str] = (),
+    codes: ClassCodes | None = None,
+    *,
+    keep_only: Iterable[str] = (),
+) -> tuple[ThinRule, ...]:
     """Parse options into rules; noise is dropped unless a rule names it.
 
     >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"], ["car,noise"])]
@@ -68,12 +72,16 @@ def parse_rules(
         rules.append(ThinRule(name, _codes(name, "--keep", table), share=_share(text, value)))
     for text in spacing:
         name, value = _split(text, "--spacing", "METRES", "ground=0.1")
-        rules.append(ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value)))
+        rules.append(
+            ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value))
+        )
     rules.extend(ThinRule(name, _codes(name, "--drop", table), share=Fraction(0)) for name in drop)
     if only:
         rules.append(_rest(only, rules, table))
     named = {code for rule in rules for code in rule.codes}
-    left = () if only else tuple(code for code in _codes("noise", "noise", table) if code not in named)
+    left = (
+        () if only else tuple(code for code in _codes("noise", "noise", table) if code not in named)
+    )
     if left and table.noise not in named:
         rules.append(ThinRule("noise", left, share=Fraction(0)))
     seen: dict[int, str] = {}
@@ -99,7 +107,9 @@ def _rest(only: list[str], rules: list[ThinRule], table: ClassCodes) -> ThinRule
 def _split(text: str, option: str, what: str, example: str) -> tuple[str, str]:
     name, sign, value = (part.strip() for part in text.partition("="))
     if not (name and sign and value):
-        raise ConfigError(option, f"found {text!r}, expected CLASS={what}", f"for example {option} {example}")
+        raise ConfigError(
+            option, f"found {text!r}, expected CLASS={what}", f"for example {option} {example}"
+        )
     return name, value
 
 
@@ -135,7 +145,11 @@ def _codes(name: str, option: str, table: ClassCodes) -> tuple[int, ...]:
     if name.isdecimal() and int(name) < 2**31:
         return (int(name),)
     near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
-    hint = f"did you mean {near[0]!r}?" if near else f"known classes: {', '.join(names)}, or a class code"
+    hint = (
+        f"did you mean {near[0]!r}?"
+        if near
+        else f"known classes: {', '.join(names)}, or a class code"
+    )
     raise ConfigError(option, f"unknown class {name!r}", hint)
 
 
@@ -143,7 +157,9 @@ _GOLDEN = 0.618
 """Shift of the pattern from line to line, as a share of its period, to avoid stripes."""
 
 
-def keep_by_pattern(line: NDArray[np.integer], column: NDArray[np.integer], share: Fraction) -> Mask:
+def keep_by_pattern(
+    line: NDArray[np.integer], column: NDArray[np.integer], share: Fraction
+) -> Mask:
     """Mark a share of the shots, evenly along a line, shifted from line to line.
 
     >>> grid = np.indices((4, 8))
@@ -211,22 +227,34 @@ def _positions(item: StreamItem) -> F64:
         return block.xyz_m.astype(np.float64)
     if block.angle_rad is not None:
         ranges = block.range_m.astype(np.float64)
-        return np.stack([ranges * np.cos(block.angle_rad), ranges * np.sin(block.angle_rad)], axis=-1)
+        return np.stack(
+            [ranges * np.cos(block.angle_rad), ranges * np.sin(block.angle_rad)], axis=-1
+        )
     if item.registered_m is not None:
         return item.registered_m
-    problem = "found neither scan angles nor coordinates, expected one of them to measure distances by"
-    raise ConfigError("--spacing", problem, "give input.angle_start and input.angle_step, or thin with --keep")
+    problem = (
+        "found neither scan angles nor coordinates, expected one of them to measure distances by"
+    )
+    raise ConfigError(
+        "--spacing", problem, "give input.angle_start and input.angle_step, or thin with --keep"
+    )
 
 
 def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
     """Return a block without the dropped returns; if a main return is dropped, the nearest kept one takes its cell."""
     block, extra = item.block, item.block.extra
     range_m = np.where(kept, block.range_m, np.float32(np.nan))
-    xyz = None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))
-    intensity = None if block.intensity is None else np.where(kept, block.intensity, np.float32(np.nan))
+    xyz = (
+        None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))
+    )
+    intensity = (
+        None if block.intensity is None else np.where(kept, block.intensity, np.float32(np.nan))
+    )
     codes = None if item.codes is None else np.where(kept, item.codes, np.int32(NO_CODE))
     further = item.extra_registered_m
-    registered = None if item.registered_m is None else np.where(kept[..., None], item.registered_m, np.nan)
+    registered = (
+        None if item.registered_m is None else np.where(kept[..., None], item.registered_m, np.nan)
+    )
     stays = np.flatnonzero(kept_extra)
     orphans = stays[np.isnan(range_m[extra.line[stays], extra.column[stays]])]
     if len(orphans):
@@ -244,7 +272,9 @@ def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
             registered[at] = further[heirs]
         stays = np.setdiff1d(stays, heirs)
     lights = None if extra.intensity is None else extra.intensity[stays]
-    left = ExtraReturns(extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays], lights)
+    left = ExtraReturns(
+        extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays], lights
+    )
     return StreamItem(
         replace(block, range_m=range_m, xyz_m=xyz, intensity=intensity, extra=left),
         codes,

@@ -90,12 +90,16 @@ def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> Transfe
     )
 
 
-def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferSides, options: TransferOptions) -> None:
+def refuse_poor_match(
+    counts: TransferCounts, tally: JoinTally, sides: TransferSides, options: TransferOptions
+) -> None:
     """Refuse a match of too few records, with advice, or one with too many ambiguous keys."""
     if counts.n_matched and counts.share >= options.min_matched:
         _refuse_guesses(counts, sides, options)
         return
-    problem = f"{counts.n_matched:,} of {counts.n_points:,} points and {counts.n_labels_matched:,} of "
+    problem = (
+        f"{counts.n_matched:,} of {counts.n_points:,} points and {counts.n_labels_matched:,} of "
+    )
     problem += f"{counts.n_labels:,} labels of {sides.labels.path} match, expected at least {options.min_matched:.0%} "
     problem += "of the smaller side"
     unmatched = counts.n_points - counts.n_matched
@@ -104,7 +108,11 @@ def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferS
         what = "return number" if "return_number" in sides.labels.rule.same else "value of --same"
         hint = f"{counts.n_other_return:,} points have a label of their time but another {what}"
         hint += ": --ignore-return" if "return_number" in sides.labels.rule.same else ""
-    elif options.match == "time" and near is not None and sides.tolerance < near < sides.step_s * CHANCE:
+    elif (
+        options.match == "time"
+        and near is not None
+        and sides.tolerance < near < sides.step_s * CHANCE
+    ):
         hint = f"half of the points without partner have a label within {near:g} s: --tolerance {near:g}"
     elif near is not None and near < 10 * sides.step_s < math.inf:
         hint = "the times of the points fall between those of the labels: another drive, or clocks that differ "
@@ -155,8 +163,14 @@ class TransferRecord(RunRecord):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as nested plain values."""
-        own = {key: None if value is None else asdict(value) for key, value in
-               (("labels", self.labels), ("points", self.points), ("counts", self.counts))}  # fmt: skip
+        own = {
+            key: None if value is None else asdict(value)
+            for key, value in (
+                ("labels", self.labels),
+                ("points", self.points),
+                ("counts", self.counts),
+            )
+        }
         return {**RunRecord.as_dict(self), "transfer": own}
 
 
@@ -220,14 +234,18 @@ def transfer(
     options = options or TransferOptions()
     labels, registered, output = Path(labels), Path(registered), Path(output)
     points = None if points is None else Path(points)
-    inputs = tuple(path for path in (labels, points, registered, options.trajectory) if path is not None)
+    inputs = tuple(
+        path for path in (labels, points, registered, options.trajectory) if path is not None
+    )
     check_paths(labels, registered, output, points)
     prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=inputs)
     before = [_state(path) for path in inputs]
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()
     n_changed, n_done, n_unsure, moved = 0, 0, 0, np.zeros(256, np.bool_)
-    beside = tuple(dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,)))))
+    beside = tuple(
+        dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,))))
+    )
     with LasRecoder(output, registered, options.carry) as writer, ExitStack() as stack:
         for item in _partners(sides, beside, options, tally, stack):
             record, codes = item.left[RECORD], item.left[CODE].copy()
@@ -241,7 +259,9 @@ def transfer(
             n_changed += int(np.count_nonzero(codes != item.left[CODE]))
             writer.put(record, codes)
             if options.carry:
-                writer.put_values(record[at], {name: item.right[name][to] for name in options.carry})
+                writer.put_values(
+                    record[at], {name: item.right[name][to] for name in options.carry}
+                )
             n_done += len(record)
             if n_points := sides.points.n_records:
                 tell_share(progress, min(n_done / n_points, 1.0))
@@ -251,9 +271,13 @@ def transfer(
         refuse_poor_match(counts, tally, sides, options)
         for path, state in zip(inputs, before, strict=True):
             if _state(path) != state:
-                raise InputError(str(path), "changed while it was read", "run again when the copy is complete")
+                raise InputError(
+                    str(path), "changed while it was read", "run again when the copy is complete"
+                )
         least = options.min_confidence
-        unsure = (f"{n_unsure:,} points keep their class: their label has a confidence below {least} %",)
+        unsure = (
+            f"{n_unsure:,} points keep their class: their label has a confidence below {least} %",
+        )
         stored = TransferRecord(
             config={"transfer": options.as_dict()},
             input=fingerprint(registered),
@@ -266,12 +290,18 @@ def transfer(
             points=None if points is None else fingerprint(points),
             counts=counts,
         )
-        writer.name_classes({code: name for code, name in _user_names(labels).items() if moved[code]})
+        writer.name_classes(
+            {code: name for code, name in _user_names(labels).items() if moved[code]}
+        )
         return TransferSummary(output, writer.finish(stored), counts)
 
 
 def _partners(
-    sides: TransferSides, beside: tuple[str, ...], options: TransferOptions, tally: JoinTally, stack: ExitStack
+    sides: TransferSides,
+    beside: tuple[str, ...],
+    options: TransferOptions,
+    tally: JoinTally,
+    stack: ExitStack,
 ) -> Iterator[Joined]:
     """Yield the registered points (left) with their labels (right)."""
     if options.match != "nearest":
@@ -279,10 +309,15 @@ def _partners(
         target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
         origin = columns_of(sides.labels, (*names, *beside), sort=not sides.found[0].in_order)
         match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
-        yield from merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS)
+        yield from merge_join(
+            target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS
+        )
         return
     points, labels = (
-        Cloud(columns_of(side, (*AXES, CODE, *more), sort=False), stack.enter_context(scratch_file("matching")))
+        Cloud(
+            columns_of(side, (*AXES, CODE, *more), sort=False),
+            stack.enter_context(scratch_file("matching")),
+        )
         for side, more in ((sides.points, ()), (sides.labels, beside))
     )
     fit = fit_of(points, labels)
@@ -307,4 +342,6 @@ def _state(path: Path) -> tuple[int, ...]:
     try:
         return file_state(path)
     except OSError as error:
-        raise InputError(str(path), f"cannot be read ({error.strerror or error})", "check the name") from error
+        raise InputError(
+            str(path), f"cannot be read ({error.strerror or error})", "check the name"
+        ) from error

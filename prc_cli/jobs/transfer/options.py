@@ -47,25 +47,39 @@ class TransferOptions:
         if self.match == "order":  # as for prc evaluate
             object.__setattr__(self, "match", "record")
         kind, _, name = self.match.partition(":")
-        if self.match not in ("time", "record", "nearest") and not (kind in ("record", "dimension") and name):
+        if self.match not in ("time", "record", "nearest") and not (
+            kind in ("record", "dimension") and name
+        ):
             problem = f"found {self.match!r}, expected time, order, record:NAME, dimension:NAME or nearest"
             raise ConfigError("--match", problem)
         if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
-            raise ConfigError("--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more")
+            raise ConfigError(
+                "--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more"
+            )
         if not math.isfinite(self.time_offset_s):
             raise ConfigError("--time-offset", f"found {self.time_offset_s}, expected seconds")
-        if self.match != "time" and ((self.tolerance_s and self.match != "nearest") or self.time_offset_s):
+        if self.match != "time" and (
+            (self.tolerance_s and self.match != "nearest") or self.time_offset_s
+        ):
             problem = f"--tolerance and --time-offset are for times, found --match {self.match}"
             raise ConfigError("--match", problem, "leave them out")
         if not 0 <= self.min_matched <= 1:
-            raise ConfigError("--min-matched", f"found {self.min_matched}, expected a share from 0 to 1")
+            raise ConfigError(
+                "--min-matched", f"found {self.min_matched}, expected a share from 0 to 1"
+            )
         if self.min_confidence is not None and not 0 <= self.min_confidence <= 100:
-            raise ConfigError("--min-confidence", f"found {self.min_confidence}, expected per cent, 0 to 100")
+            raise ConfigError(
+                "--min-confidence", f"found {self.min_confidence}, expected per cent, 0 to 100"
+            )
         if len(self.same) >= MAX_SAME:
-            raise ConfigError("--same", f"found {len(self.same)} dimensions, expected at most {MAX_SAME - 1}")
+            raise ConfigError(
+                "--same", f"found {len(self.same)} dimensions, expected at most {MAX_SAME - 1}"
+            )
         for name in self.carry:
             if name not in CARRIED:
-                raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")
+                raise ConfigError(
+                    "--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}"
+                )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the options for a run record; the trajectory only where there is one."""

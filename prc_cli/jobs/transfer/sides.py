@@ -47,7 +47,9 @@ class TransferSides:
 def check_paths(labels: Path, registered: Path, output: Path, points: Path | None) -> None:
     """Refuse files whose suffix does not fit their role."""
     if output.suffix.lower() not in LAS_SUFFIXES:
-        raise ConfigError(str(output), f"found suffix {output.suffix!r}, expected .las or .laz", "name OUT so")
+        raise ConfigError(
+            str(output), f"found suffix {output.suffix!r}, expected .las or .laz", "name OUT so"
+        )
     suffix = suffix_of(registered)
     if suffix not in LAS_SUFFIXES and registered.exists():
         problem = f"found suffix {suffix!r}, expected the registered points as .las or .laz"
@@ -58,17 +60,27 @@ def check_paths(labels: Path, registered: Path, output: Path, points: Path | Non
         check_input(labels)
         if points is not None:
             problem = "has keys of its own, expected no --points with it"
-            raise ConfigError(str(labels), problem, "leave out --points, or give the labels as .npy, .csv or .parquet")
+            raise ConfigError(
+                str(labels),
+                problem,
+                "leave out --points, or give the labels as .npy, .csv or .parquet",
+            )
         return
     known = by_suffix("codes")
     if suffix not in known:
         others = " ".join(other for other in known if other not in LAS_SUFFIXES)
         problem = f"found suffix {suffix!r}, expected classes: .las .laz {others}"
-        raise InputError(str(labels), problem, "classify the raw input first: prc classify RAW LABELS")
+        raise InputError(
+            str(labels), problem, "classify the raw input first: prc classify RAW LABELS"
+        )
 
 
 def open_sides(
-    labels: Path, registered: Path, points: Path | None, layout: Layout | None, options: TransferOptions
+    labels: Path,
+    registered: Path,
+    points: Path | None,
+    layout: Layout | None,
+    options: TransferOptions,
 ) -> TransferSides:
     """Open and survey both sides."""
     target = LasSource(registered)
@@ -79,7 +91,9 @@ def open_sides(
         raise ConfigError("--trajectory", problem, "or leave it out")
     else:
         crs = target.facts.crs_wkt
-        origin = placed_source(points, labels, options.trajectory, options.mount, crs=crs, layout=layout)
+        origin = placed_source(
+            points, labels, options.trajectory, options.mount, crs=crs, layout=layout
+        )
     assumptions: list[Assumption] = []
     rules = _rules(options, _same(origin, target, options, assumptions))
     for source, rule in zip((origin, target), rules, strict=True):
@@ -100,11 +114,18 @@ def open_sides(
         sides.step_s = (found[0].high - found[0].low) / max(found[0].n_records - 1, 1)
         if sides.tolerance > sides.step_s / 2:
             text = f"the tolerance of {sides.tolerance:g} s exceeds half the mean step between the labels "
-            text += f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
+            text += (
+                f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
+            )
             sides.notices.append(text)
     _refuse_apart(sides, options)
     one, other = origin.facts.crs_wkt, target.facts.crs_wkt
-    if isinstance(origin, LasSource) and one is not None and other is not None and not same_crs(one, other):
+    if (
+        isinstance(origin, LasSource)
+        and one is not None
+        and other is not None
+        and not same_crs(one, other)
+    ):
         notice = "the coordinate systems of labels and points differ"
         if options.match == "nearest":
             raise InputError(sides.labels.path, notice, "reproject one of them, or match by time")
@@ -112,7 +133,9 @@ def open_sides(
     return sides
 
 
-def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, options: TransferOptions) -> RecordSource:
+def _open_labelled(
+    labels: Path, points: Path | None, layout: Layout | None, options: TransferOptions
+) -> RecordSource:
     """Open the records of the labels."""
     if suffix_of(labels) in LAS_SUFFIXES:
         return LasSource(labels)
@@ -134,7 +157,9 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
     raise InputError(str(labels), problem, "name the input they belong to: --points RAW")
 
 
-def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: TransferOptions) -> KeyedSource:
+def _keyed_labels(
+    labels: Path, origin: RecordSource, rule: KeyRule, options: TransferOptions
+) -> KeyedSource:
     # seconds of week may wrap within a drive, while the times of the points do not
     source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
     if suffix_of(labels) in LAS_SUFFIXES:
@@ -142,18 +167,26 @@ def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: Tr
         _demand_dimensions(origin, (name, *options.carry))
         if options.min_confidence is not None and CONFIDENCE not in origin.dimensions:
             problem = f"no dimension {CONFIDENCE!r} in {labels}"
-            raise ConfigError("--min-confidence", problem, "classify again with --set output.confidence=true")
+            raise ConfigError(
+                "--min-confidence", problem, "classify again with --set output.confidence=true"
+            )
         return KeyedSource(source, rule, code_dimension=name)
     if options.min_confidence is not None:
-        raise ConfigError("--min-confidence", f"{labels} holds classes alone, expected classified LAS or LAZ")
+        raise ConfigError(
+            "--min-confidence", f"{labels} holds classes alone, expected classified LAS or LAZ"
+        )
     if options.carry:
-        raise ConfigError("--carry", f"{labels} holds classes alone, expected classified LAS or LAZ")
+        raise ConfigError(
+            "--carry", f"{labels} holds classes alone, expected classified LAS or LAZ"
+        )
     return KeyedSource(source, rule, open_codes(labels, options.dimension))
 
 
 def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) -> None:
     if not found.n_records:
-        raise InputError(side.path, "no record has a class, expected classes to transfer", "check --dimension")
+        raise InputError(
+            side.path, "no record has a class, expected classes to transfer", "check --dimension"
+        )
     if found.n_records > 1 and found.low == found.high:
         key = "gps_time" if options.match == "time" else side.rule.dimension
         problem = f"all {found.n_records:,} values of {key} are {found.low:g}, expected one a shot"
@@ -183,7 +216,9 @@ def _rules(options: TransferOptions, same: tuple[str, ...]) -> tuple[KeyRule, Ke
         return KeyRule("time", "time", same, options.time_offset_s), KeyRule("time", "time", same)
     if kind == "dimension":
         return KeyRule("dimension", name, same), KeyRule("dimension", name, same)
-    return KeyRule("record", same=same), KeyRule("dimension", name, same) if name else KeyRule("record", same=same)
+    return KeyRule("record", same=same), KeyRule("dimension", name, same) if name else KeyRule(
+        "record", same=same
+    )
 
 
 def _demand(source: RecordSource, rule: KeyRule) -> None:
@@ -205,13 +240,18 @@ def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
 
 
 def _equal_order(
-    left: KeyedSource, right: KeyedSource, found: tuple[Survey, Survey], assumptions: list[Assumption]
+    left: KeyedSource,
+    right: KeyedSource,
+    found: tuple[Survey, Survey],
+    assumptions: list[Assumption],
 ) -> tuple[KeyedSource, tuple[Survey, Survey]]:
     """Match by order: all records, or only those with a return if the registered file holds only these."""
     labels, points = found
     n_all = left.source.n_records or labels.n_read
     if n_all == points.n_records or labels.n_read == points.n_records:
-        assumptions.append(Assumption("transfer.match", "record", "record i of the labels is point i"))
+        assumptions.append(
+            Assumption("transfer.match", "record", "record i of the labels is point i")
+        )
         return left, found
     if labels.n_records == points.n_records:
         why = "the labels without shots that have no return are as many as the points: the i-th of them is point i"
@@ -245,7 +285,10 @@ def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
     other = "one side looks like GPS time, the other like adjusted standard GPS time"
     tries = [
         (WEEK_S * math.floor((points.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S, weeks),
-        (-(WEEK_S * math.floor((labels.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S), to_weeks),
+        (
+            -(WEEK_S * math.floor((labels.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S),
+            to_weeks,
+        ),
         (GPS_EPOCH_SHIFT_S, other),
         (-GPS_EPOCH_SHIFT_S, other),
         (WEEK_S * math.floor(points.low / WEEK_S), weeks),

@@ -36,7 +36,10 @@ def is_room(range_m: F32, limits: Limits) -> bool:
     >>> is_room(np.full((9, 9), 6, np.float32), Limits()), is_room(np.full((9, 9), 7, np.float32), Limits())
     (True, False)
     """
-    n_far, n = np.count_nonzero(range_m > np.float32(limits.room_m)), np.count_nonzero(range_m == range_m)
+    n_far, n = (
+        np.count_nonzero(range_m > np.float32(limits.room_m)),
+        np.count_nonzero(range_m == range_m),
+    )
     return bool(n_far < ROOM_SHARE * n)
 
 
@@ -63,7 +66,9 @@ def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
         return False
     ceiling_m = -float(np.median((seen[:, up] * plane.cosine[up])[answered]))
     floors = (seen[:, down] * plane.cosine[down])[~np.isnan(seen[:, down])]
-    return ceiling_m <= CEILING_M or (bool(floors.size) and ceiling_m + float(np.median(floors)) <= LOWEST_BRIDGE_M)
+    return ceiling_m <= CEILING_M or (
+        bool(floors.size) and ceiling_m + float(np.median(floors)) <= LOWEST_BRIDGE_M
+    )
 
 
 @stage("texture")
@@ -72,7 +77,13 @@ def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits)
     foliage, decision = limits.foliage, limits.decision
     again = foliage.again(float(decision.leaf_share), float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
-        range_m, seen.near, seen.smooth, plane.step_rad, decision.least_near, np.float32(foliage.half_width_m), again
+        range_m,
+        seen.near,
+        seen.smooth,
+        plane.step_rad,
+        decision.least_near,
+        np.float32(foliage.half_width_m),
+        again,
     )
     return texture
 
@@ -105,9 +116,19 @@ def decide(
     """
     beside = (len(window_m) - len(texture)) // 2 - THING_LINES
     labels: U8 = kernels.fused_labels(
-        window_m[beside : len(window_m) - beside], ground.above_m, seen.counts, ground.walked, texture,
-        standing.slots, standing.walls, standing.levels, standing.columns, plane.beams, plane.step_rad, thresholds,
-    )  # fmt: skip
+        window_m[beside : len(window_m) - beside],
+        ground.above_m,
+        seen.counts,
+        ground.walked,
+        texture,
+        standing.slots,
+        standing.walls,
+        standing.levels,
+        standing.columns,
+        plane.beams,
+        plane.step_rad,
+        thresholds,
+    )
     return labels
 
 
@@ -116,13 +137,20 @@ def vote(labels: U8, range_m: F32, plane: ScanPlane, limits: Votes | None) -> U8
     """Give every shot the majority label of its surroundings; see :func:`votes_loops.vote_labels`."""
     if limits is None:
         return labels[VOTE_LINES:-VOTE_LINES]
-    voted: U8 = kernels.vote_labels(labels, range_m, plane.beams, plane.step_rad, limits.half_width_m, limits.near_m)
+    voted: U8 = kernels.vote_labels(
+        labels, range_m, plane.beams, plane.step_rad, limits.half_width_m, limits.near_m
+    )
     return voted
 
 
 @stage("noise again")
 def ask_again(
-    labels: tuple[U8, U8], range_m: F32, smooth: U8, above_m: F32, texture: F32, limits: AgainThresholds
+    labels: tuple[U8, U8],
+    range_m: F32,
+    smooth: U8,
+    above_m: F32,
+    texture: F32,
+    limits: AgainThresholds,
 ) -> U8:
     """Label noise that only a wider window shows; see :func:`noise_loops.noise_again`.
 
@@ -130,12 +158,16 @@ def ask_again(
     ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
-    found: U8 = kernels.noise_again(*labels, range_m, smooth, above_m[inner], texture[VOTE_LINES:-VOTE_LINES], limits)
+    found: U8 = kernels.noise_again(
+        *labels, range_m, smooth, above_m[inner], texture[VOTE_LINES:-VOTE_LINES], limits
+    )
     return found
 
 
 @stage("curbs")
-def find_curbs(labels: U8, range_m: F32, above_m: F32, plane: ScanPlane, limits: CurbThresholds | None) -> U8:
+def find_curbs(
+    labels: U8, range_m: F32, above_m: F32, plane: ScanPlane, limits: CurbThresholds | None
+) -> U8:
     """Label the faces of curbs; see :func:`curbs_loops.curb_labels`."""
     if limits is None:
         return labels
@@ -155,11 +187,17 @@ def are_wanted(plane: ScanPlane, limits: Limits) -> bool:
 
 @stage("profiles")
 def find_cars(
-    seen: tuple[U8, F32, F32, F32], n_lines: int, plane: ScanPlane, before: U8, thresholds: FanThresholds
+    seen: tuple[U8, F32, F32, F32],
+    n_lines: int,
+    plane: ScanPlane,
+    before: U8,
+    thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
     """Label cars by lines across their roofs; see :func:`fans_loops.fan_cars`.
 
     ``seen`` tuple of (lines + ahead, M) arrays; ``before`` (LINES, 2 BINS) uint8.
     """
-    found: tuple[U8, U8] = kernels.fan_cars(*seen, plane.sine, (plane.left, plane.right), before, n_lines, thresholds)
+    found: tuple[U8, U8] = kernels.fan_cars(
+        *seen, plane.sine, (plane.left, plane.right), before, n_lines, thresholds
+    )
     return found

@@ -58,7 +58,11 @@ _LONELY, _ISOLATED, _SPIKE, _BELOW = (
     np.uint8(rule) for rule in (Reason.LONELY, Reason.ISOLATED, Reason.SPIKE, Reason.BELOW_GROUND)
 )
 _BEHIND_WALL, _IN_CAR = np.uint8(Reason.BEHIND_WALL), np.uint8(Reason.IN_CAR)
-_WALKED, _LEVEL_LOW, _LOW = np.uint8(Reason.WALKED), np.uint8(Reason.LEVEL_LOW), np.uint8(Reason.LOW)
+_WALKED, _LEVEL_LOW, _LOW = (
+    np.uint8(Reason.WALKED),
+    np.uint8(Reason.LEVEL_LOW),
+    np.uint8(Reason.LOW),
+)
 _SMOOTH, _FACADE = np.uint8(Reason.SMOOTH), np.uint8(Reason.FACADE)
 _ONE_LEAF, _FOLIAGE = np.uint8(Reason.LEAF), np.uint8(Reason.FOLIAGE)
 _CROWN, _TRUNK = np.uint8(Reason.CROWN), np.uint8(Reason.TRUNK)
@@ -102,7 +106,9 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 
 @helper
-def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
+def _half_widths(
+    ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
+) -> None:
     """Write the half width of every shot's place in columns; any number where the shot is missing."""
     fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
     for i in range(len(ranges)):
@@ -168,7 +174,12 @@ def _ground_rule(
 
 @helper
 def _label_plain(
-    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, thresholds: DecisionThresholds, labels: U8
+    ranges: F32,
+    above: F32,
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    thresholds: DecisionThresholds,
+    labels: U8,
 ) -> None:
     """Label missing shots, near shots without any neighbour, and ground; mark the others as undecided.
 
@@ -189,7 +200,9 @@ def _label_plain(
 
 
 @inlined
-def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, thresholds: DecisionThresholds) -> bool:
+def _in_wall(
+    y: np.float32, z: np.float32, at: np.float32, top: np.float32, thresholds: DecisionThresholds
+) -> bool:
     """Return whether a shot is in a wall, or behind it and seen through it."""
     behind = abs(y) - abs(at)
     through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
@@ -210,7 +223,9 @@ def _count_bins(levels: U8, counts: U8) -> None:
 
 
 @helper
-def _find_cars(every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]) -> None:
+def _find_cars(
+    every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]
+) -> None:
     """Write up to which height a smooth shot and a rough shot in every bin are of a car; 0 = no car.
 
     There is a car where enough bins around are level. It ends below what reaches above cars without a gap; where they
@@ -286,8 +301,13 @@ def _label_odd(
         # spikes: the adjacent shots are smooth, in the line and in the lines before and after
         half = int(columns[i])
         place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
-        shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
-        is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
+        shots_there, pairs_there = (
+            np.int32(place >> np.uint32(16)),
+            np.int32(place & np.uint32(0xFFFF)),
+        )
+        is_spike = (pairs == 0) & (
+            np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there)
+        )
         is_pit = (upright[i] > 0) & (np.float32(near[i]) >= thresholds.pit_near)
         ground = _ground_rule(h, walked[i], upright[i], level[i], thresholds)
         if is_spike:
@@ -304,13 +324,19 @@ def _label_odd(
 def _bins(side: F32, bins: I32) -> None:
     """Write the bin of half a strip of every shot of a line, -1 = beyond."""
     for i in range(len(side)):
-        q = np.int32(np.floor(min(max(side[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + np.int32(STRIPS)
+        q = np.int32(np.floor(min(max(side[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + np.int32(
+            STRIPS
+        )
         bins[i] = q if (q >= 0) & (q < 2 * STRIPS) else np.int32(-1)
 
 
 @helper
 def _look_up(
-    shots: I32, bins: I32, walls: tuple[F32, F32, F32], cars: tuple[F32, F32], found: tuple[F32, F32, F32, F32, F32]
+    shots: I32,
+    bins: I32,
+    walls: tuple[F32, F32, F32],
+    cars: tuple[F32, F32],
+    found: tuple[F32, F32, F32, F32, F32],
 ) -> None:
     """Write the walls and cars in the strips of some shots; a loop of its own, as all others read memory in order."""
     at, top, ahead = walls
@@ -355,7 +381,13 @@ def _label_things(
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
         beyond = abs(y) - wall
-        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & (end - z + h >= storey_m) & is_here
+        is_roof = (
+            (wall != nothing)
+            & (beyond >= -front_m)
+            & (beyond <= roof_m)
+            & (end - z + h >= storey_m)
+            & is_here
+        )
         is_soft = texture < (share_before if is_before | is_roof else leaf_share)
         is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
         is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
@@ -397,7 +429,9 @@ def _round_run(
     first, end, jump = i, i + 1, thresholds.jump_m
     while end < len(alone) and 0 < alone[end] < SMALL and abs(ranges[end] - ranges[end - 1]) < jump:
         end += 1
-    while first > 0 and 0 < alone[first - 1] < SMALL and abs(ranges[first - 1] - ranges[first]) < jump:
+    while (
+        first > 0 and 0 < alone[first - 1] < SMALL and abs(ranges[first - 1] - ranges[first]) < jump
+    ):
         first -= 1
     deep = side[first:end].max() - side[first:end].min()
     tall = height[first:end].max() - height[first:end].min()
@@ -428,7 +462,9 @@ def _label_poles(
         if crown >= thresholds.crown_slots:
             labels[i] = _CROWN
         elif alone[i] != FEW:
-            deep_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / window_m[line, i])
+            deep_m = _depth_across(window_m, line, i, thresholds.jump_m) * (
+                abs(side[i]) / window_m[line, i]
+            )
             upright = _POST if level[i] == 0 or alone[i] == COLUMN else _ARM
             labels[i] = _TRUNK if is_round or deep_m >= thresholds.thick_m else upright
 
@@ -459,7 +495,9 @@ def _mark_tops(
 
 
 @inlined
-def _lines_beside(window_m: F32, line: int, i: int, way: int, thresholds: DecisionThresholds) -> int:
+def _lines_beside(
+    window_m: F32, line: int, i: int, way: int, thresholds: DecisionThresholds
+) -> int:
     """Return how many lines to one side see a thing in the direction of a shot, if those beyond see past it.
 
     Otherwise :data:`MARGIN`. Single lines do not count: they see background light, or look through a pane.
@@ -480,7 +518,13 @@ def _lines_beside(window_m: F32, line: int, i: int, way: int, thresholds: Decisi
 
 @helper
 def _end_of_box(
-    ranges: F32, near: U8, points: tuple[F32, F32, F32], labels: U8, i: int, way: int, thresholds: DecisionThresholds
+    ranges: F32,
+    near: U8,
+    points: tuple[F32, F32, F32],
+    labels: U8,
+    i: int,
+    way: int,
+    thresholds: DecisionThresholds,
 ) -> tuple[int, int]:
     """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by.
 
@@ -528,12 +572,18 @@ def _is_box(
             n += 1
             n_smooth += smooth[j] >= BOX_SMOOTH
     deep = outer - inner
-    if np.float32(n) < thresholds.pole_shots or deep > thresholds.box_deep_m or deep < thresholds.box_flat_m:
+    if (
+        np.float32(n) < thresholds.pole_shots
+        or deep > thresholds.box_deep_m
+        or deep < thresholds.box_flat_m
+    ):
         return False
     for j in range(first, last + 1):
         if _is_thing(labels[j]) and above[j] > high - BOX_EVEN_M:
             inner_top, outer_top = min(inner_top, abs(side[j])), max(outer_top, abs(side[j]))
-    if outer_top - inner_top < thresholds.box_flat_m or np.float32(n_smooth) < BOX_SHARE * np.float32(n):
+    if outer_top - inner_top < thresholds.box_flat_m or np.float32(
+        n_smooth
+    ) < BOX_SHARE * np.float32(n):
         return False
     before = _lines_beside(window_m, line, i, -1, thresholds)
     if before == MARGIN or np.float32(before) > thresholds.box_lines:
@@ -568,7 +618,9 @@ def _label_boxes(
         if before == first or after == last:
             continue
         is_up = height[last] > height[first]
-        top, beyond, foot, below = (last, after, first, before) if is_up else (first, before, last, after)
+        top, beyond, foot, below = (
+            (last, after, first, before) if is_up else (first, before, last, after)
+        )
         if beyond >= 0 and ranges[beyond] <= ranges[top] + thresholds.far_m:
             continue
         if below >= 0 and not _is_soil(labels[below]) and ranges[below] < ranges[foot]:
@@ -610,14 +662,19 @@ def fused_labels(
     )
     columns, bins, so_far = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m + 1, np.uint32)
     found = (
-        np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
         np.zeros(m, np.float32),
-    )  # fmt: skip
+        np.zeros(m, np.float32),
+        np.zeros(m, np.float32),
+        np.zeros(m, np.float32),
+        np.zeros(m, np.float32),
+    )
     side, height = np.empty(m, np.float32), np.empty(m, np.float32)
     # ring buffer of lines
     pairs = np.empty((3, m), np.uint32)
     for line in range(2):
-        _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line])
+        _count_pairs(
+            near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line]
+        )
     for line in range(n_lines):
         k, row = line + LINES, labels[line]
         own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
@@ -630,14 +687,25 @@ def fused_labels(
         _count_pairs(near[k + 1], smooth[k + 1], thresholds.least_near, pairs[(line + 2) % 3])
         _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
         _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
-        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), thresholds, row)
+        _label_odd(
+            shots[:n],
+            place,
+            own,
+            walked[k],
+            (rough, rows[0], rows[1]),
+            (columns, so_far),
+            thresholds,
+            row,
+        )
         n = _list_marked(row, _ODD, _OPEN, shots)
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
         _label_things(place, own, texture[line], bins, found, alone[line], thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
-        _label_poles(shots[:n], window_m, line + MARGIN, own[3], place, alone[line], rough, thresholds, row)
+        _label_poles(
+            shots[:n], window_m, line + MARGIN, own[3], place, alone[line], rough, thresholds, row
+        )
         _mark_tops(place[2], own, row, thresholds, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)

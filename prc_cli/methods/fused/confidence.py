@@ -63,15 +63,25 @@ FOREST_QUESTIONS: dict[Label, tuple[str, ...]] = {
     Label.VEGETATION: ("texture", "off", "smooth", "agree", "range", "near"),
     Label.STEM: ("smooth", "agree", "off", "near", "level", "texture"),
 }
-QUESTIONS: dict[Environment, dict[Label, tuple[str, ...]]] = {"urban": STREET_QUESTIONS, "forest": FOREST_QUESTIONS}
+QUESTIONS: dict[Environment, dict[Label, tuple[str, ...]]] = {
+    "urban": STREET_QUESTIONS,
+    "forest": FOREST_QUESTIONS,
+}
 """What is asked of the shots of every label. Labels without questions have no confidence, 0."""
 N_QUESTIONS = 6
 N_CELLS = 4**N_QUESTIONS
 """Sets of answers."""
 GROUPS = {
-    Label.GROUND: 0, Label.CURB: 0, Label.BUILDING: 1, Label.STEM: 1, Label.VEGETATION: 2, Label.CAR: 3, Label.POLE: 4,
-    Label.UNCLASSIFIED: 4, Label.NOISE: 5,
-}  # fmt: skip
+    Label.GROUND: 0,
+    Label.CURB: 0,
+    Label.BUILDING: 1,
+    Label.STEM: 1,
+    Label.VEGETATION: 2,
+    Label.CAR: 3,
+    Label.POLE: 4,
+    Label.UNCLASSIFIED: 4,
+    Label.NOISE: 5,
+}
 """Labels that agree with each other."""
 TABLE = Path(__file__).with_name("confidence.json")
 
@@ -93,7 +103,11 @@ class Evidence:
 
 @stage("confidence")
 def cells_of(
-    labels: U8, range_m: F32, evidence: Evidence, plane: ScanPlane, questions: dict[Label, tuple[str, ...]]
+    labels: U8,
+    range_m: F32,
+    evidence: Evidence,
+    plane: ScanPlane,
+    questions: dict[Label, tuple[str, ...]],
 ) -> I32:
     """Return the answers of every shot as the number of a cell of the table.
 
@@ -103,12 +117,19 @@ def cells_of(
     beside = slice(1, 1 + len(labels))
     standing, (near, smooth, upright, level) = evidence.standing, evidence.seen.counts
     cells: I32 = kernels.confidence_cells(
-        labels, np.ascontiguousarray(range_m), evidence.above_m[own], evidence.texture[beside],
+        labels,
+        np.ascontiguousarray(range_m),
+        evidence.above_m[own],
+        evidence.texture[beside],
         (near[own], smooth[own], upright[own], level[own]),
         (standing.slots[0][beside], standing.slots[1][beside]),
-        (standing.walls[0][beside], standing.walls[2][beside]), plane.beams, plane.step_rad,
-        _groups(), _rows(tuple(questions.items())), _steps(),
-    )  # fmt: skip
+        (standing.walls[0][beside], standing.walls[2][beside]),
+        plane.beams,
+        plane.step_rad,
+        _groups(),
+        _rows(tuple(questions.items())),
+        _steps(),
+    )
     return cells
 
 
@@ -130,9 +151,15 @@ def of_further_returns(block: ScanBlock, confidence: U8, limit_m: float) -> U8:
     """Return the confidence of further returns, (n,) uint8: that of the shot whose label they take, 0 without one."""
     further = block.extra
     return label_extra_returns(
-        block.range_m, confidence, further.line, further.column, further.range_m, limit_m, limit_m,
+        block.range_m,
+        confidence,
+        further.line,
+        further.column,
+        further.range_m,
+        limit_m,
+        limit_m,
         alone=Label.MISSING,
-    )  # fmt: skip
+    )
 
 
 @cache

@@ -14,8 +14,22 @@ Words = NDArray[np.uint64]
 LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
 """As in :mod:`strips_loops`."""
 (
-    AGREE, SMOOTH, TEXTURE, NEAR, UPRIGHT, LEVEL, OFF, STEEP, RANGE, ROUGH, TOP, FILLED, AHEAD, BEHIND, JUMP,
-) = range(15)  # fmt: skip
+    AGREE,
+    SMOOTH,
+    TEXTURE,
+    NEAR,
+    UPRIGHT,
+    LEVEL,
+    OFF,
+    STEEP,
+    RANGE,
+    ROUGH,
+    TOP,
+    FILLED,
+    AHEAD,
+    BEHIND,
+    JUMP,
+) = range(15)
 """Rows of the measures."""
 N_MEASURES = 15
 PLACE_M = np.float32(0.25)
@@ -43,7 +57,9 @@ def _count_groups(labels: U8, groups: I64, words: Words) -> None:
     """Write the group of every shot of a line as a word with one count; nothing where it has none."""
     for i in range(len(labels)):
         group = groups[labels[i]]
-        words[i] = np.uint64(1) << np.uint64(GROUP_BITS * max(group, 0)) if group >= 0 else np.uint64(0)
+        words[i] = (
+            np.uint64(1) << np.uint64(GROUP_BITS * max(group, 0)) if group >= 0 else np.uint64(0)
+        )
 
 
 @helper
@@ -59,7 +75,9 @@ def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
 
 
 @helper
-def _agree(ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, agrees: F32) -> None:
+def _agree(
+    ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, agrees: F32
+) -> None:
     """Write the share of the shots around that are of a shot's group; noise counts for noise alone."""
     m = len(ranges)
     ones = np.uint64((1 << GROUP_BITS) - 1)
@@ -109,16 +127,26 @@ def _measure_strips(every: Words, rough: Words, strips: F32) -> None:
 
 
 @helper
-def _measure_places(ranges: F32, sine: F32, strips: F32, walls: tuple[F32, F32], measures: F32) -> None:
+def _measure_places(
+    ranges: F32, sine: F32, strips: F32, walls: tuple[F32, F32], measures: F32
+) -> None:
     """Write what the strips of a line's shots hold, and where their walls are."""
     at, ahead = walls
     for i in range(len(ranges)):
         y = ranges[i] * sine[i]
         # limited before it becomes an integer: ranges may be any number
-        place = min(max(y / STRIP_M, np.float32(-STRIPS)), np.float32(STRIPS)) if y == y else np.float32(STRIPS)
+        place = (
+            min(max(y / STRIP_M, np.float32(-STRIPS)), np.float32(STRIPS))
+            if y == y
+            else np.float32(STRIPS)
+        )
         b = int(np.floor(place)) + STRIPS // 2
         b = b if 0 <= b < STRIPS else STRIPS
-        measures[ROUGH, i], measures[TOP, i], measures[FILLED, i] = strips[0, b], strips[1, b], strips[2, b]
+        measures[ROUGH, i], measures[TOP, i], measures[FILLED, i] = (
+            strips[0, b],
+            strips[1, b],
+            strips[2, b],
+        )
         wall = at[b] if b < STRIPS else np.float32(0.0)
         before = ahead[b] if b < STRIPS else np.float32(0.0)
         measures[BEHIND, i] = abs(y) - abs(wall) if wall != np.float32(0.0) else -NO_WALL_M
@@ -135,7 +163,11 @@ def _measure_shots(
     for i in range(m):
         measures[SMOOTH, i], measures[NEAR, i] = np.float32(smooth[i]), np.float32(near[i])
         measures[UPRIGHT, i], measures[LEVEL, i] = np.float32(upright[i]), np.float32(level[i])
-        measures[TEXTURE, i], measures[STEEP, i], measures[RANGE, i] = texture[i], cosine[i], ranges[i]
+        measures[TEXTURE, i], measures[STEEP, i], measures[RANGE, i] = (
+            texture[i],
+            cosine[i],
+            ranges[i],
+        )
         measures[OFF, i] = abs(above[i])
         before = abs(ranges[max(i - 1, 0)] - ranges[i])
         after = abs(ranges[min(i + 1, m - 1)] - ranges[i])

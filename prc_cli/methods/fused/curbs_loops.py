@@ -17,7 +17,12 @@ MOST_GAP = 8
 """Adjacent columns without a shot near the ground at which it ends, as at a wall."""
 CHUNK = 8
 """Shots that are compared at once, and empty columns beside a line."""
-_MISSING, _NOISE, _GROUND, _CURB = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND), int(Label.CURB)
+_MISSING, _NOISE, _GROUND, _CURB = (
+    int(Label.MISSING),
+    int(Label.NOISE),
+    int(Label.GROUND),
+    int(Label.CURB),
+)
 
 
 @helper
@@ -189,14 +194,20 @@ def curb_labels(
             after = _after(i, last, side, y, thresholds)
             inner, outer = (before, after) if outwards > 0 else (after, before)
             # most shots end here
-            if inner < 0 or outer < 0 or height[outer] - height[inner] < thresholds.share * thresholds.least_m:
+            if (
+                inner < 0
+                or outer < 0
+                or height[outer] - height[inner] < thresholds.share * thresholds.least_m
+            ):
                 continue
             foot, n_foot = _mean_height(i, -outwards, (inner, y), points, low, own, thresholds)
             top, n_top = _mean_height(i, outwards, (outer, y), points, low, own, thresholds)
             rise = top - foot
             if n_foot == 0 or n_top == 0 or rise < thresholds.least_m or rise > thresholds.most_m:
                 continue
-            is_between = (z > foot + thresholds.margin * rise) & (z < top - thresholds.margin * rise)
+            is_between = (z > foot + thresholds.margin * rise) & (
+                z < top - thresholds.margin * rise
+            )
             if is_between & (height[outer] - height[inner] >= thresholds.share * rise):
                 row[i] = np.uint8(_CURB)
     return found

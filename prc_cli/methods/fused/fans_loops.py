@@ -26,7 +26,12 @@ LEAST_SHOTS = 6
 LOW_M, HIGH_FOOT_M = np.float32(2.0), np.float32(1.0)
 """In other lines a car is lower than this, and its lowest shot below this [m]."""
 _SEED, _THING = np.uint8(1), np.uint8(2)
-_MISSING, _NOISE, _GROUND, _CURB = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND), int(Label.CURB)
+_MISSING, _NOISE, _GROUND, _CURB = (
+    int(Label.MISSING),
+    int(Label.NOISE),
+    int(Label.GROUND),
+    int(Label.CURB),
+)
 _CAR, _POLE = int(Label.CAR), int(Label.POLE)
 _FAR = np.float32(1e6)
 
@@ -82,7 +87,14 @@ def _bins_of(near: np.float32, far: np.float32) -> tuple[int, int]:
 
 @helper
 def _mark_side(
-    shots: I32, labels: U8, side: F32, above: F32, texture: F32, thresholds: FanThresholds, marks: U8, low_things: I32
+    shots: I32,
+    labels: U8,
+    side: F32,
+    above: F32,
+    texture: F32,
+    thresholds: FanThresholds,
+    marks: U8,
+    low_things: I32,
 ) -> int:
     """Mark the bins of the things of a line and side, and of those that are profiles across a roof.
 
@@ -98,7 +110,9 @@ def _mark_side(
         low, high, near, far, smooth = _extent(shots[k:end], side, above, texture)
         is_roof = (high >= thresholds.least_m) & (high <= thresholds.most_m) & (low < FOOT_M)
         is_roof &= (far - near >= LEAST_DEEP_M) & (far - near <= MOST_DEEP_M)
-        is_roof &= (smooth >= thresholds.smooth) & (end - k >= LEAST_SHOTS) & (k > 0) & (end < len(shots))
+        is_roof &= (
+            (smooth >= thresholds.smooth) & (end - k >= LEAST_SHOTS) & (k > 0) & (end < len(shots))
+        )
         if is_roof:
             before = labels[shots[k - 1]]
             is_roof = (before == _GROUND) | (before == _CURB)
@@ -112,7 +126,12 @@ def _mark_side(
         for q in range(first, last):
             marks[q] |= _SEED if is_roof else _THING
         if not (high > LOW_M or low >= HIGH_FOOT_M):
-            low_things[n, 0], low_things[n, 1], low_things[n, 2], low_things[n, 3] = k, end, first, last
+            low_things[n, 0], low_things[n, 1], low_things[n, 2], low_things[n, 3] = (
+                k,
+                end,
+                first,
+                last,
+            )
             n += 1
         k = end
     return n
@@ -129,7 +148,9 @@ def _sum_up(marks: U8, bit: np.uint8, sums: I32) -> None:
 
 
 @helper
-def _is_car(seeds: I32, things: I32, first: int, last: int, line: int, thresholds: FanThresholds) -> bool:
+def _is_car(
+    seeds: I32, things: I32, first: int, last: int, line: int, thresholds: FanThresholds
+) -> bool:
     """Return whether enough lines around cross a roof in the bins of a thing: in the bin where most do."""
     low, high = max(line - LINES, 0), min(line + LINES + 1, seeds.shape[1] - 1)
     most, at = 0, -1
@@ -183,7 +204,9 @@ def fan_cars(
             row = 2 * k + way
             there = shots[row, : _list_present(range_m[k], sides[way], shots[row])]
             own = marks[way * BINS : (way + 1) * BINS, k + LINES]
-            n_things[row] = _mark_side(there, labels[k], side, above_m[k], texture[k], thresholds, own, low_things[row])
+            n_things[row] = _mark_side(
+                there, labels[k], side, above_m[k], texture[k], thresholds, own, low_things[row]
+            )
     seeds, things = np.empty((2 * BINS, n + 1), np.int32), np.empty((2 * BINS, n + 1), np.int32)
     for q in range(2 * BINS):
         _sum_up(marks[q], _SEED, seeds[q])
@@ -196,7 +219,10 @@ def fan_cars(
             row = 2 * k + way
             for one in range(n_things[row]):
                 first, end = low_things[row, one, 0], low_things[row, one, 1]
-                low_bin, high_bin = way * BINS + low_things[row, one, 2], way * BINS + low_things[row, one, 3]
+                low_bin, high_bin = (
+                    way * BINS + low_things[row, one, 2],
+                    way * BINS + low_things[row, one, 3],
+                )
                 if _is_car(seeds, things, low_bin, high_bin, k + LINES, thresholds):
                     for j in range(first, end):
                         i = shots[row, j]

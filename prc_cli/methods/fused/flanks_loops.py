@@ -32,7 +32,13 @@ _FAR = np.float32(1e6)
 
 @helper
 def _count_ground(
-    ranges: F32, above: F32, upright: U8, beams: tuple[F32, F32], soil_m: np.float32, bins: I32, depths: F32
+    ranges: F32,
+    above: F32,
+    upright: U8,
+    beams: tuple[F32, F32],
+    soil_m: np.float32,
+    bins: I32,
+    depths: F32,
 ) -> None:
     """Count the shots of the ground in every bin of a line, and write how deep it lies below the scanner."""
     sine, cosine = beams
@@ -64,7 +70,9 @@ def _is_upright(wall: F32, b: int) -> bool:
 
 
 @helper
-def _ground_behind(bins: I32, depths: F32, side: int, away: np.float32, thresholds: FlankThresholds) -> tuple[int, int]:
+def _ground_behind(
+    bins: I32, depths: F32, side: int, away: np.float32, thresholds: FlankThresholds
+) -> tuple[int, int]:
     """Count the ground that is seen beneath a body at a distance, and through it.
 
     By the height at which the line of sight passes the flank: below the sill, or above. At twice the distance of the
@@ -92,7 +100,11 @@ def _bottom(every: Slots, b: int, away: np.float32) -> np.float32:
     half = STRIPS // 2
     own = min(int(away / STRIP_M), half - 1)
     nearer = max(own - 1, 0)
-    word = every[half + own] | every[half + nearer] if b >= half else every[half - 1 - own] | every[half - 1 - nearer]
+    word = (
+        every[half + own] | every[half + nearer]
+        if b >= half
+        else every[half - 1 - own] | every[half - 1 - nearer]
+    )
     slot = 0
     while slot < MOST_SLOTS and (word >> np.uint64(slot)) & np.uint64(1) == np.uint64(0):
         slot += 1
@@ -100,7 +112,9 @@ def _bottom(every: Slots, b: int, away: np.float32) -> np.float32:
 
 
 @helper
-def _ground_below(bins: I32, depths: F32, side: int, away: np.float32, bottom: np.float32) -> tuple[int, int]:
+def _ground_below(
+    bins: I32, depths: F32, side: int, away: np.float32, bottom: np.float32
+) -> tuple[int, int]:
     """Count the ground that is seen below the bottom of a body at a distance, and that seen through the body."""
     beneath = beyond = 0
     first = min(int(min(away / BIN_M, _FAR)), BINS)
@@ -139,11 +153,23 @@ def find_flanks(
     # ring buffer of lines
     room = 2 * LINES + 1
     bins, depths = np.empty((room, 2 * BINS), np.int32), np.empty((room, 2 * BINS), np.float32)
-    lines, walls, places = np.empty(STRIPS + 2, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32)
+    lines, walls, places = (
+        np.empty(STRIPS + 2, np.float32),
+        np.empty(STRIPS, np.float32),
+        np.empty(STRIPS, np.float32),
+    )
     lengths = np.empty(STRIPS, np.float32)
     least, most = thresholds.least_m * np.float32(room), thresholds.most_m * np.float32(room)
     for k in range(n_lines + 2 * LINES):
-        _count_ground(range_m[k], above_m[k], upright[k], beams, thresholds.soil_m, bins[k % room], depths[k % room])
+        _count_ground(
+            range_m[k],
+            above_m[k],
+            upright[k],
+            beams,
+            thresholds.soil_m,
+            bins[k % room],
+            depths[k % room],
+        )
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
@@ -153,7 +179,12 @@ def find_flanks(
         _add_around(place, line, lines, places)
         for b in range(STRIPS):
             flanks[line, b] = 0
-            if walls[b] <= 0 or walls[b] < least or walls[b] > most or walls[b] < thresholds.share * lengths[b]:
+            if (
+                walls[b] <= 0
+                or walls[b] < least
+                or walls[b] > most
+                or walls[b] < thresholds.share * lengths[b]
+            ):
                 continue
             away = abs(places[b] / walls[b])
             side = 0 if b >= STRIPS // 2 else 1
@@ -176,10 +207,17 @@ def find_flanks(
             is_low = np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath
             # a slanted plane meets the edge of a house higher from line to line
             is_even = highest - lowest <= SLOT_M
-            hangs = big and is_even and np.float32(below) >= thresholds.shots and through * FEWER <= below
+            hangs = (
+                big
+                and is_even
+                and np.float32(below) >= thresholds.shots
+                and through * FEWER <= below
+            )
             if is_low or hangs:
                 flanks[line, b] = 1
                 at = int(min(away / LEVEL_BIN_M, _FAR))
                 for j in range(at, min(at + BODY_BINS, STRIPS)):
-                    found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(HANGS | 1 if hangs else 1)
+                    found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(
+                        HANGS | 1 if hangs else 1
+                    )
     return flanks, found

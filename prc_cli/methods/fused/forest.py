@@ -40,7 +40,9 @@ def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
     """
     bin_m, together = limits.terrain.bin_m, limits.lines_together
     n_bins = 2 * max(int(np.ceil(limits.reach_m / bin_m)), 1)
-    profiles = kernels.ground_profiles(range_m, plane.sine, plane.cosine, together, n_bins, limits.terrain)
+    profiles = kernels.ground_profiles(
+        range_m, plane.sine, plane.cosine, together, n_bins, limits.terrain
+    )
     return kernels.ground_heights(range_m, plane.sine, plane.cosine, profiles, together, bin_m)
 
 
@@ -102,8 +104,12 @@ def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Woods:
 
 
 @stage("classes")
-def _decide(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, noise_m: float, limits: Forest) -> U8:
+def _decide(
+    range_m: F32, heights_m: F32, stems: Mask, plane: Plane, noise_m: float, limits: Forest
+) -> U8:
     """Decide what is ground and stem; other shots are vegetation, or noise if no shot is near."""
     columns = round(limits.alone_rad / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
-    return kernels.forest_labels(range_m, heights_m, stems, around, limits.class_thresholds(noise_m))
+    return kernels.forest_labels(
+        range_m, heights_m, stems, around, limits.class_thresholds(noise_m)
+    )

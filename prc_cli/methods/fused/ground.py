@@ -47,9 +47,14 @@ class GroundMemory:
     def none(cls) -> GroundMemory:
         """Return the memory before the first line."""
         return cls(
-            np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32),
-            np.zeros((2, DEPTHS), np.float32), np.zeros((2, DEPTHS), np.float32), np.float32(0.0), -1, 0,
-        )  # fmt: skip
+            np.zeros((2, BINS), np.float32),
+            np.full((2, BINS), NEVER, np.int32),
+            np.zeros((2, DEPTHS), np.float32),
+            np.zeros((2, DEPTHS), np.float32),
+            np.float32(0.0),
+            -1,
+            0,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +81,15 @@ def follow_ground(
     ``range_m`` (lines, M) float32, metres.
     """
     above, walked, kept, start_m, lost, missed = kernels.walk_ground(
-        range_m, plane.beams, seen.counts, (plane.left, plane.right),
-        (memory.height_m, memory.age, memory.level_shots, memory.level_m), np.float32(memory.start_m), memory.lost,
-        memory.missed, keep, limits,
-    )  # fmt: skip
+        range_m,
+        plane.beams,
+        seen.counts,
+        (plane.left, plane.right),
+        (memory.height_m, memory.age, memory.level_shots, memory.level_m),
+        np.float32(memory.start_m),
+        memory.lost,
+        memory.missed,
+        keep,
+        limits,
+    )
     return Ground(above, walked), GroundMemory(*kept, np.float32(start_m), lost, missed)

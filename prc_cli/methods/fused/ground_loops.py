@@ -50,7 +50,9 @@ def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float
 
 
 @helper
-def _search(points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: F32, sums: F32) -> bool:
+def _search(
+    points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: F32, sums: F32
+) -> bool:
     """Count the level shots of a line at every depth below the scanner, near ones and all; return whether any."""
     side, height = points
     is_any = False
@@ -69,7 +71,9 @@ def _search(points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: 
 
 
 @helper
-def _misses_ground(points: tuple[F32, F32], is_level: U8, line: tuple[F32, Mask], reach_m: np.float32) -> bool:
+def _misses_ground(
+    points: tuple[F32, F32], is_level: U8, line: tuple[F32, Mask], reach_m: np.float32
+) -> bool:
     """Return whether more level shots near the scanner lie below the known ground than on it."""
     side, height = points
     above, walked = line
@@ -125,10 +129,14 @@ def _seen_height(before: np.float32, is_seen: np.uint8, mean: np.float32) -> np.
 
 
 @helper
-def _mark_level(near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8) -> None:
+def _mark_level(
+    near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8
+) -> None:
     """Mark the shots of a line that a walk may use."""
     for i in range(len(near)):
-        is_level[i] = np.uint8((np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i]))
+        is_level[i] = np.uint8(
+            (np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i])
+        )
 
 
 @helper
@@ -149,7 +157,12 @@ def _walk(
     memory, age = known
     last_y, last_z = np.float32(0.0), _start(memory, age, start_m, thresholds.memory_lines)
     lines, near_m = thresholds.memory_lines, thresholds.known_m
-    step, slope, reach, gap = thresholds.step_m, thresholds.slope, thresholds.slope_reach_m, thresholds.gap_slope
+    step, slope, reach, gap = (
+        thresholds.step_m,
+        thresholds.slope,
+        thresholds.slope_reach_m,
+        thresholds.gap_slope,
+    )
     place, total, n = -1, np.float32(0.0), np.float32(0.0)
     n_level = 0
     for k in range(len(columns)):
@@ -270,9 +283,11 @@ def _copy(memory: Memory, to: Memory) -> None:
 def _empty() -> Memory:
     """Return room for a memory of the ground."""
     return (
-        np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32),
-        np.empty((2, DEPTHS), np.float32), np.empty((2, DEPTHS), np.float32),
-    )  # fmt: skip
+        np.empty((2, BINS), np.float32),
+        np.empty((2, BINS), np.int32),
+        np.empty((2, DEPTHS), np.float32),
+        np.empty((2, DEPTHS), np.float32),
+    )
 
 
 @helper
@@ -344,8 +359,12 @@ def walk_ground(
             _copy(own_memory, kept)
             kept_start, kept_lost, kept_missed = start_m, lost, missed
         _lay_out(range_m[line], beams, side, height)
-        _mark_level(near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level)
-        start_m, lost = _start_of_line(own_memory, (start_m, lost), (side, height), is_level, thresholds)
+        _mark_level(
+            near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level
+        )
+        start_m, lost = _start_of_line(
+            own_memory, (start_m, lost), (side, height), is_level, thresholds
+        )
         own = walked[line]
         for i in range(m):
             own[i] = False
@@ -358,7 +377,19 @@ def walk_ground(
             for b in range(BINS):
                 seen[b] = 0
                 profile[b] = np.float32(0.0)
-            _walk(columns, sign, (side, height), is_level, level_shots, known, start_m, thresholds, profile, seen, own)
+            _walk(
+                columns,
+                sign,
+                (side, height),
+                is_level,
+                level_shots,
+                known,
+                start_m,
+                thresholds,
+                profile,
+                seen,
+                own,
+            )
             _remember(profile, seen, heights[s], ages[s], thresholds)
             _fill(profile, seen, start_m)
         _places(side, places, shares)

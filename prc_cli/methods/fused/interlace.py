@@ -59,7 +59,9 @@ def put_in_step(range_m: F32, plane: ScanPlane, noise_m: F64, limits: Limits) ->
         return range_m
     moved = range_m.copy()
     odd = slice(1, None, 2)
-    by_m = np.where(is_even, recedes_m, np.float32(0.0))[:, odd] * (later[:, None] * half).astype(np.float32)
+    by_m = np.where(is_even, recedes_m, np.float32(0.0))[:, odd] * (later[:, None] * half).astype(
+        np.float32
+    )
     moved[1:-1, odd] -= by_m
     return moved
 
@@ -82,7 +84,9 @@ def _counts(own: F32, recedes_m: F32, tolerance_m: F32, is_even: NDArray[np.bool
     is_later = is_asked & (np.abs(late - np.float32(HALF)) < np.float32(SLACK))
     is_earlier = is_asked & (np.abs(late + np.float32(HALF)) < np.float32(SLACK))
     counts = np.stack([is_later.sum(axis=1), is_earlier.sum(axis=1)], axis=1)
-    found: I64 = np.column_stack([counts, is_asked.sum(axis=1) - counts.sum(axis=1)]).astype(np.int64)
+    found: I64 = np.column_stack([counts, is_asked.sum(axis=1) - counts.sum(axis=1)]).astype(
+        np.int64
+    )
     return found
 
 

@@ -67,7 +67,9 @@ def _margins(m: int) -> F32:
 
 
 @inlined
-def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32) -> np.uint8:
+def _is_near(
+    dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32
+) -> np.uint8:
     """Return whether two points are close, or on one level or upright surface at grazing incidence.
 
     ``along`` is not less than ``near``.
@@ -126,7 +128,9 @@ def _count_across(
 
 
 @kernel()
-def near_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: NearThresholds) -> U8_2:
+def near_counts(
+    range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: NearThresholds
+) -> U8_2:
     """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
 
     ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
@@ -151,7 +155,13 @@ def near_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, th
             near[i] = short
             along[i] = max(max(along_m, along_steps * apart), short)
         row = counts[line - 2 * LINES]
-        a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        a, b, c, d, e = (
+            (line - 4) % room,
+            (line - 3) % room,
+            (line - 2) % room,
+            (line - 1) % room,
+            line % room,
+        )
         points = side[c], height[c]
         _count_beside(points, (near, along), thin, row)
         _count_across(points, (side[a], height[a]), (side[b], height[b]), (near, along), thin, row)
@@ -179,7 +189,13 @@ def _on_line(
 
 @inlined
 def _between(
-    ay: np.float32, az: np.float32, by: np.float32, bz: np.float32, y: np.float32, z: np.float32, tolerance: np.float32
+    ay: np.float32,
+    az: np.float32,
+    by: np.float32,
+    bz: np.float32,
+    y: np.float32,
+    z: np.float32,
+    tolerance: np.float32,
 ) -> np.uint8:
     """Return whether a point lies midway between two others; the tolerance is squared."""
     half = np.float32(0.5)
@@ -200,7 +216,13 @@ def _pairs_in_line(
         gap = max(gap_m, gap_steps * (ranges[i] * step))
         gap = gap * gap
         y1, y2, y, y3, y4 = side[i + 2], side[i + 3], side[i + 4], side[i + 5], side[i + 6]
-        z1, z2, z, z3, z4 = height[i + 2], height[i + 3], height[i + 4], height[i + 5], height[i + 6]
+        z1, z2, z, z3, z4 = (
+            height[i + 2],
+            height[i + 3],
+            height[i + 4],
+            height[i + 5],
+            height[i + 6],
+        )
         row[i] = (
             _on_line(y2, z2, y3, z3, y, z, tolerance, gap)
             + _on_line(y1, z1, y4, z4, y, z, tolerance, gap)
@@ -215,11 +237,19 @@ def _pairs_in_line(
 def _strides(ranges: F32, step: np.float32, thresholds: SmoothThresholds, strides: I32) -> None:
     """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
     m = len(ranges)
-    most, apart, leaf = np.float32(MOST_STRIDE), thresholds.apart_m, np.float32(0.5) * thresholds.leaf_m
+    most, apart, leaf = (
+        np.float32(MOST_STRIDE),
+        thresholds.apart_m,
+        np.float32(0.5) * thresholds.leaf_m,
+    )
     for i in range(m):
         spacing = ranges[i] * step  # NaN stays NaN, which no comparison holds for
         columns = apart / spacing
-        strides[i] = np.int32(min(columns, most)) if columns >= np.float32(2.0) else np.int32(1) + (spacing <= leaf)
+        strides[i] = (
+            np.int32(min(columns, most))
+            if columns >= np.float32(2.0)
+            else np.int32(1) + (spacing <= leaf)
+        )
     for i in range(min(2 * MOST_STRIDE, m)):
         inside = np.int32(max(i // 2, 1))
         strides[i] = min(strides[i], inside)
@@ -228,7 +258,12 @@ def _strides(ranges: F32, step: np.float32, thresholds: SmoothThresholds, stride
 
 @helper
 def _pairs_farther(
-    ranges: F32, points: tuple[F32, F32], step: np.float32, thresholds: SmoothThresholds, strides: I32, row: U8
+    ranges: F32,
+    points: tuple[F32, F32],
+    step: np.float32,
+    thresholds: SmoothThresholds,
+    strides: I32,
+    row: U8,
 ) -> None:
     """Count the pairs in a line anew for shots that are compared with every second column or fewer.
 
@@ -296,7 +331,9 @@ def _pairs_across(
 
 
 @kernel()
-def smooth_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: SmoothThresholds) -> U8_2:
+def smooth_counts(
+    range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: SmoothThresholds
+) -> U8_2:
     """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
 
     In the line, a shot must lie on the straight line through the pair. Where columns are nearer to each other than
@@ -317,7 +354,13 @@ def smooth_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, 
         if line < 2 * LINES:
             continue
         ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
-        a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        a, b, c, d, e = (
+            (line - 4) % room,
+            (line - 3) % room,
+            (line - 2) % room,
+            (line - 1) % room,
+            line % room,
+        )
         _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
         _strides(ranges, step, thresholds, strides)
         _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
@@ -328,7 +371,9 @@ def smooth_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, 
 
 
 @inlined
-def _is_upright(dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32) -> np.uint8:
+def _is_upright(
+    dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32
+) -> np.uint8:
     """Return whether a chord is upright and not too long; with the arguments exchanged, whether it is level."""
     return np.uint8((abs(dy) <= slope * abs(dz) + slack) & (dy * dy + dz * dz <= longest))
 
@@ -399,7 +444,12 @@ def _count_chords(
 
 @kernel()
 def directions(
-    range_m: F32_2, smooth: U8_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: ChordThresholds
+    range_m: F32_2,
+    smooth: U8_2,
+    sine: F32_1,
+    cosine: F32_1,
+    step: np.float32,
+    thresholds: ChordThresholds,
 ) -> tuple[U8_2, U8_2]:
     """Count which chords through a shot are upright and which are level.
 
@@ -413,7 +463,10 @@ def directions(
     n = m + 2 * PAD
     upright, level = np.empty((n_lines, m), np.uint8), np.empty((n_lines, m), np.uint8)
     reach, side, height = np.empty(m, np.int32), np.empty(m, np.float32), np.empty(m, np.float32)
-    shown, ends = np.empty(n, np.float32), (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32))
+    shown, ends = (
+        np.empty(n, np.float32),
+        (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)),
+    )
     for i in range(n):
         shown[i] = np.float32(np.nan)
     for i in range(2 * n):

@@ -22,15 +22,26 @@ MOST_FELLOWS = 1
 """Most shots on a surface as far as a mirror image: what is mirrored is seen by few."""
 MISSING_PART = 6
 """With more than a sixth of the window missing, that nothing is near in range says little."""
-_MISSING, _NOISE, _CAR, _LEAVES = int(Label.MISSING), int(Label.NOISE), int(Label.CAR), int(Label.VEGETATION)
+_MISSING, _NOISE, _CAR, _LEAVES = (
+    int(Label.MISSING),
+    int(Label.NOISE),
+    int(Label.CAR),
+    int(Label.VEGETATION),
+)
 _ALONE, _MIRRORED, _LOST = np.uint8(1), np.uint8(2), np.uint8(4)
 """Bits of what is asked of a shot."""
-_RANGE_ALONE, _MIRROR_IMAGE, _LEAF = np.uint8(Reason.RANGE_ALONE), np.uint8(Reason.MIRRORED), np.uint8(Reason.LEAF)
+_RANGE_ALONE, _MIRROR_IMAGE, _LEAF = (
+    np.uint8(Reason.RANGE_ALONE),
+    np.uint8(Reason.MIRRORED),
+    np.uint8(Reason.LEAF),
+)
 _FAR = np.float32(1e9)
 
 
 @helper
-def _mark(labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8) -> None:
+def _mark(
+    labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8
+) -> None:
     """Mark the rough shots of a line that may be alone, and noise that may be a leaf; without branches, as few are."""
     rough, foot = thresholds.alone_texture, thresholds.foot_m
     for i in range(len(labels)):
@@ -71,7 +82,12 @@ def _list(words: Words, marks: U8, shots: I32) -> int:
 
 @inlined
 def _is_mirrored(
-    range_m: F32, smooth: U8, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds
+    range_m: F32,
+    smooth: U8,
+    labels: U8,
+    at: tuple[int, int],
+    before: int,
+    thresholds: AgainThresholds,
 ) -> bool:
     """Return whether a shot is seen amid a car, farther than its panes and body, and no surface is there.
 
@@ -118,7 +134,9 @@ def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> b
 
 
 @helper
-def _is_leaf(range_m: F32, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds) -> bool:
+def _is_leaf(
+    range_m: F32, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds
+) -> bool:
     """Return whether leaves around are about as far as a lonely shot; ``labels`` begins ``before`` lines later."""
     line, i = at
     leaves = np.int32(0)
@@ -131,7 +149,13 @@ def _is_leaf(range_m: F32, labels: U8, at: tuple[int, int], before: int, thresho
 
 @kernel()
 def noise_again(
-    labels: U8_2, voted: U8_2, range_m: F32_2, smooth: U8_2, above_m: F32_2, texture: F32_2, thresholds: AgainThresholds
+    labels: U8_2,
+    voted: U8_2,
+    range_m: F32_2,
+    smooth: U8_2,
+    above_m: F32_2,
+    texture: F32_2,
+    thresholds: AgainThresholds,
 ) -> U8_2:
     """Find what a wider window alone shows: what a car mirrors, ranges that nothing around has, leaves among noise.
 
@@ -154,7 +178,9 @@ def noise_again(
             i = int(shots[n])
             if marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds):
                 found[line, i] = _RANGE_ALONE
-            elif marks[i] & _MIRRORED and _is_mirrored(range_m, smooth, labels, (k, i), before, thresholds):
+            elif marks[i] & _MIRRORED and _is_mirrored(
+                range_m, smooth, labels, (k, i), before, thresholds
+            ):
                 found[line, i] = _MIRROR_IMAGE
             elif marks[i] & _LOST and _is_leaf(range_m, labels, (k, i), before, thresholds):
                 found[line, i] = _LEAF

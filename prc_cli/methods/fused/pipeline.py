@@ -100,8 +100,21 @@ MOST_APART = 8
 """Most lines from one to the next of a stream of close lines: too few beside the block are known for more."""
 FARTHEST_BESIDE = 4
 """Greatest distance of neighbours of those lines of such a stream that are beside the block."""
-FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
-STEPS = ("classes", "curbs", "flanks", "ground", "neighbours", "noise", "spacing", "strips", "texture", "votes")
+FOREST_LABELS = frozenset(
+    {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM}
+)
+STEPS = (
+    "classes",
+    "curbs",
+    "flanks",
+    "ground",
+    "neighbours",
+    "noise",
+    "spacing",
+    "strips",
+    "texture",
+    "votes",
+)
 KERNELS = frozenset(f"fused.{step}" for step in STEPS)
 FOREST_KERNELS = frozenset({"fused.stems"})
 CONFIDENCE_KERNELS = frozenset(
@@ -129,9 +142,12 @@ class FusedParams(MethodParams):
     """Parameters of the fused classifier (``[fused]``); its limits are constants, in thresholds.py."""
 
     environment: Literal["urban", "forest"] = Field(
-        "urban", description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation'
+        "urban",
+        description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation',
     )
-    lines_per_block: int = Field(128, ge=1, le=100_000, description="scan lines that are labelled together")
+    lines_per_block: int = Field(
+        128, ge=1, le=100_000, description="scan lines that are labelled together"
+    )
     sensor: SensorParams = SensorParams()
     forest: ForestParams = ForestParams()
 
@@ -249,13 +265,17 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Return the state before the first block."""
         return initial_state(scanner)
 
-    def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+    def label(
+        self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted
+    ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
         found = _classify(block.range_m, block.next_m, scanner, turn, self.params, wanted)
         further, limit_m = block.extra, EXTRA_RETURN_M
         labels, environment = found.labels, self.params.environment
-        extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
+        extra = label_further_returns(
+            block.range_m, labels, further.line, further.column, further.range_m, limit_m
+        )
         labelled = LabelledBlock(block, labels, extra, reasons=found.reasons)
         if wanted.stages:
             labelled = replace(labelled, above_m=true_heights(found.above_m, block))
@@ -263,14 +283,24 @@ class Fused(Classifier[FusedScanner, FusedState]):
             labelled = replace(labelled, measures=measures_of(found, block.range_m.shape))
         if wanted.confidence:
             evidence = found.evidence or _forest_evidence(block.range_m, found, scanner)
-            cells = cells_of(labels, block.range_m, evidence, scanner.scan_plane, QUESTIONS[environment])
+            cells = cells_of(
+                labels, block.range_m, evidence, scanner.scan_plane, QUESTIONS[environment]
+            )
             shots = confidence_of(labels, cells, load_table(environment))
-            labelled = replace(labelled, confidence=shots, extra_confidence=of_further_returns(block, shots, limit_m))
+            labelled = replace(
+                labelled,
+                confidence=shots,
+                extra_confidence=of_further_returns(block, shots, limit_m),
+            )
         return (labelled,)
 
     def limits(self, block: ScanBlock) -> Forest | Limits:
         """Return the limits that a block is labelled by."""
-        return self.params.forest.limits() if self.params.environment == "forest" else self.scanner(block).limits
+        return (
+            self.params.forest.limits()
+            if self.params.environment == "forest"
+            else self.scanner(block).limits
+        )
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report that this method has no segments."""
@@ -280,10 +310,14 @@ class Fused(Classifier[FusedScanner, FusedState]):
 def initial_state(scanner: FusedScanner) -> FusedState:
     """Return the state before the first block."""
     tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
-    return FusedState(tail, Noise(), NoiseAlong(), 0, Spacing.none(), GroundMemory.none(), no_profiles())
+    return FusedState(
+        tail, Noise(), NoiseAlong(), 0, Spacing.none(), GroundMemory.none(), no_profiles()
+    )
 
 
-def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
+def classify_block(
+    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams
+) -> U8:
     """Label a block of scan lines.
 
     ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres; returns (lines, M) uint8.
@@ -321,27 +355,41 @@ class Found:
 
 
 def _classify(
-    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams, wanted: Wanted
+    range_m: F32,
+    next_m: F32 | None,
+    scanner: FusedScanner,
+    turn: Turn,
+    params: FusedParams,
+    wanted: Wanted,
 ) -> Found:
     """Label a block; see :func:`classify_block`."""
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
-        in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
+        in_forest_m = turn.hand_on(
+            NOISE, lambda known: _measure_forest(range_m, known, params.sensor)
+        )
         woods = forest(range_m, scanner.plane, in_forest_m, params.forest.limits())
         labels, noise = woods.reasons & np.uint8(LABEL_BITS), np.full((1, 1), in_forest_m)
         return Found(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
     limits = scanner.limits
     n_lines, ahead = len(range_m), lines_ahead(plane, limits)
     # a copy, so that the block is not kept in memory
-    tail = turn.hand_on(TAIL, lambda old: (old, np.concatenate([old, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()))
+    tail = turn.hand_on(
+        TAIL,
+        lambda old: (old, np.concatenate([old, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()),
+    )
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
-    noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
+    noise_m = turn.hand_on(
+        NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor)
+    )
     wide, limits = put_in_step(wide, plane, noise_m, limits), of_place(limits, wide, plane)
     strides = _strides(wide, (line, n_lines), plane, noise_m, turn, limits)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, limits)
-    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, limits))
+    grounds = turn.hand_on(
+        MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, limits)
+    )
     found = [
         evidence_of(stream.seen, stream.wide_m, own.above_m, plane, limits)
         for stream, own in zip(streams, grounds.parts, strict=True)
@@ -351,15 +399,22 @@ def _classify(
         for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
     ]
     labels = _woven([labels for labels, _ in decided], streams, apart)
-    reasons = _woven([reasons for _, reasons in decided], streams, apart) if wanted.reasons else None
+    reasons = (
+        _woven([reasons for _, reasons in decided], streams, apart) if wanted.reasons else None
+    )
     evidence, has_profiles = None, are_wanted(plane, limits)
     if wanted.confidence or wanted.measures or has_profiles:
         evidence = _woven_evidence(found, grounds.above_m, streams, apart)
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
-        before, labels = labels, _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
+        before, labels = (
+            labels,
+            _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits),
+        )
         if reasons is not None:
-            reasons = np.where(labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE))
+            reasons = np.where(
+                labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE)
+            )
     own = slice(grounds.margin, grounds.margin + n_lines)
     own_noise_m = noise_m[SPACED_LINES : SPACED_LINES + n_lines, None]
     return Found(labels, reasons, grounds.above_m[own], own_noise_m, evidence, grounds.walked[own])
@@ -369,17 +424,22 @@ def measures_of(found: Found, shape: tuple[int, ...]) -> dict[str, AnyArray]:
     """Return what was measured of every shot of a block, by names with their units."""
     n_lines = shape[0]
     measures: dict[str, AnyArray] = {
-        "range noise [m]": np.broadcast_to(found.noise_m, shape), "height above the ground [m]": found.above_m,
-    }  # fmt: skip
+        "range noise [m]": np.broadcast_to(found.noise_m, shape),
+        "height above the ground [m]": found.above_m,
+    }
     if found.evidence is None:
         return {**measures, "on a stem": found.marked}
     own = slice(found.evidence.margin, found.evidence.margin + n_lines)
     near, smooth, upright, level = (each[own] for each in found.evidence.seen.counts)
     return {
-        **measures, "walked over": found.marked, "near neighbours, of 28": near, "smooth pairs, of 10": smooth,
-        "upright chords, of 3": upright, "level chords, of 3": level,
+        **measures,
+        "walked over": found.marked,
+        "near neighbours, of 28": near,
+        "smooth pairs, of 10": smooth,
+        "upright chords, of 3": upright,
+        "level chords, of 3": level,
         "smooth share around": found.evidence.texture[1 : 1 + n_lines],
-    }  # fmt: skip
+    }
 
 
 def _forest_evidence(range_m: F32, found: Found, scanner: FusedScanner) -> Evidence:
@@ -430,7 +490,9 @@ def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
     return LINES if are_wanted(plane, limits) else 0
 
 
-def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Limits) -> list[Stream]:
+def streams_of(
+    wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Limits
+) -> list[Stream]:
     """Look at the lines of a block; where they lie close together, as if lines between them had not been scanned.
 
     Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
@@ -448,14 +510,21 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: 
             own_m, own = wide[OUTSIDE_LINES:-OUTSIDE_LINES], smooth
             if every > 1:
                 own_m = wide[_rows_of(first, every, len(apart))]
-                own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
+                own = np.ascontiguousarray(
+                    smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)]
+                )
             seen = see(own_m[around:-around], own, plane, limits)
             streams.append(Stream(first, every, seen, own_m))
     return streams
 
 
 def _follow_all(
-    streams: Sequence[Stream], apart: I64, n_lines: int, plane: ScanPlane, memory: GroundMemory, limits: Limits
+    streams: Sequence[Stream],
+    apart: I64,
+    n_lines: int,
+    plane: ScanPlane,
+    memory: GroundMemory,
+    limits: Limits,
 ) -> tuple[Grounds, GroundMemory]:
     """Follow the ground of every stream from the same memory on; return it, and the memory for the next block."""
     found = []
@@ -497,7 +566,9 @@ def _with_beside(wide: F32, strides: I64, noise_m: F64, every: int) -> tuple[F32
     own_noise_m = noise_m[around : len(noise_m) - around]
     if more == 0:
         return wide, strides, own_noise_m
-    first, last = (np.full(more, min(int(stride), FARTHEST_BESIDE)) for stride in (strides[0], strides[-1]))
+    first, last = (
+        np.full(more, min(int(stride), FARTHEST_BESIDE)) for stride in (strides[0], strides[-1])
+    )
     window = np.pad(wide, ((more, more), (0, 0)), constant_values=np.float32(np.nan))
     return window, np.concatenate([first, strides, last]), own_noise_m
 
@@ -517,7 +588,9 @@ def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) ->
     return woven
 
 
-def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[Stream], apart: I64) -> Evidence:
+def _woven_evidence(
+    found: Sequence[Evidence], above_m: F32, streams: Sequence[Stream], apart: I64
+) -> Evidence:
     """Return the evidence of a block from that of its streams; what lies beside the block is left empty."""
     if len(streams) == 1 and streams[0].every == 1:
         return found[0]
@@ -529,12 +602,16 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
         return np.pad(of(what), ((VOTE_LINES, VOTE_LINES), (0, 0)))
 
     seen = Neighbours(
-        of(lambda each: each.seen.near), of(lambda each: each.seen.smooth),
-        of(lambda each: each.seen.upright), of(lambda each: each.seen.level),
-    )  # fmt: skip
+        of(lambda each: each.seen.near),
+        of(lambda each: each.seen.smooth),
+        of(lambda each: each.seen.upright),
+        of(lambda each: each.seen.level),
+    )
     every, rough = (wider(lambda each, k=k: each.standing.slots[k]) for k in range(2))  # type: ignore[misc]
     at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
-    levels, columns = (wider(lambda each, k=k: getattr(each.standing, k)) for k in ("levels", "columns"))  # type: ignore[misc]
+    levels, columns = (
+        wider(lambda each, k=k: getattr(each.standing, k)) for k in ("levels", "columns")
+    )  # type: ignore[misc]
     standing = Standing((every, rough), (at, top, ahead), levels, columns)
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
 
@@ -546,7 +623,9 @@ def of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
     return limits._replace(curbs=None) if has_ceiling(some, plane) else limits
 
 
-def _measure(wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams) -> tuple[F64, NoiseAlong]:
+def _measure(
+    wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams
+) -> tuple[F64, NoiseAlong]:
     """Measure the range noise at every line of the wide window of a block that begins at a line [m]."""
     noise = known.after(wide[SPACED_LINES:], line, plane, params)
     return noise.of_lines(line - SPACED_LINES, len(wide), params), noise
@@ -564,7 +643,9 @@ def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[f
     return 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0) if is_known else 0.0, noise
 
 
-def _strides(wide: F32, lines: tuple[int, int], plane: ScanPlane, noise_m: F64, turn: Turn, limits: Limits) -> I64:
+def _strides(
+    wide: F32, lines: tuple[int, int], plane: ScanPlane, noise_m: F64, turn: Turn, limits: Limits
+) -> I64:
     """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
 
     ``lines`` are the number of a block's first line, and how many it has.
@@ -575,7 +656,9 @@ def _strides(wide: F32, lines: tuple[int, int], plane: ScanPlane, noise_m: F64, 
     thresholds = partial(spaced.thresholds, limits.smoothness, step_rad=float(plane.step_rad))
     counts = leaves_again(wide, line, noise_m, thresholds)
     ahead = n_labelled - n_lines
-    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, spaced, ahead))
+    return turn.hand_on(
+        SPACING, lambda known: strides_of(counts, known, line, n_lines, spaced, ahead)
+    )
 
 
 def see(window: F32, smooth: U8, plane: ScanPlane, limits: Limits) -> Seen:
@@ -589,7 +672,9 @@ def see(window: F32, smooth: U8, plane: ScanPlane, limits: Limits) -> Seen:
     return Seen(window, range_m, Neighbours(near, smooth, upright, level))
 
 
-def evidence_of(seen: Seen, wide_m: F32, above_m: F32, plane: ScanPlane, limits: Limits) -> Evidence:
+def evidence_of(
+    seen: Seen, wide_m: F32, above_m: F32, plane: ScanPlane, limits: Limits
+) -> Evidence:
     """Measure how smooth places are, and find walls and cars above the ground.
 
     ``wide_m`` (lines + 2 n, M) float32; ``above_m`` (lines, M) float32.
@@ -600,15 +685,25 @@ def evidence_of(seen: Seen, wide_m: F32, above_m: F32, plane: ScanPlane, limits:
 
 
 def _decide(
-    stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, limits: Limits, *, with_reasons: bool
+    stream: Stream,
+    ground: Ground,
+    evidence: Evidence,
+    plane: ScanPlane,
+    limits: Limits,
+    *,
+    with_reasons: bool,
 ) -> tuple[U8, U8]:
     """Label every shot of a stream; return the labels and, where they are asked for, the reasons."""
     seen, bits = stream.seen, np.uint8(LABEL_BITS)
     neighbours, texture = seen.neighbours, evidence.texture
-    rules = decide(stream.wide_m, neighbours, ground, texture, evidence.standing, plane, limits.decision)
+    rules = decide(
+        stream.wide_m, neighbours, ground, texture, evidence.standing, plane, limits.decision
+    )
     decided = rules & bits
     voted = vote(decided, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    again = ask_again((decided, voted), seen.range_m, neighbours.smooth, ground.above_m, texture, limits.again)
+    again = ask_again(
+        (decided, voted), seen.range_m, neighbours.smooth, ground.above_m, texture, limits.again
+    )
     asked = again & bits
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
     labels = find_curbs(asked, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
@@ -634,7 +729,9 @@ def _with_cars(
     above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
     texture = evidence.texture[1 : 1 + len(labels)]
     seen = labels, range_m, above_m, texture
-    return turn.hand_on(PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits.roofs))
+    return turn.hand_on(
+        PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits.roofs)
+    )
 
 
 def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:
@@ -650,10 +747,14 @@ def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:
 def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedParams) -> None:
     """Refuse arrays that cannot be the next block of the stream."""
     key = "fused.lines_per_block"
-    check_block(range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key)
+    check_block(
+        range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key
+    )
 
 
-def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float) -> U8:
+def label_further_returns(
+    range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float
+) -> U8:
     """Label the returns of a shot other than its main one.
 
     Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation, not noise.

@@ -75,7 +75,9 @@ class Noise:
         >>> Noise(0.003, 3).after(0.004)
         Noise(least_m=0.003, pieces=4)
         """
-        return Noise(self.least_m if measured_m is None else min(self.least_m, measured_m), self.pieces + 1)
+        return Noise(
+            self.least_m if measured_m is None else min(self.least_m, measured_m), self.pieces + 1
+        )
 
     def noise_m(self, params: SensorParams) -> float:
         """Return the standard deviation of ranges [m]: as set, measured, or the default.
@@ -102,7 +104,9 @@ class NoiseAlong:
     steps: tuple[tuple[int, float], ...] = ()
     """Parts so far whenever the noise changed, and the noise from there on [m]."""
 
-    def after(self, following_m: F32, first_line: int, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
+    def after(
+        self, following_m: F32, first_line: int, plane: ScanPlane, params: SensorParams
+    ) -> NoiseAlong:
         """Add the parts of the stream that end in some lines and were not added before.
 
         ``following_m`` (lines, M) float32, metres.
@@ -119,7 +123,9 @@ class NoiseAlong:
         if not any(self._is_asked(parts + k, params) for k in range(PIECE_PARTS)):
             return NoiseAlong(parts, (), self.steps)
         every = EVERY_LINE if part_m.shape[1] >= MANY_COLUMNS else 1
-        off = (*self.off_m, off_lines(*points_of(np.ascontiguousarray(part_m[::every]), plane)))[-PIECE_PARTS:]
+        off = (*self.off_m, off_lines(*points_of(np.ascontiguousarray(part_m[::every]), plane)))[
+            -PIECE_PARTS:
+        ]
         measured = range_noise(np.concatenate(off)) if self._is_asked(parts, params) else None
         least = self.steps[-1][1] if self.steps and parts > PIECE_PARTS else math.inf
         if measured is None or measured >= least:
@@ -161,7 +167,9 @@ def off_lines(side_m: F32, height_m: F32) -> F32:
         dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
         across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
         # squares of any range fit; np.hypot gives the same, one number at a time
-        length = np.sqrt(np.square(dy, dtype=np.float64) + np.square(dz, dtype=np.float64)).astype(np.float32)
+        length = np.sqrt(np.square(dy, dtype=np.float64) + np.square(dz, dtype=np.float64)).astype(
+            np.float32
+        )
         off: F32 = np.abs(across) / length
     return off[np.isfinite(off)]
 

@@ -74,7 +74,9 @@ def leaves_again(
     first = SPACED_LINES + begin
     counts = [
         kernels.leaf_repeats(
-            window_m[first + a - MOST_LAG : first + b], -(first_line + begin + a) % EVERY_LINE, thresholds(each)
+            window_m[first + a - MOST_LAG : first + b],
+            -(first_line + begin + a) % EVERY_LINE,
+            thresholds(each),
         )
         for a, b, each in stretches(noise_m[first:end])
     ]
@@ -92,7 +94,12 @@ def stretches(values: F64) -> list[tuple[int, int, float]]:
 
 
 def strides_of(
-    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, limits: Spaced, ahead: int = 0
+    counts: NDArray[np.int32],
+    known: Spacing,
+    first_line: int,
+    n_lines: int,
+    limits: Spaced,
+    ahead: int = 0,
 ) -> tuple[I64, Spacing]:
     """Decide how many lines away the neighbours of every line are.
 
@@ -133,7 +140,9 @@ def _stride(sums: F64, now: int, limits: Spaced) -> int:
 
 
 @stage("smoothness")
-def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Smoothness) -> U8:
+def spaced_pairs(
+    window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Smoothness
+) -> U8:
     """Count smooth pairs with lines of the right distance.
 
     ``window_m`` (lines + 64, M) float32, metres; ``strides`` (lines,) int64; ``noise_m`` (lines,) float64; returns
@@ -147,13 +156,20 @@ def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, li
     return np.concatenate(counts) if len(counts) > 1 else counts[0]
 
 
-def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, limits: Smoothness) -> U8:
+def _spaced_pairs(
+    window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, limits: Smoothness
+) -> U8:
     """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
     margin = PAIR_LINES * MOST_LAG
     n_lines, m = len(strides), window_m.shape[1]
     chosen = np.unique(strides)
     if len(chosen) == 1 and chosen[0] == 1:
-        return smooth_pairs(window_m[margin - PAIR_LINES : len(window_m) - margin + PAIR_LINES], plane, noise_m, limits)
+        return smooth_pairs(
+            window_m[margin - PAIR_LINES : len(window_m) - margin + PAIR_LINES],
+            plane,
+            noise_m,
+            limits,
+        )
     smooth = np.empty((n_lines, m), np.uint8)
     for stride in chosen.tolist():
         lines = np.flatnonzero(strides == stride)
@@ -167,7 +183,9 @@ def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float,
         for phase in range(first, min(first + stride, last + 1)):
             own = np.arange(phase, last + 1, stride)
             before = margin + phase - PAIR_LINES * stride
-            rows = np.ascontiguousarray(window_m[before : margin + own[-1] + PAIR_LINES * stride + 1 : stride])
+            rows = np.ascontiguousarray(
+                window_m[before : margin + own[-1] + PAIR_LINES * stride + 1 : stride]
+            )
             counts = smooth_pairs(rows, plane, noise_m, limits)
             is_own = strides[own] == stride
             smooth[own[is_own]] = counts[is_own]

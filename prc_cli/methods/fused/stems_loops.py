@@ -11,7 +11,12 @@ import numpy as np
 from prc_cli.core.classes import Label, Reason
 from prc_cli.core.types import F32, F32_2, F64, F64_1, F64_2, I32, I32_2, U8, U8_2, Mask, Mask_2
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
+from prc_cli.methods.fused.thresholds import (
+    ForestThresholds,
+    RunThresholds,
+    StemThresholds,
+    TerrainThresholds,
+)
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
 """Columns of the table of runs: shots, returns from behind, lowest and highest end in the plane [m]."""
@@ -89,7 +94,9 @@ def _low_shots(
         r = np.float64(ranges[column])
         place = r * sine[column] * per_metre + half
         # false where a range is missing
-        counts = (abs(r - before[column]) <= step_m + step_share * r) & (place >= 0.0) & (place < n_bins)
+        counts = (
+            (abs(r - before[column]) <= step_m + step_share * r) & (place >= 0.0) & (place < n_bins)
+        )
         bins[column] = np.int32(place if counts else -1.0)
         heights[column] = -r * cosine[column]
     n_shots = 0
@@ -115,7 +122,12 @@ def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F6
 
 @kernel()
 def ground_profiles(
-    range_m: F32_2, sine: F64_1, cosine: F64_1, lines_together: int, n_bins: int, thresholds: TerrainThresholds
+    range_m: F32_2,
+    sine: F64_1,
+    cosine: F64_1,
+    lines_together: int,
+    n_bins: int,
+    thresholds: TerrainThresholds,
 ) -> F64_2:
     """Find the height of the ground to the left and right of the scanner, for a few lines together.
 
@@ -126,14 +138,20 @@ def ground_profiles(
     """
     n_lines, n_columns = range_m.shape
     profiles = np.empty((-(-n_lines // lines_together), n_bins), np.float64)
-    one, two, three = np.empty(n_bins, np.float64), np.empty(n_bins, np.float64), np.empty(n_bins, np.float64)
+    one, two, three = (
+        np.empty(n_bins, np.float64),
+        np.empty(n_bins, np.float64),
+        np.empty(n_bins, np.float64),
+    )
     before, heights = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
     bins, shots = np.empty(n_columns, np.int32), np.empty(n_columns + 1, np.int32)
     for group in range(len(profiles)):
         for b in range(n_bins):
             one[b] = two[b] = three[b] = np.inf
         for line in range(group * lines_together, min((group + 1) * lines_together, n_lines)):
-            n_shots = _low_shots(range_m[line], (sine, cosine), n_bins, thresholds, before, bins, heights, shots)
+            n_shots = _low_shots(
+                range_m[line], (sine, cosine), n_bins, thresholds, before, bins, heights, shots
+            )
             _keep_lowest(shots[:n_shots], bins, heights, (one, two, three))
         profile = profiles[group]
         for b in range(n_bins):
@@ -224,16 +242,33 @@ def _aim(
 
 @inlined
 def _goes_on(
-    apart: float, up: float, spacing: float, tolerance: float, steep: float, gap: float, gap_steep: float
+    apart: float,
+    up: float,
+    spacing: float,
+    tolerance: float,
+    steep: float,
+    gap: float,
+    gap_steep: float,
 ) -> bool:
     """Return whether a return continues a run, given its distances to the last one; false for NaN."""
-    beside = (tolerance + steep * spacing) + gap_steep * (up - spacing) if up > spacing else tolerance + steep * up
+    beside = (
+        (tolerance + steep * spacing) + gap_steep * (up - spacing)
+        if up > spacing
+        else tolerance + steep * up
+    )
     return bool((up <= gap) & (apart <= beside))
 
 
 @helper
 def _put_away(
-    run: int, n: float, passed: float, y: float, z: float, thresholds: RunThresholds, firsts: tuple[F64, F64], ends: F64
+    run: int,
+    n: float,
+    passed: float,
+    y: float,
+    z: float,
+    thresholds: RunThresholds,
+    firsts: tuple[F64, F64],
+    ends: F64,
 ) -> None:
     """Write the shots, the returns from behind and the ends of a finished run; 0 shots if it is not kept."""
     y_first, z_first = firsts
@@ -281,7 +316,12 @@ def _line_runs(
     registers.
     """
     side, up, far, tolerances, spacings = points
-    steep, gap, gap_steep, behind = thresholds.steep, thresholds.gap_m, thresholds.gap_steep, thresholds.behind_m
+    steep, gap, gap_steep, behind = (
+        thresholds.steep,
+        thresholds.gap_m,
+        thresholds.gap_steep,
+        thresholds.behind_m,
+    )
     y_first, z_first = firsts
     nothing = np.float64(np.nan)
     run0, y0, z0, r0, n0, passed0, waiting0 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
@@ -296,7 +336,9 @@ def _line_runs(
             run, n, passed = run1, n1, passed1 + waiting1
             if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
                 run, n, passed = run2, n2, passed2 + waiting2
-                if not _goes_on(abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep):
+                if not _goes_on(
+                    abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep
+                ):
                     _drop(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
                     run, n, passed = n_runs, 0.0, 0.0
                     y_first[n_runs], z_first[n_runs] = y, z
@@ -336,9 +378,16 @@ def upright_runs(
     for i in range(4):
         table[0, i] = 0.0
     n_kept = 1
-    side, up, far = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    side, up, far = (
+        np.empty(n_columns, np.float64),
+        np.empty(n_columns, np.float64),
+        np.empty(n_columns, np.float64),
+    )
     points = side, up, far, np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
-    firsts, ends = (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)), np.empty((n_columns, 4))
+    firsts, ends = (
+        (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)),
+        np.empty((n_columns, 4)),
+    )
     shots, mine, number = (
         np.empty(n_columns + 1, np.int32),
         np.empty(n_columns, np.int32),
@@ -376,7 +425,11 @@ def _root(parent: I32, run: int) -> int:
 
 @helper
 def _join_lines(
-    ranges: tuple[F32, F32], runs: tuple[I32, I32], thresholds: StemThresholds, linked: I32, parent: I32
+    ranges: tuple[F32, F32],
+    runs: tuple[I32, I32],
+    thresholds: StemThresholds,
+    linked: I32,
+    parent: I32,
 ) -> None:
     """Join the runs of two successive lines that have shots of a column near to each other."""
     earlier, later = ranges
@@ -419,7 +472,13 @@ def stem_shots(range_m: F32_2, runs: I32_2, table: F64_2, thresholds: StemThresh
             sums[run, one] = 0.0
     linked = np.empty(n_columns + 1, np.int32)
     for line in range(1, n_lines):
-        _join_lines((range_m[line - 1], range_m[line]), (runs[line - 1], runs[line]), thresholds, linked, parent)
+        _join_lines(
+            (range_m[line - 1], range_m[line]),
+            (runs[line - 1], runs[line]),
+            thresholds,
+            linked,
+            parent,
+        )
     for run in range(1, n_runs):
         root = _root(parent, run)
         sums[root, _SHOTS] += table[run, COUNT]
@@ -457,7 +516,8 @@ def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
     for i in range(n - 2):
         height = np.float64(own[i])
         marks[i] = np.uint8(
-            (abs(height - np.float64(before[i])) < limit) & (abs(height - np.float64(after[i])) < limit)
+            (abs(height - np.float64(before[i])) < limit)
+            & (abs(height - np.float64(after[i])) < limit)
         )
 
 
@@ -491,13 +551,20 @@ def _mark_adjacent(ranges: F32, limit: float, links: U8, adjacent: U8) -> None:
 
 
 @helper
-def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8) -> None:
+def _label_plain(
+    heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8
+) -> None:
     """Decide on the shots of a line that need no other shots for it, and mark the others.
 
     Without branches, so that the compiler can use vector instructions.
     """
     flat, beside, adjacent = marks
-    below, soil, cover, top = -thresholds.below_m, thresholds.soil_m, thresholds.cover_m, thresholds.top_m
+    below, soil, cover, top = (
+        -thresholds.below_m,
+        thresholds.soil_m,
+        thresholds.cover_m,
+        thresholds.top_m,
+    )
     for i in range(len(heights)):
         height = np.float64(heights[i])
         rule = _PLANT if adjacent[i] != 0 else np.uint8(_OPEN)
@@ -542,7 +609,11 @@ def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, li
 
 @kernel()
 def forest_labels(
-    range_m: F32_2, height_m: F32_2, stems: Mask_2, columns_around: int, thresholds: ForestThresholds
+    range_m: F32_2,
+    height_m: F32_2,
+    stems: Mask_2,
+    columns_around: int,
+    thresholds: ForestThresholds,
 ) -> U8_2:
     """Give every shot of a block of forest the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
@@ -551,7 +622,11 @@ def forest_labels(
     """
     n_lines, n_columns = range_m.shape
     labels = np.empty((n_lines, n_columns), np.uint8)
-    flat, across, beside = np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8)
+    flat, across, beside = (
+        np.empty(n_columns, np.uint8),
+        np.empty(n_columns, np.uint8),
+        np.empty(n_columns, np.uint8),
+    )
     adjacent, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
     limit = thresholds.near_m
     for line in range(n_lines):
@@ -567,9 +642,15 @@ def forest_labels(
             n_shots += row[column] >= _TOUCHING
         for k in range(n_shots):
             column = shots[k]
-            if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, thresholds.beside_m):
+            if row[column] == _TOUCHING and _touches_stem(
+                range_m, stems, line, column, thresholds.beside_m
+            ):
                 row[column] = _BESIDE_STEM
             else:
-                plant = limit < 0.0 or adjacent[column] or _has_near_shot(range_m, line, column, columns_around, limit)
+                plant = (
+                    limit < 0.0
+                    or adjacent[column]
+                    or _has_near_shot(range_m, line, column, columns_around, limit)
+                )
                 row[column] = _PLANT if plant else _ALONE
     return labels

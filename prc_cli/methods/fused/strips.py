@@ -30,7 +30,9 @@ class Standing:
 
 
 @stage("strips")
-def stand(window_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits) -> Standing:
+def stand(
+    window_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits
+) -> Standing:
     """Sort shots above the ground into strips, and combine five lines.
 
     ``window_m`` (lines + 4 + 2 n, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres.
@@ -45,7 +47,16 @@ def stand(window_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limit
     vehicles = np.zeros((len(wide), every.shape[1]), np.uint8)
     if limits.flanks is not None:
         vehicles, wide = kernels.find_flanks(
-            range_m, above_m, seen.upright, plane.beams, (length, wall, place), every, wide, limits.flanks
+            range_m,
+            above_m,
+            seen.upright,
+            plane.beams,
+            (length, wall, place),
+            every,
+            wide,
+            limits.flanks,
         )
     found = kernels.find_walls((length, wall, place, top), vehicles, limits.walls)
-    return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide, columns[2:-2])
+    return Standing(
+        (kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide, columns[2:-2]
+    )

@@ -57,24 +57,36 @@ def _bin(y: np.float32, width: np.float32) -> np.int32:
 
 
 @helper
-def _count_on(own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.float32, lines: U8) -> None:
+def _count_on(
+    own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.float32, lines: U8
+) -> None:
     """Go on by a line: write how many lines see the thing of every shot, up to one that sees past it.
 
     A single missing shot is no end.
     """
     for i in range(len(own)):
         there = beside[i] if beside[i] == beside[i] else beyond[i]
-        goes_on, is_end = (own[i] != own[i]) | (abs(own[i] - there) < jump), not (there <= own[i] + jump)
-        more = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1)) | (lines[i] & CLOSE)
+        goes_on, is_end = (
+            (own[i] != own[i]) | (abs(own[i] - there) < jump),
+            not (there <= own[i] + jump),
+        )
+        more = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1)) | (
+            lines[i] & CLOSE
+        )
         end = np.uint8(1) if not (there <= own[i] + far) else np.uint8(1) | CLOSE
         lines[i] = more if goes_on else (end if is_end else NO_END)
 
 
 @helper
-def _mark_free(lines: tuple[U8, U8], above: F32, near: U8, thresholds: ColumnThresholds, marks: U8) -> None:
+def _mark_free(
+    lines: tuple[U8, U8], above: F32, near: U8, thresholds: ColumnThresholds, marks: U8
+) -> None:
     """Mark the shots of a line that few lines see, and lines on both sides see past."""
     before, after = lines
-    most, few = np.int32(thresholds.lines) + np.int32(1), np.int32(thresholds.small_lines) + np.int32(1)
+    most, few = (
+        np.int32(thresholds.lines) + np.int32(1),
+        np.int32(thresholds.small_lines) + np.int32(1),
+    )
     for i in range(len(marks)):
         n = np.int32(before[i] & COUNT) + np.int32(after[i] & COUNT)
         is_held = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
@@ -89,7 +101,9 @@ def _n_seen(before: np.uint8, after: np.uint8) -> np.float32:
 
 
 @inlined
-def _goes_on(ranges: F32, near: U8, above: F32, i: int, j: int, thresholds: ColumnThresholds) -> bool:
+def _goes_on(
+    ranges: F32, near: U8, above: F32, i: int, j: int, thresholds: ColumnThresholds
+) -> bool:
     """Return whether an adjacent shot is of the same run."""
     is_held = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
     return bool(is_held & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
@@ -108,12 +122,20 @@ def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) 
         left += there if k < quarter else np.float32(0.0)
         right += there if k >= n - quarter else np.float32(0.0)
         middle += there if (k >= quarter) & (k < n - quarter) else np.float32(0.0)
-    left, right, middle = left / np.float32(quarter), right / np.float32(quarter), middle / np.float32(n - 2 * quarter)
-    return np.float32(0.5) * (left + right) - middle if min(left, right) > middle else np.float32(0.0)
+    left, right, middle = (
+        left / np.float32(quarter),
+        right / np.float32(quarter),
+        middle / np.float32(n - 2 * quarter),
+    )
+    return (
+        np.float32(0.5) * (left + right) - middle if min(left, right) > middle else np.float32(0.0)
+    )
 
 
 @helper
-def _climb(window_m: F32, line: int, i: int, up: int, beams: tuple[F32, F32], most: np.float32) -> np.float32:
+def _climb(
+    window_m: F32, line: int, i: int, up: int, beams: tuple[F32, F32], most: np.float32
+) -> np.float32:
     """Return how much higher than a shot lines around see the same thing, as a slanted plane climbs it [m]."""
     sine, cosine = beams
     own, best = window_m[line, i], np.float32(0.0)
@@ -175,15 +197,24 @@ def _kind(
             few_inner, few_outer = min(few_inner, abs(side[j])), max(few_outer, abs(side[j]))
             few_low, few_high = min(few_low, above[j]), max(few_high, above[j])
     deep, tall = few_outer - few_inner, few_high - few_low
-    is_few = np.float32(n_few) >= max(thresholds.shots, thresholds.small_share * np.float32(end - first))
+    is_few = np.float32(n_few) >= max(
+        thresholds.shots, thresholds.small_share * np.float32(end - first)
+    )
     if is_few and few_high < top and deep <= thresholds.small_m:
         up = 1 if beams[1][max(head - 1, 0)] > beams[1][min(head + 1, len(side) - 1)] else -1
         climbed = few_high + _climb(window_m, line, head, up, beams, top)
         is_far = np.float32(n_far) >= thresholds.small_share * np.float32(n_few)
-        is_person = climbed > thresholds.person_m and (few_low <= CHEST_M or tall > thresholds.post_tall_m)
+        is_person = climbed > thresholds.person_m and (
+            few_low <= CHEST_M or tall > thresholds.post_tall_m
+        )
         if climbed < top and (is_person or is_far):
-            is_post = np.float32(n_even) >= thresholds.share * np.float32(n_few) and tall > thresholds.post_tall_m
-            is_post = is_far and deep < thresholds.post_m and (is_post or climbed < thresholds.post_top_m)
+            is_post = (
+                np.float32(n_even) >= thresholds.share * np.float32(n_few)
+                and tall > thresholds.post_tall_m
+            )
+            is_post = (
+                is_far and deep < thresholds.post_m and (is_post or climbed < thresholds.post_top_m)
+            )
             return COLUMN if is_post else SMALL
     deep, tall = outer - inner, high - low
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
@@ -265,9 +296,13 @@ def find_columns(
                 if kind == 0 and n_seen <= thresholds.piece_lines:
                     own = THIN if n_seen <= thresholds.slim_lines else (SHORT if is_piece else own)
                     own = FEW if own != 0 and np.float32(end - first) < thresholds.shots else own
-                is_own = marks[j] & FREE != 0 and (kind != COLUMN or np.float32(smooth[j]) >= thresholds.smooth)
+                is_own = marks[j] & FREE != 0 and (
+                    kind != COLUMN or np.float32(smooth[j]) >= thresholds.smooth
+                )
                 if is_own or kind == SMALL:
-                    is_fence = kind != 0 and above[j] < thresholds.high_m and _is_fence(window_m, k, j)
+                    is_fence = (
+                        kind != 0 and above[j] < thresholds.high_m and _is_fence(window_m, k, j)
+                    )
                     found[line, j] = FENCE if is_fence else own
     return found
 
@@ -354,7 +389,9 @@ def _mark_kinds(
 
 
 @helper
-def _keep_walls(upright: U8, extents: F32, side: F32, height: F32, wall: F32, place: F32, top: F32) -> None:
+def _keep_walls(
+    upright: U8, extents: F32, side: F32, height: F32, wall: F32, place: F32, top: F32
+) -> None:
     """Write the shares of a line's shots in walls: height extent, that times side, and top; 0 or no top off walls."""
     for i in range(len(upright)):
         wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
@@ -380,23 +417,49 @@ def _fill_line(
     length, wall, place, top = sums
     # sums stay in registers until the next shot is in another strip
     b = np.uint64(0)
-    bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
+    bits, rough_bits, all_m, wall_m, place_m, highest = (
+        every[b],
+        rough[b],
+        length[b],
+        wall[b],
+        place[b],
+        top[b],
+    )
     for k in range(len(shots)):
         i = np.uint64(shots[k])
         own = np.uint64(strips[i])
         if own != b:
             every[b], rough[b], length[b], wall[b], place[b], top[b] = (
-                bits, rough_bits, all_m, wall_m, place_m, highest
-            )  # fmt: skip
+                bits,
+                rough_bits,
+                all_m,
+                wall_m,
+                place_m,
+                highest,
+            )
             b = own
-            bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
+            bits, rough_bits, all_m, wall_m, place_m, highest = (
+                every[b],
+                rough[b],
+                length[b],
+                wall[b],
+                place[b],
+                top[b],
+            )
         bits |= np.uint64(1) << np.uint64(slot[i])
         rough_bits |= np.uint64(is_rough[i]) << np.uint64(slot[i])
         all_m += extents[i]
         wall_m += on_wall[i]
         place_m += at[i]
         highest = max(highest, top_of[i])
-    every[b], rough[b], length[b], wall[b], place[b], top[b] = bits, rough_bits, all_m, wall_m, place_m, highest
+    every[b], rough[b], length[b], wall[b], place[b], top[b] = (
+        bits,
+        rough_bits,
+        all_m,
+        wall_m,
+        place_m,
+        highest,
+    )
 
 
 @helper
@@ -443,7 +506,12 @@ def fill_strips(
     levels = np.empty((n_lines, 2 * STRIPS), np.uint8)
     shots, strips = np.empty(m + 1, np.int32), np.empty(m, np.int32)
     slot, marks = np.empty(m, np.uint8), np.empty((3, m), np.uint8)
-    heights = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
+    heights = (
+        np.empty(m, np.float32),
+        np.empty(m, np.float32),
+        np.empty(m, np.float32),
+        np.empty(m, np.float32),
+    )
     for k in range(n_lines):
         for b in range(STRIPS):
             every[k, b] = rough[k, b] = np.uint64(0)
@@ -455,9 +523,13 @@ def fill_strips(
             side[i] = own[i] * beams[0][i]
         for i in range(m):
             height[i] = -(own[i] * beams[1][i])
-        n = _list_counted(own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots)
+        n = _list_counted(
+            own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots
+        )
         seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
-        _mark_kinds((height, above), seen, columns[k], thresholds, slot, marks[0], marks[1], marks[2])
+        _mark_kinds(
+            (height, above), seen, columns[k], thresholds, slot, marks[0], marks[1], marks[2]
+        )
         _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
         sums = length[k], wall[k], place[k], top[k]
         _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
@@ -479,7 +551,11 @@ def widen_slots(slots: U64_2) -> U64_2:
         row = wide[line]
         for b in range(STRIPS):
             lines[b + 1] = (
-                slots[line, b] | slots[line + 1, b] | slots[line + 2, b] | slots[line + 3, b] | slots[line + 4, b]
+                slots[line, b]
+                | slots[line + 1, b]
+                | slots[line + 2, b]
+                | slots[line + 3, b]
+                | slots[line + 4, b]
             )
         for b in range(STRIPS):
             row[b] = lines[b] | lines[b + 1] | lines[b + 2]
@@ -498,7 +574,11 @@ def widen_levels(levels: U8_2) -> U8_2:
         row = wide[line]
         for b in range(n):
             row[b] = (
-                levels[line, b] | levels[line + 1, b] | levels[line + 2, b] | levels[line + 3, b] | levels[line + 4, b]
+                levels[line, b]
+                | levels[line + 1, b]
+                | levels[line + 2, b]
+                | levels[line + 3, b]
+                | levels[line + 4, b]
             )
     return wide
 
@@ -518,7 +598,10 @@ def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
 def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
     """Find the highest of five lines and three strips."""
     for b in range(STRIPS):
-        before, after = max(values[line, b], values[line + 1, b]), max(values[line + 3, b], values[line + 4, b])
+        before, after = (
+            max(values[line, b], values[line + 1, b]),
+            max(values[line + 3, b], values[line + 4, b]),
+        )
         lines[b + 1] = max(max(before, values[line + 2, b]), after)
     lines[0] = lines[STRIPS + 1] = NO_TOP
     for b in range(STRIPS):
@@ -538,7 +621,9 @@ def _lines_around(values: F32, line: int, there: U8, counts: U8) -> None:
 
 
 @helper
-def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]) -> None:
+def _look_out(
+    is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]
+) -> None:
     """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
     at, top, ahead = found
     half = STRIPS // 2
@@ -557,7 +642,10 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, 
             b = first + way * k
             if is_wall[b]:
                 last = b
-            if last >= 0 and abs(wall_at[last]) - np.float32(k) * STRIP_M <= thresholds.before_m + STRIP_M:
+            if (
+                last >= 0
+                and abs(wall_at[last]) - np.float32(k) * STRIP_M <= thresholds.before_m + STRIP_M
+            ):
                 ahead[b] = wall_at[last]
 
 
@@ -574,8 +662,16 @@ def find_walls(
     n_lines = length.shape[0] - 2 * LINES
     at, tops = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
     ahead, lines = np.empty((n_lines, STRIPS), np.float32), np.empty(STRIPS + 2, np.float32)
-    lengths, walls, places = (np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32))
-    highest, wall_at, is_wall = np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.uint8)
+    lengths, walls, places = (
+        np.empty(STRIPS, np.float32),
+        np.empty(STRIPS, np.float32),
+        np.empty(STRIPS, np.float32),
+    )
+    highest, wall_at, is_wall = (
+        np.empty(STRIPS, np.float32),
+        np.empty(STRIPS, np.float32),
+        np.empty(STRIPS, np.uint8),
+    )
     there, n_lines_there = np.empty(STRIPS + 2, np.uint8), np.empty(STRIPS, np.uint8)
     enough = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
@@ -586,8 +682,12 @@ def find_walls(
         _lines_around(wall, line, there, n_lines_there)
         for b in range(STRIPS):
             at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
-            is_wall[b] = (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
-            is_wall[b] &= (flanks[line, b] == 0) & (np.float32(n_lines_there[b]) >= thresholds.lines)
+            is_wall[b] = (
+                (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
+            )
+            is_wall[b] &= (flanks[line, b] == 0) & (
+                np.float32(n_lines_there[b]) >= thresholds.lines
+            )
             wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
         _look_out(is_wall, wall_at, highest, thresholds, (at[line], tops[line], ahead[line]))
     return at, tops, ahead

@@ -53,7 +53,9 @@ def _sum_up(values: Pairs, so_far: Pairs) -> None:
 
 
 @helper
-def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
+def _half_widths(
+    ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
+) -> None:
     """Write the half width of every shot's place in columns; any number where the shot is missing."""
     fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
     for i in range(len(ranges)):
@@ -110,7 +112,9 @@ def _share_at_depth(
         place += stride
     n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
     seen = np.float32(n_shots) / np.float32(max(np.int32(every >> np.uint32(16)), np.int32(1)))
-    possible = np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))) * max(seen, LEAST_SEEN)
+    possible = (
+        np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))) * max(seen, LEAST_SEEN)
+    )
     return np.float32(n_pairs) / possible
 
 
@@ -158,7 +162,11 @@ def mean_smoothness(
     room = 2 * LINES + 1
     # ring buffer of lines
     places = np.empty((room, m), np.uint32)
-    together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
+    together, so_far, columns = (
+        np.empty(m, np.uint32),
+        np.empty(m + 1, np.uint32),
+        np.empty(m, np.int32),
+    )
     shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
         _count_pairs(near[k], smooth[k], least_near, places[k % room])
@@ -170,8 +178,20 @@ def mean_smoothness(
         _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
         _sums_of_places(columns, so_far, together)
         _shares(range_m[line + LINES], together, mean[line])
-        lines = range_m[line], range_m[line + 1], range_m[line + 2], range_m[line + 3], range_m[line + 4]
-        a, b, c, d, e = line % room, (line + 1) % room, (line + 2) % room, (line + 3) % room, (line + 4) % room
+        lines = (
+            range_m[line],
+            range_m[line + 1],
+            range_m[line + 2],
+            range_m[line + 3],
+            range_m[line + 4],
+        )
+        a, b, c, d, e = (
+            line % room,
+            (line + 1) % room,
+            (line + 2) % room,
+            (line + 3) % room,
+            (line + 4) % room,
+        )
         pairs = places[a], places[b], places[c], places[d], places[e]
         _look_at_depth(lines, pairs, columns, smooth[line + LINES], limits, mean[line], shots)
     return mean

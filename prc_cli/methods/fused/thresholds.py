@@ -377,11 +377,15 @@ class Spaced(NamedTuple):
     decay: float = 0.9
     """Weight of what was seen four lines ago."""
 
-    def thresholds(self, smoothness: Smoothness, noise_m: float, step_rad: float) -> SpacingThresholds:
+    def thresholds(
+        self, smoothness: Smoothness, noise_m: float, step_rad: float
+    ) -> SpacingThresholds:
         """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
         smooth = smoothness.thresholds(noise_m, step_rad)
         per_m = self.sigmas * float(smooth.tolerance_per_m)
-        return SpacingThresholds(f32(self.sigmas * float(smooth.tolerance_m)), f32(per_m), f32(self.near_m))
+        return SpacingThresholds(
+            f32(self.sigmas * float(smooth.tolerance_m)), f32(per_m), f32(self.near_m)
+        )
 
 
 class Foliage(NamedTuple):
@@ -559,7 +563,9 @@ class Forest(NamedTuple):
         """Return the limits of the loop that labels, for a range noise [m]."""
         soil_m = max(self.classes.soil_m, self.soil_sigmas * noise_m)
         flat_m = max(self.classes.flat_m, self.flat_sigmas * noise_m)
-        return self.classes._replace(soil_m=soil_m, cover_m=max(self.classes.cover_m, soil_m), flat_m=flat_m)
+        return self.classes._replace(
+            soil_m=soil_m, cover_m=max(self.classes.cover_m, soil_m), flat_m=flat_m
+        )
 
 
 FOREST = Forest()

@@ -61,7 +61,9 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
             unsettled[i] |= _differs(end, own[i])
     for i in range(m):
         label = own[i]
-        unsettled[i] &= (label != _MISSING) & (label != _NOISE) & (label != _GROUND) & (label != _OTHER)
+        unsettled[i] &= (
+            (label != _MISSING) & (label != _NOISE) & (label != _GROUND) & (label != _OTHER)
+        )
 
 
 @helper
@@ -81,7 +83,10 @@ def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
     """Return the label with most votes; of several, the shot's own if it is among them."""
     part = np.uint32((1 << _CAR_BIT) - 1)
     other, car = votes & part, (votes >> np.uint32(_CAR_BIT)) & part
-    pole, building = (votes >> np.uint32(_POLE_BIT)) & part, (votes >> np.uint32(_BUILDING_BIT)) & part
+    pole, building = (
+        (votes >> np.uint32(_POLE_BIT)) & part,
+        (votes >> np.uint32(_BUILDING_BIT)) & part,
+    )
     vegetation = votes >> np.uint32(_VEGETATION_BIT)
     most = max(max(max(other, car), max(pole, building)), vegetation)
     mine = building if own == _BUILDING else (vegetation if own == _VEGETATION else other)
@@ -119,9 +124,18 @@ def _vote_line(
     for k in range(n):
         i = asking[k]
         y, z = y1[i], z1[i]
-        columns = int(min(max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)), np.float32(MOST_COLUMNS)))
+        columns = int(
+            min(
+                max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)),
+                np.float32(MOST_COLUMNS),
+            )
+        )
         votes, nothing = np.uint32(0), np.uint32(0)
-        place, last, stride = np.int64(max(i - columns, 0)), min(i + columns + 1, m), max(columns // VOTERS, 1)
+        place, last, stride = (
+            np.int64(max(i - columns, 0)),
+            min(i + columns + 1, m),
+            max(columns // VOTERS, 1),
+        )
         while place < last:
             # every vote is read, near or not, to avoid a branch
             j = np.uint64(place)
@@ -135,7 +149,12 @@ def _vote_line(
 
 @kernel()
 def vote_labels(
-    labels: U8_2, range_m: F32_2, beams: tuple[F32_1, F32_1], step: np.float32, half_m: np.float32, near_m: np.float32
+    labels: U8_2,
+    range_m: F32_2,
+    beams: tuple[F32_1, F32_1],
+    step: np.float32,
+    half_m: np.float32,
+    near_m: np.float32,
 ) -> U8_2:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
@@ -161,6 +180,10 @@ def vote_labels(
         row[:] = own
         _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
         a, b = (line - 2) % 3, (line - 1) % 3
-        lines = (side[a], height[a], weights[a]), (side[b], height[b], weights[b]), (side[c], height[c], weights[c])
+        lines = (
+            (side[a], height[a], weights[a]),
+            (side[b], height[b], weights[b]),
+            (side[c], height[c], weights[c]),
+        )
         _vote_line(own, range_m[line - 1], lines, unsettled, asking, step, half_m, near_m, row)
     return voted

@@ -36,7 +36,13 @@ def _first_above(limits: F64, value: float) -> int:
 
 @kernel()
 def support_histogram(
-    window: F32_1, n_lines: int, n_columns: int, zetas_p: F64_1, zetas_s: F64_1, min_in_slice: int, min_adjacent: int
+    window: F32_1,
+    n_lines: int,
+    n_columns: int,
+    zetas_p: F64_1,
+    zetas_s: F64_1,
+    min_in_slice: int,
+    min_adjacent: int,
 ) -> I64_2:
     """Count returns by the first pair of thresholds that supports them.
 
@@ -54,7 +60,9 @@ def support_histogram(
     differences = np.empty(n_columns, np.float32)
     in_slice = np.full(n_columns, -1.0, np.float32)
     adjacent = np.full(n_columns, -1.0, np.float32)
-    others = np.array([-n_columns - 1, -n_columns, -n_columns + 1, n_columns - 1, n_columns, n_columns + 1])
+    others = np.array(
+        [-n_columns - 1, -n_columns, -n_columns + 1, n_columns - 1, n_columns, n_columns + 1]
+    )
     for line in range(n_lines):
         i = reach + line * n_columns
         own = window[i : i + n_columns]
@@ -62,7 +70,9 @@ def support_histogram(
         beside[:] = nowhere
         for place in range(-4, 5 + len(others)):
             shift = place if place < 5 else others[place - 5]
-            if shift == 0:  # with one shot a line, i + M - 1 is i itself: a shot does not support itself
+            if (
+                shift == 0
+            ):  # with one shot a line, i + M - 1 is i itself: a shot does not support itself
                 continue
             neighbour = window[i + shift : i + shift + n_columns]
             for h in range(n_columns):
@@ -81,7 +91,9 @@ def support_histogram(
 
 
 @kernel()
-def bend_histogram(window: F32_1, n_lines: int, n_columns: int, lengths: F64_1, alpha: float) -> I64_1:
+def bend_histogram(
+    window: F32_1, n_lines: int, n_columns: int, lengths: F64_1, alpha: float
+) -> I64_1:
     """Count returns by the first length d_c at which they are no longer extended background (eq. 9, centred).
 
     A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least

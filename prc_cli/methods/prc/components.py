@@ -17,7 +17,10 @@ class ComponentsParams(Params):
     """How segments keep their label from block to block (``[prc.components]``)."""
 
     min_votes: int = Field(
-        3, ge=1, le=1_000_000, description="shots of the block boundary that must vote for an older label"
+        3,
+        ge=1,
+        le=1_000_000,
+        description="shots of the block boundary that must vote for an older label",
     )
 
 

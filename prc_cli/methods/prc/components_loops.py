@@ -221,12 +221,18 @@ def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     for line in range(n_lines):
         if first_hole[line] == first_hole[line + 1]:
             continue
-        up, own, down = components[max(line - 1, 0)], components[line], components[min(line + 1, n_lines - 1)]
+        up, own, down = (
+            components[max(line - 1, 0)],
+            components[line],
+            components[min(line + 1, n_lines - 1)],
+        )
         least_inside, most_inside = least[1 : n_columns + 1], most[1 : n_columns + 1]
         for h in range(n_columns):
             one, two, three = up[h], own[h], down[h]
             most_inside[h] = max(one, two, three)
-            least_inside[h] = min(one if one else NONE, two if two else NONE, three if three else NONE)
+            least_inside[h] = min(
+                one if one else NONE, two if two else NONE, three if three else NONE
+            )
         for hole in range(first_hole[line], first_hole[line + 1]):
             h = int(holes[hole])
             high = max(most[h], most[h + 1], most[h + 2])

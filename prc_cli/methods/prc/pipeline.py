@@ -15,7 +15,17 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
-from prc_cli.methods.base import WHERE, Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, check_block
+from prc_cli.methods.base import (
+    WHERE,
+    Classifier,
+    MethodParams,
+    Needs,
+    Part,
+    Turn,
+    UsualLabels,
+    Wanted,
+    check_block,
+)
 from prc_cli.methods.prc.components import Components, ComponentsParams, Joined, identify, join
 from prc_cli.methods.prc.support import (
     BackgroundParams,
@@ -36,13 +46,23 @@ from prc_cli.methods.prc.surfaces import (
     smooth_last_line,
     surfaces,
 )
-from prc_cli.methods.prc.urban import ForestParams, Totals, UrbanParams, count_smooth, find_ground, forest, urban
+from prc_cli.methods.prc.urban import (
+    ForestParams,
+    Totals,
+    UrbanParams,
+    count_smooth,
+    find_ground,
+    forest,
+    urban,
+)
 from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.012
 """Range noise that the thresholds of forests stand [m]: scanners in forests have 2 to 3 mm; 10 mm cost .1 of F1."""
-_EVERYWHERE = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION})
+_EVERYWHERE = frozenset(
+    {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION}
+)
 KERNELS = frozenset({"prc.components", "prc.support", "prc.surfaces"})
 
 
@@ -51,7 +71,8 @@ class PrcParams(MethodParams):
 
     lines_per_block: int = Field(99, ge=1, le=100_000, description="k, scan lines in a block")
     environment: Literal["urban", "forest"] = Field(
-        "urban", description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation'
+        "urban",
+        description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation',
     )
     support: SupportParams = SupportParams()
     background: BackgroundParams = BackgroundParams()
@@ -143,19 +164,38 @@ class Prc(Classifier[int, PrcState]):
         """Return the state before the first block."""
         return initial_state(scanner)
 
-    def label(self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+    def label(
+        self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted
+    ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by the support thresholds."""
         _check_shapes(block.range_m, block.next_m, scanner, self.params)
         found = classify_block(
-            block.range_m, block.next_m, turn, self.params, segments=wanted.segments, critical=wanted.stages
+            block.range_m,
+            block.next_m,
+            turn,
+            self.params,
+            segments=wanted.segments,
+            critical=wanted.stages,
         )
         further, limits = block.extra, self.params.support
         extra = label_extra_returns(
-            block.range_m, found.labels, further.line, further.column, further.range_m, limits.zeta_p, limits.zeta_s
+            block.range_m,
+            found.labels,
+            further.line,
+            further.column,
+            further.range_m,
+            limits.zeta_p,
+            limits.zeta_s,
         )
-        reasons = reasons_of(found.labels, LABEL_REASONS[self.params.environment]) if wanted.reasons else None
+        reasons = (
+            reasons_of(found.labels, LABEL_REASONS[self.params.environment])
+            if wanted.reasons
+            else None
+        )
         measures = measures_of(found) if wanted.measures else {}
-        labelled = LabelledBlock(block, found.labels, extra, found.segments, critical=found.critical)
+        labelled = LabelledBlock(
+            block, found.labels, extra, found.segments, critical=found.critical
+        )
         return (replace(labelled, reasons=reasons, measures=measures),)
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
@@ -171,9 +211,11 @@ def measures_of(found: PrcTrace) -> dict[str, NDArray[Any]]:
     return {
         "supported in its line from zeta_p [m]": found.critical.in_line_m,
         "supported by adjacent lines from zeta_s [m]": found.critical.adjacent_m,
-        "where two surfaces meet": found.background, "segment": h.ids[h.image],
-        "shots of its segment in the block": h.sum_by_id(h.pixels)[h.image], "smooth": v.smooth,
-    }  # fmt: skip
+        "where two surfaces meet": found.background,
+        "segment": h.ids[h.image],
+        "shots of its segment in the block": h.sum_by_id(h.pixels)[h.image],
+        "smooth": v.smooth,
+    }
 
 
 def initial_state(points_per_line: int) -> PrcState:
@@ -251,12 +293,16 @@ def see(window: F32, points_per_line: int, params: PrcParams) -> Seen:
     return Seen(window, supported, apart, join(supported, apart))
 
 
-def connect(seen: Seen, before: Link, params: PrcParams, *, segments: bool) -> tuple[Connected, Link]:
+def connect(
+    seen: Seen, before: Link, params: PrcParams, *, segments: bool
+) -> tuple[Connected, Link]:
     """Give components the labels of earlier blocks; also return the state for the next block."""
     s = seen.supported
     n_lines, points_per_line = s.shape
     h = identify(seen.joined, before.last_line, before.next_id, params.components)
-    small = find_small(h, area_threshold(params.surfaces, n_lines, params.lines_per_block, points_per_line))
+    small = find_small(
+        h, area_threshold(params.surfaces, n_lines, params.lines_per_block, points_per_line)
+    )
     v = surfaces(s, h, small, params.surfaces, with_patches=True) if segments else None
     last_line = smooth_last_line(s, h, small, params.surfaces)
     return Connected(h, small, v, last_line), Link(last_line, h.next_id if v is None else v.next_id)
@@ -274,7 +320,9 @@ def count(v: Surfaces, params: PrcParams) -> I64:
     return count_smooth(v) if params.environment == "urban" else np.empty(0, np.int64)
 
 
-def choose_ground(connected: Connected, smooth: I64, totals: Totals, params: PrcParams) -> tuple[int, Totals]:
+def choose_ground(
+    connected: Connected, smooth: I64, totals: Totals, params: PrcParams
+) -> tuple[int, Totals]:
     """Find the ground segment; also return the totals for the next block."""
     if params.environment == "forest":
         return 0, totals
@@ -291,7 +339,9 @@ def draw(seen: Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
 def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: PrcParams) -> None:
     """Refuse arrays that cannot be the next block of the stream."""
     key = "prc.lines_per_block"
-    check_block(range_m, next_m, width, params.lines_per_block, columns=" as the stream began", key=key)
+    check_block(
+        range_m, next_m, width, params.lines_per_block, columns=" as the stream began", key=key
+    )
     if range_m.size >= 2**31:
         problem = f"found {len(range_m)} x {width} shots, expected fewer than 2^31"
         raise InputError(WHERE, problem, f"lower {key}")

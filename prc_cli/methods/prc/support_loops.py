@@ -20,7 +20,13 @@ STRIP = 4096
 
 @kernel()
 def support_mask(
-    window: F32_1, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
+    window: F32_1,
+    n_lines: int,
+    n_columns: int,
+    zeta_p: float,
+    zeta_s: float,
+    min_in_slice: int,
+    min_adjacent: int,
 ) -> Mask_2:
     """Mark shots that enough neighbours in their own and in the adjacent lines agree with (eqs. 4 to 8).
 
@@ -83,7 +89,9 @@ def support_mask(
 
 
 @kernel()
-def background_mask(window: F32_1, supported: Mask_2, form: int, alpha: float, d_c: float) -> Mask_2:
+def background_mask(
+    window: F32_1, supported: Mask_2, form: int, alpha: float, d_c: float
+) -> Mask_2:
     """Mark supported shots where the range changes too abruptly for one smooth surface (eq. 9).
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported`` (n_lines, n_columns) bool; returns
@@ -134,7 +142,11 @@ def clean_ranges(ranges: F32_1, low: np.float32, high: np.float32) -> tuple[F32_
     n_not_finite, n_refused, n_positive = 0, 0, 0
     for first in range(0, n, STRIP):
         given, kept = ranges[first : first + STRIP], cleaned[first : first + STRIP]
-        infinite, refused, positive = np.int32(0), np.int32(0), np.int32(0)  # as wide as a range, for the compiler
+        infinite, refused, positive = (
+            np.int32(0),
+            np.int32(0),
+            np.int32(0),
+        )  # as wide as a range, for the compiler
         for i in range(len(given)):
             r = given[i]
             good = (r > low) & (r <= high)

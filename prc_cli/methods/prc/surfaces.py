@@ -32,13 +32,18 @@ def _area(value: Any) -> Any:
 class SurfacesParams(Params):
     """Size limit of smooth segments, and dilation of the others (``[prc.surfaces]``)."""
 
-    area: Annotated[Annotated[float, Field(gt=0)] | Literal["auto"], BeforeValidator(_area)] = Field(
-        30.0,
-        description="segments of this many pixels in a full block are smooth [pixels, real number]; "
-        '"auto" keeps the published share of the block, 30 / (99 * 2154) * k * M',
+    area: Annotated[Annotated[float, Field(gt=0)] | Literal["auto"], BeforeValidator(_area)] = (
+        Field(
+            30.0,
+            description="segments of this many pixels in a full block are smooth [pixels, real number]; "
+            '"auto" keeps the published share of the block, 30 / (99 * 2154) * k * M',
+        )
     )
     gamma: int = Field(
-        2, ge=0, le=10_000, description="dilations of the non-smooth image; keep far below the square root of the area"
+        2,
+        ge=0,
+        le=10_000,
+        description="dilations of the non-smooth image; keep far below the square root of the area",
     )
 
 
@@ -73,7 +78,9 @@ class Surfaces:
         if self.patches is None:
             msg = "surfaces were found without patches"
             raise ValueError(msg)
-        patches: I64 = np.where(self.covered, self.patches + np.int64(self.components.next_id - 1), 0)
+        patches: I64 = np.where(
+            self.covered, self.patches + np.int64(self.components.next_id - 1), 0
+        )
         return patches
 
     def to_segments(self) -> I64:
@@ -83,7 +90,9 @@ class Surfaces:
         return segments
 
 
-def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, points_per_line: int) -> float:
+def area_threshold(
+    params: SurfacesParams, n_lines: int, lines_per_block: int, points_per_line: int
+) -> float:
     """Return the least number of pixels of a smooth segment in a block of ``n_lines`` lines.
 
     A shorter block at the end of the stream needs proportionally fewer. The division comes last, so that whole
@@ -115,7 +124,12 @@ def find_small(components: Components, threshold: float) -> Mask:
 
 @stage("surfaces")
 def surfaces(
-    supported: Mask, components: Components, small: Mask, params: SurfacesParams, *, with_patches: bool = False
+    supported: Mask,
+    components: Components,
+    small: Mask,
+    params: SurfacesParams,
+    *,
+    with_patches: bool = False,
 ) -> Surfaces:
     """Split a block into smooth and non-smooth surfaces.
 
@@ -132,19 +146,25 @@ def surfaces(
     array([[1, 1, 1, 3, 0, 3],
            [1, 1, 1, 1, 0, 0]])
     """
-    covered = kernels.dilate(kernels.select_components(supported, components.image, small), params.gamma)
+    covered = kernels.dilate(
+        kernels.select_components(supported, components.image, small), params.gamma
+    )
     patches, n_patches = kernels.label_components(covered) if with_patches else (None, 0)
     return Surfaces(supported, components, covered, patches, n_patches)
 
 
 @stage("surfaces")
-def smooth_last_line(supported: Mask, components: Components, small: Mask, params: SurfacesParams) -> I64:
+def smooth_last_line(
+    supported: Mask, components: Components, small: Mask, params: SurfacesParams
+) -> I64:
     """Return the segment ids of a block's last line where it is smooth, 0 elsewhere, (M,) int64.
 
     The same as from :func:`surfaces`, computed only from the lines within reach of the dilation.
     """
     reach = slice(-min(params.gamma + 1, len(supported)), None)
     image = components.image[reach]
-    covered = kernels.dilate(kernels.select_components(supported[reach], image, small), params.gamma)
+    covered = kernels.dilate(
+        kernels.select_components(supported[reach], image, small), params.gamma
+    )
     last_line: I64 = np.where(supported[-1] & ~covered[-1], components.ids[image[-1]], 0)
     return last_line

@@ -51,7 +51,9 @@ def dilate(image: Mask_2, iterations: int) -> Mask_2:
 
 
 @kernel()
-def count_covered(supported: Mask_2, covered: Mask_2, components: I32_2, n_components: int) -> I64_1:
+def count_covered(
+    supported: Mask_2, covered: Mask_2, components: I32_2, n_components: int
+) -> I64_1:
     """Count the supported shots of every component that lie under another image.
 
     ``supported, covered`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; returns (n_components +
@@ -75,7 +77,12 @@ def count_covered(supported: Mask_2, covered: Mask_2, components: I32_2, n_compo
 
 @kernel()
 def draw_components(
-    window: F32_1, supported: Mask_2, covered: Mask_2, components: I32_2, label_of: U8_1, others: U8_1
+    window: F32_1,
+    supported: Mask_2,
+    covered: Mask_2,
+    components: I32_2,
+    label_of: U8_1,
+    others: U8_1,
 ) -> U8_2:
     """Draw labels by component where nothing covers them.
 
@@ -88,7 +95,12 @@ def draw_components(
     reach = max(n_columns + 1, 4)
     labels = np.empty((n_lines, n_columns), np.uint8)
     for line in range(n_lines):
-        row, inside, over, component = labels[line], supported[line], covered[line], components[line]
+        row, inside, over, component = (
+            labels[line],
+            supported[line],
+            covered[line],
+            components[line],
+        )
         ranges = window[reach + line * n_columns : reach + (line + 1) * n_columns]
         for h in range(n_columns):
             row[h] = label_of[component[h]]
@@ -101,7 +113,12 @@ def draw_components(
 
 @kernel()
 def draw_columns(
-    window: F32_1, supported: Mask_2, covered: Mask_2, columns: Mask_1, noise_too: bool, labels_of: U8_1
+    window: F32_1,
+    supported: Mask_2,
+    covered: Mask_2,
+    columns: Mask_1,
+    noise_too: bool,
+    labels_of: U8_1,
 ) -> U8_2:
     """Draw labels of what is covered and what is not, and another one in some columns.
 
@@ -110,7 +127,13 @@ def draw_columns(
     """
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
-    missing, noise, marked, cover, free = labels_of[0], labels_of[1], labels_of[2], labels_of[3], labels_of[4]
+    missing, noise, marked, cover, free = (
+        labels_of[0],
+        labels_of[1],
+        labels_of[2],
+        labels_of[3],
+        labels_of[4],
+    )
     labels = np.empty((n_lines, n_columns), np.uint8)
     for line in range(n_lines):
         row, inside, over = labels[line], supported[line], covered[line]

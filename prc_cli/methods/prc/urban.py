@@ -56,7 +56,9 @@ class Totals:
 def count_smooth(surfaces: Surfaces) -> I64:
     """Count the smooth shots of every component, (n + 1,) int64."""
     h = surfaces.components
-    counts = h.pixels - kernels.count_covered(surfaces.supported, surfaces.covered, h.image, len(h.pixels) - 1)
+    counts = h.pixels - kernels.count_covered(
+        surfaces.supported, surfaces.covered, h.image, len(h.pixels) - 1
+    )
     counts[0] = 0
     return counts
 
@@ -76,8 +78,12 @@ def find_ground(
     here = np.zeros(len(ids), dtype=np.int64)
     np.add.at(here, position, smooth[present])
     running = here + totals.of(ids)
-    ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # on ties the first: oldest
-    here_last = last_line[np.flatnonzero(last_line[1:] != last_line[:-1])]  # all but the last shot's, once a stretch
+    ground = ids[
+        np.argmax(running if params.ground == "running-total" else here)
+    ]  # on ties the first: oldest
+    here_last = last_line[
+        np.flatnonzero(last_line[1:] != last_line[:-1])
+    ]  # all but the last shot's, once a stretch
     may_go_on = np.zeros(len(ids), dtype=bool)
     may_go_on[np.searchsorted(ids, here_last[here_last > 0])] = True
     may_go_on |= ids == last_line[-1]
@@ -92,17 +98,25 @@ def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
     """
     h = surfaces.components
     label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
-    return kernels.draw_components(window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS)
+    return kernels.draw_components(
+        window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS
+    )
 
 
 class ForestParams(Params):
     """Which columns of a block are ground (``[prc.forest]``)."""
 
     column_step: int = Field(
-        10, ge=1, le=1_000_000, description="columns that are ground, or not, together; the first one of them decides"
+        10,
+        ge=1,
+        le=1_000_000,
+        description="columns that are ground, or not, together; the first one of them decides",
     )
     density: float = Field(
-        1 / 3, ge=0, le=1, description="share of smooth shots in a column above which it is ground, of all k lines"
+        1 / 3,
+        ge=0,
+        le=1,
+        description="share of smooth shots in a column above which it is ground, of all k lines",
     )
     noise_in_ground_columns: bool = Field(
         True, description="noise in ground columns becomes ground, as printed; false keeps it noise"
@@ -117,9 +131,16 @@ def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
     """
     dense = is_dense(surfaces.smooth, params)
     columns = np.repeat(dense, params.column_step)[: surfaces.supported.shape[1]]
-    labels_of = np.array([Label.MISSING, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM], dtype=np.uint8)
+    labels_of = np.array(
+        [Label.MISSING, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM], dtype=np.uint8
+    )
     return kernels.draw_columns(
-        window, surfaces.supported, surfaces.covered, columns, params.noise_in_ground_columns, labels_of
+        window,
+        surfaces.supported,
+        surfaces.covered,
+        columns,
+        params.noise_in_ground_columns,
+        labels_of,
     )
 
 
@@ -131,5 +152,7 @@ def is_dense(smooth: Mask, params: ForestParams) -> Mask:
     >>> is_dense(np.zeros((255, 4270), dtype=bool), ForestParams()).shape
     (427,)
     """
-    dense: Mask = np.count_nonzero(smooth[:, :: params.column_step], axis=0) / len(smooth) > params.density
+    dense: Mask = (
+        np.count_nonzero(smooth[:, :: params.column_step], axis=0) / len(smooth) > params.density
+    )
     return dense

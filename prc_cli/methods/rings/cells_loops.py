@@ -6,9 +6,27 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F32_2, F32_3, F64_1, F64_2, I32, I32_1, I32_2, I64_1, U8_2, Mask_1, Mask_2
+from prc_cli.core.types import (
+    F32,
+    F32_2,
+    F32_3,
+    F64_1,
+    F64_2,
+    I32,
+    I32_1,
+    I32_2,
+    I64_1,
+    U8_2,
+    Mask_1,
+    Mask_2,
+)
 from prc_cli.kernels.cache import helper, kernel
-from prc_cli.methods.rings.thresholds import CellThresholds, LonelyThresholds, MarkThresholds, SoilThresholds
+from prc_cli.methods.rings.thresholds import (
+    CellThresholds,
+    LonelyThresholds,
+    MarkThresholds,
+    SoilThresholds,
+)
 
 SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
 """Bits of a mark: on the line through two shots of its ring; such two exist; on an upright, on a level surface."""
@@ -33,7 +51,11 @@ def _beside(place: F32, line: int, way: int, i: int, most: int) -> int:
 @helper
 def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: float) -> int:
     """Return SMOOTH and ASKED for a shot between two; no bit where these are too far apart."""
-    cx, cy, cz = float(after[0]) - before[0], float(after[1]) - before[1], float(after[2]) - before[2]
+    cx, cy, cz = (
+        float(after[0]) - before[0],
+        float(after[1]) - before[1],
+        float(after[2]) - before[2],
+    )
     square = cx * cx + cy * cy + cz * cz
     if square > most_m * most_m or square == 0.0:
         return ASKED
@@ -45,7 +67,13 @@ def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: fl
 
 @kernel()
 def mark_shots(
-    xyz_m: F32_3, place: F32_2, above_m: F32_2, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
+    xyz_m: F32_3,
+    place: F32_2,
+    above_m: F32_2,
+    foot_m: float,
+    root: float,
+    step_rad: float,
+    thresholds: MarkThresholds,
 ) -> U8_2:
     """Mark shots by what their ring shows and, higher than the foot of things, their line, (lines, M) uint8.
 
@@ -62,7 +90,10 @@ def mark_shots(
             far *= far
             step = max(far, 0.5) * step_rad
             k = min(max(int(thresholds.base_m / step + 0.5), 1), thresholds.most_lines)
-            one, two = _beside(place, line - k, -1, i, n_lines), _beside(place, line + k, 1, i, n_lines)
+            one, two = (
+                _beside(place, line - k, -1, i, n_lines),
+                _beside(place, line + k, 1, i, n_lines),
+            )
             if one >= 0 and two >= 0:
                 most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
                 tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
@@ -77,7 +108,10 @@ def mark_shots(
                 if place[line, q] != place[line, q]:
                     continue
                 other = float(place[line, q]) / root
-                rise, apart = abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2]), abs(other * other - far)
+                rise, apart = (
+                    abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2]),
+                    abs(other * other - far),
+                )
                 mark = 0
                 if apart < thresholds.upright * rise + thresholds.upright_m:
                     mark = UPRIGHT
@@ -90,7 +124,9 @@ def mark_shots(
 
 
 @kernel()
-def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds) -> Mask_2:
+def lonely_shots(
+    range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds
+) -> Mask_2:
     """Mark shots near the scanner that hardly any shot around is as far as, and that no surface around explains.
 
     ``range_m`` (lines, M) float32, metres; ``intensity`` the same, or (1, 1) where ``is_lit`` is false.
@@ -122,7 +158,9 @@ def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: Lon
                     for p in range(max(line - LINES, 0), min(line + LINES + 1, n_lines)):
                         other = float(intensity[p, q])
                         is_beside = abs(float(range_m[p, q]) - own) < thresholds.beside_m
-                        alike += is_beside and abs(other - light) <= thresholds.alike * max(other, light)
+                        alike += is_beside and abs(other - light) <= thresholds.alike * max(
+                            other, light
+                        )
             found[line, i] = alike <= thresholds.bright
     return found
 
@@ -178,7 +216,11 @@ def fill_cells(
             levels[own] |= 1 << int(min(above_m[line, i] / thresholds.storey_m, float(TOP_LEVEL)))
     for line in range(n_lines):
         for i in range(m):
-            if not above_m[line, i] > thresholds.hem_m or above_m[line, i] > thresholds.foot_m or leave_out[line, i]:
+            if (
+                not above_m[line, i] > thresholds.hem_m
+                or above_m[line, i] > thresholds.foot_m
+                or leave_out[line, i]
+            ):
                 continue
             p = math.floor((xyz_m[line, i, 0] + thresholds.half_m) / size)
             q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
@@ -202,7 +244,9 @@ def _body_top(levels: int, gap: int) -> int:
 
 
 @kernel()
-def measure_cells(grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds) -> F64_2:
+def measure_cells(
+    grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds
+) -> F64_2:
     """Measure every cell with those around.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels`` (cells,) int64;
@@ -244,7 +288,10 @@ def measure_cells(grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresho
             if every >> level & 1:
                 found[c, 4] += 1.0
                 top = level
-        found[c, 0], found[c, 1] = math.sqrt(max(half - away, 0.0)), math.sqrt(max(half + away, 0.0))
+        found[c, 0], found[c, 1] = (
+            math.sqrt(max(half - away, 0.0)),
+            math.sqrt(max(half + away, 0.0)),
+        )
         found[c, 2], found[c, 3] = upright / n, smooth / max(asked, 1.0)
         found[c, 5], found[c, 6] = top + 1.0, float(cells)
         found[c, 7] = float(_body_top(levels[c], gap))
@@ -304,7 +351,10 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
 
 @helper
 def _is_low(above_m: float, x: float, y: float, thresholds: SoilThresholds) -> bool:
-    inside = abs(x) < thresholds.half_m - thresholds.cell_m and abs(y) < thresholds.half_m - thresholds.cell_m
+    inside = (
+        abs(x) < thresholds.half_m - thresholds.cell_m
+        and abs(y) < thresholds.half_m - thresholds.cell_m
+    )
     return bool(inside and above_m > thresholds.below_m and above_m <= thresholds.foot_m)
 
 
@@ -320,11 +370,16 @@ def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresh
     sums = np.zeros((n, n, 4))
     for line in range(n_lines):
         for i in range(m):
-            x, y, above = float(xyz_m[line, i, 0]), float(xyz_m[line, i, 1]), float(above_m[line, i])
+            x, y, above = (
+                float(xyz_m[line, i, 0]),
+                float(xyz_m[line, i, 1]),
+                float(above_m[line, i]),
+            )
             if not _is_low(above, x, y, thresholds) or not marks[line, i] & ASKED:
                 continue
             row = sums[
-                int((x + thresholds.half_m) / thresholds.cell_m), int((y + thresholds.half_m) / thresholds.cell_m)
+                int((x + thresholds.half_m) / thresholds.cell_m),
+                int((y + thresholds.half_m) / thresholds.cell_m),
             ]
             row[0] += 1.0
             row[1] += float(marks[line, i] & SMOOTH)
@@ -346,19 +401,29 @@ def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresh
                     square += row[3]
             if total >= thresholds.shots:
                 mean = height / total
-                rough = min(math.sqrt(max(square / total - mean * mean, 0.0)), thresholds.most_rough_m)
-                score[p, q] = thresholds.bias + thresholds.smooth * smooth / total + thresholds.rough * rough
+                rough = min(
+                    math.sqrt(max(square / total - mean * mean, 0.0)), thresholds.most_rough_m
+                )
+                score[p, q] = (
+                    thresholds.bias + thresholds.smooth * smooth / total + thresholds.rough * rough
+                )
     found = np.zeros((n_lines, m), np.bool_)
     for line in range(n_lines):
         for i in range(m):
-            x, y, above = float(xyz_m[line, i, 0]), float(xyz_m[line, i, 1]), float(above_m[line, i])
+            x, y, above = (
+                float(xyz_m[line, i, 0]),
+                float(xyz_m[line, i, 1]),
+                float(above_m[line, i]),
+            )
             own = np.nan
             if _is_low(above, x, y, thresholds):
                 p = int((x + thresholds.half_m) / thresholds.cell_m)
                 own = score[p, int((y + thresholds.half_m) / thresholds.cell_m)]
             if own == own:
                 high = max(above, thresholds.least_high_m)
-                found[line, i] = own + thresholds.high * high + thresholds.far * math.sqrt(x * x + y * y) > 0.0
+                found[line, i] = (
+                    own + thresholds.high * high + thresholds.far * math.sqrt(x * x + y * y) > 0.0
+                )
             else:
                 found[line, i] = above > thresholds.soil_m
     return found

@@ -55,7 +55,13 @@ class Cells:
 def mark_shots(polar: Polar, above_m: F32, limits: Limits) -> U8:
     """Mark what stands on the ground; see :func:`cells_loops.mark_shots`."""
     marks: U8 = kernels.mark_shots(
-        polar.xyz_m, polar.place, above_m, limits.cells.foot_m, BINS_PER_ROOT_M, polar.step_rad, limits.marks
+        polar.xyz_m,
+        polar.place,
+        above_m,
+        limits.cells.foot_m,
+        BINS_PER_ROOT_M,
+        polar.step_rad,
+        limits.marks,
     )
     return marks
 
@@ -65,7 +71,9 @@ def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
     """Mark snow, rain and dust; see :func:`cells_loops.lonely_shots`."""
     is_lit = intensity is not None and tells_something(intensity)
     light = intensity if intensity is not None and is_lit else np.zeros((1, 1), np.float32)
-    found: Mask = kernels.lonely_shots(range_m, np.ascontiguousarray(light, np.float32), is_lit, limits.lonely)
+    found: Mask = kernels.lonely_shots(
+        range_m, np.ascontiguousarray(light, np.float32), is_lit, limits.lonely
+    )
     return found
 
 
@@ -91,7 +99,9 @@ def sunken_shots(polar: Polar, above_m: F32, limits: SunkenThresholds) -> Mask:
         below: Mask = above_m < -limits.below_m - limits.below_per_m * far_m
     if not below.any():
         return below
-    n_below, n_known = (_around(one.astype(np.int16), limits) for one in (below, np.isfinite(above_m)))
+    n_below, n_known = (
+        _around(one.astype(np.int16), limits) for one in (below, np.isfinite(above_m))
+    )
     sunken: Mask = below & (n_below < limits.most * n_known)
     return sunken
 
@@ -110,9 +120,13 @@ def _around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.i
 
 
 @stage("cells")
-def fill_cells(polar: Polar, above_m: F32, marks: U8, lonely: Mask, thresholds: CellThresholds) -> Cells:
+def fill_cells(
+    polar: Polar, above_m: F32, marks: U8, lonely: Mask, thresholds: CellThresholds
+) -> Cells:
     """Sum up and measure what stands in every column of space."""
-    levels, sums, where, grid, of_shot = kernels.fill_cells(polar.xyz_m, above_m, marks, lonely, thresholds)
+    levels, sums, where, grid, of_shot = kernels.fill_cells(
+        polar.xyz_m, above_m, marks, lonely, thresholds
+    )
     measures = kernels.measure_cells(grid, where, sums, levels, thresholds)
     return Cells(grid, of_shot, where, sums, levels, measures)
 
@@ -123,7 +137,9 @@ def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
 
     ``sight_m`` (cells,) float64, height above the ground up to which rings look at the place of a cell.
     """
-    rules = np.where(is_foliage(cells, limits), Reason.ROUGH_PLACE, Reason.THIN_SMOOTH).astype(np.uint8)
+    rules = np.where(is_foliage(cells, limits), Reason.ROUGH_PLACE, Reason.THIN_SMOOTH).astype(
+        np.uint8
+    )
     rules[_is_pole(cells, limits)] = Reason.THIN_PLACE
     large = Bodies.of(cells, limits.lorries.body_m, sight_m, limits.cells)
     small = Bodies.of(cells, limits.cars.body_m, sight_m, limits.cells)
@@ -137,17 +153,28 @@ def is_foliage(cells: Cells, limits: Limits) -> Mask:
     """Return which cells hold foliage rather than walls, (cells,) bool."""
     thick, _, upright, smooth, n_levels, top, _, _ = cells.measures.T
     own = limits.leaves
-    score = own.bias + own.smooth * smooth + own.thick * np.minimum(thick, own.most_thick_m) + own.upright * upright
+    score = (
+        own.bias
+        + own.smooth * smooth
+        + own.thick * np.minimum(thick, own.most_thick_m)
+        + own.upright * upright
+    )
     score = score + own.filled * n_levels / np.maximum(top, 1.0)
     score = score + own.top * np.minimum(top * limits.cells.storey_m, own.most_top_m)
     surest = np.clip(score, -own.surest, own.surest)
-    foliage: Mask = kernels.mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
+    foliage: Mask = (
+        kernels.mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
+    )
     return foliage
 
 
 def _is_pole(cells: Cells, limits: Limits) -> Mask:
     """Return which cells are thin to all sides, high, and alone."""
-    long_m, top, around = cells.measures[:, 1], cells.measures[:, 5] * limits.cells.storey_m, cells.measures[:, 6]
+    long_m, top, around = (
+        cells.measures[:, 1],
+        cells.measures[:, 5] * limits.cells.storey_m,
+        cells.measures[:, 6],
+    )
     own = limits.poles
     found: Mask = (long_m < own.thin_m) & (top >= own.least_m) & (around <= own.around)
     return found & (cells.sums[:, 0] >= own.shots)
@@ -186,30 +213,39 @@ class Bodies:
         x, y = sums[:, 1] / n, sums[:, 2] / n
         xx, xy, yy = sums[:, 3] / n - x * x, sums[:, 4] / n - x * y, sums[:, 5] / n - y * y
         half, away = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-        length, width = (UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0))
+        length, width = (
+            UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0)
+        )
         at = of_cell * N_LEVELS + levels[is_low]
         counts = np.bincount(at, cells.sums[is_low, 0], n_bodies * N_LEVELS).reshape(-1, N_LEVELS)
         sight = np.full(n_bodies, np.inf)
         np.minimum.at(sight, of_cell, sight_m[is_low])
         smooth, upright = sums[:, 6] / np.maximum(sums[:, 7], 1.0), sums[:, 8] / n
-        return cls(is_low, of_cell, n, length, width, smooth, upright, np.cumsum(counts, axis=1), sight)
+        return cls(
+            is_low, of_cell, n, length, width, smooth, upright, np.cumsum(counts, axis=1), sight
+        )
 
     def are(self, box: BoxThresholds, storey_m: float) -> Mask:
         """Return which cells are part of a body of a vehicle's size whose top is seen, (cells,) bool."""
         top = np.argmax(self.counts >= box.most_share * self.shots[:, None], axis=1) * storey_m
         is_box = (self.shots >= box.shots) & (self.sight_m - top >= box.seen_m)
         for value, least, most in (
-            (top, box.least_top_m, box.most_top_m), (self.length_m, box.least_m, box.most_m),
-            (self.width_m, box.narrow_m, box.wide_m), (self.smooth, box.smooth, box.most_smooth),
-            (self.upright, box.upright, 1.0), (self.length_m, box.squat * top, np.inf),
-        ):  # fmt: skip
+            (top, box.least_top_m, box.most_top_m),
+            (self.length_m, box.least_m, box.most_m),
+            (self.width_m, box.narrow_m, box.wide_m),
+            (self.smooth, box.smooth, box.most_smooth),
+            (self.upright, box.upright, 1.0),
+            (self.length_m, box.squat * top, np.inf),
+        ):
             is_box &= (value >= least) & (value <= most)
         found = np.zeros(len(self.is_low), np.bool_)
         found[self.is_low] = is_box[self.of_cell]
         return found
 
 
-def _sums_of(cells: Cells, use: Mask, of_body: NDArray[np.intp], n_bodies: int, cell_m: float) -> F64:
+def _sums_of(
+    cells: Cells, use: Mask, of_body: NDArray[np.intp], n_bodies: int, cell_m: float
+) -> F64:
     """Return the sums of bodies, (bodies, 9) float64, places from the corner of the grid [m]."""
     own, place = cells.sums[use], (cells.where[use] + 0.5) * cell_m
     n, x, y = own[:, 0], own[:, 1], own[:, 2]
@@ -244,7 +280,13 @@ def label_shots(
     of_cell = np.append(cell_rules, np.uint8(0))[cells.of_shot]
     surface, plant, thin, rough, flake = (
         np.uint8(one)
-        for one in (Reason.SURFACE, Reason.LOW_PLANT, Reason.THIN_SMOOTH, Reason.ROUGH_PLACE, Reason.FLAKE)
+        for one in (
+            Reason.SURFACE,
+            Reason.LOW_PLANT,
+            Reason.THIN_SMOOTH,
+            Reason.ROUGH_PLACE,
+            Reason.FLAKE,
+        )
     )
     high = np.where(has_cell, of_cell, np.where(marks & SMOOTH, thin, rough))
     low = np.where(plants, np.where(has_cell, of_cell, plant), surface)

@@ -98,16 +98,24 @@ class Polar:
         place = np.sqrt(np.sqrt(x * x + y * y)) * np.float32(BINS_PER_ROOT_M)
         # a line looks where its shots lie
         along_x, along_y = (np.nansum(axis, axis=1, dtype=np.float64) for axis in (x, y))
-        azimuth = _without_gaps(np.arctan2(along_y, along_x), np.asarray(np.isfinite(place).any(axis=1)))
+        azimuth = _without_gaps(
+            np.arctan2(along_y, along_x), np.asarray(np.isfinite(place).any(axis=1))
+        )
         steps = np.abs(np.diff(azimuth))
         step = float(np.median(steps)) if len(steps) else 0.0
         step = step if step > 0 else USUAL_STEP_RAD
         is_round = len(place) * step > WHOLE_TURN * 2 * math.pi
-        return cls(xyz_m, place, azimuth, step, max(round(thresholds.sector_rad / step), 1), is_round)
+        return cls(
+            xyz_m, place, azimuth, step, max(round(thresholds.sector_rad / step), 1), is_round
+        )
 
     def without(self, shots: NDArray[np.bool_]) -> Polar:
         """Return the places with some shots left out, (lines, M) bool."""
-        return replace(self, place=np.where(shots, np.float32(np.nan), self.place)) if shots.any() else self
+        return (
+            replace(self, place=np.where(shots, np.float32(np.nan), self.place))
+            if shots.any()
+            else self
+        )
 
     @property
     def middle_m(self) -> F64:
@@ -145,12 +153,16 @@ class Lowest:
         """Whether the plane is about level, and a good part of the lowest heights agrees with it."""
         near = self.height_m[:, : int(np.sqrt(NEAR_M) * BINS_PER_ROOT_M)]
         lean_rad = math.atan(math.hypot(self.plane.slope_x, self.plane.slope_y))
-        return lean_rad < LEANS_RAD and self.plane.n_cells > LEVEL * int(np.count_nonzero(np.isfinite(near)))
+        return lean_rad < LEANS_RAD and self.plane.n_cells > LEVEL * int(
+            np.count_nonzero(np.isfinite(near))
+        )
 
     @classmethod
     def of(cls, polar: Polar, up: float, thresholds: GroundThresholds) -> Lowest:
         """Fit a plane to the lowest heights near the scanner, beginning at the height that most of them have."""
-        low: F32 = kernels.lowest_heights(polar.xyz_m, polar.place, up, polar.sector_lines, N_BINS, thresholds.pair_m)
+        low: F32 = kernels.lowest_heights(
+            polar.xyz_m, polar.place, up, polar.sector_lines, N_BINS, thresholds.pair_m
+        )
         x_m, y_m = polar.centres()
         use = np.isfinite(low) & (polar.middle_m < NEAR_M)
         heights = low[use].astype(np.float64)
@@ -223,9 +235,14 @@ def _levelled(
     level_polar = Polar.of(turned(xyz_m, last), thresholds)
     found = Lowest.of(level_polar, plane.up, thresholds)
     lean = math.acos(min(max(last[2][2], -1.0), 1.0))
-    if found.plane.n_cells < max(FEWEST, level.plane.n_cells) or not LEANS_RAD < lean < MOST_LEAN_RAD:
+    if (
+        found.plane.n_cells < max(FEWEST, level.plane.n_cells)
+        or not LEANS_RAD < lean < MOST_LEAN_RAD
+    ):
         return polar, level
-    return level_polar, Lowest(found.height_m, replace(found.plane, turn=last, is_both=best.plane.is_both))
+    return level_polar, Lowest(
+        found.height_m, replace(found.plane, turn=last, is_both=best.plane.is_both)
+    )
 
 
 def _onto(plane: GroundPlane, turn: Matrix | None) -> Matrix:
@@ -255,18 +272,34 @@ def turned(xyz_m: F32, turn: Matrix | None) -> F32:
 def above_ground(polar: Polar, low: Lowest, thresholds: GroundThresholds) -> F32:
     """Return the height of every shot above the ground, (lines, M) float32 [m]; NaN = missing."""
     base = low.plane.at(*polar.centres())
-    start, seen = kernels.walk_outwards((low.height_m - base).astype(np.float32), polar.middle_m, thresholds)
-    surface = kernels.smooth_surface(start, seen.astype(np.float64), start, thresholds.stiff, ROUNDS, polar.is_round)
+    start, seen = kernels.walk_outwards(
+        (low.height_m - base).astype(np.float32), polar.middle_m, thresholds
+    )
+    surface = kernels.smooth_surface(
+        start, seen.astype(np.float64), start, thresholds.stiff, ROUNDS, polar.is_round
+    )
     for _ in range(CORRECTIONS):
         _, total, number = _heights(polar, low.plane, base + surface, thresholds)
         better = surface + np.where(number > 0, total / np.maximum(number, 1.0), 0.0)
-        weight = np.where(number >= thresholds.shots, np.minimum(number / thresholds.shots, thresholds.most), 0.0)
-        surface = kernels.smooth_surface(better, weight, surface, thresholds.stiff, ROUNDS, polar.is_round)
+        weight = np.where(
+            number >= thresholds.shots, np.minimum(number / thresholds.shots, thresholds.most), 0.0
+        )
+        surface = kernels.smooth_surface(
+            better, weight, surface, thresholds.stiff, ROUNDS, polar.is_round
+        )
     return _heights(polar, low.plane, base + surface, thresholds)[0]
 
 
-def _heights(polar: Polar, plane: GroundPlane, surface_m: F64, thresholds: GroundThresholds) -> tuple[F32, F64, F64]:
+def _heights(
+    polar: Polar, plane: GroundPlane, surface_m: F64, thresholds: GroundThresholds
+) -> tuple[F32, F64, F64]:
     found: tuple[F32, F64, F64] = kernels.heights_above(
-        polar.xyz_m, polar.place, plane.up, surface_m, polar.sector_lines, BINS_PER_ROOT_M, thresholds
+        polar.xyz_m,
+        polar.place,
+        plane.up,
+        surface_m,
+        polar.sector_lines,
+        BINS_PER_ROOT_M,
+        thresholds,
     )
     return found

@@ -17,7 +17,9 @@ _SHARES = np.array([1.0, 2.0, 1.0])
 
 
 @kernel()
-def lowest_heights(xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32_2:
+def lowest_heights(
+    xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float
+) -> F32_2:
     """Return the lowest height of every cell that another shot of it confirms, (sectors, bins) float32; NaN = none.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``up`` is -1 where z points down.
@@ -51,7 +53,9 @@ def lowest_heights(xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_b
 
 
 @kernel()
-def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -> tuple[F64_2, Mask_2]:
+def walk_outwards(
+    off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds
+) -> tuple[F64_2, Mask_2]:
     """Follow the ground from cell to cell away from the scanner, in all sectors at once.
 
     A height is ground where it is near what the sector and those beside it let expect. ``off_m`` (sectors, bins)
@@ -82,7 +86,9 @@ def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -
                 continue
             height[s, b], seen[s, b] = float(off_m[s, b]), True
             if gap > 0:
-                steep = min(max((height[s, b] - last[s]) / gap, -thresholds.slope), thresholds.slope)
+                steep = min(
+                    max((height[s, b] - last[s]) / gap, -thresholds.slope), thresholds.slope
+                )
                 share = min(gap / (gap + thresholds.follow_m), thresholds.follow)
                 slope[s] += share * (steep - slope[s])
             last[s], at[s] = height[s, b], middle_m[b]
@@ -90,7 +96,9 @@ def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -
 
 
 @kernel()
-def smooth_surface(height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool) -> F64_2:
+def smooth_surface(
+    height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool
+) -> F64_2:
     """Return the surface between the heights of cells and those of the cells around, (sectors, bins) float64.
 
     ``height_m, weight, start_m`` (sectors, bins) float64; ``is_round``: the last sector is beside the first.

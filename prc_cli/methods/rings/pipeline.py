@@ -18,7 +18,17 @@ from pydantic import Field
 from prc_cli.core.classes import LABEL_BITS, Label
 from prc_cli.core.stream import MAX_RINGS, LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of, check_block
+from prc_cli.methods.base import (
+    Classifier,
+    MethodParams,
+    Needs,
+    Part,
+    Turn,
+    UsualLabels,
+    Wanted,
+    beams_of,
+    check_block,
+)
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.rings.classes import (
     Cells,
@@ -30,7 +40,14 @@ from prc_cli.methods.rings.classes import (
     mark_shots,
     sunken_shots,
 )
-from prc_cli.methods.rings.ground import USUAL_STEP_RAD, GroundPlane, Lowest, Polar, above_ground, find_plane
+from prc_cli.methods.rings.ground import (
+    USUAL_STEP_RAD,
+    GroundPlane,
+    Lowest,
+    Polar,
+    above_ground,
+    find_plane,
+)
 from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 
 WIDEST_FAN_RAD = math.radians(60)
@@ -43,11 +60,26 @@ UP = {"auto": None, "z": 1.0, "-z": -1.0}
 EXTRA_RETURN_M = 0.3
 """Further returns take the label of a shot around that is this near in range [m]."""
 MEASURES = (
-    "thickness of what is around, seen from above [m]", "its length [m]", "its upright share", "its smooth share",
-    "levels of 0.25 m with shots", "the highest of them", "cells of 0.5 m with shots, of 25",
-)  # fmt: skip
+    "thickness of what is around, seen from above [m]",
+    "its length [m]",
+    "its upright share",
+    "its smooth share",
+    "levels of 0.25 m with shots",
+    "the highest of them",
+    "cells of 0.5 m with shots, of 25",
+)
 """Names of the measures of cells."""
-LABELS = frozenset({Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.CAR, Label.POLE})
+LABELS = frozenset(
+    {
+        Label.MISSING,
+        Label.NOISE,
+        Label.GROUND,
+        Label.BUILDING,
+        Label.VEGETATION,
+        Label.CAR,
+        Label.POLE,
+    }
+)
 
 
 def is_fan(beam_rad: F64) -> bool:
@@ -64,9 +96,12 @@ def is_fan(beam_rad: F64) -> bool:
 class RingsParams(MethodParams):
     """Parameters of the method for rings (``[rings]``); its limits are constants, in thresholds.py."""
 
-    lines_per_block: int = Field(1024, ge=1, le=100_000, description="scan lines that are labelled together")
+    lines_per_block: int = Field(
+        1024, ge=1, le=100_000, description="scan lines that are labelled together"
+    )
     up: Literal["auto", "z", "-z"] = Field(
-        "auto", description="where up is: auto = z, unless the ground is there alone where z points down"
+        "auto",
+        description="where up is: auto = z, unless the ground is there alone where z points down",
     )
 
     def method(self) -> Rings:
@@ -94,7 +129,13 @@ class Rings(Classifier[F64, RingsState]):
     @property
     def needs(self) -> Needs:
         """Blocks with beam angles and intensities; nothing of the lines after a block."""
-        return Needs(frozenset({"rings"}), self.params.lines_per_block, 1, intensity=True, least_rings=MANY_RINGS)
+        return Needs(
+            frozenset({"rings"}),
+            self.params.lines_per_block,
+            1,
+            intensity=True,
+            least_rings=MANY_RINGS,
+        )
 
     @property
     def usual(self) -> UsualLabels:
@@ -114,10 +155,14 @@ class Rings(Classifier[F64, RingsState]):
         """Return the state before the first block: no ground."""
         return RingsState(GroundPlane())
 
-    def label(self, block: ScanBlock, scanner: F64, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+    def label(
+        self, block: ScanBlock, scanner: F64, turn: Turn, wanted: Wanted
+    ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         k, key = self.params.lines_per_block, "rings.lines_per_block"
-        check_block(block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key)
+        check_block(
+            block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key
+        )
         limits = limits_of(scanner)
         xyz_m = coordinates_of(block, scanner)
         up = UP[self.params.up]
@@ -141,7 +186,13 @@ class Rings(Classifier[F64, RingsState]):
         labels = reasons & np.uint8(LABEL_BITS)
         further = block.extra
         extra = label_extra_returns(
-            block.range_m, labels, further.line, further.column, further.range_m, EXTRA_RETURN_M, EXTRA_RETURN_M
+            block.range_m,
+            labels,
+            further.line,
+            further.column,
+            further.range_m,
+            EXTRA_RETURN_M,
+            EXTRA_RETURN_M,
         )
         if plane.up < 0 and block.beam_rad is not None:
             block = replace(block, beam_rad=upside_down(block.beam_rad))
@@ -168,10 +219,14 @@ def coordinates_of(block: ScanBlock, beam_rad: F64) -> F32:
     Where it has none, lines are taken to lie :data:`USUAL_STEP_RAD` apart.
     """
     if block.xyz_m is not None:
-        return np.ascontiguousarray(block.xyz_m if block.frame is None else block.frame.own(block.xyz_m))
+        return np.ascontiguousarray(
+            block.xyz_m if block.frame is None else block.frame.own(block.xyz_m)
+        )
     azimuth = USUAL_STEP_RAD * (block.first_line + np.arange(block.n_lines))[:, None]
     across, height = block.range_m * np.abs(np.sin(beam_rad)), -block.range_m * np.cos(beam_rad)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1).astype(np.float32)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1).astype(
+        np.float32
+    )
 
 
 def upside_down(beam_rad: F64) -> F64:
@@ -196,9 +251,14 @@ def sight_over(cells: Cells, beam_rad: F64, plane: GroundPlane, limits: Limits) 
 def _highest_rise(beam_rad: F64, plane: GroundPlane, azimuth_rad: F64) -> F64:
     """Return how much the highest ring of a scanner that leans rises to each side."""
     around = np.arange(-math.pi, math.pi, USUAL_STEP_RAD)
-    highest = math.pi / 2 - float(np.abs(beam_rad).min() if plane.up < 0 else np.abs(beam_rad).max())
+    highest = math.pi / 2 - float(
+        np.abs(beam_rad).min() if plane.up < 0 else np.abs(beam_rad).max()
+    )
     flat = math.cos(highest)
-    ring = np.stack([flat * np.cos(around), flat * np.sin(around), np.full(len(around), -math.sin(highest))], axis=1)
+    ring = np.stack(
+        [flat * np.cos(around), flat * np.sin(around), np.full(len(around), -math.sin(highest))],
+        axis=1,
+    )
     x, y, z = (ring @ np.array(plane.turn).T).T
     azimuth, rise = np.arctan2(y, x), plane.up * z / np.maximum(np.hypot(x, y), 1e-3)
     order = np.argsort(azimuth)

@@ -230,11 +230,23 @@ class Limits(NamedTuple):
     cells: CellThresholds = CellThresholds()
     leaves: LeafThresholds = LeafThresholds()
     cars: BoxThresholds = BoxThresholds()
-    vans: BoxThresholds = BoxThresholds(least_top_m=1.5, most_top_m=2.3, smooth=0.27, most_smooth=0.64, upright=0.4)
+    vans: BoxThresholds = BoxThresholds(
+        least_top_m=1.5, most_top_m=2.3, smooth=0.27, most_smooth=0.64, upright=0.4
+    )
     lorries: BoxThresholds = BoxThresholds(
-        body_m=3.75, least_top_m=2.3, most_top_m=3.6, seen_m=-0.35, least_m=2.5, most_m=12.0, narrow_m=0.45, wide_m=3.2,
-        smooth=0.3, most_smooth=0.64, upright=0.4, shots=30,
-    )  # fmt: skip
+        body_m=3.75,
+        least_top_m=2.3,
+        most_top_m=3.6,
+        seen_m=-0.35,
+        least_m=2.5,
+        most_m=12.0,
+        narrow_m=0.45,
+        wide_m=3.2,
+        smooth=0.3,
+        most_smooth=0.64,
+        upright=0.4,
+        shots=30,
+    )
     poles: PoleThresholds = PoleThresholds()
     soil: SoilThresholds = SoilThresholds()
 
@@ -243,6 +255,8 @@ MANY_RINGS = 48
 """Scanners with fewer rings have few."""
 MANY = Limits()
 """Limits for 64 rings and more."""
-FEW = Limits(soil=SoilThresholds(bias=2.0, rough=20.0), cars=BoxThresholds(smooth=0.04, narrow_m=0.38))
+FEW = Limits(
+    soil=SoilThresholds(bias=2.0, rough=20.0), cars=BoxThresholds(smooth=0.04, narrow_m=0.38)
+)
 """Limits for 16 to 40 rings: the shots of a place are of one or two rings, whose heights differ less, and of a car they
 see less."""

@@ -57,7 +57,11 @@ def _to_degrees(cosine: F64, length: F64, m: int) -> None:
             series = series * square + _ARC_SINE[term]
         sine = math.sqrt(square) if outer else cosine[i]
         part = sine * series
-        angle = (2.0 * part if cosine[i] > 0.0 else math.pi - 2.0 * part) if outer else 0.5 * math.pi - part
+        angle = (
+            (2.0 * part if cosine[i] > 0.0 else math.pi - 2.0 * part)
+            if outer
+            else 0.5 * math.pi - part
+        )
         cosine[i] = math.degrees(angle)
 
 
@@ -115,7 +119,16 @@ def _counted(square: float, range_m: float, other_m: float, depth_m: float) -> f
 
 @inlined
 def _first_far(
-    r: F64, x: F64, y: F64, z: F64, i: int, begin: int, end: int, step: int, least: float, depth_m: float
+    r: F64,
+    x: F64,
+    y: F64,
+    z: F64,
+    i: int,
+    begin: int,
+    end: int,
+    step: int,
+    least: float,
+    depth_m: float,
 ) -> int:
     """Return the first of some shots that makes a chord with shot i, -1 = none; ``least`` is a square [m2]."""
     for j in range(begin, end, step):
@@ -129,7 +142,9 @@ def _first_far(
 
 
 @kernel()
-def signed_angles(range_m: F32_2, xyz_m: F32_3, n_beams: I32_1, thresholds: ChordThresholds) -> tuple[F32_2, I32_2]:
+def signed_angles(
+    range_m: F32_2, xyz_m: F32_3, n_beams: I32_1, thresholds: ChordThresholds
+) -> tuple[F32_2, I32_2]:
     """Measure the signed angle of every chord with the vertical, sV.
 
     ``range_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; returns
@@ -165,15 +180,21 @@ def signed_angles(range_m: F32_2, xyz_m: F32_3, n_beams: I32_1, thresholds: Chor
             if end < 0:
                 continue
             # the chord before is the one from the last shot where that ends here
-            back = i - 1 if follows else _first_far(
-                r, x, y, z, i, i - 1, max(i - 1 - reach, -1), -1, least, depth_m
-            )  # fmt: skip
+            back = (
+                i - 1
+                if follows
+                else _first_far(r, x, y, z, i, i - 1, max(i - 1 - reach, -1), -1, least, depth_m)
+            )
             dx, dy, dz = x[end] - x[i], y[end] - y[i], z[end] - z[i]
             turn = 0.0
             if back >= 0:
                 turn = dx * (x[i] - x[back]) + dy * (y[i] - y[back]) + dz * (z[i] - z[back])
             sign[n_chords] = -1.0 if turn < 0.0 else 1.0
-            angle[n_chords], length[n_chords], begin[n_chords] = dz, dx * dx + dy * dy + dz * dz, beam[i]
+            angle[n_chords], length[n_chords], begin[n_chords] = (
+                dz,
+                dx * dx + dy * dy + dz * dz,
+                beam[i],
+            )
             n_chords += 1
             ahead[row, beam[i]] = beam[end]
         _to_degrees(angle, length, n_chords)
@@ -229,7 +250,12 @@ def line_angles(range_m: F32_2, ahead: I32_2, surface: U8_2, beam_rad: F64_2) ->
             if known[side, k] != far:
                 step = beam_rad[side, far] - beam_rad[side, k]
                 known[side, k], sine[side, k], cosine[side, k] = far, math.sin(step), math.cos(step)
-            here[m], there[m], up[m], along[m] = range_m[row, k], range_m[row, far], sine[side, k], cosine[side, k]
+            here[m], there[m], up[m], along[m] = (
+                range_m[row, k],
+                range_m[row, far],
+                sine[side, k],
+                cosine[side, k],
+            )
             beam[m] = k
             m += 1
         # angle of the chord with the beam to its beginning, 0 to pi (eq. 2 with atan2)

@@ -19,7 +19,9 @@ from prc_cli.methods.sequential_angle.thresholds import (
 )
 
 
-def high_verticals(lines: VerticalLines, surface: U8, z_g: F32, thresholds: HighVerticalThresholds) -> F32:
+def high_verticals(
+    lines: VerticalLines, surface: U8, z_g: F32, thresholds: HighVerticalThresholds
+) -> F32:
     """Find the horizontal distance beyond which there is no car.
 
     This is the distance of the last point of the first sequence of vertical points that ends higher above the ground
@@ -27,7 +29,9 @@ def high_verticals(lines: VerticalLines, surface: U8, z_g: F32, thresholds: High
 
     ``surface`` (R, n) uint8; ``z_g`` (R,) float32, metres; returns (R,) float32.
     """
-    beam = kernels.first_high_verticals(surface, lines.xyz_m, lines.n_beams, z_g, thresholds.height_m)
+    beam = kernels.first_high_verticals(
+        surface, lines.xyz_m, lines.n_beams, z_g, thresholds.height_m
+    )
     distance = np.full(len(beam), np.inf, np.float32)
     found = np.flatnonzero(beam >= 0)
     distance[found] = lines.horizontal_m[found, beam[found]]
@@ -53,7 +57,9 @@ def suspicious(car_surface: U8, n_beams: I32, thresholds: SuspiciousThresholds) 
     """
     if not thresholds.enabled:
         return np.where(n_beams > 0, 0, -1).astype(np.int32)
-    return kernels.first_triggers(car_surface, n_beams, increments(thresholds), thresholds.threshold)
+    return kernels.first_triggers(
+        car_surface, n_beams, increments(thresholds), thresholds.threshold
+    )
 
 
 def increments(thresholds: SuspiciousThresholds) -> F64:
@@ -114,9 +120,16 @@ def dividers(
     make .87, .92, .95 of walls sudden, and .03, .04, .11 of tyres; longer chords miss curbs.
     """
     intervals = kernels.car_intervals(
-        car_surface, lines.range_m, lines.xyz_m, lines.horizontal_m, signed_deg, lines.n_beams, trigger >= 0, z_g,
+        car_surface,
+        lines.range_m,
+        lines.xyz_m,
+        lines.horizontal_m,
+        signed_deg,
+        lines.n_beams,
+        trigger >= 0,
+        z_g,
         thresholds,
-    )  # fmt: skip
+    )
     left: I32 = kernels.cut_verticals(
         car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, z_g, thresholds
     )
@@ -194,11 +207,17 @@ def cars(
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, thresholds.dividers)
     stable = fourier(signed_deg, intervals.pieces, thresholds.fourier)
     if thresholds.most_foliage < 1.0 or thresholds.min_points > 1:
-        stable &= kernels.firm_intervals(surface, intervals.pieces, thresholds.most_foliage, thresholds.min_points)
+        stable &= kernels.firm_intervals(
+            surface, intervals.pieces, thresholds.most_foliage, thresholds.min_points
+        )
     limit = high_verticals(lines, surface, z_g, thresholds.high_verticals)
-    low_m = z_g + np.float32(thresholds.ground_layer_m if thresholds.ground_layer_m > 0 else -np.inf)
+    low_m = z_g + np.float32(
+        thresholds.ground_layer_m if thresholds.ground_layer_m > 0 else -np.inf
+    )
     accepted = intervals.pieces[stable]
-    marked: Mask = kernels.mark_cars(accepted, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m)
+    marked: Mask = kernels.mark_cars(
+        accepted, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m
+    )
     return Cars(marked, trigger, intervals, stable, limit)
 
 
@@ -228,7 +247,9 @@ def car_search(found: Cars, lines: VerticalLines) -> CarSearch:
     """
     shape = lines.range_m.shape
     beam, at = np.arange(shape[1], dtype=np.int32), found.trigger[:, None]
-    trigger = np.where(beam < at, TriggerSide.BEFORE, np.where(beam > at, TriggerSide.AFTER, TriggerSide.AT))
+    trigger = np.where(
+        beam < at, TriggerSide.BEFORE, np.where(beam > at, TriggerSide.AFTER, TriggerSide.AT)
+    )
     trigger[(at < 0)[:, 0]] = TriggerSide.NONE
     trigger[beam >= lines.n_beams[:, None]] = TriggerSide.NONE
     divided, pieces = found.intervals.divided, found.intervals.pieces

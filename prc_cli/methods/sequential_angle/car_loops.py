@@ -7,7 +7,21 @@ import math
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.types import F32, F32_1, F32_2, F32_3, F64, F64_1, I32, I32_1, I32_2, U8, U8_2, Mask, Mask_1
+from prc_cli.core.types import (
+    F32,
+    F32_1,
+    F32_2,
+    F32_3,
+    F64,
+    F64_1,
+    I32,
+    I32_1,
+    I32_2,
+    U8,
+    U8_2,
+    Mask,
+    Mask_1,
+)
 from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds
 
@@ -133,9 +147,16 @@ _SILL_M = 0.6
 
 @helper
 def _behind_glass(
-    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, k: int, n: int, limit_m: float,
-    most_m: float
-) -> int:  # fmt: skip
+    surface: U8,
+    range_m: F32,
+    xyz_m: F32,
+    horizontal_m: F32,
+    row: int,
+    k: int,
+    n: int,
+    limit_m: float,
+    most_m: float,
+) -> int:
     """Return the first beam behind T' that is seen through a window, or -1: what follows is near again and no T'."""
     while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
         if xyz_m[row, k, 2] > limit_m:
@@ -148,7 +169,15 @@ def _behind_glass(
 
 @helper
 def _top_of_van(
-    surface: U8, horizontal_m: F32, xyz_m: F32, row: int, k: int, n: int, before: float, break_m: float, most_m: float
+    surface: U8,
+    horizontal_m: F32,
+    xyz_m: F32,
+    row: int,
+    k: int,
+    n: int,
+    before: float,
+    break_m: float,
+    most_m: float,
 ) -> int:
     """Return the beam after the vertical run that a beam goes on with, or -1: it ends too high, or with the row."""
     while k < n:
@@ -167,9 +196,17 @@ def _top_of_van(
 
 @helper
 def _gather(
-    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, n: int, ground_m: float, beam: I32, code: U8,
+    surface: U8,
+    range_m: F32,
+    xyz_m: F32,
+    horizontal_m: F32,
+    row: int,
+    n: int,
+    ground_m: float,
+    beam: I32,
+    code: U8,
     thresholds: DividerThresholds,
-) -> tuple[int, int]:  # fmt: skip
+) -> tuple[int, int]:
     """List the returns of a row up to the first one that is neither H nor V, or too high; T' in windows is left out.
 
     Returns how many there are, and which of them is the first vertical one behind a horizontal one, or that of the
@@ -179,14 +216,25 @@ def _gather(
     first = int(np.int64(-1))
     before = _VERTICAL
     skipped = van = int(np.int64(0))
-    limit_m, sill_m, glass_m = ground_m + thresholds.height_m, ground_m + _SILL_M, thresholds.glass_m
+    limit_m, sill_m, glass_m = (
+        ground_m + thresholds.height_m,
+        ground_m + _SILL_M,
+        thresholds.glass_m,
+    )
     for k in range(n):
         if k < skipped or range_m[row, k] != range_m[row, k]:
             continue
         here = surface[row, k]
-        if here == _VEGETATION and first >= 0 and glass_m > 0.0 and xyz_m[row, beam[size - 1], 2] >= sill_m:
+        if (
+            here == _VEGETATION
+            and first >= 0
+            and glass_m > 0.0
+            and xyz_m[row, beam[size - 1], 2] >= sill_m
+        ):
             most_m = np.float64(horizontal_m[row, beam[size - 1]]) + glass_m
-            skipped = _behind_glass(surface, range_m, xyz_m, horizontal_m, row, k, n, limit_m, most_m)
+            skipped = _behind_glass(
+                surface, range_m, xyz_m, horizontal_m, row, k, n, limit_m, most_m
+            )
             if skipped > k:
                 continue
         if here != _HORIZONTAL and here != _VERTICAL:
@@ -194,9 +242,16 @@ def _gather(
         if xyz_m[row, k, 2] > limit_m and k >= van:
             if size > 0 and before == _VERTICAL:
                 van = _top_of_van(
-                    surface, horizontal_m, xyz_m, row, k, n, np.float64(horizontal_m[row, beam[size - 1]]),
-                    thresholds.vertical_break_m, ground_m + thresholds.tall_m,
-                )  # fmt: skip
+                    surface,
+                    horizontal_m,
+                    xyz_m,
+                    row,
+                    k,
+                    n,
+                    np.float64(horizontal_m[row, beam[size - 1]]),
+                    thresholds.vertical_break_m,
+                    ground_m + thresholds.tall_m,
+                )
             if k >= van:
                 break
         starts = thresholds.from_start and size == 0
@@ -211,20 +266,37 @@ def _gather(
 
 @helper
 def _place(
-    range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, beam: I32, first: int, size: int, points: F64
+    range_m: F32,
+    xyz_m: F32,
+    horizontal_m: F32,
+    row: int,
+    beam: I32,
+    first: int,
+    size: int,
+    points: F64,
 ) -> None:
     """Put the points of a row together from one of its returns on: what comes before divides nothing."""
     for i in range(first, size):
         k = beam[i]
-        points[i, 0], points[i, 1], points[i, _Z] = xyz_m[row, k, 0], xyz_m[row, k, 1], xyz_m[row, k, 2]
+        points[i, 0], points[i, 1], points[i, _Z] = (
+            xyz_m[row, k, 0],
+            xyz_m[row, k, 1],
+            xyz_m[row, k, 2],
+        )
         points[i, _RANGE], points[i, _DISTANCE] = range_m[row, k], horizontal_m[row, k]
 
 
 @helper
-def _change_angle(xyz_m: F32, row: int, beam: I32, size: int, j: int, chord_m: float, reach: int) -> float:
+def _change_angle(
+    xyz_m: F32, row: int, beam: I32, size: int, j: int, chord_m: float, reach: int
+) -> float:
     """Return the signed angle of the chord that begins at a point [deg]; NaN when no point is far enough away."""
     k = beam[j]
-    x, y, z = np.float64(xyz_m[row, k, 0]), np.float64(xyz_m[row, k, 1]), np.float64(xyz_m[row, k, 2])
+    x, y, z = (
+        np.float64(xyz_m[row, k, 0]),
+        np.float64(xyz_m[row, k, 1]),
+        np.float64(xyz_m[row, k, 2]),
+    )
     for after in range(j + 1, min(j + reach, size - 1) + 1):
         k = beam[after]
         dx, dy, dz = (
@@ -258,12 +330,21 @@ def _is_under(range_m: F32, row: int, beam: I32, j: int, n_before: int, threshol
 
 @helper
 def _begins(
-    range_m: F32, xyz_m: F32, signed_deg: F32, row: int, beam: I32, size: int, j: int, thresholds: DividerThresholds
+    range_m: F32,
+    xyz_m: F32,
+    signed_deg: F32,
+    row: int,
+    beam: I32,
+    size: int,
+    j: int,
+    thresholds: DividerThresholds,
 ) -> bool:
     """Tell whether a change from H to V begins an interval: gradual, or sudden with something under it."""
     angle = math.nan
     if thresholds.change_chord_m > 0.0:
-        angle = _change_angle(xyz_m, row, beam, size, j, thresholds.change_chord_m, thresholds.change_reach)
+        angle = _change_angle(
+            xyz_m, row, beam, size, j, thresholds.change_chord_m, thresholds.change_reach
+        )
     if angle != angle:
         angle = signed_deg[row, beam[j]]
     gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
@@ -294,7 +375,11 @@ def _flat_stretch(
     The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the stretch is drawn out
     point by point for as long as it stays flat. That first point is sought from where it was for the K before.
     """
-    length_m, residual_m, slope = thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope
+    length_m, residual_m, slope = (
+        thresholds.flat_length_m,
+        thresholds.flat_residual_m,
+        thresholds.flat_slope,
+    )
     size = last + 1 - first
     farthest[size] = -np.inf
     longest = -np.inf
@@ -329,7 +414,13 @@ def _flat_stretch(
 
 @helper
 def _first_flat(
-    code: U8, points: F64, begin: int, end: int, thresholds: DividerThresholds, sums: F64, farthest: F64
+    code: U8,
+    points: F64,
+    begin: int,
+    end: int,
+    thresholds: DividerThresholds,
+    sums: F64,
+    farthest: F64,
 ) -> tuple[int, int]:
     """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
     i = begin
@@ -419,7 +510,16 @@ def car_intervals(
         if not triggered[row] or ground != ground:
             continue
         size, j = _gather(
-            surface, range_m, xyz_m, horizontal_m, row, int(np.int64(n_beams[row])), ground, beam, code, thresholds
+            surface,
+            range_m,
+            xyz_m,
+            horizontal_m,
+            row,
+            int(np.int64(n_beams[row])),
+            ground,
+            beam,
+            code,
+            thresholds,
         )
         if j == size:
             continue
@@ -436,9 +536,13 @@ def car_intervals(
             j = size
             while begin < size:  # one interval after the other, as far as jumps alone divide them
                 if jump < begin:
-                    jump = _next_jump(points, size, begin, thresholds.separation_m, thresholds.return_points)
+                    jump = _next_jump(
+                        points, size, begin, thresholds.separation_m, thresholds.return_points
+                    )
                 last = jump
-                flat_from, flat_to = _first_flat(code, points, begin, last, thresholds, sums, farthest)
+                flat_from, flat_to = _first_flat(
+                    code, points, begin, last, thresholds, sums, farthest
+                )
                 found = _with_room(found, n_found)
                 found[n_found, 0], found[n_found, 1] = row, beam[begin]
                 found[n_found, 2] = beam[last if flat_from < 0 else flat_from]
@@ -457,7 +561,11 @@ def _is_upright(sums: F64, n: int, residual_m: float, slope: float, noise_m: flo
     ``sums`` are those of z, h, z², zh and h², counted from the first point.
     """
     mean_z, mean_h = sums[0] / n, sums[1] / n
-    zz, zh, hh = sums[2] / n - mean_z * mean_z, sums[3] / n - mean_z * mean_h, sums[4] / n - mean_h * mean_h
+    zz, zh, hh = (
+        sums[2] / n - mean_z * mean_z,
+        sums[3] / n - mean_z * mean_h,
+        sums[4] / n - mean_h * mean_h,
+    )
     upright = abs(zh) <= (slope + noise_m / math.sqrt(n * zz)) * zz
     return bool(upright and hh - zh * zh / zz <= residual_m * residual_m)
 
@@ -474,7 +582,14 @@ def _add(sums: F64, z: float, h: float) -> None:
 
 @helper
 def _is_straight(
-    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float, noise_m: float
+    xyz_m: F32,
+    horizontal_m: F32,
+    row: int,
+    first: int,
+    after: int,
+    residual_m: float,
+    slope: float,
+    noise_m: float,
 ) -> bool:
     """Tell whether the straight line through the returns of a run is near them and nearly upright."""
     n = int(np.int64(0))
@@ -490,9 +605,16 @@ def _is_straight(
 
 @helper
 def _vertical_run(
-    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, k: int, stop: int, n: int, ground_m: float,
+    surface: U8,
+    xyz_m: F32,
+    horizontal_m: F32,
+    row: int,
+    k: int,
+    stop: int,
+    n: int,
+    ground_m: float,
     thresholds: DividerThresholds,
-) -> tuple[int, int, bool]:  # fmt: skip
+) -> tuple[int, int, bool]:
     """Follow the vertical run that begins at a beam as far as is needed to know whether it is cut out.
 
     Returns the beam after it, its last return that lies in the interval, and whether it is.
@@ -509,7 +631,10 @@ def _vertical_run(
     while j < n and (j < stop or not long):
         here = horizontal_m[row, j]
         if here == here:
-            if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > thresholds.vertical_break_m:
+            if (
+                surface[row, j] != _VERTICAL
+                or abs(np.float64(here) - np.float64(before)) > thresholds.vertical_break_m
+            ):
                 break
             height = np.float64(xyz_m[row, j, 2])
             n_points += 1
@@ -520,7 +645,11 @@ def _vertical_run(
             seen = j
             last = j if j < stop else last
         j += 1
-    if thresholds.vertical_open and seen == n - 1 and highest - lowest >= thresholds.vertical_extent_m:
+    if (
+        thresholds.vertical_open
+        and seen == n - 1
+        and highest - lowest >= thresholds.vertical_extent_m
+    ):
         return j, last, True
     if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
         # what is higher than the side of a car need not be straight, nor upright where its points are few
@@ -529,12 +658,16 @@ def _vertical_run(
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
         few = n_points < thresholds.straight_points
         noise_m = thresholds.lean_noise_m
-        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m)
+        long = (high and few) or _is_straight(
+            xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m
+        )
     return j, last, long
 
 
 @helper
-def _next_of_wall(surface: U8, horizontal_m: F32, row: int, k: int, n: int, before: float, reach: int) -> int:
+def _next_of_wall(
+    surface: U8, horizontal_m: F32, row: int, k: int, n: int, before: float, reach: int
+) -> int:
     """Return the next beam that goes on with a wall, behind so many returns that go through it, or n."""
     through = 0
     while k < n and through <= reach:
@@ -549,9 +682,16 @@ def _next_of_wall(surface: U8, horizontal_m: F32, row: int, k: int, n: int, befo
 
 @helper
 def _mark_reliefs(
-    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, first: int, stop: int, n: int,
-    thresholds: DividerThresholds, gone: Mask,
-) -> None:  # fmt: skip
+    surface: U8,
+    xyz_m: F32,
+    horizontal_m: F32,
+    row: int,
+    first: int,
+    stop: int,
+    n: int,
+    thresholds: DividerThresholds,
+    gone: Mask,
+) -> None:
     """Mark the rough walls of an interval: runs of H and V that are high, upright and nearly straight."""
     begin = first
     while begin < stop:
@@ -572,7 +712,10 @@ def _mark_reliefs(
             n_points += 1
             last = j
             j = _next_of_wall(surface, horizontal_m, row, j + 1, n, here, thresholds.return_points)
-        high = n_points >= thresholds.straight_points and highest - lowest >= thresholds.vertical_extent_m
+        high = (
+            n_points >= thresholds.straight_points
+            and highest - lowest >= thresholds.vertical_extent_m
+        )
         if high and highest > lowest:
             slope, noise_m = thresholds.straight_slope, thresholds.lean_noise_m
             if _is_upright(sums, n_points, thresholds.relief_m, slope, noise_m):

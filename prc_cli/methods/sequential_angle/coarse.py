@@ -58,7 +58,9 @@ def dense_vegetation(differences_deg: F32, thresholds: MarkovThresholds) -> Mask
     return hmm_cusum(differences_deg, thresholds)
 
 
-def car_surface(signed_deg: F32, dense: Mask, lines: VerticalLines, thresholds: SurfaceThresholds) -> U8:
+def car_surface(
+    signed_deg: F32, dense: Mask, lines: VerticalLines, thresholds: SurfaceThresholds
+) -> U8:
     """Classify every shot for the car algorithm: like the coarse classification, with T' as vegetation.
 
     Shots of T that are not T' are thus labelled horizontal or vertical.
@@ -86,10 +88,14 @@ def coarse(signed_deg: F32, lines: VerticalLines, thresholds: CoarseThresholds) 
     >>> coarse(signed_angles(lines, ChordThresholds()).signed_deg, lines, CoarseThresholds())
     array([[2, 2, 2, 2, 3, 3, 3, 0, 3, 3]], dtype=uint8)
     """
-    return surface_image(signed_deg, hmm_cusum(signed_deg, thresholds.vegetation), lines, thresholds.surfaces)
+    return surface_image(
+        signed_deg, hmm_cusum(signed_deg, thresholds.vegetation), lines, thresholds.surfaces
+    )
 
 
-def surface_image(signed_deg: F32, vegetation: Mask, lines: VerticalLines, thresholds: SurfaceThresholds) -> U8:
+def surface_image(
+    signed_deg: F32, vegetation: Mask, lines: VerticalLines, thresholds: SurfaceThresholds
+) -> U8:
     """Label the runs between vegetation as horizontal or vertical.
 
     A run is a maximal stretch of shots with an angle that are not vegetation; missing shots do not end it. Runs are
@@ -127,5 +133,7 @@ def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresho
     if thresholds.share < 1.0:
         surface = kernels.upright_layers(surface, lines.horizontal_m, lines.n_beams, thresholds)
     if thresholds.wall_extent_m > 0.0:
-        surface = kernels.behind_walls(surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, thresholds)
+        surface = kernels.behind_walls(
+            surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, thresholds
+        )
     return surface

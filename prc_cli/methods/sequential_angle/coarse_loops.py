@@ -9,7 +9,11 @@ import numpy as np
 
 from prc_cli.core.types import F32_2, F32_3, F64, I32, I32_1, I64, U8, U8_2, U32, Mask_2
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.methods.sequential_angle.thresholds import MarkovThresholds, SurfaceThresholds, WindowThresholds
+from prc_cli.methods.sequential_angle.thresholds import (
+    MarkovThresholds,
+    SurfaceThresholds,
+    WindowThresholds,
+)
 
 _SMALL = 2.0**-500
 _LARGE = 2.0**500
@@ -65,7 +69,14 @@ _LEAST = -708.0
 
 @helper
 def _densities(
-    values: F64, m: int, means: _Three, half_precision: F64, log_sigma: F64, density: F64, power: I64, top: I64
+    values: F64,
+    m: int,
+    means: _Three,
+    half_precision: F64,
+    log_sigma: F64,
+    density: F64,
+    power: I64,
+    top: I64,
 ) -> None:
     """Densities of m values in the three states, divided by the largest: the ratio of likelihoods stays the same.
 
@@ -77,7 +88,11 @@ def _densities(
     log_0, log_1, log_2 = log_sigma[0], log_sigma[1], log_sigma[2]
     for i in range(m):
         d_0, d_1, d_2 = values[i] - mean_0, values[i] - mean_1, values[i] - mean_2
-        a, b, c = -(d_0 * d_0) * half_0 - log_0, -(d_1 * d_1) * half_1 - log_1, -(d_2 * d_2) * half_2 - log_2
+        a, b, c = (
+            -(d_0 * d_0) * half_0 - log_0,
+            -(d_1 * d_1) * half_1 - log_1,
+            -(d_2 * d_2) * half_2 - log_2,
+        )
         largest = max(a, b, c)
         first, last = a == largest, b != largest and a != largest
         density[0, i] = (b if first else a) - largest
@@ -166,7 +181,9 @@ def _sequential_test(
 
 
 @helper
-def _next_region(density: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds) -> tuple[int, int, int]:
+def _next_region(
+    density: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds
+) -> tuple[int, int, int]:
     """Find the next region from a sample on that ends where the test with the models exchanged raises an alarm.
 
     Returns its first and last sample, none between them where there is no more region, and where to go on.
@@ -176,7 +193,9 @@ def _next_region(density: F64, begin: int, m: int, h0: _Model, h1: _Model, bound
     if verdict == 0:
         return 0, -1, m
     first = onset if bounds.backdate else alarm
-    verdict, alarm, onset = _sequential_test(density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, anew)
+    verdict, alarm, onset = _sequential_test(
+        density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, anew
+    )
     last = m - 1
     if verdict != 0:
         last = (onset if bounds.backdate else alarm) - 1
@@ -194,13 +213,17 @@ def _next_confirmed(
         return 0, -1, m
     first = onset if bounds.backdate else alarm
     # the region has to be confirmed once before it may end
-    verdict, t, _ = _sequential_test(density, alarm + 1, m, h0, h1, bounds.reject, bounds.accept, once)
+    verdict, t, _ = _sequential_test(
+        density, alarm + 1, m, h0, h1, bounds.reject, bounds.accept, once
+    )
     if verdict == 0:
         return 0, -1, m
     if verdict < 0:
         return 0, -1, t + 1
     while verdict > 0:
-        verdict, t, _ = _sequential_test(density, t + 1, m, h0, h1, bounds.reject, bounds.accept, once)
+        verdict, t, _ = _sequential_test(
+            density, t + 1, m, h0, h1, bounds.reject, bounds.accept, once
+        )
     last = min(t, m - 1)
     for back in range(last, alarm, -1):
         if samples[back] < 0.0:
@@ -215,16 +238,22 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
 
     ``values`` (R, n) float32; returns (R, n) bool.
     """
-    h0, h1 = _Model(thresholds.h0, thresholds.initial_h0), _Model(thresholds.h1, thresholds.initial_h1)
+    h0, h1 = (
+        _Model(thresholds.h0, thresholds.initial_h0),
+        _Model(thresholds.h1, thresholds.initial_h1),
+    )
     sigmas = np.array(thresholds.sigmas_deg)
     n_rows, n = values.shape
     marked = np.zeros((n_rows, n), np.bool_)
     half_precision = 0.5 / (sigmas * sigmas)
     log_sigma = np.log(sigmas)
     bounds = _Bounds(
-        math.exp(thresholds.threshold), math.exp(thresholds.threshold_back), math.exp(thresholds.accept),
-        math.exp(thresholds.reject), thresholds.backdate,
-    )  # fmt: skip
+        math.exp(thresholds.threshold),
+        math.exp(thresholds.threshold_back),
+        math.exp(thresholds.accept),
+        math.exp(thresholds.reject),
+        thresholds.backdate,
+    )
     density = np.empty((3, n), np.float64)
     samples, power, top = np.empty(n, np.float64), np.empty(n, np.int64), np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
@@ -282,7 +311,12 @@ def _first_label(tilt: F64, begin: int, end: int) -> int:
 
 @inlined
 def _label_run(
-    tilt: F64, beam: U32, begin: np.uint64, end: np.uint64, labels: U8, thresholds: SurfaceThresholds
+    tilt: F64,
+    beam: U32,
+    begin: np.uint64,
+    end: np.uint64,
+    labels: U8,
+    thresholds: SurfaceThresholds,
 ) -> None:
     """Label the samples of a run by the CUSUM test for a change of their mean."""
     label = _HORIZONTAL
@@ -292,8 +326,14 @@ def _label_run(
     onset = begin
     for i in range(begin, end):
         horizontal = label == _HORIZONTAL
-        total += thresholds.drift_vertical_deg - tilt[i] if horizontal else tilt[i] - thresholds.drift_horizontal_deg
-        if total > (thresholds.threshold_vertical_deg if horizontal else thresholds.threshold_horizontal_deg):
+        total += (
+            thresholds.drift_vertical_deg - tilt[i]
+            if horizontal
+            else tilt[i] - thresholds.drift_horizontal_deg
+        )
+        if total > (
+            thresholds.threshold_vertical_deg if horizontal else thresholds.threshold_horizontal_deg
+        ):
             label = _VERTICAL if horizontal else _HORIZONTAL
             if thresholds.backdate:
                 for j in range(onset, i):
@@ -307,7 +347,11 @@ def _label_run(
 
 @kernel()
 def surface_image(
-    signed_deg: F32_2, vegetation: Mask_2, range_m: F32_2, n_beams: I32_1, thresholds: SurfaceThresholds
+    signed_deg: F32_2,
+    vegetation: Mask_2,
+    range_m: F32_2,
+    n_beams: I32_1,
+    thresholds: SurfaceThresholds,
 ) -> U8_2:
     """Label every shot of every row: missing, vegetation, horizontal, vertical, undecided.
 
@@ -416,9 +460,13 @@ def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) 
 
 
 @helper
-def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: WindowThresholds, bins: I32) -> None:
+def _settle(
+    labels: U8, values: F64, beam: I32, m: int, thresholds: WindowThresholds, bins: I32
+) -> None:
     """Label the points of a run, if they lie in layers."""
-    if m < thresholds.min_points or not _may_be_layered(values, m, thresholds.width_m, thresholds.share, bins):
+    if m < thresholds.min_points or not _may_be_layered(
+        values, m, thresholds.width_m, thresholds.share, bins
+    ):
         return
     inside = _in_two_layers(values, m, thresholds.width_m)
     if np.float64(inside) > thresholds.share * np.float64(m):
@@ -427,7 +475,9 @@ def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: WindowThresh
 
 
 @kernel()
-def upright_layers(surface: U8_2, horizontal_m: F32_2, n_beams: I32_1, thresholds: WindowThresholds) -> U8_2:
+def upright_layers(
+    surface: U8_2, horizontal_m: F32_2, n_beams: I32_1, thresholds: WindowThresholds
+) -> U8_2:
     """Make runs of vegetation vertical whose points lie in two upright layers.
 
     ``surface`` (R, n) uint8; ``horizontal_m`` (R, n) float32, metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
@@ -472,13 +522,19 @@ def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds)
         return False
     n = end - begin
     mean_z, mean_x = sum_z / n, sum_x / n
-    zz, zx, xx = sum_zz / n - mean_z * mean_z, sum_zx / n - mean_z * mean_x, sum_xx / n - mean_x * mean_x
+    zz, zx, xx = (
+        sum_zz / n - mean_z * mean_z,
+        sum_zx / n - mean_z * mean_x,
+        sum_xx / n - mean_x * mean_x,
+    )
     near = xx - zx * zx / zz <= thresholds.straight_m * thresholds.straight_m
     return bool(near and abs(zx) <= thresholds.slope * zz)
 
 
 @helper
-def _find_walls(x: F64, z: F64, code: U8, m: int, thresholds: WindowThresholds, first: I32, place: F64) -> int:
+def _find_walls(
+    x: F64, z: F64, code: U8, m: int, thresholds: WindowThresholds, first: I32, place: F64
+) -> int:
     """List the walls of a row: the first return of each, and its horizontal distance; returns how many."""
     n_walls = i = int(np.int64(0))
     while i < m:
@@ -530,7 +586,9 @@ def behind_walls(
                 continue
             for wall in range(n_walls):
                 away = x[i] - place[wall]
-                if abs(away) <= thresholds.wall_m or (first[wall] > i and away >= -thresholds.front_m):
+                if abs(away) <= thresholds.wall_m or (
+                    first[wall] > i and away >= -thresholds.front_m
+                ):
                     image[row, beam[i]] = _VERTICAL
                     break
     return image

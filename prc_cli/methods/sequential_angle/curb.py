@@ -61,7 +61,9 @@ class CurbState:
         return len(self.regions.labels) // len(self.xyz_m) - self.regions.n_given
 
 
-def possible_curbs(lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, thresholds: CurbThresholds) -> I32:
+def possible_curbs(
+    lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, thresholds: CurbThresholds
+) -> I32:
     """Find the possible curb point of every row.
 
     This is the first vertical point after the last ground point with nothing under it: none of the points before it
@@ -88,10 +90,20 @@ def curbs(
     ``surface`` (R, n) uint8; ``signed_deg`` (R, n) float32; ``possible`` (R,) int32; returns ``curb`` (F, n) bool.
     """
     curb, regions = kernels.connect_verticals(
-        surface, lines.xyz_m, signed_deg, possible, lines.n_sides, state.xyz_m, state.signed_deg, state.regions,
-        thresholds, last,
-    )  # fmt: skip
-    return curb, CurbState(regions, _tail(state.xyz_m, lines.xyz_m), _tail(state.signed_deg, signed_deg))
+        surface,
+        lines.xyz_m,
+        signed_deg,
+        possible,
+        lines.n_sides,
+        state.xyz_m,
+        state.signed_deg,
+        state.regions,
+        thresholds,
+        last,
+    )
+    return curb, CurbState(
+        regions, _tail(state.xyz_m, lines.xyz_m), _tail(state.signed_deg, signed_deg)
+    )
 
 
 def _tail(before: F32, new: F32) -> F32:

@@ -55,7 +55,12 @@ def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) 
 
 @kernel()
 def possible_curbs(
-    surface: U8_2, range_m: F32_2, xyz: F32_3, ground: Mask_2, z_g: F32_1, thresholds: CurbThresholds
+    surface: U8_2,
+    range_m: F32_2,
+    xyz: F32_3,
+    ground: Mask_2,
+    z_g: F32_1,
+    thresholds: CurbThresholds,
 ) -> I32_1:
     """Find the first vertical point after the ground of every row that nothing lies under.
 
@@ -87,7 +92,11 @@ def possible_curbs(
             own = range_m[row, k]
             if k > last and np.float64(xyz[row, k, 2]) > limit:
                 break
-            if k > last and kind == _VERTICAL and not _lies_over(farthest, count, reach, own, under):
+            if (
+                k > last
+                and kind == _VERTICAL
+                and not _lies_over(farthest, count, reach, own, under)
+            ):
                 beam[row] = k
                 break
             farthest[count] = own
@@ -135,7 +144,9 @@ def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> in
 
 
 @helper
-def _is_straight(table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, limit: float) -> bool:
+def _is_straight(
+    table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, limit: float
+) -> bool:
     """Tell whether the angle changes little from point to point of a region, in the median."""
     parent, labels, side = table.parent, table.labels, table.side[region]
     n_before = (len(labels) - len(signed)) // n_sides
@@ -147,7 +158,11 @@ def _is_straight(table: _Table, signed: F32, above_signed: F32, region: int, n_s
         own = labels[line * n_sides + side]
         new = line - n_before
         # lines before this call are kept at the end of what was carried over
-        angles = signed[new * n_sides + side] if new >= 0 else above_signed[len(above_signed) + new * n_sides + side]
+        angles = (
+            signed[new * n_sides + side]
+            if new >= 0
+            else above_signed[len(above_signed) + new * n_sides + side]
+        )
         for k in range(1, len(own)):
             if own[k] < FIRST_REGION or own[k - 1] < FIRST_REGION:
                 continue
@@ -167,7 +182,12 @@ def _is_straight(table: _Table, signed: F32, above_signed: F32, region: int, n_s
 
 @helper
 def _decide(
-    table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, thresholds: CurbThresholds
+    table: _Table,
+    signed: F32,
+    above_signed: F32,
+    region: int,
+    n_sides: int,
+    thresholds: CurbThresholds,
 ) -> None:
     """Decide whether a complete region is a curb."""
     accepted = False
@@ -182,9 +202,16 @@ def _decide(
 
 @helper
 def _connect_row(
-    table: _Table, surface: U8, here: F32, above: F32, row: int, n_sides: int, start: int, n_ids: int,
+    table: _Table,
+    surface: U8,
+    here: F32,
+    above: F32,
+    row: int,
+    n_sides: int,
+    start: int,
+    n_ids: int,
     thresholds: CurbThresholds,
-) -> int:  # fmt: skip
+) -> int:
     """Label the vertical points of a row, joining them to each other and to those of the row above.
 
     ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on; returns how many.
@@ -341,7 +368,15 @@ def connect_verticals(
         side, line = row % n_sides, (n_before + row) // n_sides
         above = xyz[row - n_sides] if row >= n_sides else above_xyz[side]
         n_new = _connect_row(
-            table, surface[row], xyz[row], above, n_before + row, n_sides, possible[row], n_ids, thresholds
+            table,
+            surface[row],
+            xyz[row],
+            above,
+            n_before + row,
+            n_sides,
+            possible[row],
+            n_ids,
+            thresholds,
         )
         for label in range(n_ids, n_ids + n_new):
             undecided[side, n_undecided[side]] = label

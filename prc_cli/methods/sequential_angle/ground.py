@@ -77,7 +77,11 @@ def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 
     if len(rows) < min(thresholds.least_heights, (len(heights_m) + 1) // 2):
         z_g = float("nan")
     return GroundState(
-        histogram, bins if thresholds.memory_heights else bins[:0], z_g, n_rows, np.full(n_sides, np.nan)
+        histogram,
+        bins if thresholds.memory_heights else bins[:0],
+        z_g,
+        n_rows,
+        np.full(n_sides, np.nan),
     )
 
 
@@ -95,7 +99,14 @@ def ground(
     Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
     """
     found: tuple[Mask, F32, GroundState] = kernels.ground_rows(
-        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, potential, state,
+        surface,
+        lines.xyz_m,
+        lines.horizontal_m,
+        phihat,
+        ahead,
+        lines.n_beams,
+        potential,
+        state,
         thresholds,
-    )  # fmt: skip
+    )
     return found

@@ -31,13 +31,19 @@ from prc_cli.core.types import (
     Mask_2,
 )
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds, PotentialGround
+from prc_cli.methods.sequential_angle.thresholds import (
+    GroundState,
+    GroundThresholds,
+    PotentialGround,
+)
 
 PER_BANDWIDTH = 8
 """Bins of a bandwidth."""
 HALF = 43
 """Bins on either side beyond which the table is zero, 5.4 bandwidths."""
-WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDWIDTH) ** 2)).astype(np.int64)
+WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDWIDTH) ** 2)).astype(
+    np.int64
+)
 """Gaussian kernel in whole numbers, one entry a bin, and a zero at the end."""
 CLEAR = 2 * PER_BANDWIDTH - 1
 """Samples that span at most this many bins have one mode: means within two standard deviations give a density whose
@@ -61,15 +67,20 @@ _FIGURES = np.dtype(
         (name, np.int64)
         for name in (
             "n",  # heights in the histogram
-            "first", "last",  # their first and last bin
-            "median", "below",  # the bin of their median, and heights in the bins below
+            "first",
+            "last",  # their first and last bin
+            "median",
+            "below",  # the bin of their median, and heights in the bins below
             "width",  # bins of the histogram in a coarse bin
-            "lo", "hi",  # first and last coarse bin
-            "cleared_from", "cleared_to",  # coarse bins between which memory has been cleared: not all three megabytes
-            "oldest", "newest",  # ends of the queue
+            "lo",
+            "hi",  # first and last coarse bin
+            "cleared_from",
+            "cleared_to",  # coarse bins between which memory has been cleared: not all three megabytes
+            "oldest",
+            "newest",  # ends of the queue
         )
     ]
-)  # fmt: skip
+)
 _AT_ONCE = 250
 """Bins of the histogram of heights that are looked at together for whether there is anything."""
 
@@ -154,7 +165,9 @@ def _walk(hist: I64, density: I64, lo: int, hi: int, tops: I64, counts: I64) -> 
 @inlined
 def _spread(density: I64, q: int, count: int) -> None:
     """Add so many samples in a bin to the density."""
-    first = np.uint64(q - HALF)  # unsigned, and no view of the array: for vector instructions, and no count of views
+    first = np.uint64(
+        q - HALF
+    )  # unsigned, and no view of the array: for vector instructions, and no count of views
     for j in range(np.uint64(2 * HALF + 1)):
         density[first + j] += count * WEIGHT[j]
 
@@ -206,11 +219,21 @@ def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, nois
     """
     other = ahead[one]
     x, y, z = np.float64(xyz[one, 0]), np.float64(xyz[one, 1]), np.float64(xyz[one, 2])
-    dx, dy, dz = np.float64(xyz[other, 0]) - x, np.float64(xyz[other, 1]) - y, np.float64(xyz[other, 2]) - z
+    dx, dy, dz = (
+        np.float64(xyz[other, 0]) - x,
+        np.float64(xyz[other, 1]) - y,
+        np.float64(xyz[other, 2]) - z,
+    )
     cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
     cross = math.sqrt(cx * cx + cy * cy + cz * cz)
     chord_2 = dx * dx + dy * dy + dz * dz
-    sigma = 57.29577951308232 * 1.4142135623730951 * noise * cross / (chord_2 * math.sqrt(x * x + y * y + z * z))
+    sigma = (
+        57.29577951308232
+        * 1.4142135623730951
+        * noise
+        * cross
+        / (chord_2 * math.sqrt(x * x + y * y + z * z))
+    )
     found = max(least, sigmas * sigma)
     return found if found < 180.0 else 180.0  # also where there is no chord
 
@@ -231,7 +254,9 @@ def _count(angles: F64, n: int, width: float, size: int, hist: I64) -> None:
 
 
 @helper
-def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float) -> bool:
+def _fits(
+    xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float
+) -> bool:
     """Tell whether a point lies at the height of the local line through the last points."""
     first = max(n_points - n_fit, 0)
     count = n_points - first
@@ -279,7 +304,9 @@ def _bridged(
     seen = 0
     while k < n and seen < BEHIND:
         if surface[k] != _MISSING:
-            if surface[k] != _HORIZONTAL or not _fits(xyz, horizontal, beams, n_points, k, n_fit, step):
+            if surface[k] != _HORIZONTAL or not _fits(
+                xyz, horizontal, beams, n_points, k, n_fit, step
+            ):
                 return end
             seen += 1
         k += 1
@@ -337,10 +364,15 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
     surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
     sampled, angles, hist = scratch.sampled, scratch.angles, scratch.hist
     jump, n_fit, first_run, least = (
-        thresholds.jump_m, thresholds.growth_points, thresholds.first_run, thresholds.mode_samples
-    )  # fmt: skip
+        thresholds.jump_m,
+        thresholds.growth_points,
+        thresholds.first_run,
+        thresholds.mode_samples,
+    )
     size = len(hist) - 2 * HALF
-    n_points = n_samples = renew_at = int(np.int64(0))  # not the literal, for which helpers would be compiled once more
+    n_points = n_samples = renew_at = int(
+        np.int64(0)
+    )  # not the literal, for which helpers would be compiled once more
     lo = hi = peak = int(np.int64(-1))
     b = width = 0.0
     angle = least_deg = most_deg = lowest_deg = highest_deg = np.nan
@@ -352,7 +384,16 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
             k += 1
         if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
             k = _bridged(
-                surface, xyz, horizontal, beams, n_points, k, n, n_fit, thresholds.bridge, thresholds.bridge_height_m
+                surface,
+                xyz,
+                horizontal,
+                beams,
+                n_points,
+                k,
+                n,
+                n_fit,
+                thresholds.bridge,
+                thresholds.bridge_height_m,
             )
         if k >= n or surface[k] != _HORIZONTAL:
             if growing or k >= n:
@@ -395,9 +436,13 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
                 # work proportional to the number of points, whatever the bandwidth does
                 renew_at = n_samples + n_samples // 2 + 1
                 b = _bandwidth(
-                    xyz, row.ahead, sampled[n_samples // 2], thresholds.bandwidth_deg, thresholds.bandwidth_sigmas,
+                    xyz,
+                    row.ahead,
+                    sampled[n_samples // 2],
+                    thresholds.bandwidth_deg,
+                    thresholds.bandwidth_sigmas,
                     thresholds.range_noise_m,
-                )  # fmt: skip
+                )
                 width = b / PER_BANDWIDTH
                 if built:
                     _forget(hist, lo, hi)
@@ -460,7 +505,15 @@ def _main(counts: I64, n: int) -> int:
 
 
 @helper
-def _extend(row: _Row, n: int, beams: I32, n_points: int, mode: float, b: float, thresholds: GroundThresholds) -> int:
+def _extend(
+    row: _Row,
+    n: int,
+    beams: I32,
+    n_points: int,
+    mode: float,
+    b: float,
+    thresholds: GroundThresholds,
+) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
     surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
     n_fit, guard = thresholds.growth_points, thresholds.growth_height_m
@@ -471,7 +524,16 @@ def _extend(row: _Row, n: int, beams: I32, n_points: int, mode: float, b: float,
             continue
         if surface[k] != _HORIZONTAL:
             k = _bridged(
-                surface, xyz, horizontal, beams, n_points, k, n, n_fit, thresholds.bridge, thresholds.bridge_height_m
+                surface,
+                xyz,
+                horizontal,
+                beams,
+                n_points,
+                k,
+                n,
+                n_fit,
+                thresholds.bridge,
+                thresholds.bridge_height_m,
             )
             if surface[k] != _HORIZONTAL:
                 break
@@ -489,7 +551,13 @@ def _extend(row: _Row, n: int, beams: I32, n_points: int, mode: float, b: float,
 @helper
 def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scratch) -> float:
     """Return the main mode of the line angles of some points [deg]."""
-    angles, hist, density, tops, counts = scratch.angles, scratch.hist, scratch.density, scratch.tops, scratch.counts
+    angles, hist, density, tops, counts = (
+        scratch.angles,
+        scratch.hist,
+        scratch.density,
+        scratch.tops,
+        scratch.counts,
+    )
     size = len(hist) - 2 * HALF
     width = b / PER_BANDWIDTH
     least_deg, most_deg = np.inf, -np.inf
@@ -525,7 +593,13 @@ def _end_of_run(surface: U8, start: int, n: int, bridge: int) -> int:
 
 @helper
 def _resume(
-    row: _Row, n: int, beams: I32, n_points: int, more: I32, thresholds: GroundThresholds, scratch: _Scratch
+    row: _Row,
+    n: int,
+    beams: I32,
+    n_points: int,
+    more: I32,
+    thresholds: GroundThresholds,
+    scratch: _Scratch,
 ) -> int:
     """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
     surface, guard = row.surface, thresholds.growth_height_m
@@ -541,9 +615,14 @@ def _resume(
             crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
             k += 1
         if _fits(
-            row.xyz, row.horizontal, beams, n_points, int(np.int64(more[0])), thresholds.growth_points,
+            row.xyz,
+            row.horizontal,
+            beams,
+            n_points,
+            int(np.int64(more[0])),
+            thresholds.growth_points,
             min(thresholds.bridge_height_m, guard) if crossed else guard,
-        ):  # fmt: skip
+        ):
             for i in range(n_more):
                 beams[n_points + i] = more[i]
             mode = _main_angle(row.phihat, more, n_more, b, scratch)
@@ -555,12 +634,23 @@ def _resume(
 
 @helper
 def _grow(
-    row: _Row, n: int, beams: I32, n_points: int, b: float, more: I32, thresholds: GroundThresholds, scratch: _Scratch
+    row: _Row,
+    n: int,
+    beams: I32,
+    n_points: int,
+    b: float,
+    more: I32,
+    thresholds: GroundThresholds,
+    scratch: _Scratch,
 ) -> int:
     """Grow accepted ground over the rest of its run; returns how many points are in ``beams`` then."""
     mode = _main_angle(row.phihat, beams, n_points, b, scratch)
     n_points = _extend(row, n, beams, n_points, mode, b, thresholds)
-    return _resume(row, n, beams, n_points, more, thresholds, scratch) if thresholds.resume else n_points
+    return (
+        _resume(row, n, beams, n_points, more, thresholds, scratch)
+        if thresholds.resume
+        else n_points
+    )
 
 
 @helper
@@ -734,7 +824,9 @@ def _lowest(tops: I64, counts: I64, best: int, width: int, roof_m: float, roof_s
 
 
 @helper
-def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_share: float) -> tuple[int, float]:
+def _main_height(
+    heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_share: float
+) -> tuple[int, float]:
     """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins.
 
     Where the main mode is a roof, those of the ground below it.
@@ -743,7 +835,9 @@ def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_
     if figures["n"] == 0:
         return 0, np.nan
     width = figures["width"]
-    best = _main(counts, _walk(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts))
+    best = _main(
+        counts, _walk(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts)
+    )
     best = _lowest(tops, counts, best, width, roof_m, roof_share)
     place = ((tops[best] - 2 * HALF) * width + width) // 2
     shift = 0.0
@@ -751,7 +845,9 @@ def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_
         moment = 0
         mass = 0
         reach = (HALF + 1) * width - 1
-        for i in range(max(figures["first"], place - reach), min(figures["last"], place + reach) + 1):
+        for i in range(
+            max(figures["first"], place - reach), min(figures["last"], place + reach) + 1
+        ):
             if histogram[i] > 0:
                 away = abs(i - place)
                 j = away // width
@@ -771,7 +867,9 @@ def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_
 
 
 @kernel()
-def main_height(heights: F64_1, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32_1, I32_1]:
+def main_height(
+    heights: F64_1, share: float, roof_m: float, roof_share: float
+) -> tuple[int, float, I32_1, I32_1]:
     """Find the main mode of heights.
 
     ``heights`` (n,) float64, metres; returns ``bins`` (n,) int32, ``histogram`` (N_HEIGHTS,) int32.
@@ -825,14 +923,18 @@ def potential_heights(
     height = np.empty(n_rows, np.float64)
     for i in range(n_rows):
         row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
-        n_points, b = _potential(row, int(np.int64(n_beams[i])), int(np.int64(0)), thresholds, beams, scratch)
+        n_points, b = _potential(
+            row, int(np.int64(n_beams[i])), int(np.int64(0)), thresholds, beams, scratch
+        )
         first[i] = last[i] = -1
         bandwidth[i] = height[i] = np.nan
         if n_points > 0:
             first[i] = beams[0]
             last[i] = beams[n_points - 1]
             bandwidth[i] = b
-            height[i] = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
+            height[i] = _lowest_mean(
+                row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points
+            )
     return PotentialGround(first, last, bandwidth, height)
 
 
@@ -889,12 +991,16 @@ def ground_rows(
         n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
         b, z_i = potential.bandwidth_deg[i], potential.height_m[i]
         while n_points > 0:
-            if to_count and figures["n"] < thresholds.start_heights:  # too few to begin with: caught up on the way
+            if (
+                to_count and figures["n"] < thresholds.start_heights
+            ):  # too few to begin with: caught up on the way
                 _count_height(heights, z_i, memory, share)
                 to_count = False
                 if z_g == z_g or figures["n"] >= thresholds.least_heights:
                     _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
-            accepted = abs(z_i - z_g) < max(thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m)
+            accepted = abs(z_i - z_g) < max(
+                thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m
+            )
             accepted = accepted or abs(z_i - side_m[side]) < follow_m
             if accepted or z_row != z_row:
                 z_row = z_i
@@ -903,7 +1009,9 @@ def ground_rows(
             start = int(np.int64(beams[n_points - 1] + 1))
             n_points, b = _potential(row, n_valid, start, thresholds, beams, scratch)
             if n_points > 0:
-                z_i = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
+                z_i = _lowest_mean(
+                    row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points
+                )
         if accepted:
             side_m[side] = z_i
             for j in range(_grow(row, n_valid, beams, n_points, b, more, thresholds, scratch)):

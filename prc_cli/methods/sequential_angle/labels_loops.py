@@ -27,12 +27,19 @@ from prc_cli.kernels.cache import helper, kernel
 
 _NOTHING = _MISSING = int(Surface.MISSING)
 _HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
-_UNSEEN, _GROUND, _CAR, _CURB = int(Label.MISSING), int(Label.GROUND), int(Label.CAR), int(Label.CURB)
+_UNSEEN, _GROUND, _CAR, _CURB = (
+    int(Label.MISSING),
+    int(Label.GROUND),
+    int(Label.CAR),
+    int(Label.CURB),
+)
 _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
 
 @kernel()
-def first_high_verticals(surface: U8_2, xyz_m: F32_3, n_beams: I32_1, ground_m: F32_1, height_m: float) -> I32_1:
+def first_high_verticals(
+    surface: U8_2, xyz_m: F32_3, n_beams: I32_1, ground_m: F32_1, height_m: float
+) -> I32_1:
     """Find the last beam of the first vertical run of every row that ends high above the ground.
 
     ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; ``ground_m`` (R,) float32,
@@ -46,7 +53,11 @@ def first_high_verticals(surface: U8_2, xyz_m: F32_3, n_beams: I32_1, ground_m: 
         points = xyz_m[row]
         n = n_beams[row]
         for k in range(n):
-            if codes[k] == _VERTICAL and (k + 1 == n or codes[k + 1] != _VERTICAL) and points[k, 2] > limit:
+            if (
+                codes[k] == _VERTICAL
+                and (k + 1 == n or codes[k + 1] != _VERTICAL)
+                and points[k, 2] > limit
+            ):
                 beam[row] = k
                 break
     return beam
@@ -92,7 +103,9 @@ def first_triggers(surface: U8_2, n_beams: I32_1, increments: F64_2, threshold: 
 
 
 @kernel()
-def arrange_lines(range_m: F32_2, xyz_m: F32_3, columns: I32_2, max_range_m: float) -> tuple[F32_2, F32_3, F32_2]:
+def arrange_lines(
+    range_m: F32_2, xyz_m: F32_3, columns: I32_2, max_range_m: float
+) -> tuple[F32_2, F32_3, F32_2]:
     """Pick the beams of half-lines out of scan lines with coordinates.
 
     ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32; ``columns`` (n_sides, n) int32; returns (lines *
@@ -111,7 +124,11 @@ def arrange_lines(range_m: F32_2, xyz_m: F32_3, columns: I32_2, max_range_m: flo
                 column = max(columns[side, k], 0)
                 r = range_m[line, column]
                 x, y, z = xyz_m[line, column, 0], xyz_m[line, column, 1], xyz_m[line, column, 2]
-                seen = np.float64(r) <= max_range_m and not np.isnan(x + y + z) and columns[side, k] >= 0
+                seen = (
+                    np.float64(r) <= max_range_m
+                    and not np.isnan(x + y + z)
+                    and columns[side, k] >= 0
+                )
                 ranges[row, k] = r if seen else nan
                 xyz[row, k, 0] = x if seen else nan
                 xyz[row, k, 1] = y if seen else nan
@@ -192,7 +209,9 @@ def _curb_of(curb: Mask, horizontal_m: F32, xyz_m: F32, row: int, n: int) -> tup
 
 
 @helper
-def _foot(surface: U8, car: Mask, xyz_m: F32, row: int, k: int, n: int, base: float) -> tuple[int, float]:
+def _foot(
+    surface: U8, car: Mask, xyz_m: F32, row: int, k: int, n: int, base: float
+) -> tuple[int, float]:
     """Follow car points to the last one; return the beam after them, and the height of what they stand on.
 
     That is the lowest of them, or the last horizontal point before them if it is lower.
@@ -231,7 +250,17 @@ def combine_classes(
             n_curb += curb[row, k]
         for k in range(n):  # selections, not a table: they are vector instructions
             code = surface[row, k]
-            label = zero if code == 0 else one if code == 1 else two if code == 2 else three if code == 3 else four
+            label = (
+                zero
+                if code == 0
+                else one
+                if code == 1
+                else two
+                if code == 2
+                else three
+                if code == 3
+                else four
+            )
             label = np.uint8(_GROUND) if ground[row, k] else label
             labels[row, k] = np.uint8(_CAR) if car[row, k] and n_curb == 0 else label
         if n_curb > 0:
@@ -247,7 +276,9 @@ def combine_classes(
                 end, foot = _foot(surface, car, xyz_m, row, k, n, base)
                 stands_below = foot < top - below_m
                 for j in range(k, end):
-                    if car[row, j] and (stands_below or not np.float64(horizontal_m[row, j]) > nearest):
+                    if car[row, j] and (
+                        stands_below or not np.float64(horizontal_m[row, j]) > nearest
+                    ):
                         labels[row, j] = _CAR
                 k = end
             for k in range(n):

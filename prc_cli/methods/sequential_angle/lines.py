@@ -69,7 +69,9 @@ def split_sides(beam_rad: F64) -> Sides:
     turning = np.arange(len(beam_rad)) if grows else np.arange(len(beam_rad))[::-1]
     angle = beam_rad[turning]
     halves = (turning[angle >= 0], turning[angle < 0][::-1])
-    found = [half[np.argsort(np.abs(beam_rad[half]), kind="stable")] for half in halves if len(half)]
+    found = [
+        half[np.argsort(np.abs(beam_rad[half]), kind="stable")] for half in halves if len(half)
+    ]
     n = max(len(columns) for columns in found)
     order = np.full((len(found), n), -1, np.int32)
     angles = np.full((len(found), n), np.nan)
@@ -80,17 +82,23 @@ def split_sides(beam_rad: F64) -> Sides:
 
 
 @stage("vertical lines")
-def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides, max_range_m: float) -> VerticalLines:
+def vertical_lines(
+    range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides, max_range_m: float
+) -> VerticalLines:
     """Arrange a block of scan lines as half-lines.
 
     ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None; ``beam_rad`` (M,) float64.
     """
     if xyz_m is None:
         across, up = np.sin(beam_rad), -np.cos(beam_rad)
-        ranges, xyz, horizontal = kernels.arrange_plane(range_m, across, up, sides.columns, max_range_m)
+        ranges, xyz, horizontal = kernels.arrange_plane(
+            range_m, across, up, sides.columns, max_range_m
+        )
     else:
         ranges, xyz, horizontal = kernels.arrange_lines(range_m, xyz_m, sides.columns, max_range_m)
-    return VerticalLines(ranges, xyz, horizontal, np.tile(sides.n_beams, len(range_m)), sides.beam_rad)
+    return VerticalLines(
+        ranges, xyz, horizontal, np.tile(sides.n_beams, len(range_m)), sides.beam_rad
+    )
 
 
 def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArray[Any]:
@@ -105,7 +113,9 @@ def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArra
         n = int(sides.n_beams[side])
         columns = sides.columns[side, :n]
         step = int(columns[1] - columns[0]) if n > 1 else 1
-        if abs(step) == 1 and (np.diff(columns) == step).all():  # contiguous: a slice is many times faster
+        if (
+            abs(step) == 1 and (np.diff(columns) == step).all()
+        ):  # contiguous: a slice is many times faster
             low, high = sorted((int(columns[0]), int(columns[-1])))
             image[:, low : high + 1] = by_side[:, side, :n][:, ::step]
         else:

@@ -24,16 +24,36 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
-from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
+from prc_cli.methods.base import (
+    Classifier,
+    MethodParams,
+    Needs,
+    Part,
+    Turn,
+    UsualLabels,
+    Wanted,
+    beams_of,
+)
 from prc_cli.methods.keys import table_of, thresholds_of
 from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
 from prc_cli.methods.sequential_angle.car import CarSearch, car_search, cars
-from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation, without_windows
+from prc_cli.methods.sequential_angle.coarse import (
+    car_surface,
+    coarse,
+    dense_vegetation,
+    without_windows,
+)
 from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
-from prc_cli.methods.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
+from prc_cli.methods.sequential_angle.lines import (
+    Sides,
+    VerticalLines,
+    split_sides,
+    to_columns,
+    vertical_lines,
+)
 from prc_cli.methods.sequential_angle.thresholds import (
     CurbThresholds,
     GroundState,
@@ -204,9 +224,14 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         """A class for nearly every return, and level ground or other level surfaces below the scanner."""
         level = (Label.GROUND, Label.CURB, Label.HORIZONTAL)
         return UsualLabels(
-            unclassified_share=0.1, level=level, level_share=0.5, ground_share=0.1, below_share=0.2, lean_deg=5.0,
+            unclassified_share=0.1,
+            level=level,
+            level_share=0.5,
+            ground_share=0.1,
+            below_share=0.2,
+            lean_deg=5.0,
             vanished_share=0.3,
-        )  # fmt: skip
+        )
 
     @property
     def gives(self) -> frozenset[Label]:
@@ -221,14 +246,24 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         """Return the state before the first block."""
         return initial_state(scanner, self.thresholds)
 
-    def label(self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+    def label(
+        self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted
+    ) -> Sequence[LabelledBlock]:
         """Add the next lines, and label those that become final."""
         _check_shape(block.range_m, block.xyz_m, scanner)
         found = classify_block(
-            block.range_m, block.xyz_m, scanner, turn, self.thresholds, last=block.is_last, stages=wanted.stages
+            block.range_m,
+            block.xyz_m,
+            scanner,
+            turn,
+            self.thresholds,
+            last=block.is_last,
+            stages=wanted.stages,
         )
         stages = stages_in_columns(found.rows, found.labels, scanner) if wanted.stages else None
-        final = turn.hand_on(WAITING, lambda before: _take_lines((*before, block), len(found.labels)))
+        final = turn.hand_on(
+            WAITING, lambda before: _take_lines((*before, block), len(found.labels))
+        )
         labelled, start = [], 0
         for part in final:
             rows = slice(start, start + part.n_lines)
@@ -246,7 +281,9 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         """Report what was not searched for, and why."""
         said: list[str] = []
         if not labels[Label.GROUND]:
-            said.append("no ground was found, and without its height neither curbs nor cars are looked for")
+            said.append(
+                "no ground was found, and without its height neither curbs nor cars are looked for"
+            )
         if tally.n_beyond:
             said.append(
                 f"{tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {self.thresholds.max_range_m:g} m "
@@ -270,10 +307,12 @@ def measures_of(item: LabelledBlock) -> dict[str, NDArray[Any]]:
     assert item.above_m is not None
     surfaces = np.array([surface.name.lower() for surface in Surface])
     return {
-        "coarse class": surfaces[item.stages.surface], "dense vegetation": item.stages.dense_vegetation,
-        "ground, from the scanner [m]": item.stages.ground_height_m, "height above the ground [m]": item.above_m,
+        "coarse class": surfaces[item.stages.surface],
+        "dense vegetation": item.stages.dense_vegetation,
+        "ground, from the scanner [m]": item.stages.ground_height_m,
+        "height above the ground [m]": item.above_m,
         "interval between dividers": item.stages.car_interval,
-    }  # fmt: skip
+    }
 
 
 def initial_state(beams: Beams, thresholds: SequentialAngleThresholds) -> SequentialAngleState:
@@ -302,7 +341,9 @@ def classify_block(
     rows = within_lines(range_m, xyz_m, beams, thresholds)
     ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, thresholds, last=last))
     found = [find_cars(part, thresholds, stages=stages) for part in ready]
-    done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, thresholds, last=last))
+    done, curb = turn.hand_on(
+        CURBS, lambda before: decide_curbs(found, before, thresholds, last=last)
+    )
     return Final(in_columns(done, curb, beams, thresholds.curb), done)
 
 
@@ -316,7 +357,9 @@ def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
     return above
 
 
-def _take_lines(waiting: tuple[ScanBlock, ...], n_lines: int) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:
+def _take_lines(
+    waiting: tuple[ScanBlock, ...], n_lines: int
+) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:
     """Return the first ``n_lines`` waiting lines, and the rest."""
     buffer = LineBuffer()
     for block in waiting:
@@ -334,13 +377,22 @@ def _labelled(
     # which lines become final together depends on the blocks: only the shot's own line may be used
     further, limit_m = block.extra, thresholds.extra_return_m
     extra = label_extra_returns(
-        block.range_m, labels, further.line, further.column, further.range_m, limit_m, 0.0, alone=Label.UNCLASSIFIED
+        block.range_m,
+        labels,
+        further.line,
+        further.column,
+        further.range_m,
+        limit_m,
+        0.0,
+        alone=Label.UNCLASSIFIED,
     )
     return LabelledBlock(block, labels, extra, stages=stages)
 
 
 @stage("angles")
-def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, thresholds: SequentialAngleThresholds) -> Within:
+def within_lines(
+    range_m: F32, xyz_m: F32 | None, beams: Beams, thresholds: SequentialAngleThresholds
+) -> Within:
     """Run the stages that need only one half-line: coarse layer, car layer, potential ground."""
     lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, thresholds.max_range_m)
     angles = signed_angles(lines, thresholds.angles)
@@ -370,8 +422,14 @@ def follow_ground(
     for part in ready:
         assert state.known is not None
         mask, height_m, known = ground(
-            part.lines, part.surface, part.line_angle_deg, part.ahead, part.potential, state.known, thresholds.ground,
-        )  # fmt: skip
+            part.lines,
+            part.surface,
+            part.line_angle_deg,
+            part.ahead,
+            part.potential,
+            state.known,
+            thresholds.ground,
+        )
         state = replace(state, known=known)
         found.append(OnGround(part, mask, height_m))
     return found, state
@@ -383,7 +441,10 @@ def _start_ground(
     """Keep rows waiting until the first ground height is known (part b of the ground algorithm, sec. 5)."""
     if state.known is not None:
         return [rows], state
-    waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, rows.potential.height_m])
+    waiting, heights = (
+        (*state.waiting, rows),
+        np.concatenate([state.heights_m, rows.potential.height_m]),
+    )
     enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= thresholds.start_heights
     if not enough and len(heights) < state.n_most and not last:
         return [], replace(state, waiting=waiting, heights_m=heights)
@@ -392,7 +453,9 @@ def _start_ground(
 
 
 @stage("cars")
-def find_cars(part: OnGround, thresholds: SequentialAngleThresholds, *, stages: bool = False) -> WithCars:
+def find_cars(
+    part: OnGround, thresholds: SequentialAngleThresholds, *, stages: bool = False
+) -> WithCars:
     """Find cars and possible curb points, which need only the ground height."""
     rows, z_g = part.rows, part.height_m
     lines, surface = rows.lines, rows.surface
@@ -400,24 +463,41 @@ def find_cars(part: OnGround, thresholds: SequentialAngleThresholds, *, stages: 
     found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, thresholds.car)
     seen = car_search(found, lines) if stages else CarSearch.none(len(z_g))
     undecided = Undecided(
-        surface, rows.car_surface, part.ground, found.car, lines.horizontal_m, lines.xyz_m, z_g, seen.trigger,
-        seen.interval, seen.test,
-    )  # fmt: skip
+        surface,
+        rows.car_surface,
+        part.ground,
+        found.car,
+        lines.horizontal_m,
+        lines.xyz_m,
+        z_g,
+        seen.trigger,
+        seen.interval,
+        seen.test,
+    )
     return WithCars(lines, rows.signed_deg, possible, undecided)
 
 
 @stage("curbs")
 def decide_curbs(
-    parts: Sequence[WithCars], state: CurbsSoFar, thresholds: SequentialAngleThresholds, *, last: bool
+    parts: Sequence[WithCars],
+    state: CurbsSoFar,
+    thresholds: SequentialAngleThresholds,
+    *,
+    last: bool,
 ) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
     """Verify curbs across the next rows, in order (sec. 6); return the rows that became final, and their curbs."""
     done: list[Undecided] = []
     masks: list[Mask] = []
     for number, part in enumerate(parts):
         curb, regions = curbs(
-            part.lines, part.undecided.surface, part.signed_deg, part.possible_curb, state.regions, thresholds.curb,
+            part.lines,
+            part.undecided.surface,
+            part.signed_deg,
+            part.possible_curb,
+            state.regions,
+            thresholds.curb,
             last=last and number == len(parts) - 1,
-        )  # fmt: skip
+        )
         final, left = _split((*state.undecided, part.undecided), len(curb))
         state = CurbsSoFar(regions, left)
         done += final
@@ -431,14 +511,22 @@ def combine(rows: Undecided, curb: Mask, thresholds: CurbThresholds) -> U8:
     ``curb`` (R, n) bool; returns (R, n) uint8.
     """
     labels: U8 = kernels.combine_classes(
-        rows.surface, rows.ground, rows.car, rows.horizontal_m, rows.xyz_m, curb,
-        np.array(LABEL_OF_SURFACE, np.uint8), thresholds.stands_below_m,
-    )  # fmt: skip
+        rows.surface,
+        rows.ground,
+        rows.car,
+        rows.horizontal_m,
+        rows.xyz_m,
+        curb,
+        np.array(LABEL_OF_SURFACE, np.uint8),
+        thresholds.stands_below_m,
+    )
     return labels
 
 
 @stage("classes")
-def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, thresholds: CurbThresholds) -> U8:
+def in_columns(
+    done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, thresholds: CurbThresholds
+) -> U8:
     """Label final rows, and map them back to the columns of their scan lines."""
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:
@@ -467,12 +555,18 @@ def stages_in_columns(done: Sequence[Undecided], labels: U8, beams: Beams) -> St
     test = to_columns(rows.car_test, sides, m)
     test[(test == CarTest.CAR) & (labels != Label.CAR)] = CarTest.BEHIND_CURB
     return StageLabels(
-        to_columns(rows.surface, sides, m), to_columns(rows.car_surface, sides, m),
-        to_columns(height, sides, m), to_columns(rows.trigger, sides, m), to_columns(rows.car_interval, sides, m), test,
-    )  # fmt: skip
+        to_columns(rows.surface, sides, m),
+        to_columns(rows.car_surface, sides, m),
+        to_columns(height, sides, m),
+        to_columns(rows.trigger, sides, m),
+        to_columns(rows.car_interval, sides, m),
+        test,
+    )
 
 
-def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:
+def _split(
+    parts: tuple[Undecided, ...], n_rows: int
+) -> tuple[list[Undecided], tuple[Undecided, ...]]:
     """Split off the first rows of a queue."""
     taken: list[Undecided] = []
     for number, part in enumerate(parts):
@@ -493,7 +587,8 @@ def _rows_of(rows: Undecided, part: slice) -> Undecided:
 
 def _join(parts: Sequence[Undecided]) -> Undecided:
     values: dict[str, Any] = {
-        each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Undecided)
+        each.name: np.concatenate([getattr(part, each.name) for part in parts])
+        for each in fields(Undecided)
     }
     return Undecided(**values)
 
@@ -506,4 +601,6 @@ def _check_shape(range_m: F32, xyz_m: F32 | None, beams: Beams) -> None:
         raise InputError("block of ranges", problem, "check points_per_line")
     if xyz_m is not None and xyz_m.shape != (*range_m.shape, 3):
         problem = f"found coordinates of shape {xyz_m.shape}, expected {(*range_m.shape, 3)}"
-        raise InputError("block of coordinates", problem, "give xyz of every shot, NaN where it is missing")
+        raise InputError(
+            "block of coordinates", problem, "give xyz of every shot, NaN where it is missing"
+        )

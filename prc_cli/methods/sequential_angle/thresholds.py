@@ -73,7 +73,11 @@ class MarkovThresholds(NamedTuple):
     """Mean of every state [deg] (published)."""
     sigmas_deg: Annotated[tuple[Spread, Spread, Spread], key()] = (30.0, 30.0, 30.0)
     """Standard deviation of every state [deg]."""
-    h0: Annotated[Matrix, key()] = ((0.05, 0.475, 0.475), (0.05, 0.875, 0.075), (0.05, 0.075, 0.875))
+    h0: Annotated[Matrix, key()] = (
+        (0.05, 0.475, 0.475),
+        (0.05, 0.875, 0.075),
+        (0.05, 0.075, 0.875),
+    )
     """Transition probabilities of model 0, no vegetation; row = from, each adds up to 1."""
     h1: Annotated[Matrix, key()] = (UNIFORM, UNIFORM, UNIFORM)
     """Transition probabilities of model 1, vegetation; row = from, each adds up to 1."""
@@ -237,7 +241,9 @@ class GroundThresholds(NamedTuple):
         return self._replace(
             range_noise_m=range_noise_m,
             least_heights=min(self.least_heights, self.start_heights),
-            memory_heights=max(self.memory_heights, self.start_heights) if self.memory_heights else 0,
+            memory_heights=max(self.memory_heights, self.start_heights)
+            if self.memory_heights
+            else 0,
         )
 
 
@@ -328,10 +334,18 @@ class SuspiciousThresholds(NamedTuple):
 
     enabled: Annotated[bool, key()] = False
     """Test lines at all; false = every line may hold a car; published: true."""
-    h0: Annotated[tuple[Chain, Chain, Chain], key()] = ((0.8, 0.1, 0.1), (0.09, 0.9, 0.01), (0.6, 0.3, 0.1))
+    h0: Annotated[tuple[Chain, Chain, Chain], key()] = (
+        (0.8, 0.1, 0.1),
+        (0.09, 0.9, 0.01),
+        (0.6, 0.3, 0.1),
+    )
     """Regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the
     rows)."""
-    h1: Annotated[tuple[Chain, Chain, Chain], key()] = ((0.5, 0.25, 0.25), (0.25, 0.5, 0.25), (0.25, 0.25, 0.5))
+    h1: Annotated[tuple[Chain, Chain, Chain], key()] = (
+        (0.5, 0.25, 0.25),
+        (0.25, 0.5, 0.25),
+        (0.25, 0.25, 0.5),
+    )
     """Car: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the rows)."""
     threshold: Annotated[float, key(0, 1e6)] = 1.0
     """Log likelihood ratio above which a line is suspicious [nats] (published)."""
@@ -478,7 +492,9 @@ class CarThresholds(NamedTuple):
 
     def at_noise(self, range_noise_m: float) -> CarThresholds:
         """Return lengths at a standard deviation of the range [m]."""
-        return self._replace(dividers=self.dividers.at_noise(range_noise_m), fourier=self.fourier.at_noise())
+        return self._replace(
+            dividers=self.dividers.at_noise(range_noise_m), fourier=self.fourier.at_noise()
+        )
 
 
 class SequentialAngleThresholds(NamedTuple):

@@ -32,7 +32,13 @@ def _inside(window: F32, image: Mask) -> F32:
 
 
 def support_mask(
-    window: F32, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
+    window: F32,
+    n_lines: int,
+    n_columns: int,
+    zeta_p: float,
+    zeta_s: float,
+    min_in_slice: int,
+    min_adjacent: int,
 ) -> Mask:
     """Mark shots that enough neighbours support (4 to 8); see :func:`support_loops.support_mask`."""
     m = n_columns
@@ -41,7 +47,9 @@ def support_mask(
 
     def count_agreeing(shifts: tuple[int, ...], zeta: float) -> NDArray[np.int64]:
         differences = [np.abs(ranges - window[shot + shift]) for shift in shifts if shift != 0]
-        count: NDArray[np.int64] = np.sum([d.astype(np.float64) < np.float64(zeta) for d in differences], axis=0)
+        count: NDArray[np.int64] = np.sum(
+            [d.astype(np.float64) < np.float64(zeta) for d in differences], axis=0
+        )
         return count
 
     in_slice = count_agreeing((-4, -3, -2, -1, 1, 2, 3, 4), zeta_p)
@@ -69,7 +77,9 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
     return mask
 
 
-def is_intersection(before: float, here: float, after: float, form: str, alpha: float, d_c: float) -> bool:
+def is_intersection(
+    before: float, here: float, after: float, form: str, alpha: float, d_c: float
+) -> bool:
     """Whether three successive ranges are of two surfaces that meet: (9) does not hold.
 
     ``form`` is how (9) is read: "literal"; "abs", with absolute differences, since ranges may fall as well as rise;
@@ -118,7 +128,9 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     """Connect and fill; see :func:`components_loops.join_and_fill`."""
     joined, n_components = label_components(np.logical_and(supported, ~background))
     filled = fill_holes(joined, background)
-    return filled, np.array([0, *(np.sum(filled == c) for c in range(1, n_components + 1))], dtype=np.int64)
+    return filled, np.array(
+        [0, *(np.sum(filled == c) for c in range(1, n_components + 1))], dtype=np.int64
+    )
 
 
 def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
@@ -126,7 +138,11 @@ def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: 
     votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
     labels = [0] * (n_components + 1)
     for c in range(1, n_components + 1):
-        won = [(-count, old) for (new, old), count in votes.items() if new == c and old != 0 and count >= min_votes]
+        won = [
+            (-count, old)
+            for (new, old), count in votes.items()
+            if new == c and old != 0 and count >= min_votes
+        ]
         labels[c] = min(won, default=(0, 0))[1]
     return np.array(labels, dtype=np.int64)
 
@@ -157,7 +173,9 @@ def count_covered(supported: Mask, covered: Mask, components: I32, n_components:
     return np.bincount(under, minlength=n_components + 1).astype(np.int64)
 
 
-def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
+def draw_components(
+    window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8
+) -> U8:
     """Draw labels by component; see :func:`surfaces_loops.draw_components`."""
     labels = np.where(covered, others[2], np.take(label_of, components))
     labels[~supported] = others[1]
@@ -165,7 +183,9 @@ def draw_components(window: F32, supported: Mask, covered: Mask, components: I32
     return labels
 
 
-def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
+def draw_columns(
+    window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8
+) -> U8:
     """Draw labels by cover and column; see :func:`surfaces_loops.draw_columns`."""
     missing, noise, marked, cover, free = labels_of
     labels = np.full(supported.shape, noise)

@@ -12,6 +12,8 @@ def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, i
     kept = (ranges > low) & (ranges <= high)
     lost = ranges[~kept & ~np.isnan(ranges)]
     infinite, finite = np.isinf(lost), lost[np.isfinite(lost)]
-    n_infinite, n_refused, n_positive = (int(np.count_nonzero(one)) for one in (infinite, finite <= 0, finite > 0))
+    n_infinite, n_refused, n_positive = (
+        int(np.count_nonzero(one)) for one in (infinite, finite <= 0, finite > 0)
+    )
     cleaned: F32 = np.where(kept, ranges, np.float32(np.nan))
     return cleaned, n_infinite, n_refused, n_positive

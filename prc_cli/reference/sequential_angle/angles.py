@@ -10,7 +10,9 @@ from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
 
-def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
+def signed_angles(
+    range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds
+) -> tuple[F32, I32]:
     """Measure sV: angles of chords with the vertical, negative where a chord turns back on the one before."""
     signed_deg = np.full(range_m.shape, np.nan, np.float32)
     ahead = np.full(range_m.shape, -1, np.int32)
@@ -30,7 +32,9 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThres
     return signed_deg, ahead
 
 
-def first_far(points: F64, ranges: F64, here: int, others: list[int], thresholds: ChordThresholds) -> int | None:
+def first_far(
+    points: F64, ranges: F64, here: int, others: list[int], thresholds: ChordThresholds
+) -> int | None:
     """Return the first of some shots that is far enough away for a chord."""
     for other in others[: thresholds.max_shots]:
         chord = points[other] - points[here]

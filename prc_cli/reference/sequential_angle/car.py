@@ -18,7 +18,11 @@ def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
     n = len(angles)
     spectrum = np.abs(np.fft.rfft(angles))
     largest = spectrum.max()
-    return [k for k in range(len(spectrum)) if k >= band * n and spectrum[k] > ratio * (1 + 1e-9) * largest]
+    return [
+        k
+        for k in range(len(spectrum))
+        if k >= band * n and spectrum[k] > ratio * (1 + 1e-9) * largest
+    ]
 
 
 def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
@@ -36,7 +40,10 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
             continue
         n_windows = -(-n // thresholds.window)
         edges = [window * n // n_windows for window in range(n_windows + 1)]
-        empty = [not high_frequencies(angles[a:b], thresholds.band, thresholds.ratio) for a, b in pairwise(edges)]
+        empty = [
+            not high_frequencies(angles[a:b], thresholds.band, thresholds.ratio)
+            for a, b in pairwise(edges)
+        ]
         decisions.append(sum(empty) >= n_windows / 2)
     return np.array(decisions, dtype=np.bool_)
 
@@ -67,7 +74,9 @@ def is_something_under(ranges: F64, j: int, n_before: int, threshold_m: float) -
 def is_jump(points: F64, distance: F64, j: int, thresholds: DividerThresholds) -> bool:
     """Tell whether the next point is far away, not back towards the scanner, and the line does not come back."""
     step = points[j + 1] - points[j]
-    far = np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > thresholds.separation_m
+    far = (
+        np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > thresholds.separation_m
+    )
     after = slice(j + 2, j + 2 + thresholds.return_points)
     comes_back = (distance[after] - distance[j] <= 1.0) & (points[after, 2] - points[j, 2] <= 0.8)
     return bool(far and not comes_back.any())
@@ -86,7 +95,11 @@ def flat_stretch(
     """Find points K to L of a horizontal run that are long and flat; None = there are none."""
     last = 0
     for first in range(len(distance)):
-        far = [i for i in range(max(first, last), len(distance)) if distance[i] - distance[first] >= length_m]
+        far = [
+            i
+            for i in range(max(first, last), len(distance))
+            if distance[i] - distance[first] >= length_m
+        ]
         if not far:
             continue
         last = far[0]
@@ -123,9 +136,11 @@ def car_intervals(
         if not triggered[row] or np.isnan(ground_m[row]):
             continue
         line = Line(
-            surface[row, : n_beams[row]], horizontal_m[row].astype(np.float64), xyz_m[row, :, 2].astype(np.float64),
+            surface[row, : n_beams[row]],
+            horizontal_m[row].astype(np.float64),
+            xyz_m[row, :, 2].astype(np.float64),
             float(ground_m[row]),
-        )  # fmt: skip
+        )
         beams = line.searched(thresholds)
         codes = [int(surface[row, k]) for k in beams]
         points = xyz_m[row, beams].astype(np.float64).reshape(-1, 3)
@@ -134,8 +149,13 @@ def car_intervals(
 
         changes = [j for j in range(1, len(beams)) if codes[j - 1 : j + 1] == [H, V]]
         chord_m, reach = thresholds.change_chord_m, thresholds.change_reach
-        angles = {j: change_angle(points, j, chord_m, reach) if chord_m > 0 else np.nan for j in changes}
-        angles = {j: float(signed_deg[row, beams[j]]) if np.isnan(angle) else angle for j, angle in angles.items()}
+        angles = {
+            j: change_angle(points, j, chord_m, reach) if chord_m > 0 else np.nan for j in changes
+        }
+        angles = {
+            j: float(signed_deg[row, beams[j]]) if np.isnan(angle) else angle
+            for j, angle in angles.items()
+        }
         first_dividers = [
             j
             for j in changes
@@ -144,7 +164,9 @@ def car_intervals(
             or is_something_under(ranges, j, thresholds.under_points, thresholds.under_m)
         ]
         last_dividers = [
-            j for j in range(len(beams)) if j + 1 == len(beams) or is_jump(points, distance, j, thresholds)
+            j
+            for j in range(len(beams))
+            if j + 1 == len(beams) or is_jump(points, distance, j, thresholds)
         ]
         if thresholds.from_start and codes[:1] == [V]:
             first_dividers.insert(0, 0)
@@ -199,24 +221,31 @@ class Line:
         codes = self.surface[beams].tolist()
         return (H, V) in pairwise(codes) or (thresholds.from_start and codes[:1] == [V])
 
-    def behind_glass(self, returns: list[int], last: int, thresholds: DividerThresholds) -> list[int]:
+    def behind_glass(
+        self, returns: list[int], last: int, thresholds: DividerThresholds
+    ) -> list[int]:
         """Return those of the returns, T' first, that follow the window of a car; empty = it is none."""
         behind = next((i for i, k in enumerate(returns) if self.surface[k] != T), len(returns))
         window, rest = returns[:behind], returns[behind:]
         if not rest or self.surface[rest[0]] not in (H, V):
             return []
         near = self.distance[rest[0]] <= self.distance[last] + thresholds.glass_m
-        low = all(not self.height[k] > self.ground_m + thresholds.height_m for k in [*window, rest[0]])
+        low = all(
+            not self.height[k] > self.ground_m + thresholds.height_m for k in [*window, rest[0]]
+        )
         return rest if near and low and self.height[last] >= self.ground_m + 0.6 else []
 
-    def side_of_van(self, returns: list[int], last: list[int], thresholds: DividerThresholds) -> list[int]:
+    def side_of_van(
+        self, returns: list[int], last: list[int], thresholds: DividerThresholds
+    ) -> list[int]:
         """Return those of the returns, the first too high, that go on with the side of a van; empty = it is none."""
         if not last or self.surface[last[0]] != V:
             return []
         steps = [
             i
             for i, (a, b) in enumerate(pairwise([*last, *returns]))
-            if self.surface[b] != V or abs(self.distance[b] - self.distance[a]) > thresholds.vertical_break_m
+            if self.surface[b] != V
+            or abs(self.distance[b] - self.distance[a]) > thresholds.vertical_break_m
         ]
         run = returns[: steps[0]] if steps else returns
         is_open = not steps and returns[-1] == len(self.surface) - 1
@@ -229,14 +258,20 @@ def first_ground(
 ) -> tuple[int, int] | None:
     """Find the first long flat stretch, within one horizontal run, between two dividers; None = there is none."""
     limits = (thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope)
-    steps = [k for k in range(t1 + 1, t2 + 1) if abs(height[k] - height[k - 1]) > thresholds.flat_step_m]
+    steps = [
+        k for k in range(t1 + 1, t2 + 1) if abs(height[k] - height[k - 1]) > thresholds.flat_step_m
+    ]
     cuts = [t1, *steps, t2 + 1]
     level = [(a - t1 + f, a - t1 + z) for a, b in pairwise(cuts) for f, z in runs(codes[a:b], H)]
     for first, last in level:
         part = slice(t1 + first, t1 + last + 1)
         stretch = flat_stretch(distance[part], height[part], *limits)
         before = height[t1 : t1 + first + stretch[0]] if stretch else height[:0]
-        if stretch and not height[t1 + first + stretch[0]] - min(before, default=np.inf) > thresholds.flat_above_m:
+        if (
+            stretch
+            and not height[t1 + first + stretch[0]] - min(before, default=np.inf)
+            > thresholds.flat_above_m
+        ):
             return t1 + first + stretch[0], t1 + first + stretch[1]
     return None
 
@@ -244,13 +279,18 @@ def first_ground(
 def is_too_high(heights: F64, ground_m: float, thresholds: DividerThresholds) -> bool:
     """Tell whether a vertical run is one that no car has, by its height and that of its top."""
     return bool(
-        np.ptp(heights) >= thresholds.vertical_extent_m and not heights.max() <= ground_m + thresholds.vertical_top_m
+        np.ptp(heights) >= thresholds.vertical_extent_m
+        and not heights.max() <= ground_m + thresholds.vertical_top_m
     )
 
 
 def is_open(beams: list[int], heights: F64, n: int, thresholds: DividerThresholds) -> bool:
     """Tell whether a high vertical run goes on to the last beam."""
-    return bool(thresholds.vertical_open and beams[-1] == n - 1 and np.ptp(heights) >= thresholds.vertical_extent_m)
+    return bool(
+        thresholds.vertical_open
+        and beams[-1] == n - 1
+        and np.ptp(heights) >= thresholds.vertical_extent_m
+    )
 
 
 def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> bool:
@@ -261,17 +301,24 @@ def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> b
     if high and len(heights) < thresholds.straight_points:
         return True
     residual_m, slope = (
-        (np.inf, thresholds.vertical_slope) if high else (thresholds.straight_m, thresholds.straight_slope)
+        (np.inf, thresholds.vertical_slope)
+        if high
+        else (thresholds.straight_m, thresholds.straight_slope)
     )
     return is_upright(distance, heights, residual_m, slope, thresholds)
 
 
-def is_upright(distance: F64, heights: F64, residual_m: float, slope: float, thresholds: DividerThresholds) -> bool:
+def is_upright(
+    distance: F64, heights: F64, residual_m: float, slope: float, thresholds: DividerThresholds
+) -> bool:
     """Tell whether points are near a straight line that is nearly upright."""
     lean, offset = np.polyfit(heights - heights[0], distance - distance[0], 1)
     residual = distance - distance[0] - lean * (heights - heights[0]) - offset
     near = np.sqrt(np.mean(residual**2)) <= residual_m
-    return bool(near and abs(lean) <= slope + thresholds.lean_noise_m / np.sqrt(len(heights) * np.var(heights)))
+    return bool(
+        near
+        and abs(lean) <= slope + thresholds.lean_noise_m / np.sqrt(len(heights) * np.var(heights))
+    )
 
 
 def cut_verticals(
@@ -290,23 +337,31 @@ def cut_verticals(
         codes = [int(surface[row, k]) for k in beams]
         distance = horizontal_m[row, beams].astype(np.float64)
         # beams have the same number up to the next break
-        part = np.cumsum([0] + [abs(b - a) > thresholds.vertical_break_m for a, b in pairwise(distance)])
+        part = np.cumsum(
+            [0] + [abs(b - a) > thresholds.vertical_break_m for a, b in pairwise(distance)]
+        )
         keep = [k <= last for k in beams]
         vertical = [
             run
             for one in set(part.tolist())
-            for run in runs([code if here == one else -1 for code, here in zip(codes, part, strict=True)], V)
+            for run in runs(
+                [code if here == one else -1 for code, here in zip(codes, part, strict=True)], V
+            )
         ]
         for begin, end in vertical:
             heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
             too_high = is_too_high(heights, float(ground_m[row]), thresholds)
-            too_high = too_high or is_open(beams[begin : end + 1], heights, n_beams[row], thresholds)
+            too_high = too_high or is_open(
+                beams[begin : end + 1], heights, n_beams[row], thresholds
+            )
             if too_high or is_straight(distance[begin : end + 1], heights, thresholds):
                 keep[begin : end + 1] = [False] * (end + 1 - begin)
         height = xyz_m[row, beams, 2].astype(np.float64)
         for begin, end in reliefs(codes, distance, height, beams.index(last), thresholds):
             keep[begin : end + 1] = [False] * (end + 1 - begin)
-        left += [(row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)]
+        left += [
+            (row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)
+        ]
     return np.array(left, np.int32).reshape(-1, 3)
 
 
@@ -320,12 +375,19 @@ def reliefs(
         run = [begin] if codes[begin] in (H, V) else []
         while run:
             ahead = range(run[-1] + 1, min(run[-1] + 2 + thresholds.return_points, len(codes)))
-            near = [k for k in ahead if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1]
+            near = [
+                k
+                for k in ahead
+                if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1
+            ]
             if not near:
                 break
             run.append(near[0])
         heights = height[run]
-        if len(run) >= thresholds.straight_points and np.ptp(heights) >= thresholds.vertical_extent_m:
+        if (
+            len(run) >= thresholds.straight_points
+            and np.ptp(heights) >= thresholds.vertical_extent_m
+        ):
             limits = thresholds.relief_m, thresholds.straight_slope, thresholds
             if np.ptp(heights) > 0 and is_upright(distance[run], heights, *limits):
                 found.append((begin, run[-1]))

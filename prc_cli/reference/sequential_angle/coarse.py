@@ -27,7 +27,10 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
         samples = line[there].astype(np.float64)
         densities = norm.logpdf(samples[:, None], thresholds.means_deg, thresholds.sigmas_deg)
         test = Test(
-            densities, (thresholds.h0, thresholds.initial_h0), (thresholds.h1, thresholds.initial_h1), thresholds
+            densities,
+            (thresholds.h0, thresholds.initial_h0),
+            (thresholds.h1, thresholds.initial_h1),
+            thresholds,
         )
         regions = confirmed_regions(samples, test) if thresholds.sprt else regions_both_ways(test)
         for i, (start, stop) in enumerate(regions):
@@ -92,7 +95,9 @@ def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
     return regions
 
 
-def page_test(log_density: F64, zero: Model, one: Model, begin: int, threshold: float) -> tuple[int, int] | None:
+def page_test(
+    log_density: F64, zero: Model, one: Model, begin: int, threshold: float
+) -> tuple[int, int] | None:
     """Return alarm and onset of the first change from model 0 to model 1, None if there is none."""
     s, onset = 0.0, begin
     state_0: F64 | None = None
@@ -134,7 +139,9 @@ def step(before: F64 | None, transition: Matrix, initial: Three, log_density: F6
     return after
 
 
-def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds) -> U8:
+def surface_image(
+    signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds
+) -> U8:
     """Label surfaces; see :func:`coarse_loops.surface_image`."""
     image = np.full(signed_deg.shape, Surface.MISSING, np.uint8)
     for row, line in enumerate(signed_deg):
@@ -158,10 +165,14 @@ def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32,
 
 def horizontal_or_vertical(tilt: F64, thresholds: SurfaceThresholds) -> list[Surface]:
     """Label the samples of a run by the CUSUM test for a change of their mean, one test for either direction."""
-    drifts = {Surface.HORIZONTAL: thresholds.drift_vertical_deg, Surface.VERTICAL: thresholds.drift_horizontal_deg}
+    drifts = {
+        Surface.HORIZONTAL: thresholds.drift_vertical_deg,
+        Surface.VERTICAL: thresholds.drift_horizontal_deg,
+    }
     limits = {
-        Surface.HORIZONTAL: thresholds.threshold_vertical_deg, Surface.VERTICAL: thresholds.threshold_horizontal_deg
-    }  # fmt: skip
+        Surface.HORIZONTAL: thresholds.threshold_vertical_deg,
+        Surface.VERTICAL: thresholds.threshold_horizontal_deg,
+    }
     vertical = not thresholds.start_horizontal and np.median(tilt[:5]) < 45.0
     label = Surface.VERTICAL if vertical else Surface.HORIZONTAL
     labels: list[Surface] = []
@@ -184,7 +195,9 @@ def runs(beams: list[int], vegetation: Mask) -> list[list[int]]:
     return [list(run) for run in np.split(np.array(beams, int), cuts) if len(run)]
 
 
-def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: WindowThresholds) -> U8:
+def upright_layers(
+    surface: U8, horizontal_m: F32, n_beams: I32, thresholds: WindowThresholds
+) -> U8:
     """Find facades behind glass; see :func:`coarse_loops.upright_layers`."""
     image = surface.copy()
     for row, codes in enumerate(surface):
@@ -195,7 +208,9 @@ def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: Win
                 continue
             distances = np.sort(horizontal_m[row, run].astype(np.float64))
             first, after = fullest(distances, thresholds.width_m)
-            beside = [fullest(part, thresholds.width_m) for part in (distances[:first], distances[after:])]
+            beside = [
+                fullest(part, thresholds.width_m) for part in (distances[:first], distances[after:])
+            ]
             inside = after - first + max(b - a for a, b in beside)
             if inside > thresholds.share * len(run):
                 image[row, run] = Surface.VERTICAL
@@ -204,14 +219,19 @@ def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: Win
 
 def fullest(distances: F64, width_m: float) -> tuple[int, int]:
     """Return where the fullest layer of sorted distances begins and ends; the first one of several."""
-    counts = [int(np.count_nonzero((distances >= d) & (distances - d <= width_m))) for d in distances.tolist()]
+    counts = [
+        int(np.count_nonzero((distances >= d) & (distances - d <= width_m)))
+        for d in distances.tolist()
+    ]
     # equal distances begin the same layer, of which the first holds them all
     counts = [n if i == 0 or distances[i - 1] != distances[i] else 0 for i, n in enumerate(counts)]
     first = int(np.argmax(counts)) if counts else 0
     return first, first + (int(counts[first]) if counts else 0)
 
 
-def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WindowThresholds) -> U8:
+def behind_walls(
+    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WindowThresholds
+) -> U8:
     """Find walls among leaves; see :func:`coarse_loops.behind_walls`."""
     image = surface.copy()
     for row, codes in enumerate(surface):
@@ -219,11 +239,23 @@ def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thres
         distance = horizontal_m[row, beams].astype(np.float64)
         height = xyz_m[row, beams, 2].astype(np.float64)
         vertical = codes[beams] == Surface.VERTICAL
-        ends = np.flatnonzero(~vertical[1:] | ~vertical[:-1] | (np.abs(np.diff(distance)) > thresholds.break_m)) + 1
-        parts = [part for part in np.split(np.arange(len(beams)), ends) if len(part) and vertical[part[0]]]
+        ends = (
+            np.flatnonzero(
+                ~vertical[1:] | ~vertical[:-1] | (np.abs(np.diff(distance)) > thresholds.break_m)
+            )
+            + 1
+        )
+        parts = [
+            part
+            for part in np.split(np.arange(len(beams)), ends)
+            if len(part) and vertical[part[0]]
+        ]
         walls = [part for part in parts if is_wall(distance[part], height[part], thresholds)]
         for i in np.flatnonzero(codes[beams] == Surface.VEGETATION).tolist():
-            away = [(wall[0] > i, distance[i] - 0.5 * (distance[wall].min() + distance[wall].max())) for wall in walls]
+            away = [
+                (wall[0] > i, distance[i] - 0.5 * (distance[wall].min() + distance[wall].max()))
+                for wall in walls
+            ]
             on_wall = any(abs(far) <= thresholds.wall_m for _, far in away)
             if on_wall or any(above and far >= -thresholds.front_m for above, far in away):
                 image[row, beams[i]] = Surface.VERTICAL
@@ -236,4 +268,6 @@ def is_wall(distance: F64, height: F64, thresholds: WindowThresholds) -> bool:
         return False
     lean, offset = np.polyfit(height - height[0], distance - distance[0], 1)
     residual = distance - distance[0] - lean * (height - height[0]) - offset
-    return bool(abs(lean) <= thresholds.slope and np.sqrt(np.mean(residual**2)) <= thresholds.straight_m)
+    return bool(
+        abs(lean) <= thresholds.slope and np.sqrt(np.mean(residual**2)) <= thresholds.straight_m
+    )

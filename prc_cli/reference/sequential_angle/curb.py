@@ -19,7 +19,9 @@ from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegi
 MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)
 
 
-def possible_curbs(surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds) -> I32:
+def possible_curbs(
+    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
+) -> I32:
     """Find possible curb points; see :func:`curb_loops.possible_curbs`."""
     beam = np.full(len(surface), -1, dtype=np.int32)
     for row in range(len(surface)):
@@ -87,10 +89,16 @@ class Growing:
 
     def open(self, side: int) -> list[Region]:
         """Return the undecided regions of a side."""
-        found = {id(region): region for (of, _, _), region in self.of.items() if of == side and region.fate == "open"}
+        found = {
+            id(region): region
+            for (of, _, _), region in self.of.items()
+            if of == side and region.fate == "open"
+        }
         return list(found.values())
 
-    def add_row(self, side: int, line: int, beams: list[int], here: F64, above: F64, possible: int) -> None:
+    def add_row(
+        self, side: int, line: int, beams: list[int], here: F64, above: F64, possible: int
+    ) -> None:
         """Add the vertical points of a row."""
 
         def near(one: F64, other: F64) -> bool:
@@ -105,9 +113,15 @@ class Growing:
             ]
             for k in beams
         }
-        touched = {k: [region for region in above_of[k] if region.fate in ("open", "high")] for k in beams}
+        touched = {
+            k: [region for region in above_of[k] if region.fate in ("open", "high")] for k in beams
+        }
         # neighbours in the row belong together, and what touches the same region above
-        pairs = [(i, i + 1) for i, (j, k) in enumerate(pairwise(beams)) if j + 1 == k and near(here[k], here[j])]
+        pairs = [
+            (i, i + 1)
+            for i, (j, k) in enumerate(pairwise(beams))
+            if j + 1 == k and near(here[k], here[j])
+        ]
         first_at: dict[int, int] = {}
         for i, k in enumerate(beams):
             pairs += [(first_at.setdefault(id(region), i), i) for region in touched[k]]
@@ -133,10 +147,15 @@ class Growing:
     def decide(self, region: Region, signed: F64) -> None:
         """Decide what a complete region is; ``signed`` holds the angles of its side by line."""
         region.fate = "rejected"
-        if not region.possible or float(region.high) - float(region.low) < self.thresholds.min_height_m:
+        if (
+            not region.possible
+            or float(region.high) - float(region.low) < self.thresholds.min_height_m
+        ):
             return
         changes = [
-            abs(signed[line, k] - signed[line, k - 1]) for line, k in region.points if (line, k - 1) in region.points
+            abs(signed[line, k] - signed[line, k - 1])
+            for line, k in region.points
+            if (line, k - 1) in region.points
         ]
         changes = [change for change in changes if not np.isnan(change)]
         many = region.last - region.first + 1 >= self.thresholds.min_lines
@@ -171,7 +190,9 @@ def connect_verticals(
         side, new = row % n_sides, row // n_sides
         line = n_before + new
         beams = np.flatnonzero(surface[row] == VERTICAL).tolist()
-        growing.add_row(side, line, beams, points[new + 1, side], points[new, side], int(possible[row]))
+        growing.add_row(
+            side, line, beams, points[new + 1, side], points[new, side], int(possible[row])
+        )
         for region in growing.open(side):
             if region.last < line or line - region.first + 1 >= thresholds.max_lines:
                 growing.decide(region, angles[:, side])
@@ -193,7 +214,11 @@ def connect_verticals(
         if line >= begin:
             if region.fate == "open" and region not in order:
                 order.append(region)
-            number = 4 + order.index(region) if region.fate == "open" else {v: i for i, v in FATES.items()}[region.fate]
+            number = (
+                4 + order.index(region)
+                if region.fate == "open"
+                else {v: i for i, v in FATES.items()}[region.fate]
+            )
             left[(line - begin) * n_sides + side, k] = number
     return curb, OpenRegions(
         labels=left,

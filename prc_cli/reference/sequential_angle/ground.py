@@ -13,7 +13,11 @@ import numpy as np
 
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds, PotentialGround
+from prc_cli.methods.sequential_angle.thresholds import (
+    GroundState,
+    GroundThresholds,
+    PotentialGround,
+)
 
 EIGHTHS = 8
 """Bins in a bandwidth."""
@@ -54,7 +58,9 @@ def grid_modes(samples: list[int]) -> list[tuple[float, int]]:
             modes[-1].append(mode)
         else:
             modes.append([mode])
-    return [(max(group, key=itemgetter(1))[0], sum(count for _, _, count in group)) for group in modes]
+    return [
+        (max(group, key=itemgetter(1))[0], sum(count for _, _, count in group)) for group in modes
+    ]
 
 
 def main_mode(modes: list[tuple[float, int]]) -> tuple[float, int]:
@@ -66,7 +72,14 @@ class Row:
     """One row, and the rules for potential ground."""
 
     def __init__(
-        self, surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n: int, thresholds: GroundThresholds
+        self,
+        surface: U8,
+        xyz: F32,
+        horizontal: F32,
+        phihat: F32,
+        ahead: I32,
+        n: int,
+        thresholds: GroundThresholds,
     ) -> None:
         self.surface: list[int] = surface[:n].tolist()
         self.xyz = xyz.astype(np.float64)
@@ -82,9 +95,12 @@ class Row:
         sine_by_ranges = np.sqrt(np.sum(np.cross(here, chord) ** 2))
         with np.errstate(all="ignore"):
             sigma = (
-                57.29577951308232 * 1.4142135623730951 * self.thresholds.range_noise_m * sine_by_ranges
+                57.29577951308232
+                * 1.4142135623730951
+                * self.thresholds.range_noise_m
+                * sine_by_ranges
                 / (np.sum(chord**2) * np.sqrt(np.sum(here**2)))
-            )  # fmt: skip
+            )
         b = float(np.fmax(self.thresholds.bandwidth_deg, self.thresholds.bandwidth_sigmas * sigma))
         return min(b, 180.0)
 
@@ -105,14 +121,17 @@ class Row:
     def behind(self, points: list[int], after: int) -> int | None:
         """Return the next beam of a surface, where there is one; a few that are not horizontal are passed over."""
         valid = self.valid(after)
-        passed = next((i for i, beam in enumerate(valid) if self.surface[beam] == HORIZONTAL), len(valid))
+        passed = next(
+            (i for i, beam in enumerate(valid) if self.surface[beam] == HORIZONTAL), len(valid)
+        )
         two = valid[passed : passed + 2]
         if passed == 0:
             return valid[0] if valid else None
         if passed > self.thresholds.bridge or len(two) < 2:
             return None
         on_line = all(
-            self.surface[beam] == HORIZONTAL and self.fits(points, beam, self.thresholds.bridge_height_m)
+            self.surface[beam] == HORIZONTAL
+            and self.fits(points, beam, self.thresholds.bridge_height_m)
             for beam in two
         )
         return two[0] if on_line else None
@@ -180,7 +199,9 @@ class Row:
         mean_x, mean_z = np.cumsum(x)[-1] / len(x), np.cumsum(z)[-1] / len(z)
         sxx = np.cumsum((x - mean_x) ** 2)[-1]
         slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
-        return bool(abs(self.xyz[beam, 2] - (mean_z + slope * (self.horizontal[beam] - mean_x))) <= guard)
+        return bool(
+            abs(self.xyz[beam, 2] - (mean_z + slope * (self.horizontal[beam] - mean_x))) <= guard
+        )
 
     def grown(self, beams: list[int], found: list[int], b: float) -> list[int]:
         """Add potential ground to the ground so far, and grow it over the horizontal points that follow."""
@@ -204,7 +225,13 @@ class Row:
 
 
 def potential_heights(
-    surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    ahead: I32,
+    n_beams: I32,
+    thresholds: GroundThresholds,
 ) -> PotentialGround:
     """Find potential ground (part a); see :func:`ground_loops.potential_heights`."""
     first, last = np.full((2, len(surface)), -1, dtype=np.int32)
@@ -223,10 +250,16 @@ def to_bin(z: float) -> int:
     return int(np.clip(np.floor((z - LOWEST_M) * PER_METRE), 0, N_HEIGHTS - 1))
 
 
-def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
+def main_height(
+    heights: F64, share: float, roof_m: float, roof_share: float
+) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights; see :func:`ground_loops.main_height`."""
     bins = [to_bin(height) for height in heights]
-    return *main_bin(bins, share, roof_m, roof_share), np.array(bins, dtype=np.int32), histogram_of(bins)
+    return (
+        *main_bin(bins, share, roof_m, roof_share),
+        np.array(bins, dtype=np.int32),
+        histogram_of(bins),
+    )
 
 
 def floor_m(bins: float, width: int) -> float:
@@ -239,7 +272,9 @@ def histogram_of(bins: list[int]) -> I32:
     return np.bincount(np.array(bins, dtype=np.int64), minlength=N_HEIGHTS).astype(np.int32)
 
 
-def main_bin(heights: list[int], share: float, roof_m: float, roof_share: float) -> tuple[int, float]:
+def main_bin(
+    heights: list[int], share: float, roof_m: float, roof_share: float
+) -> tuple[int, float]:
     """Return the number of binned heights in their main mode, and its place [m]."""
     if not heights:
         return 0, math.nan
@@ -270,7 +305,10 @@ def main_bin(heights: list[int], share: float, roof_m: float, roof_share: float)
 
 def is_near(z: float, z_g: float, thresholds: GroundThresholds) -> bool:
     """Tell whether a height agrees with that of the ground."""
-    return abs(z - z_g) < thresholds.height_tolerance * abs(z_g) or abs(z - z_g) < thresholds.height_tolerance_m
+    return (
+        abs(z - z_g) < thresholds.height_tolerance * abs(z_g)
+        or abs(z - z_g) < thresholds.height_tolerance_m
+    )
 
 
 def ground_rows(
@@ -288,7 +326,9 @@ def ground_rows(
     memory, share = thresholds.memory_heights, thresholds.height_bandwidth
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
-    heights = (state.recent if memory else np.repeat(np.arange(len(state.histogram)), state.histogram)).tolist()
+    heights = (
+        state.recent if memory else np.repeat(np.arange(len(state.histogram)), state.histogram)
+    ).tolist()
     z_g = state.z_g
     side_m = state.side_m.tolist()
     for i in range(len(surface)):
@@ -322,7 +362,11 @@ def ground_rows(
         z_rows[i] = z_g
     recent = np.array(heights if memory else [], dtype=np.int32)
     ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
-    return ground, z_rows, GroundState(histogram_of(heights), recent, z_g, ahead_still, np.array(side_m))
+    return (
+        ground,
+        z_rows,
+        GroundState(histogram_of(heights), recent, z_g, ahead_still, np.array(side_m)),
+    )
 
 
 def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
@@ -335,7 +379,9 @@ def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
         start = more[-1] + 1
         between = [k for k in row.valid(points[-1]) if k < more[0]]
         whole = all(row.surface[k] == HORIZONTAL for k in between)
-        if row.fits(points, more[0], guard if whole else min(guard, row.thresholds.bridge_height_m)):
+        if row.fits(
+            points, more[0], guard if whole else min(guard, row.thresholds.bridge_height_m)
+        ):
             points = row.grown(points, more, b)
             start = points[-1] + 1
         more, b = row.potential(start)

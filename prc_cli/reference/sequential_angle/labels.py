@@ -10,7 +10,9 @@ from prc_cli.core.classes import Label, Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
-def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> I32:
+def first_high_verticals(
+    surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float
+) -> I32:
     """Find the first high vertical run; see :func:`labels_loops.first_high_verticals`."""
     beam = np.full(len(n_beams), -1, np.int32)
     for row, n in enumerate(n_beams):
@@ -46,11 +48,15 @@ def first_triggers(surface: U8, n_beams: I32, increments: F64, threshold: float)
     return np.array(beams, np.int32).reshape(len(n_beams))
 
 
-def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+def arrange_lines(
+    range_m: F32, xyz_m: F32, columns: I32, max_range_m: float
+) -> tuple[F32, F32, F32]:
     """Pick beams; see :func:`labels_loops.arrange_lines`."""
     everything = np.concatenate([range_m[:, :, None], xyz_m], axis=2)
     with np.errstate(invalid="ignore"):
-        seen = (everything[:, :, 0].astype(np.float64) <= max_range_m) & ~np.isnan(xyz_m).any(axis=2)
+        seen = (everything[:, :, 0].astype(np.float64) <= max_range_m) & ~np.isnan(xyz_m).any(
+            axis=2
+        )
     everything[~seen] = np.nan
     rows = np.concatenate([everything[:, side] for side in columns], axis=1)
     rows[np.tile(columns.ravel() < 0, (len(range_m), 1))] = np.nan
@@ -60,7 +66,9 @@ def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) ->
     return np.ascontiguousarray(rows[:, :, 0]), np.ascontiguousarray(rows[:, :, 1:]), horizontal
 
 
-def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+def arrange_plane(
+    range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float
+) -> tuple[F32, F32, F32]:
     """Pick beams; see :func:`labels_loops.arrange_plane`."""
     r = range_m.astype(np.float64)
     x = r * across
@@ -68,19 +76,30 @@ def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m:
     return arrange_lines(range_m, xyz, columns, max_range_m)
 
 
-def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32) -> Mask:
+def mark_cars(
+    intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32
+) -> Mask:
     """Mark the returns of intervals; see :func:`labels_loops.mark_cars`."""
     inside = np.zeros(surface.shape, np.bool_)
     for row, first, last in intervals.tolist():
         inside[row, first : last + 1] = True
-    on_ground = np.logical_and(np.less(xyz_m[..., 2], low_m[:, None]), surface == Surface.HORIZONTAL)
+    on_ground = np.logical_and(
+        np.less(xyz_m[..., 2], low_m[:, None]), surface == Surface.HORIZONTAL
+    )
     near = np.less_equal(horizontal_m, limit_m[:, None])
     marked: Mask = inside & near & ~on_ground
     return marked
 
 
 def combine_classes(
-    surface: U8, ground: Mask, car: Mask, horizontal_m: F32, xyz_m: F32, curb: Mask, label_of: U8, below_m: float
+    surface: U8,
+    ground: Mask,
+    car: Mask,
+    horizontal_m: F32,
+    xyz_m: F32,
+    curb: Mask,
+    label_of: U8,
+    below_m: float,
 ) -> U8:
     """Combine layers; see :func:`labels_loops.combine_classes`."""
     labels: U8 = np.take(label_of, surface)
@@ -93,7 +112,11 @@ def combine_classes(
         nearest = distance[here].min()
         top = height[here & (distance - nearest <= 0.3)].max()
         for one in runs_of_cars(surface[row], car[row]):
-            level = [k for k in range(one[0]) if surface[row, k] == Surface.HORIZONTAL and not car[row, k]]
+            level = [
+                k
+                for k in range(one[0])
+                if surface[row, k] == Surface.HORIZONTAL and not car[row, k]
+            ]
             stands_on = min([*height[one].tolist(), *height[level[-1:]].tolist()])
             for k in one:
                 if stands_on < top - below_m or not distance[k] > nearest:

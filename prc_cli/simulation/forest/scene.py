@@ -12,8 +12,23 @@ import numpy as np
 
 from prc_cli.core.types import F64, Mask
 from prc_cli.simulation.forest.params import ForestSceneParams
-from prc_cli.simulation.forest.terrain import CELL_M, Purpose, Rows, Terrain, first_number, generator
-from prc_cli.simulation.forest.trees import Stand, Stems, cones, ellipsoids, footprints, tree_bodies, triangles
+from prc_cli.simulation.forest.terrain import (
+    CELL_M,
+    Purpose,
+    Rows,
+    Terrain,
+    first_number,
+    generator,
+)
+from prc_cli.simulation.forest.trees import (
+    Stand,
+    Stems,
+    cones,
+    ellipsoids,
+    footprints,
+    tree_bodies,
+    triangles,
+)
 from prc_cli.simulation.world import Bodies, Material
 
 _ELBOW_M = 0.35
@@ -55,7 +70,9 @@ class Floor:
         """Return mounds and boulders, sunk into the ground."""
         place = self._places(self._params.mounds_per_ha, i, j, chance)
         n = len(place)
-        half = np.column_stack([chance.uniform(0.3, 1.3, n), chance.uniform(0.3, 1.0, n), chance.uniform(0.15, 0.5, n)])
+        half = np.column_stack(
+            [chance.uniform(0.3, 1.3, n), chance.uniform(0.3, 1.0, n), chance.uniform(0.15, 0.5, n)]
+        )
         place[:, 2] -= 0.25 * half[:, 2]
         return ellipsoids(place, half, chance.uniform(0, np.pi, n), Material.SOIL)
 
@@ -82,7 +99,8 @@ class Floor:
         centre[..., :2] += chance.uniform(-0.6, 0.6, centre[..., :2].shape) * width[:, None, None]
         centre[..., 2] += tall[:, None] * (0.35, 0.65)
         half = np.stack(
-            [width[:, None] * (1.0, 0.7), width[:, None] * (0.8, 0.6), tall[:, None] * (0.4, 0.35)], axis=-1
+            [width[:, None] * (1.0, 0.7), width[:, None] * (0.8, 0.6), tall[:, None] * (0.4, 0.35)],
+            axis=-1,
         )
         density = 1.6 * self._params.leaf_density * chance.uniform(0.5, 1.5, half.shape[:2])
         yaw = chance.uniform(0, np.pi, half.shape[:2])
@@ -102,7 +120,9 @@ class Floor:
         foot = 0.004 + 0.008 * tall
         stems = cones(place, place + up, foot, 0.2 * foot, Material.UNDERGROWTH)
         centre = place[:, None] + up[:, None] * np.array([0.25, 0.52, 0.8])[:, None]
-        half = np.stack([width[:, None] * (1.0, 0.7, 0.35)] * 2 + [tall[:, None] * (0.2, 0.2, 0.2)], axis=-1)
+        half = np.stack(
+            [width[:, None] * (1.0, 0.7, 0.35)] * 2 + [tall[:, None] * (0.2, 0.2, 0.2)], axis=-1
+        )
         tufts = ellipsoids(centre, half, np.zeros(half.shape[:2]), Material.UNDERGROWTH, density)
         return Bodies.join([stems, tufts])
 
@@ -137,7 +157,9 @@ class Floor:
         top[:, 2] += tall
         sides = cones(foot, top, 1.25 * radius, radius, Material.DEAD_WOOD)
         face = np.column_stack([radius, radius, np.full(len(radius), 0.02)])
-        return Bodies.join([sides, ellipsoids(top, face, np.zeros(len(radius)), Material.DEAD_WOOD)])
+        return Bodies.join(
+            [sides, ellipsoids(top, face, np.zeros(len(radius)), Material.DEAD_WOOD)]
+        )
 
 
 _OVERHANG_M = 6.0
@@ -204,7 +226,12 @@ class ForestScene:
         bodies = Bodies.join(
             [
                 triangles(self.terrain.triangles(i, j), Material.SOIL),
-                tree_bodies(stems, to_path, self.params.leaf_density, generator(self._seed, Purpose.TREES, i, j)),
+                tree_bodies(
+                    stems,
+                    to_path,
+                    self.params.leaf_density,
+                    generator(self._seed, Purpose.TREES, i, j),
+                ),
                 self._floor.growth(i, j, generator(self._seed, Purpose.FLOOR, i, j)),
                 self._floor.dead_wood(i, j, generator(self._seed, Purpose.DEAD_WOOD, i, j)),
             ]
@@ -216,8 +243,12 @@ class ForestScene:
 
 def _cells_near(x_m: float, y_m: float, radius_m: float) -> Iterator[tuple[int, int]]:
     """Yield the cells that a circle touches, in the order of their indices."""
-    for i in range(math.floor((x_m - radius_m) / CELL_M), math.floor((x_m + radius_m) / CELL_M) + 1):
-        for j in range(math.floor((y_m - radius_m) / CELL_M), math.floor((y_m + radius_m) / CELL_M) + 1):
+    for i in range(
+        math.floor((x_m - radius_m) / CELL_M), math.floor((x_m + radius_m) / CELL_M) + 1
+    ):
+        for j in range(
+            math.floor((y_m - radius_m) / CELL_M), math.floor((y_m + radius_m) / CELL_M) + 1
+        ):
             beside_x = max(i * CELL_M - x_m, x_m - (i + 1) * CELL_M, 0.0)
             beside_y = max(j * CELL_M - y_m, y_m - (j + 1) * CELL_M, 0.0)
             if math.hypot(beside_x, beside_y) <= radius_m:

@@ -54,7 +54,11 @@ class Rows:
     """
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:
-        self._length_m, self._spacing_m, self._wander_m = params.row_length_m, params.row_spacing_m, params.wander_m
+        self._length_m, self._spacing_m, self._wander_m = (
+            params.row_length_m,
+            params.row_spacing_m,
+            params.wander_m,
+        )
         self._seed = seed
         self._bends = max(1, round(self._length_m / _WAVE_M))
         self._share = np.linspace(0.0, 1.0, int(self._length_m / _TABLE_STEP_M) + 2)
@@ -94,7 +98,9 @@ class Rows:
             row = np.round(y / self._spacing_m) + neighbour
             forth = row % 2 == 0
             aside, slope = self._bend(np.where(forth, share, 1 - share))
-            off_row = np.abs(y - row * self._spacing_m - self._side(row) * aside) / np.hypot(1.0, slope)
+            off_row = np.abs(y - row * self._spacing_m - self._side(row) * aside) / np.hypot(
+                1.0, slope
+            )
             nearest = np.minimum(nearest, np.hypot(off_row, beside))
             turn = np.floor(y / self._spacing_m) + neighbour
             end = np.where(turn % 2 == 0, self._length_m, 0.0)
@@ -113,7 +119,9 @@ class Rows:
     def _side(self, row: F64) -> F64:
         """Return 1 or -1 for every row, to which side it strays first."""
         rows, inverse = np.unique(row, return_inverse=True)
-        sides = [float(generator(self._seed, Purpose.PATH, int(r)).integers(2)) * 2 - 1 for r in rows]
+        sides = [
+            float(generator(self._seed, Purpose.PATH, int(r)).integers(2)) * 2 - 1 for r in rows
+        ]
         return np.array(sides)[inverse].reshape(row.shape)
 
 
@@ -132,7 +140,9 @@ class Terrain:
         """Edge of a square [m]."""
         self._incline = math.tan(math.radians(incline_deg))
         chance = generator(seed, Purpose.TERRAIN)
-        shortest, longest, share = (np.repeat(column, _WAVES_PER_BAND) for column in zip(*_BANDS, strict=True))
+        shortest, longest, share = (
+            np.repeat(column, _WAVES_PER_BAND) for column in zip(*_BANDS, strict=True)
+        )
         length = shortest + (longest - shortest) * chance.random(len(shortest))
         # directions are spread evenly, so that no seed rolls along one axis only
         within = np.tile(np.arange(_WAVES_PER_BAND), len(_BANDS))
@@ -171,4 +181,6 @@ class Terrain:
         )
         nodes = np.stack([columns, rows, self.level(columns, rows)], axis=-1)
         a, b, c, d = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
-        return np.stack([np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)], axis=2).reshape(-1, 3, 3)
+        return np.stack(
+            [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)], axis=2
+        ).reshape(-1, 3, 3)

@@ -26,10 +26,14 @@ def cones(low: F64, high: F64, low_radius: F64, high_radius: F64, material: Mate
     return _bodies(Shape.CONE, np.concatenate([low, high, radii], axis=-1).reshape(-1, 9), material)
 
 
-def ellipsoids(centre: F64, half: F64, yaw: F64, material: Material, density: F64 | float = 0.0) -> Bodies:
+def ellipsoids(
+    centre: F64, half: F64, yaw: F64, material: Material, density: F64 | float = 0.0
+) -> Bodies:
     """Return ellipsoids, solid or filled with leaves."""
     turn = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], axis=-1)
-    bodies = _bodies(Shape.ELLIPSOID, np.concatenate([centre, half, turn], axis=-1).reshape(-1, 9), material)
+    bodies = _bodies(
+        Shape.ELLIPSOID, np.concatenate([centre, half, turn], axis=-1).reshape(-1, 9), material
+    )
     return replace(bodies, density=np.broadcast_to(density, yaw.shape).astype(np.float64).ravel())
 
 
@@ -54,7 +58,9 @@ def footprints(bodies: Bodies) -> tuple[F64, F64]:
 
     flat = bodies.shape == Shape.TRIANGLE
     centre[flat] = corners[flat].mean(axis=1)
-    reach[flat] = np.hypot(*np.moveaxis(corners[flat] - centre[flat, None], -1, 0)).max(axis=1, initial=0.0)
+    reach[flat] = np.hypot(*np.moveaxis(corners[flat] - centre[flat, None], -1, 0)).max(
+        axis=1, initial=0.0
+    )
 
     round_ = bodies.shape == Shape.CONE
     centre[round_] = corners[round_, :2].mean(axis=1)
@@ -101,9 +107,19 @@ class Stems:
     def join(cls, parts: list[Stems]) -> Stems:
         """Return the trees of several places as one."""
         none = cls(
-            np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.uint8)
+            np.empty((0, 3)),
+            np.empty(0),
+            np.empty(0),
+            np.empty((0, 2)),
+            np.empty((0, 2)),
+            np.empty(0, np.uint8),
         )
-        return cls(*(np.concatenate([getattr(part, f.name) for part in [none, *parts]]) for f in fields(cls)))
+        return cls(
+            *(
+                np.concatenate([getattr(part, f.name) for part in [none, *parts]])
+                for f in fields(cls)
+            )
+        )
 
     def take(self, which: Mask) -> Stems:
         """Return some of the trees; (n,) bool."""
@@ -125,7 +141,9 @@ class Stems:
         yield "species,x_m,y_m,z_m,dbh_m,height_m,lean_deg,lean_azimuth_deg"
         lean = np.degrees(np.arctan(np.hypot(*self.lean.T)))
         azimuth = np.degrees(np.arctan2(self.lean[:, 1], self.lean[:, 0]))
-        for kind, (x, y, z), *rest in zip(self.species, self.breast, self.dbh, self.height, lean, azimuth, strict=True):
+        for kind, (x, y, z), *rest in zip(
+            self.species, self.breast, self.dbh, self.height, lean, azimuth, strict=True
+        ):
             dbh, height, leans, towards = rest
             yield (
                 f"{Species(kind).name.lower()},{x:.3f},{y:.3f},{z:.3f},{dbh:.3f},{height:.2f},{leans:.2f},{towards:.1f}"
@@ -184,7 +202,11 @@ class Stand:
 
     def _measure(self, xy: F64, chance: F64) -> Stems:
         params = self._params
-        species = np.searchsorted(self._species_below, chance[:, 0], side="right").clip(max=2).astype(np.uint8)
+        species = (
+            np.searchsorted(self._species_below, chance[:, 0], side="right")
+            .clip(max=2)
+            .astype(np.uint8)
+        )
         scale = (params.dbh_mean_m - params.dbh_min_m) / math.gamma(1 + 1 / params.dbh_shape)
         above_least = scale * (-np.log1p(-chance[:, 1])) ** (1 / params.dbh_shape)
         dbh = np.minimum(params.dbh_min_m + above_least, _THICKEST_M)
@@ -242,21 +264,53 @@ class _Habit:
 
 _HABITS = {
     Species.PINE: _Habit(
-        crown_base=(0.5, 0.7), crown_radius=(0.5, 6.0), tufts=6, tuft_radius=0.55, tuft_height=0.9, leaf_density=1.1,
-        tip=0.7, scatter=0.6, dead=3, dead_length_m=(0.3, 1.2), live=4, rise=(-0.1, 0.6),
+        crown_base=(0.5, 0.7),
+        crown_radius=(0.5, 6.0),
+        tufts=6,
+        tuft_radius=0.55,
+        tuft_height=0.9,
+        leaf_density=1.1,
+        tip=0.7,
+        scatter=0.6,
+        dead=3,
+        dead_length_m=(0.3, 1.2),
+        live=4,
+        rise=(-0.1, 0.6),
     ),
     Species.SPRUCE: _Habit(
-        crown_base=(0.08, 0.3), crown_radius=(0.5, 5.0), tufts=5, tuft_radius=1.0, tuft_height=1.0, leaf_density=1.1,
-        tip=0.12, scatter=0.05, dead=5, dead_length_m=(0.5, 1.6), live=3, rise=(-0.4, 0.0),
+        crown_base=(0.08, 0.3),
+        crown_radius=(0.5, 5.0),
+        tufts=5,
+        tuft_radius=1.0,
+        tuft_height=1.0,
+        leaf_density=1.1,
+        tip=0.12,
+        scatter=0.05,
+        dead=5,
+        dead_length_m=(0.5, 1.6),
+        live=3,
+        rise=(-0.4, 0.0),
     ),
     Species.BIRCH: _Habit(
-        crown_base=(0.3, 0.55), crown_radius=(0.5, 5.5), tufts=5, tuft_radius=0.65, tuft_height=0.9, leaf_density=0.7,
-        tip=0.5, scatter=0.45, dead=1, dead_length_m=(0.3, 0.8), live=4, rise=(0.4, 1.0),
+        crown_base=(0.3, 0.55),
+        crown_radius=(0.5, 5.5),
+        tufts=5,
+        tuft_radius=0.65,
+        tuft_height=0.9,
+        leaf_density=0.7,
+        tip=0.5,
+        scatter=0.45,
+        dead=1,
+        dead_length_m=(0.3, 0.8),
+        live=4,
+        rise=(0.4, 1.0),
     ),
-}  # fmt: skip
+}
 
 
-def tree_bodies(stems: Stems, to_path: F64, leaf_density: float, chance: np.random.Generator) -> Bodies:
+def tree_bodies(
+    stems: Stems, to_path: F64, leaf_density: float, chance: np.random.Generator
+) -> Bodies:
     """Return trees: stems, branches dead and alive, and the leaves of their crowns."""
     parts = [_stem_bodies(stems)]
     for species, habit in _HABITS.items():
@@ -268,7 +322,11 @@ def tree_bodies(stems: Stems, to_path: F64, leaf_density: float, chance: np.rand
 def _stem_bodies(stems: Stems) -> Bodies:
     """Return the stems: five truncated cones each, from below the ground to the top."""
     h = stems.height
-    above = [np.full(len(stems), -0.3), np.full(len(stems), _FOOT_M), np.full(len(stems), BREAST_HEIGHT_M)]
+    above = [
+        np.full(len(stems), -0.3),
+        np.full(len(stems), _FOOT_M),
+        np.full(len(stems), BREAST_HEIGHT_M),
+    ]
     above += [np.maximum(0.35 * h, 2.0), np.maximum(0.7 * h, 3.0), h]
     radius = stems.dbh / 2
     # the foot swells; above breast height the stem tapers slowly, in the crown fast
@@ -280,7 +338,9 @@ def _stem_bodies(stems: Stems) -> Bodies:
     return cones(axis[:, :-1], axis[:, 1:], width[:, :-1], width[:, 1:], Material.STEM)
 
 
-def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chance: np.random.Generator) -> Bodies:
+def _crowns(
+    stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chance: np.random.Generator
+) -> Bodies:
     """Return branches and leaves of the trees of one species."""
     n = len(stems)
     radius = habit.crown_radius[0] + habit.crown_radius[1] * stems.dbh
@@ -294,7 +354,9 @@ def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chan
     # the lowest one is a little higher, so that it is not cut flat where the crown begins
     level[0] += 0.2 / habit.tufts
     narrowing = 1 - (1 - habit.tip) * level
-    width = habit.tuft_radius * radius[:, None] * narrowing * chance.uniform(0.7, 1.0, (n, habit.tufts))
+    width = (
+        habit.tuft_radius * radius[:, None] * narrowing * chance.uniform(0.7, 1.0, (n, habit.tufts))
+    )
     centre = _on_axis(stems, base[:, None] + length[:, None] * level)
     aside = chance.uniform(-habit.scatter, habit.scatter, (n, habit.tufts, 2))
     centre[..., :2] += aside * radius[:, None, None] * narrowing[:, None]
@@ -302,12 +364,20 @@ def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chan
     half = np.stack([width, width * chance.uniform(0.7, 1.0, width.shape), tall], axis=-1)
     # above the top is no leaf, and below the headroom none bars the path
     low, high = base[:, None] + stems.base[:, 2:], (stems.base[:, 2] + stems.height)[:, None] + 0.3
-    half[..., 2] = np.minimum(half[..., 2], np.minimum(high - centre[..., 2], centre[..., 2] - low).clip(0.15))
+    half[..., 2] = np.minimum(
+        half[..., 2], np.minimum(high - centre[..., 2], centre[..., 2] - low).clip(0.15)
+    )
     density = habit.leaf_density * leaf_density * chance.uniform(0.6, 1.4, (n, habit.tufts))
-    leaves = ellipsoids(centre, half, chance.uniform(0, np.pi, (n, habit.tufts)), Material.LEAVES, density)
+    leaves = ellipsoids(
+        centre, half, chance.uniform(0, np.pi, (n, habit.tufts)), Material.LEAVES, density
+    )
 
     live = _branches(
-        stems, base[:, None] + length[:, None] * 0.7 * chance.random((n, habit.live)), radius, habit, chance
+        stems,
+        base[:, None] + length[:, None] * 0.7 * chance.random((n, habit.live)),
+        radius,
+        habit,
+        chance,
     )
     dead_from = np.where(to_path < 2.5, np.maximum(_HEADROOM_M, 0.9), 0.9)
     dead_to = np.maximum(base + 0.2 * length, dead_from + 1.0)
@@ -316,7 +386,9 @@ def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chan
     return Bodies.join([leaves, live, dead])
 
 
-def _branches(stems: Stems, above: F64, reach: F64 | None, habit: _Habit, chance: np.random.Generator) -> Bodies:
+def _branches(
+    stems: Stems, above: F64, reach: F64 | None, habit: _Habit, chance: np.random.Generator
+) -> Bodies:
     """Return thin cones that leave the stems at some heights."""
     start = _on_axis(stems, above)
     azimuth = chance.uniform(0, 2 * np.pi, above.shape)
@@ -325,7 +397,9 @@ def _branches(stems: Stems, above: F64, reach: F64 | None, habit: _Habit, chance
         length = chance.uniform(*habit.dead_length_m, above.shape)
     else:
         length = reach[:, None] * chance.uniform(0.5, 0.9, above.shape)
-    towards = np.stack([np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)], axis=-1)
+    towards = np.stack(
+        [np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)], axis=-1
+    )
     thick = 0.006 + 0.006 * length
     return cones(start, start + towards * length[..., None], thick, 0.4 * thick, Material.BRANCH)
 

@@ -39,10 +39,13 @@ GARDEN = Kind((1.2, 2.2), (1.2, 2.2), (2.5, 5.0), (0.06, 0.14), (0.7, 2.0), 4)
 BIRCH = Kind((2.2, 3.2), (1.2, 1.7), (5.0, 8.0), (0.07, 0.13), (0.3, 0.6), 4)
 
 
-def tree(pile: Pile, frame: Frame, kind: Kind, rng: np.random.Generator, widest: float = 9.0) -> None:
+def tree(
+    pile: Pile, frame: Frame, kind: Kind, rng: np.random.Generator, widest: float = 9.0
+) -> None:
     """Add a tree."""
     bole, radius, crown, trunk, density = (
-        float(rng.uniform(*span)) for span in (kind.bole, kind.radius, kind.crown, kind.trunk, kind.density)
+        float(rng.uniform(*span))
+        for span in (kind.bole, kind.radius, kind.crown, kind.trunk, kind.density)
     )
     radius = min(radius, widest)
     lean = rng.uniform(-0.03, 0.03, 2).tolist()
@@ -52,7 +55,9 @@ def tree(pile: Pile, frame: Frame, kind: Kind, rng: np.random.Generator, widest:
     pile.cone((foot, fork), (1.15 * trunk, 0.8 * trunk), Material.TRUNK)
     pile.cone((fork, tip), (0.8 * trunk, 0.15 * trunk), Material.BRANCH)
     centre = frame.at(lean[0] * middle, lean[1] * middle, middle)
-    pile.ellipsoid(centre, (0.68 * radius, 0.68 * radius, 0.5 * crown), 0.0, Material.LEAVES, density)
+    pile.ellipsoid(
+        centre, (0.68 * radius, 0.68 * radius, 0.5 * crown), 0.0, Material.LEAVES, density
+    )
     turn = rng.uniform(0.0, 2.0 * np.pi)
     for i in range(kind.balls):
         around = turn + i * 2.0 * np.pi / kind.balls + rng.uniform(-0.3, 0.3)
@@ -66,14 +71,22 @@ def tree(pile: Pile, frame: Frame, kind: Kind, rng: np.random.Generator, widest:
         pile.ellipsoid(ball, (size, size, tall), 0.0, Material.LEAVES, density)
         if i < 4:
             low = frame.at(0.0, 0.0, bole + 0.15 * i * (up - bole))
-            pile.cone((low, frame.at(0.9 * u, 0.9 * v, up)), (0.35 * trunk, 0.1 * trunk), Material.BRANCH)
+            pile.cone(
+                (low, frame.at(0.9 * u, 0.9 * v, up)), (0.35 * trunk, 0.1 * trunk), Material.BRANCH
+            )
 
 
 def bush(pile: Pile, frame: Frame, radius: float, rng: np.random.Generator) -> None:
     """Add a round bush; leaf area density about 4 m²/m³."""
     tall = radius * rng.uniform(0.7, 1.1)
     half = (radius, radius * rng.uniform(0.7, 1.0), tall)
-    pile.ellipsoid(frame.at(0.0, 0.0, 0.7 * tall), half, rng.uniform(0, np.pi), Material.LEAVES, rng.uniform(3.0, 5.0))
+    pile.ellipsoid(
+        frame.at(0.0, 0.0, 0.7 * tall),
+        half,
+        rng.uniform(0, np.pi),
+        Material.LEAVES,
+        rng.uniform(3.0, 5.0),
+    )
 
 
 _FOOT_M = -0.2
@@ -116,7 +129,9 @@ def sign(pile: Pile, frame: Frame, rng: np.random.Generator) -> None:
 def bin_or_box(pile: Pile, frame: Frame, rng: np.random.Generator) -> None:
     """Add a bin or a cabinet of the grid."""
     if rng.random() < 0.5:
-        pile.box(frame, ((-0.3, 0.3), (-0.28, 0.28), (_FOOT_M, rng.uniform(0.9, 1.1))), Material.POLE)
+        pile.box(
+            frame, ((-0.3, 0.3), (-0.28, 0.28), (_FOOT_M, rng.uniform(0.9, 1.1))), Material.POLE
+        )
         return
     half = rng.uniform(0.3, 0.6)
     pile.box(frame, ((-half, half), (-0.17, 0.17), (_FOOT_M, rng.uniform(1.0, 1.4))), Material.POLE)
@@ -136,7 +151,9 @@ def shelter(pile: Pile, frame: Frame) -> None:
     for u in (-1.95, 1.95):
         pile.box(frame, ((u - 0.01, u + 0.01), (0.2, 1.15), (0.15, 2.25)), Material.GLASS)
         for v in (-0.1, 1.16):
-            pile.box(frame, ((u - 0.04, u + 0.04), (v - 0.04, v + 0.04), (_FOOT_M, 2.4)), Material.POLE)
+            pile.box(
+                frame, ((u - 0.04, u + 0.04), (v - 0.04, v + 0.04), (_FOOT_M, 2.4)), Material.POLE
+            )
 
 
 def pole(pile: Pile, frame: Frame) -> None:

@@ -11,7 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prc_cli.simulation.street.pile import Frame, Pile, Span
-from prc_cli.simulation.street.plan import BUILDING_LINE_M, Junction, Lot, Plan, Purpose, Side, generator
+from prc_cli.simulation.street.plan import (
+    BUILDING_LINE_M,
+    Junction,
+    Lot,
+    Plan,
+    Purpose,
+    Side,
+    generator,
+)
 from prc_cli.simulation.street.road import FAR_M, Ground, frame_at
 from prc_cli.simulation.world import Material
 
@@ -63,7 +71,9 @@ def build_houses(pile: Pile, ground: Ground, plan: Plan, seed: int) -> None:
 def style_of(rng: np.random.Generator, kind: str, width: float, setback: float) -> Style:
     """Draw the measures of a house of one kind."""
     u = rng.random(9).tolist()
-    storeys = {"terrace": 2 + int(3 * u[0]), "block": 4 + int(4 * u[0])}.get(kind, 1 + int(1.8 * u[0]))
+    storeys = {"terrace": 2 + int(3 * u[0]), "block": 4 + int(4 * u[0])}.get(
+        kind, 1 + int(1.8 * u[0])
+    )
     return Style(
         width=width,
         depth=9.0 + 2.0 * u[1],
@@ -100,12 +110,17 @@ def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Gen
         # the driveway or a path leads past the house
         gap = 3.8 if lot.driveway is not None else 2.0
         middle, width = middle + 0.5 * (0.8 - gap), width - gap - 0.8
-    build(pile, frame_at(ground, middle, across, side.side), style_of(rng, lot.kind, width, lot.setback), rng)
+    build(
+        pile,
+        frame_at(ground, middle, across, side.side),
+        style_of(rng, lot.kind, width, lot.setback),
+        rng,
+    )
 
 
 def _along_side_street(
     pile: Pile, ground: Ground, junction: Junction, side: int, rng: np.random.Generator
-) -> None:  # fmt: skip
+) -> None:
     """Rows of houses on both sides of a side street, behind those on its corners."""
     for end, edge in ((1, junction.open[0]), (-1, junction.open[1])):
         d = BUILDING_LINE_M + 19.5
@@ -126,11 +141,15 @@ def build(pile: Pile, frame: Frame, style: Style, rng: np.random.Generator) -> N
         _gable(pile, frame, style, rise=style.depth * rng.uniform(0.3, 0.5))
         if rng.random() < 0.6:
             u, v = rng.uniform(-0.35, 0.35) * style.width, 0.5 * style.depth + 1.0
-            pile.box(frame, ((u - 0.35, u + 0.35), (v - 0.3, v + 0.3), (top, top + 4.2)), Material.WALL)
+            pile.box(
+                frame, ((u - 0.35, u + 0.35), (v - 0.3, v + 0.3), (top, top + 4.2)), Material.WALL
+            )
     else:
         out = 0.15 + 0.3 * rng.random()
         pile.box(frame, ((-half, half), (-out, 0.05), (top - 0.3, top)), Material.WALL)
-        pile.box(frame, ((-half, half), (0.0, style.depth), (top - 0.02, top + 0.05)), Material.ROOF)
+        pile.box(
+            frame, ((-half, half), (0.0, style.depth), (top - 0.02, top + 0.05)), Material.ROOF
+        )
     if style.storeys > 1 and rng.random() < 0.4:
         ledge = style.storey + 0.1
         pile.box(frame, ((-half, half), (-0.1, 0.02), (ledge, ledge + 0.18)), Material.WALL)
@@ -146,7 +165,11 @@ def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
     for i, (u0, u1) in enumerate([*edges, (end, end)]):
         # the first and the last pier close the house beside the panes
         outer = i in (0, len(edges))
-        pile.box(frame, ((low, u0), (0.0, deep + _CURTAIN_M * outer), (_BASE_M, style.top)), Material.WALL)
+        pile.box(
+            frame,
+            ((low, u0), (0.0, deep + _CURTAIN_M * outer), (_BASE_M, style.top)),
+            Material.WALL,
+        )
         low = u1
     sill = 0.45 if style.shop else 0.95
     inside = edges[0][0], edges[-1][1]
@@ -162,7 +185,9 @@ def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
         pile.box(frame, (inside, (0.0, deep), (head, above)), Material.WALL)
         head = above + style.window[1]
     (u0, u1), top = inside, style.top
-    pile.face(frame, ((u0, deep, 0.0), (u1, deep, 0.0), (u1, deep, top), (u0, deep, top)), Material.GLASS)
+    pile.face(
+        frame, ((u0, deep, 0.0), (u1, deep, 0.0), (u1, deep, top), (u0, deep, top)), Material.GLASS
+    )
 
 
 def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
@@ -171,13 +196,20 @@ def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
     drop = out * rise / middle
     for eaves in (-out, style.depth + out):
         low, high = style.top - drop, style.top + rise
-        corners = (-half, eaves, low), (half, eaves, low), (half, middle, high), (-half, middle, high)
+        corners = (
+            (-half, eaves, low),
+            (half, eaves, low),
+            (half, middle, high),
+            (-half, middle, high),
+        )
         pile.face(frame, corners, Material.ROOF)
     for u in (-half + 0.02, half - 0.02):
         ends = frame.at(u, 0.0, style.top), frame.at(u, style.depth, style.top)
         pile.triangle(*ends, frame.at(u, middle, style.top + rise), Material.WALL)
     pile.box(
-        frame, ((-half, half), (-out - 0.1, -out + 0.02), (style.top - drop - 0.1, style.top - drop)), Material.ROOF
+        frame,
+        ((-half, half), (-out - 0.1, -out + 0.02), (style.top - drop - 0.1, style.top - drop)),
+        Material.ROOF,
     )
 
 
@@ -188,6 +220,9 @@ def _balconies(pile: Pile, frame: Frame, style: Style, first: int) -> None:
             floor = storey * style.storey + 0.1
             if floor < 2.9:
                 continue
-            along = (middle - 0.5 * min(style.pitch, 2.6) + 0.1, middle + 0.5 * min(style.pitch, 2.6) - 0.1)
+            along = (
+                middle - 0.5 * min(style.pitch, 2.6) + 0.1,
+                middle + 0.5 * min(style.pitch, 2.6) - 0.1,
+            )
             pile.box(frame, (along, (-1.1, 0.02), (floor - 0.15, floor)), Material.BALCONY)
             pile.box(frame, (along, (-1.1, -1.06), (floor, floor + 1.0)), Material.BALCONY, 25.0)

@@ -16,7 +16,13 @@ from functools import lru_cache
 import numpy as np
 
 from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
-from prc_cli.simulation.street.plan import PIECE_M, Purpose, StreetSceneParams, generator, junction_of
+from prc_cli.simulation.street.plan import (
+    PIECE_M,
+    Purpose,
+    StreetSceneParams,
+    generator,
+    junction_of,
+)
 from prc_cli.simulation.street.road import Ground, frame_at
 from prc_cli.simulation.world import Bodies, Material
 
@@ -58,17 +64,36 @@ def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
     roof, hatch = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0), u[4] < 0.6
     waist = 0.62 * roof
     rear = -half + (0.10 if hatch else 0.75)
-    deck = ((-half, 0.50), (-half + 0.05, waist - 0.03), (half - 1.20, waist), (half - 0.25, 0.72), (half, 0.48))
+    deck = (
+        (-half, 0.50),
+        (-half + 0.05, waist - 0.03),
+        (half - 1.20, waist),
+        (half - 0.25, 0.72),
+        (half, 0.48),
+    )
     cabin = (rear, rear + (0.45 if hatch else 0.75), half - 1.95, half - 1.10)
     wide = 0.875 + 0.05 * u[5]
-    return Model(half, wide, 0.17 + 0.03 * u[2], tyre, (-0.60 * half, 0.64 * half), deck, cabin, roof, 0.17, True)
+    return Model(
+        half,
+        wide,
+        0.17 + 0.03 * u[2],
+        tyre,
+        (-0.60 * half, 0.64 * half),
+        deck,
+        cabin,
+        roof,
+        0.17,
+        True,
+    )
 
 
 def _van(u: list[float]) -> Model:
     half, roof = 2.5 + 0.3 * u[1], 1.95 + 0.55 * u[3]
     deck = ((-half, 1.10), (half - 0.85, 1.10), (half - 0.15, 0.85), (half, 0.50))
     cabin = (-half + 0.02, -half + 0.12, half - 1.55, half - 0.75)
-    return Model(half, 0.98, 0.20, 0.33, (-0.58 * half, 0.66 * half), deck, cabin, roof, 0.10, u[4] < 0.3)
+    return Model(
+        half, 0.98, 0.20, 0.33, (-0.58 * half, 0.66 * half), deck, cabin, roof, 0.10, u[4] < 0.3
+    )
 
 
 def car(pile: Pile, frame: Frame, model: Model) -> None:
@@ -88,7 +113,11 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
     arch, above = model.tyre + 0.05, 2 * model.tyre + 0.04
     low = [(-model.half, model.clearance + 0.1)]
     for axle in model.axles:
-        low += [(axle - arch, model.clearance), (axle - 0.6 * arch, above), (axle + 0.6 * arch, above)]
+        low += [
+            (axle - arch, model.clearance),
+            (axle - 0.6 * arch, above),
+            (axle + 0.6 * arch, above),
+        ]
         low += [(axle + arch, model.clearance)]
     low += [(model.half, model.clearance + 0.1)]
     # the upper edge has corners above the arches, so that no triangle lies across an arch
@@ -111,7 +140,12 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
         pile.face(frame, corners, Material.CAR_BODY)
     for end in (-model.half, model.half):
         foot, top = low[0][1], model.waist(end)
-        corners = (end, -model.wide, foot), (end, model.wide, foot), (end, inner, top), (end, -inner, top)
+        corners = (
+            (end, -model.wide, foot),
+            (end, model.wide, foot),
+            (end, inner, top),
+            (end, -inner, top),
+        )
         pile.face(frame, corners, Material.CAR_BODY)
 
 
@@ -158,22 +192,43 @@ def _door_pane(pile: Pile, frame: Frame, model: Model, side: float) -> None:
         wide = model.wide - 0.04 + (model.wide - model.lean - model.wide + 0.04) * up
         return frame.at(u, side * (wide + 0.01), model.waist(u) + up * rise)
 
-    a, b, c, d = spot(back, share[0]), spot(front, share[0]), spot(front - 0.4, share[1]), spot(back, share[1])
+    a, b, c, d = (
+        spot(back, share[0]),
+        spot(front, share[0]),
+        spot(front - 0.4, share[1]),
+        spot(back, share[1]),
+    )
     pile.quad((a, b, c, d), Material.CAR_GLASS)
 
 
 def lorry(pile: Pile, frame: Frame, length: float) -> None:
     """Add a small lorry: a cabin with a windscreen before a box on wheels."""
     half, wide = 0.5 * length, 1.15
-    pile.box(frame, ((-half, half - 1.9), (-wide - 0.05, wide + 0.05), (1.0, 3.3)), Material.CAR_BODY)
+    pile.box(
+        frame, ((-half, half - 1.9), (-wide - 0.05, wide + 0.05), (1.0, 3.3)), Material.CAR_BODY
+    )
     pile.box(frame, ((-half + 0.3, half - 0.2), (-0.45, 0.45), (0.55, 1.0)), Material.CAR_BODY)
     pile.box(frame, ((half - 1.75, half), (-wide, wide), (0.5, 1.45)), Material.CAR_BODY)
-    pile.box(frame, ((half - 1.75, half - 0.15), (-wide + 0.05, wide - 0.05), (1.45, 2.55)), Material.CAR_BODY)
-    corners = (half - 0.02, -1.0, 1.5), (half - 0.02, 1.0, 1.5), (half - 0.13, 1.0, 2.4), (half - 0.13, -1.0, 2.4)
+    pile.box(
+        frame,
+        ((half - 1.75, half - 0.15), (-wide + 0.05, wide - 0.05), (1.45, 2.55)),
+        Material.CAR_BODY,
+    )
+    corners = (
+        (half - 0.02, -1.0, 1.5),
+        (half - 0.02, 1.0, 1.5),
+        (half - 0.13, 1.0, 2.4),
+        (half - 0.13, -1.0, 2.4),
+    )
     pile.face(frame, corners, Material.CAR_GLASS)
     for side in (-1.0, 1.0):
         v = side * (wide - 0.04)
-        spots = (half - 1.3, v, 1.5), (half - 0.35, v, 1.5), (half - 0.45, v, 2.3), (half - 1.3, v, 2.3)
+        spots = (
+            (half - 1.3, v, 1.5),
+            (half - 0.35, v, 1.5),
+            (half - 0.45, v, 2.3),
+            (half - 1.3, v, 2.3),
+        )
         pile.face(frame, spots, Material.CAR_GLASS)
         for axle in (-half + 1.4, half - 0.9):
             wheel = frame.at(axle, side * (wide - 0.16), 0.42)
@@ -189,8 +244,12 @@ def person(pile: Pile, frame: Frame, rng: np.random.Generator, stride: float) ->
         pile.cone((foot, frame.at(0.0, 0.09 * side, hip)), (0.06, 0.09), Material.PERSON)
         hand = frame.at(-0.4 * side * stride, 0.29 * side, hip - 0.05)
         pile.cone((hand, frame.at(0.0, 0.21 * side, 0.81 * tall)), (0.04, 0.055), Material.PERSON)
-    pile.ellipsoid(frame.at(0.0, 0.0, 0.67 * tall), (0.14, 0.21, 0.20 * tall), frame.yaw, Material.PERSON)
-    pile.ellipsoid(frame.at(0.02, 0.0, 0.935 * tall), (0.10, 0.085, 0.065 * tall), frame.yaw, Material.PERSON)
+    pile.ellipsoid(
+        frame.at(0.0, 0.0, 0.67 * tall), (0.14, 0.21, 0.20 * tall), frame.yaw, Material.PERSON
+    )
+    pile.ellipsoid(
+        frame.at(0.02, 0.0, 0.935 * tall), (0.10, 0.085, 0.065 * tall), frame.yaw, Material.PERSON
+    )
 
 
 TIME_STEP_S = 0.25
@@ -271,7 +330,13 @@ class Movers:
 
 
 def _mover(
-    ground: Ground, seed: int, stream: Stream, number: int, s: float, time_s: float, rng: np.random.Generator
+    ground: Ground,
+    seed: int,
+    stream: Stream,
+    number: int,
+    s: float,
+    time_s: float,
+    rng: np.random.Generator,
 ) -> Bodies:
     frame = frame_at(ground, s, stream.d, tilted=True)
     velocity = stream.speed * np.cos(frame.yaw), stream.speed * np.sin(frame.yaw)
@@ -284,7 +349,9 @@ def _mover(
     if stream.cars:
         car(pile, begin, draw_model(rng))
     else:
-        upright = Frame(begin.x, begin.y, begin.z - _step_down(ground, seed, s, stream.d), begin.yaw)
+        upright = Frame(
+            begin.x, begin.y, begin.z - _step_down(ground, seed, s, stream.d), begin.yaw
+        )
         person(pile, upright, rng, rng.uniform(0.3, 0.7))
     return pile.bodies()
 
@@ -292,5 +359,9 @@ def _mover(
 def _step_down(ground: Ground, seed: int, s: float, d: float) -> float:
     """Who crosses a side street is a curb lower [m]."""
     junction = junction_of(seed, int(np.floor(s / PIECE_M)))
-    crosses = junction is not None and junction.on(1 if d > 0 else -1) and abs(s - junction.s) < junction.half + 0.5
+    crosses = (
+        junction is not None
+        and junction.on(1 if d > 0 else -1)
+        and abs(s - junction.s) < junction.half + 0.5
+    )
     return ground.curb_m if crosses else 0.0

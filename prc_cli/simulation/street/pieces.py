@@ -29,8 +29,18 @@ from prc_cli.simulation.street.road import WALK_SLOPE, Ground, Kerbside, frame_a
 
 _STRIP_M = ROAD_HALF_M + 0.75
 """Crown to the row of trees, lamps and signs [m]."""
-_PARKED: dict[Character, float] = {"terraces": 1.0, "residential": 0.9, "boulevard": 1.0, "suburb": 0.45}
-_TREES: dict[Character, float] = {"terraces": 0.3, "residential": 0.8, "boulevard": 1.6, "suburb": 0.6}
+_PARKED: dict[Character, float] = {
+    "terraces": 1.0,
+    "residential": 0.9,
+    "boulevard": 1.0,
+    "suburb": 0.45,
+}
+_TREES: dict[Character, float] = {
+    "terraces": 0.3,
+    "residential": 0.8,
+    "boulevard": 1.6,
+    "suburb": 0.6,
+}
 """Shares of places that are taken, as factors on the parameters."""
 
 
@@ -57,7 +67,9 @@ class Kerb:
         low, high = s - reach, s + reach
         if low < self.plan.start or high > self.plan.start + PIECE_M:
             return False
-        closed = list(self.side.dropped) + ([self.side.junction.bend] if self.side.junction is not None else [])
+        closed = list(self.side.dropped) + (
+            [self.side.junction.bend] if self.side.junction is not None else []
+        )
         return all(high < span[0] or low > span[1] for span in (*closed, *self.taken))
 
     def claim(self, s: float, reach: float) -> bool:
@@ -79,10 +91,20 @@ def kerbsides(plan: Plan, params: StreetSceneParams, seed: int) -> tuple[Kerbsid
     return found[0], found[1]
 
 
-def build_kerbs(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int) -> None:
+def build_kerbs(
+    pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int
+) -> None:
     """Add everything of a piece but its ground and its houses."""
     for side, kerbside in zip(plan.sides, kerbsides(plan, params, seed), strict=True):
-        kerb = Kerb(ground, plan, side, pile, params, kerbside, generator(seed, Purpose.VARIETY, plan.piece, side.side))
+        kerb = Kerb(
+            ground,
+            plan,
+            side,
+            pile,
+            params,
+            kerbside,
+            generator(seed, Purpose.VARIETY, plan.piece, side.side),
+        )
         if kerbside.lowered:
             kerb.taken.append((plan.start, plan.start + PIECE_M))
         _parked(kerb, generator(seed, Purpose.PARKED, plan.piece, side.side))
@@ -115,11 +137,13 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
         after_lorry = long
         # from the curb to the wheels; lorries are wide and stand close to it
         gap, wide = (0.1 + 0.05 * chance[2], 1.2) if long else (0.2 + 0.2 * chance[2], model.wide)
-        d = side.side * (ROAD_HALF_M + (float(gap) + wide) * (1.0 if kerb.kerbside.lowered else -1.0))
+        d = side.side * (
+            ROAD_HALF_M + (float(gap) + wide) * (1.0 if kerb.kerbside.lowered else -1.0)
+        )
         room = 0.5 if long else 2.75 - model.half
         frame = frame_at(
             kerb.ground, 0.5 * (low + high) + room * (2.0 * float(chance[3]) - 1.0), d, tilted=True
-        )  # fmt: skip
+        )
         if kerb.kerbside.lowered:
             # inner and outer wheels
             near, far = (kerb.ground.ramp(abs(d) + side_m) for side_m in (0.12 - wide, wide - 0.12))
@@ -166,7 +190,9 @@ def _at_junction(kerb: Kerb, rng: np.random.Generator, *, town: bool) -> None:
     s = plan.junction.bend[0] - 0.9 if side.side < 0 else plan.junction.bend[1] + 0.9
     if kerb.claim(s, 0.5):
         frame = kerb.frame(s, ROAD_HALF_M + 0.6)
-        facing = frame if side.side < 0 else replace(frame, yaw=frame.yaw + np.pi, mirror=-frame.mirror)
+        facing = (
+            frame if side.side < 0 else replace(frame, yaw=frame.yaw + np.pi, mirror=-frame.mirror)
+        )
         if town:
             furniture.traffic_light(kerb.pile, facing, arm=plan.character == "boulevard")
         else:
@@ -187,7 +213,11 @@ def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
         wanted, birch = rng.random() < share, rng.random() < 0.2
         if not wanted or not kerb.claim(s, 0.6):
             continue
-        near = [lot.setback for lot in kerb.side.lots if lot.span[0] - 2 < s < lot.span[1] + 2 and lot.kind != "yard"]
+        near = [
+            lot.setback
+            for lot in kerb.side.lots
+            if lot.span[0] - 2 < s < lot.span[1] + 2 and lot.kind != "yard"
+        ]
         room = BUILDING_LINE_M + min(near, default=4.0) - _STRIP_M - 0.25
         wide = kerb.params.canopies > 0 and kerb.variety.random() < kerb.params.canopies
         own = trees.CANOPY if wide else trees.BIRCH if birch else kind
@@ -208,7 +238,12 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         _forecourt(kerb, lot, depth)
         return
     furniture.boundary(
-        kerb.pile, lambda s: kerb.frame(s, BUILDING_LINE_M), (low + 0.05, high - 0.05), gaps, rng, _boundary(kerb)
+        kerb.pile,
+        lambda s: kerb.frame(s, BUILDING_LINE_M),
+        (low + 0.05, high - 0.05),
+        gaps,
+        rng,
+        _boundary(kerb),
     )
     for share in (0.22, 0.55):
         wanted, away = rng.random() < kerb.params.trees, rng.uniform(0.4, 0.6)
@@ -217,16 +252,28 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         if wanted and room > 0.9 and not any(gap[0] - 0.6 < s < gap[1] + 0.6 for gap in gaps):
             kind = trees.STREET if yard and rng.random() < 0.4 else trees.GARDEN
             trees.tree(kerb.pile, kerb.frame(s, BUILDING_LINE_M + away * depth), kind, rng, room)
-        elif rng.random() < 0.6 and depth > 2.4 and not any(gap[0] - 1.0 < s < gap[1] + 1.0 for gap in gaps):
+        elif (
+            rng.random() < 0.6
+            and depth > 2.4
+            and not any(gap[0] - 1.0 < s < gap[1] + 1.0 for gap in gaps)
+        ):
             radius = min(rng.uniform(0.4, 0.9), 0.4 * depth)
             trees.bush(kerb.pile, kerb.frame(s, BUILDING_LINE_M + 0.55 * depth), radius, rng)
     junction = kerb.side.junction
     built_up = junction is not None and abs(junction.s - middle) < 24.0
     if lot.kind == "house" and not built_up and rng.random() < kerb.params.trees:
-        trees.tree(kerb.pile, kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0), trees.STREET, rng)
+        trees.tree(
+            kerb.pile,
+            kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0),
+            trees.STREET,
+            rng,
+        )
     if lot.driveway is not None and rng.random() < 0.4:
         model = movers.draw_model(rng)
-        s, d = 0.5 * sum(lot.driveway), BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
+        s, d = (
+            0.5 * sum(lot.driveway),
+            BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0),
+        )
         frame = frame_at(kerb.ground, s, kerb.side.side * d, tilted=True)
         fall = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
         # the bonnet points into the garden: u away from the street, v along it
@@ -240,7 +287,9 @@ def _boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
     if kerb.params.fences == 0 and kerb.params.hedges == 0:
         return "any"
     fence, hedge = kerb.variety.random(2).tolist()
-    return "fence" if fence < kerb.params.fences else "hedge" if hedge < kerb.params.hedges else "any"
+    return (
+        "fence" if fence < kerb.params.fences else "hedge" if hedge < kerb.params.hedges else "any"
+    )
 
 
 def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
@@ -248,7 +297,10 @@ def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
     low, high = lot.span
     away = BUILDING_LINE_M + 1.3 + float(kerb.variety.random()) * (min(depth, 9.0) - 2.6)
     for i in range(int((high - low) / 6.0)):
-        model, u = movers.draw_model(kerb.variety, kerb.params.vans), kerb.variety.random(2).tolist()
+        model, u = (
+            movers.draw_model(kerb.variety, kerb.params.vans),
+            kerb.variety.random(2).tolist(),
+        )
         if u[0] > 0.8:
             continue
         s = low + 6.0 * i + 3.0 + 0.3 * u[1]
@@ -264,8 +316,9 @@ def _wires(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, se
         return
     last = plan.piece % PIECES_IN_BLOCK == PIECES_IN_BLOCK - 1
     ends = [
-        frame_at(ground, s, side * (ROAD_HALF_M + 1.05), side) for s in (plan.start, plan.start + PIECE_M)
-    ]  # fmt: skip
+        frame_at(ground, s, side * (ROAD_HALF_M + 1.05), side)
+        for s in (plan.start, plan.start + PIECE_M)
+    ]
     furniture.pole(pile, ends[0])
     furniture.wires(pile, ends[0], ends[1])
     if last and _wired(seed, plan.piece + 1, params.character) != side:

@@ -34,7 +34,11 @@ class Frame:
     def at(self, u: float, v: float, w: float) -> Point:
         """World coordinates of a point [m]."""
         c, s, side = math.cos(self.yaw), math.sin(self.yaw), self.mirror * v
-        return self.x + c * u - s * side, self.y + s * u + c * side, self.z + w + self.slope * u + self.roll * v
+        return (
+            self.x + c * u - s * side,
+            self.y + s * u + c * side,
+            self.z + w + self.slope * u + self.roll * v,
+        )
 
 
 @dataclass(slots=True)
@@ -54,7 +58,9 @@ class Pile:
     def __len__(self) -> int:
         return len(self._shape)
 
-    def _add(self, shape: Shape, numbers: tuple[float, ...], material: Material, density: float) -> None:
+    def _add(
+        self, shape: Shape, numbers: tuple[float, ...], material: Material, density: float
+    ) -> None:
         self._shape.append(int(shape))
         self._numbers.append(numbers)
         self._material.append(int(material))
@@ -80,11 +86,15 @@ class Pile:
         """Add a pole, trunk or branch."""
         self._add(Shape.CONE, (*ends[0], *ends[1], *radii, 0.0), material, 0.0)
 
-    def ellipsoid(self, centre: Point, half: Point, yaw: float, material: Material, density: float = 0.0) -> None:
+    def ellipsoid(
+        self, centre: Point, half: Point, yaw: float, material: Material, density: float = 0.0
+    ) -> None:
         """Add a rounded body."""
         self._add(Shape.ELLIPSOID, (*centre, *half, yaw, 0.0, 0.0), material, density)
 
-    def box(self, frame: Frame, spans: tuple[Span, Span, Span], material: Material, density: float = 0.0) -> None:
+    def box(
+        self, frame: Frame, spans: tuple[Span, Span, Span], material: Material, density: float = 0.0
+    ) -> None:
         """Add a level box that spans (from, to) along the axes of a frame; the slopes lift it as a whole."""
         (u0, u1), (v0, v1), (w0, w1) = spans
         centre = frame.at((u0 + u1) / 2, (v0 + v1) / 2, (w0 + w1) / 2)
@@ -111,10 +121,19 @@ def outlines(bodies: Bodies) -> F64:
     triangle, cone = bodies.shape == Shape.TRIANGLE, bodies.shape == Shape.CONE
     for axis in (0, 1):
         corners = numbers[triangle][:, [axis, axis + 3, axis + 6]]
-        result[triangle, axis], result[triangle, axis + 2] = corners.min(axis=1), corners.max(axis=1)
+        result[triangle, axis], result[triangle, axis + 2] = (
+            corners.min(axis=1),
+            corners.max(axis=1),
+        )
         ends, reach = numbers[cone][:, [axis, axis + 3]], numbers[cone][:, 6:8].max(axis=1)
-        result[cone, axis], result[cone, axis + 2] = ends.min(axis=1) - reach, ends.max(axis=1) + reach
+        result[cone, axis], result[cone, axis + 2] = (
+            ends.min(axis=1) - reach,
+            ends.max(axis=1) + reach,
+        )
         rest = ~triangle & ~cone
         around = np.hypot(numbers[rest, 3], numbers[rest, 4])
-        result[rest, axis], result[rest, axis + 2] = numbers[rest, axis] - around, numbers[rest, axis] + around
+        result[rest, axis], result[rest, axis + 2] = (
+            numbers[rest, axis] - around,
+            numbers[rest, axis] + around,
+        )
     return result

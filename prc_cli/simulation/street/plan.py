@@ -23,34 +23,62 @@ class StreetSceneParams(Params):
     character: Literal["mixed", "residential", "terraces", "suburb", "boulevard"] = Field(
         "mixed", description="what the street is like; mixed = it changes along its length"
     )
-    curves: float = Field(1.0, ge=0, le=1.5, description="factor on the curves; 0 = a straight street")
+    curves: float = Field(
+        1.0, ge=0, le=1.5, description="factor on the curves; 0 = a straight street"
+    )
     hills: float = Field(1.0, ge=0, le=2, description="factor on the slopes; 0 = a level street")
-    setback_m: float = Field(0.0, ge=0, le=25, description="how much farther back facades stand than usual [m]")
+    setback_m: float = Field(
+        0.0, ge=0, le=25, description="how much farther back facades stand than usual [m]"
+    )
     trees: float = Field(0.6, ge=0, le=1, description="share of the places for trees that have one")
     parked: float = Field(0.7, ge=0, le=1, description="share of the parking places that are taken")
     people: float = Field(0.5, ge=0, le=1, description="how busy the sidewalks are")
-    cars_per_km: float = Field(8.0, ge=0, le=40, description="oncoming cars on a kilometre of street [1/km]")
+    cars_per_km: float = Field(
+        8.0, ge=0, le=40, description="oncoming cars on a kilometre of street [1/km]"
+    )
     verges: float = Field(
-        0.0, ge=0, le=1, description="share of the block sides with a raised verge, edged by stones of 5 to 9 cm"
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the block sides with a raised verge, edged by stones of 5 to 9 cm",
     )
     lowered_kerbs: float = Field(
-        0.0, ge=0, le=1, description="share of the block sides with a kerb of 3 cm, behind which cars are parked"
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the block sides with a kerb of 3 cm, behind which cars are parked",
     )
     vans: float = Field(0.12, ge=0, le=1, description="share of vans among the parked cars")
-    fences: float = Field(0.0, ge=0, le=1, description="share of the gardens and yards with a close fence or a wall")
-    hedges: float = Field(0.0, ge=0, le=1, description="share of the other gardens and yards with a hedge")
+    fences: float = Field(
+        0.0, ge=0, le=1, description="share of the gardens and yards with a close fence or a wall"
+    )
+    hedges: float = Field(
+        0.0, ge=0, le=1, description="share of the other gardens and yards with a hedge"
+    )
     canopies: float = Field(
-        0.0, ge=0, le=1, description="share of the street trees whose crowns reach over the road, above 45 degrees"
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the street trees whose crowns reach over the road, above 45 degrees",
     )
     side_on: float = Field(
-        0.0, ge=0, le=1, description="share of the wide lots with cars parked along the street, 10 to 20 m from it"
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the wide lots with cars parked along the street, 10 to 20 m from it",
     )
 
 
 VARIED: dict[str, float] = {
-    "verges": 0.4, "lowered_kerbs": 0.4, "vans": 0.2, "fences": 0.35, "hedges": 0.35, "canopies": 0.35,
-    "side_on": 0.5, "cars_per_km": 20.0,
-}  # fmt: skip
+    "verges": 0.4,
+    "lowered_kerbs": 0.4,
+    "vans": 0.2,
+    "fences": 0.35,
+    "hedges": 0.35,
+    "canopies": 0.35,
+    "side_on": 0.5,
+    "cars_per_km": 20.0,
+}
 """Parameters of a street with something of everything that the sequential-angle method is known to mistake."""
 
 PIECE_M = 30.0
@@ -177,17 +205,26 @@ def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
         # its ramps end where the curb begins to bend
         end = junction.bend[1] + DROP_M if early else junction.bend[0] - DROP_M - 2.5
         crossing = (end, end + 2.5)
-    left, right = (_side(seed, piece, side, character, junction, crossing, setback_m) for side in (1, -1))
+    left, right = (
+        _side(seed, piece, side, character, junction, crossing, setback_m) for side in (1, -1)
+    )
     return Plan(piece, start, character, junction, crossing, (left, right))
 
 
 def junction_of(seed: int, piece: int) -> Junction | None:
     """Return the junction of a piece, if it has one: one in four has."""
     rng = generator(seed, Purpose.BLOCK, piece // PIECES_IN_BLOCK, side=-1)
-    which, shift, half, sides = int(rng.integers(1, 3)), rng.uniform(-4, 4), rng.uniform(3.2, 4.2), rng.integers(3)
+    which, shift, half, sides = (
+        int(rng.integers(1, 3)),
+        rng.uniform(-4, 4),
+        rng.uniform(3.2, 4.2),
+        rng.integers(3),
+    )
     if piece % PIECES_IN_BLOCK != which:
         return None
-    return Junction((piece + 0.5) * PIECE_M + shift, half, left=bool(sides != 1), right=bool(sides != 0))
+    return Junction(
+        (piece + 0.5) * PIECE_M + shift, half, left=bool(sides != 1), right=bool(sides != 0)
+    )
 
 
 def _border(seed: int, piece: int, side: int) -> float:
@@ -195,9 +232,14 @@ def _border(seed: int, piece: int, side: int) -> float:
 
 
 def _side(
-    seed: int, piece: int, side: int, character: Character, junction: Junction | None, crossing: Span | None,
+    seed: int,
+    piece: int,
+    side: int,
+    character: Character,
+    junction: Junction | None,
+    crossing: Span | None,
     setback_m: float,
-) -> Side:  # fmt: skip
+) -> Side:
     rng = generator(seed, Purpose.LOTS, piece, side)
     low, high = _border(seed, piece, side), _border(seed, piece + 1, side)
     own = junction if junction is not None and junction.on(side) else None
@@ -207,12 +249,19 @@ def _side(
     if own is not None:
         dropped = [d for d in dropped if d[1] < own.bend[0] - 0.8 or d[0] > own.bend[1] + 0.8]
     if crossing is not None:
-        dropped = [d for d in dropped if d[1] < crossing[0] - 1.6 or d[0] > crossing[1] + 1.6] + [crossing]
+        dropped = [d for d in dropped if d[1] < crossing[0] - 1.6 or d[0] > crossing[1] + 1.6] + [
+            crossing
+        ]
     # low curbs and their ramps stay within the piece, so that pieces meet at whole curbs
     start = piece * PIECE_M
     dropped = [d for d in dropped if d[0] > start + 0.9 and d[1] < start + PIECE_M - 0.9]
     kept = tuple(
-        Lot(lot.span, lot.kind, lot.setback + setback_m, lot.driveway if lot.driveway in dropped else None)
+        Lot(
+            lot.span,
+            lot.kind,
+            lot.setback + setback_m,
+            lot.driveway if lot.driveway in dropped else None,
+        )
         for lot in lots
     )
     return Side(side, own, kept, tuple(sorted(dropped)))
@@ -253,13 +302,19 @@ def _kind(rng: np.random.Generator, character: Character, width: float) -> tuple
     if character == "suburb":
         return ("yard" if chance < 0.15 or width < 8 else "house"), 3.5 + 3.0 * depth
     if character == "boulevard":
-        return ("yard" if chance < 0.1 else "terrace" if chance < 0.5 else "block"), 0.0 if chance < 0.5 else 2.5
+        return (
+            "yard" if chance < 0.1 else "terrace" if chance < 0.5 else "block"
+        ), 0.0 if chance < 0.5 else 2.5
     if chance < 0.35:
         return "terrace", 0.0
-    return ("yard" if chance < 0.5 or width < 8 else "house" if chance < 0.8 else "block"), 2.0 + 2.0 * depth
+    return (
+        "yard" if chance < 0.5 or width < 8 else "house" if chance < 0.8 else "block"
+    ), 2.0 + 2.0 * depth
 
 
 def kerbside_of(seed: int, piece: int, side: int) -> Span:
     """Return two numbers from 0 to 1 of a side of a block: they decide on its kerb and its verge."""
-    low, raised = generator(seed, Purpose.KERBSIDE, piece // PIECES_IN_BLOCK, side).random(2).tolist()
+    low, raised = (
+        generator(seed, Purpose.KERBSIDE, piece // PIECES_IN_BLOCK, side).random(2).tolist()
+    )
     return low, raised

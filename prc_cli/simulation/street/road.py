@@ -14,7 +14,16 @@ import numpy as np
 
 from prc_cli.core.types import F64
 from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
-from prc_cli.simulation.street.plan import BUILDING_LINE_M, CORNER_M, DROP_M, PIECE_M, ROAD_HALF_M, Junction, Plan, Side
+from prc_cli.simulation.street.plan import (
+    BUILDING_LINE_M,
+    CORNER_M,
+    DROP_M,
+    PIECE_M,
+    ROAD_HALF_M,
+    Junction,
+    Plan,
+    Side,
+)
 from prc_cli.simulation.world import Material
 
 LANE_M = -1.75
@@ -47,7 +56,9 @@ class Centreline:
         node = np.arange(int(PERIOD_M / _STEP_M) + 1) * _STEP_M
         places, weights = np.polynomial.legendre.leggauss(4)
         between = self.heading(node[:-1, None] + 0.5 * _STEP_M * (places + 1.0))
-        steps = 0.5 * _STEP_M * np.stack([np.cos(between) @ weights, np.sin(between) @ weights], axis=1)
+        steps = (
+            0.5 * _STEP_M * np.stack([np.cos(between) @ weights, np.sin(between) @ weights], axis=1)
+        )
         self._table: F64 = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
     def heading(self, s_m: F64) -> F64:
@@ -72,7 +83,12 @@ class Centreline:
         t0, t1 = (_STEP_M * np.stack([np.cos(end), np.sin(end)], axis=1) for end in ends)
         p0, p1 = self._table[i], self._table[i + 1]
         # cubic of Hermite
-        inside = (1 + 2 * f) * (1 - f) ** 2 * p0 + f * (1 - f) ** 2 * t0 + f**2 * (3 - 2 * f) * p1 - f**2 * (1 - f) * t1
+        inside = (
+            (1 + 2 * f) * (1 - f) ** 2 * p0
+            + f * (1 - f) ** 2 * t0
+            + f**2 * (3 - 2 * f) * p1
+            - f**2 * (1 - f) * t1
+        )
         place: F64 = inside + turns[:, None] * self._table[-1]
         return place
 
@@ -99,7 +115,10 @@ class Centreline:
 
 def _waves(rng: np.random.Generator, sizes: tuple[tuple[int, float], ...], factor: float) -> F64:
     """Wave number [1/m], amplitude and phase [rad] of every sine, (n, 3)."""
-    rows = [(2 * np.pi * count / PERIOD_M, factor * size, rng.uniform(0, 2 * np.pi)) for count, size in sizes]
+    rows = [
+        (2 * np.pi * count / PERIOD_M, factor * size, rng.uniform(0, 2 * np.pi))
+        for count, size in sizes
+    ]
     return np.array(rows)
 
 
@@ -149,7 +168,9 @@ class Ground:
         slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
         fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)
         walk = WALK_SLOPE * np.clip(away - ROAD_HALF_M, 0.0, BUILDING_LINE_M - ROAD_HALF_M)
-        result: F64 = self.line.height(s_m) + fall + walk + slope * np.maximum(away - BUILDING_LINE_M, 0.0)
+        result: F64 = (
+            self.line.height(s_m) + fall + walk + slope * np.maximum(away - BUILDING_LINE_M, 0.0)
+        )
         return result
 
     def height(self, s_m: float, d_m: float) -> float:
@@ -161,7 +182,9 @@ class Ground:
         """How much lower than usual the ground behind a lowered curb is at a distance from the crown [m]."""
         return (self.curb_m - _LOW_CURB_M) * max(1.0 - (away_m - ROAD_HALF_M) / _RAMP_M, 0.0)
 
-    def spot(self, s: float, d: float, *, tilted: bool) -> tuple[float, float, float, float, float, float]:
+    def spot(
+        self, s: float, d: float, *, tilted: bool
+    ) -> tuple[float, float, float, float, float, float]:
         """Place and height [m], heading [rad], slopes along and to the left, 0 where not asked for."""
         at = np.array([s, s - 1.0, s + 1.0])
         heading = self.line.heading(at)
@@ -173,7 +196,9 @@ class Ground:
         roll = -float(np.sign(d)) * _CROSS_FALL if abs(d) < ROAD_HALF_M else 0.0
         return x, y, z[0] + up, float(heading[0]), 0.5 * (z[2] - z[1]), roll
 
-    def lay(self, pile: Pile, plan: Plan, kerbsides: tuple[Kerbside, Kerbside] = (PLAIN, PLAIN)) -> None:
+    def lay(
+        self, pile: Pile, plan: Plan, kerbsides: tuple[Kerbside, Kerbside] = (PLAIN, PLAIN)
+    ) -> None:
         """Add the ground of a piece; its sides have the kerbs and verges of ``kerbsides``."""
         mesh = _Mesh(self, plan.start, pile)
         base = mesh.s.tolist()
@@ -198,7 +223,9 @@ class Ground:
         if junction is not None:
             more += [*junction.open, *_edges(junction)]
         every = [s for s in sorted({*base, *more}) if base[0] <= s <= base[-1]]
-        soil = plan.character == "terraces" or (plan.piece % 3 == 1 and plan.character == "residential")
+        soil = plan.character == "terraces" or (
+            plan.piece % 3 == 1 and plan.character == "residential"
+        )
         land = Material.SOIL if soil else Material.GRASS
         for s0, s1 in itertools.pairwise(every):
             middle = 0.5 * (s0 + s1)
@@ -237,7 +264,8 @@ class _Mesh:
         i = min(max(int((s - self.start) // STATION_M), 0), len(self._rows) - 2)
         f = (s - self.start) / STATION_M - i
         x, y, left, ahead, z, *slopes = (
-            (1 - f) * one + f * two for one, two in zip(self._rows[i], self._rows[i + 1], strict=True)
+            (1 - f) * one + f * two
+            for one, two in zip(self._rows[i], self._rows[i + 1], strict=True)
         )
         away = abs(d)
         fall = WALK_SLOPE * min(max(away - ROAD_HALF_M, 0.0), BUILDING_LINE_M - ROAD_HALF_M)
@@ -248,10 +276,17 @@ class _Mesh:
     def strip(self, along: Span, across: Span, up: float, material: Material) -> None:
         """Add a strip at a height above the road."""
         (s0, s1), (d0, d1) = along, across
-        corners = self.point(s0, d0, up), self.point(s1, d0, up), self.point(s1, d1, up), self.point(s0, d1, up)
+        corners = (
+            self.point(s0, d0, up),
+            self.point(s1, d0, up),
+            self.point(s1, d1, up),
+            self.point(s0, d1, up),
+        )
         self.pile.quad(corners, material)
 
-    def kerbside(self, stops: list[tuple[float, float, float, float, float]], side: Side, *, verge: bool) -> None:
+    def kerbside(
+        self, stops: list[tuple[float, float, float, float, float]], side: Side, *, verge: bool
+    ) -> None:
         """Add gutter corners, curb, verge and sidewalk along stops (s and d of the curb's foot and top, its height)."""
         top, gutter, back = self.ground.curb_m, side.side * ROAD_HALF_M, side.side * BUILDING_LINE_M
         lines = []
@@ -267,7 +302,9 @@ class _Mesh:
                 )
             )
         for one, two, a, b in zip(stops[:-1], stops[1:], lines[:-1], lines[1:], strict=True):
-            green = verge and min(one[4], two[4]) >= top - 1e-9 and max(one[1], two[1]) <= ROAD_HALF_M
+            green = (
+                verge and min(one[4], two[4]) >= top - 1e-9 and max(one[1], two[1]) <= ROAD_HALF_M
+            )
             materials = (
                 Material.ASPHALT,
                 Material.CURB,
@@ -289,7 +326,10 @@ class _Mesh:
                 self.strip((s0, s1), (d0, d1), top, Material.GRASS)
             corners = [(s, d0) for s in places] + [(s, d1) for s in reversed(places)]
             for (s0, from_d), (s1, to_d) in zip(corners, corners[1:] + corners[:1], strict=True):
-                a, b = self.point(s0, from_d, self.ground.curb_m), self.point(s1, to_d, self.ground.curb_m)
+                a, b = (
+                    self.point(s0, from_d, self.ground.curb_m),
+                    self.point(s1, to_d, self.ground.curb_m),
+                )
                 c, d = self.point(s1, to_d, top), self.point(s0, from_d, top)
                 self.pile.quad((a, b, c, d), Material.CURB)
 
@@ -298,7 +338,11 @@ def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
     """Return what is left of a stretch for a raised verge between low curbs and the bends of side streets."""
     low, high = stretch
     if side.junction is not None:
-        low, high = (low, side.junction.bend[0]) if high < side.junction.s else (side.junction.bend[1], high)
+        low, high = (
+            (low, side.junction.bend[0])
+            if high < side.junction.s
+            else (side.junction.bend[1], high)
+        )
     low, high = max(low, base[0]), min(high, base[-1])
     found = []
     for d0, d1 in [*side.dropped, (high + DROP_M, high)]:
@@ -317,7 +361,10 @@ def _edges(junction: Junction) -> Span:
 def _stretches(side: Side, base: list[float]) -> list[Span]:
     if side.junction is None:
         return [(base[0], base[-1])]
-    return [(base[0], side.junction.s - side.junction.half), (side.junction.s + side.junction.half, base[-1])]
+    return [
+        (base[0], side.junction.s - side.junction.half),
+        (side.junction.s + side.junction.half, base[-1]),
+    ]
 
 
 def _stops(
@@ -337,18 +384,30 @@ def _stops(
             into, out = float(np.sin(a)), float(np.cos(a))
             centre = ROAD_HALF_M + CORNER_M
             arc.append(
-                (middle - end * foot * into, centre - foot * out, middle - end * top * into, centre - top * out, curb_m)
+                (
+                    middle - end * foot * into,
+                    centre - foot * out,
+                    middle - end * top * into,
+                    centre - top * out,
+                    curb_m,
+                )
             )
         arc = arc if end < 0 else arc[::-1]
     knots, heights = [], []
     for d0, d1 in side.dropped:
         knots += [d0 - DROP_M, d0, d1, d1 + DROP_M]
         heights += [curb_m, _LOW_CURB_M, _LOW_CURB_M, curb_m]
-    places = sorted({s for s in (*base, *knots, straight_low, straight_high) if straight_low <= s <= straight_high})
+    places = sorted(
+        {
+            s
+            for s in (*base, *knots, straight_low, straight_high)
+            if straight_low <= s <= straight_high
+        }
+    )
     curbs = np.interp(places, knots, heights).tolist() if knots else [curb_m] * len(places)
     straight = [
         (s, ROAD_HALF_M, s, ROAD_HALF_M + _BATTER_M, h) for s, h in zip(places, curbs, strict=True)
-    ]  # fmt: skip
+    ]
     if not arc:
         return straight
     return straight[:-1] + arc if high < (junction.s if junction else 0.0) else arc + straight[1:]
@@ -363,7 +422,11 @@ def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> N
     along = sorted({low, *inner, junction.s, high})
 
     def crown(s: float, d: float) -> float:
-        return _CROSS_FALL * (junction.half - abs(s - junction.s)) * min((d - ROAD_HALF_M) / CORNER_M, 1.0)
+        return (
+            _CROSS_FALL
+            * (junction.half - abs(s - junction.s))
+            * min((d - ROAD_HALF_M) / CORNER_M, 1.0)
+        )
 
     for s0, s1 in itertools.pairwise(along):
         for d0, d1 in itertools.pairwise(across):

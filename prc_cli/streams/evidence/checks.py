@@ -67,7 +67,11 @@ def check_thinned(dropped: str) -> tuple[Finding, ...]:
     if not dropped:
         return ()
     hint = "classify the file it was made from, and thin afterwards"
-    return (Finding("thinned", Verdict.DOUBTFUL, dropped, "every shot: classes follow from neighbours", hint),)
+    return (
+        Finding(
+            "thinned", Verdict.DOUBTFUL, dropped, "every shot: classes follow from neighbours", hint
+        ),
+    )
 
 
 LEAST_SHOTS = 1000
@@ -80,7 +84,11 @@ def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
     """Ask whether the stream has lines enough to judge it, or any lines at all."""
     if n_shots < LEAST_SHOTS:
         return
-    found = f"{n_lines} scan lines, too few to judge" if n_lines > 1 else f"all {n_shots:,} shots are in one scan line"
+    found = (
+        f"{n_lines} scan lines, too few to judge"
+        if n_lines > 1
+        else f"all {n_shots:,} shots are in one scan line"
+    )
     is_lineless = n_lines <= 1 and n_shots >= LONGEST_LINE
     hint = "tell the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
     told = verdict(doubtful=n_lines < LEAST_LINES, against=is_lineless)
@@ -98,7 +106,9 @@ def check_coordinates(seen: Seen) -> Finding | None:
         f"--set {ANGLES}=measured"
     )
     expected = f"at most {MOST_OFF:.0%}"
-    return Finding("coordinates", Verdict.DOUBTFUL, found, expected, hint, f"--set {ANGLES}=measured")
+    return Finding(
+        "coordinates", Verdict.DOUBTFUL, found, expected, hint, f"--set {ANGLES}=measured"
+    )
 
 
 def check_collisions(seen: Seen) -> Finding | None:
@@ -113,7 +123,11 @@ def check_collisions(seen: Seen) -> Finding | None:
         hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
     many = MANY_OF_RINGS if of_rings else MANY
     return Finding(
-        "collisions", verdict(doubtful=share > many, against=share > MOST), found, f"at most {many:.0%}", hint
+        "collisions",
+        verdict(doubtful=share > many, against=share > MOST),
+        found,
+        f"at most {many:.0%}",
+        hint,
     )
 
 
@@ -124,12 +138,20 @@ def check_unplaced(seen: Seen) -> Finding | None:
         return None
     found = f"{share:.1%} of the records found no cell and stay unclassified"
     hint = "check --lines, --columns and -M; a recording that was begun anew: split the file there"
-    return Finding("unplaced", verdict(doubtful=share > MANY, against=share > MOST), found, f"at most {MANY:.0%}", hint)
+    return Finding(
+        "unplaced",
+        verdict(doubtful=share > MANY, against=share > MOST),
+        found,
+        f"at most {MANY:.0%}",
+        hint,
+    )
 
 
 def check_left_out(seen: Seen) -> Finding | None:
     """Ask, where columns are by order, whether lines hold all their shots."""
-    by_order = any(one.key == "input.columns" and one.value == "order" for one in seen.info.assumptions)
+    by_order = any(
+        one.key == "input.columns" and one.value == "order" for one in seen.info.assumptions
+    )
     tally = seen.tally
     # the first and the last line may be cut
     n_lacking = seen.n_shots - tally.n_records + tally.n_extra_returns - 2 * seen.points_per_line
@@ -153,7 +175,13 @@ def check_returns(seen: Seen) -> Finding | None:
     share = 1 - seen.n_missing / seen.n_shots
     found = f"{share:.2%} of the shots have a range"
     hint = "check --range, --max-range, the layout, and --columns and -M"
-    return Finding("returns", verdict(doubtful=share < LEAST_RETURNS), found, f"at least {LEAST_RETURNS:.0%}", hint)
+    return Finding(
+        "returns",
+        verdict(doubtful=share < LEAST_RETURNS),
+        found,
+        f"at least {LEAST_RETURNS:.0%}",
+        hint,
+    )
 
 
 def check_other_readers(seen: Seen) -> Finding | None:
@@ -162,7 +190,9 @@ def check_other_readers(seen: Seen) -> Finding | None:
         return None
     found = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
     hint = "a LAS or LAZ output copies them: copy the input from the archive again, or write another format"
-    return Finding("other-readers", Verdict.DOUBTFUL, found, "a file that other programs read", hint)
+    return Finding(
+        "other-readers", Verdict.DOUBTFUL, found, "a file that other programs read", hint
+    )
 
 
 def check_unread(seen: Seen) -> Finding | None:
@@ -170,7 +200,9 @@ def check_unread(seen: Seen) -> Finding | None:
     if not seen.info.facts.unread:
         return None
     hint = "they are not labelled: mend the counts of the header, for example with LAStools: lasinfo -i FILE -repair"
-    return Finding("unread", Verdict.DOUBTFUL, seen.info.facts.unread, "a header that counts all records", hint)
+    return Finding(
+        "unread", Verdict.DOUBTFUL, seen.info.facts.unread, "a header that counts all records", hint
+    )
 
 
 def check_missing_code(seen: Seen) -> Finding | None:
@@ -184,11 +216,18 @@ def check_missing_code(seen: Seen) -> Finding | None:
     share = float(np.mean(known == longest))
     found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
     others = known[known < longest]
-    is_code = CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
+    is_code = (
+        CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
+    )
     option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
     hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
     return Finding(
-        "missing-code", verdict(doubtful=is_code), found, f"at most {CODED:.0%}", hint, option if is_code else ""
+        "missing-code",
+        verdict(doubtful=is_code),
+        found,
+        f"at most {CODED:.0%}",
+        hint,
+        option if is_code else "",
     )
 
 
@@ -224,10 +263,18 @@ def check_rounding(seen: Seen) -> Finding | None:
     step = float(steps.min(initial=np.inf))
     off = known / step - np.round(known / step)
     is_rounded = np.isfinite(step) and float(np.mean(np.abs(off) < 0.02)) > ALL_ROUNDED
-    found = f"all ranges are multiples of {step:.3g} m" if is_rounded else "the ranges are finer than any threshold"
+    found = (
+        f"all ranges are multiples of {step:.3g} m"
+        if is_rounded
+        else "the ranges are finer than any threshold"
+    )
     hint = "take the ranges from a file that was not rounded; check the scale of the layout"
     return Finding(
-        "rounding", verdict(doubtful=is_rounded and step > COARSE_M), found, f"steps of at most {COARSE_M:g} m", hint
+        "rounding",
+        verdict(doubtful=is_rounded and step > COARSE_M),
+        found,
+        f"steps of at most {COARSE_M:g} m",
+        hint,
     )
 
 
@@ -245,12 +292,18 @@ def check_ranges(seen: Seen) -> Finding | None:
     if is_far_off:
         hint = "x, y, z seem to be in another frame than that of the scanner: --range origin:X,Y,Z or trajectory:FILE"
     for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
-        if not is_far_off and not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
+        if (
+            not is_far_off
+            and not LEAST_MEDIAN_M <= median <= HIGH_M
+            and LEAST_MEDIAN_M <= scale * median <= HIGH_M
+        ):
             option = f"--set {KEY}={scale:g}"
             hint = f"if they are {unit}: {option}; else {hint}"
     is_against = not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST
     is_doubtful = far > COUNTED or median > HIGH_M
-    return Finding("ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint, option)
+    return Finding(
+        "ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint, option
+    )
 
 
 def _is_narrow(known: F32) -> bool:
@@ -261,16 +314,23 @@ def _is_narrow(known: F32) -> bool:
 
 BY_PLACE = ("units", "down", "angle-step")
 """Checks that a wrong trajectory fails first of all."""
-LATE = "look at the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
+LATE = (
+    "look at the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
+)
 OTHER_UNIT = "if x, y, z and the trajectory are in another unit: "
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
-    along = any(one.key == "input.range" and one.value.startswith("trajectory") for one in seen.info.assumptions)
+    along = any(
+        one.key == "input.range" and one.value.startswith("trajectory")
+        for one in seen.info.assumptions
+    )
     for finding in _known(*_of_ranges(seen)):
         yield _along_path(finding) if along and finding.check in BY_PLACE else finding
-    yield from _known(check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen))
+    yield from _known(
+        check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen)
+    )
     yield from _known(check_unread(seen), check_other_readers(seen))
 
 
@@ -327,9 +387,17 @@ def _in_clear_air(seen: Seen, figures: Figures) -> Figures:
 
 def check_few_rings(seen: Seen) -> Finding | None:
     """Ask whether as many rings return as the method tells classes by."""
-    if not seen.least_rings or seen.n_shots - seen.n_missing < LEAST_RETURNED or seen.n_lines < LEAST_RING_LINES:
+    if (
+        not seen.least_rings
+        or seen.n_shots - seen.n_missing < LEAST_RETURNED
+        or seen.n_lines < LEAST_RING_LINES
+    ):
         return None
-    n = int(np.count_nonzero(np.any([np.isfinite(one.range_m).any(axis=0) for one in seen.windows], axis=0)))
+    n = int(
+        np.count_nonzero(
+            np.any([np.isfinite(one.range_m).any(axis=0) for one in seen.windows], axis=0)
+        )
+    )
     hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
     told = verdict(doubtful=n < seen.least_rings)
     return Finding("few-rings", told, f"{n} rings", f"at least {seen.least_rings}", hint)

@@ -53,7 +53,9 @@ class ConeSample:
             if len(ring) >= FEWEST_SHOTS and len(np.unique(ring)) >= FEWEST_RINGS:
                 spread = spread_of_cones(xyz_m, ring, is_fitted=False)
                 # cones need no other frame
-                fitted = spread_of_cones(xyz_m, ring, is_fitted=True) if spread > MOST_RAD else spread
+                fitted = (
+                    spread_of_cones(xyz_m, ring, is_fitted=True) if spread > MOST_RAD else spread
+                )
                 self.found_rad = spread, fitted
         return self.found_rad
 

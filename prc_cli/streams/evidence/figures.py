@@ -87,7 +87,9 @@ class LineSample:
     def windows(self) -> tuple[Window, ...]:
         """Return the windows in the order of the stream; the last may be shorter."""
         return tuple(
-            Window((self._first or 0) + index * self._n_lines, self._kept[index][: self._open[index]])
+            Window(
+                (self._first or 0) + index * self._n_lines, self._kept[index][: self._open[index]]
+            )
             for index in sorted(self._kept)
         )
 
@@ -109,7 +111,9 @@ ROUGH, AS_FAR, LEAST_ROUGH = 0.05, 0.2, 100
 nearer than so much of that; fewer tell nothing."""
 LIKE, MOST_ALONE = 0.02, 0.5
 """Shots are as far as one another within this share; flakes are fewer than this share of all shots."""
-AROUND_SHOT = tuple((line, column) for line in (-1, 0, 1) for column in (-1, 0, 1) if line or column)
+AROUND_SHOT = tuple(
+    (line, column) for line in (-1, 0, 1) for column in (-1, 0, 1) if line or column
+)
 """Lines and columns of the shots around one."""
 AROUND = 5
 """A shot and two on either side."""
@@ -162,7 +166,10 @@ def middle(values: Iterable[float]) -> float:
 def figures_of(windows: tuple[Window, ...]) -> Figures:
     """Measure a sample of lines."""
     logs = [np.log(rows) for rows in spread(windows)]
-    by_lag = [middle(likeness(rows[:-lag], rows[lag:]) for rows in logs) for lag in range(1, LINE_LAGS + 1)]
+    by_lag = [
+        middle(likeness(rows[:-lag], rows[lag:]) for rows in logs)
+        for lag in range(1, LINE_LAGS + 1)
+    ]
     half = len(logs) // 2
     opposite = zip(logs[: len(logs) - half], logs[half:], strict=True)
     pairs = [(a[: len(b)], b[: len(a)]) for a, b in opposite if a is not b]
@@ -170,7 +177,10 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
     n_between = sum(n for _, n in missing)
     return Figures(
         random=middle(_random_likeness(rows) for rows in logs),
-        shot=(middle(_shot_likeness(rows, 1) for rows in logs), middle(_shot_likeness(rows, 2) for rows in logs)),
+        shot=(
+            middle(_shot_likeness(rows, 1) for rows in logs),
+            middle(_shot_likeness(rows, 2) for rows in logs),
+        ),
         line=tuple(by_lag),
         reversed_line=middle(likeness(rows[:-1], rows[1:, ::-1]) for rows in logs),
         moved=(
@@ -178,9 +188,13 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
             middle(likeness(a, b, MOVED) for a, b in pairs),
         ),
         noise_m=middle(_noise(window) for window in spread(windows)),
-        roughness=middle(likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2) for rows in logs),
+        roughness=middle(
+            likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2) for rows in logs
+        ),
         again=middle(_again(rows) for rows in logs),
-        lonely_missing=sum(lonely for lonely, _ in missing) / n_between if n_between else float("nan"),
+        lonely_missing=sum(lonely for lonely, _ in missing) / n_between
+        if n_between
+        else float("nan"),
         n_between=n_between,
     )
 
@@ -195,7 +209,9 @@ def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
         lonely = _alone(window.range_m)
         n_lonely += int(np.count_nonzero(lonely))
         n_known += int(np.count_nonzero(np.isfinite(window.range_m)))
-        cleared.append(replace(window, range_m=np.where(lonely, np.float32(np.nan), window.range_m)))
+        cleared.append(
+            replace(window, range_m=np.where(lonely, np.float32(np.nan), window.range_m))
+        )
     return tuple(cleared) if n_lonely < MOST_ALONE * n_known else None
 
 
@@ -273,9 +289,13 @@ def _lonely(rows: F32) -> tuple[int, int]:
     """Count missing shots between smooth neighbours, two on either side, and all shots between such neighbours."""
     if rows.shape[1] < AROUND:
         return 0, 0
-    left, near_left, at, near_right, right = (rows[:, i : rows.shape[1] - AROUND + 1 + i] for i in range(AROUND))
+    left, near_left, at, near_right, right = (
+        rows[:, i : rows.shape[1] - AROUND + 1 + i] for i in range(AROUND)
+    )
     with np.errstate(invalid="ignore"):
-        smooth: Mask = (np.abs(near_left - near_right) < SMOOTH) & (np.abs(left - near_left) < SMOOTH)
+        smooth: Mask = (np.abs(near_left - near_right) < SMOOTH) & (
+            np.abs(left - near_left) < SMOOTH
+        )
         smooth &= np.abs(right - near_right) < SMOOTH
     return int(np.count_nonzero(smooth & np.isnan(at))), int(np.count_nonzero(smooth))
 
@@ -295,7 +315,9 @@ def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
         n_lines = min((len(flat) - first) // points_per_line, FOLD_LINES)
         if n_lines < FOLD_LINES // 2:
             continue
-        lines = flat[first : first + n_lines * points_per_line].reshape(n_lines, points_per_line)[:, ::step]
+        lines = flat[first : first + n_lines * points_per_line].reshape(n_lines, points_per_line)[
+            :, ::step
+        ]
         profiles.append(_profile(lines))
     offs = [_profile_off(a, b) for i, a in enumerate(profiles) for b in profiles[i + 1 :]]
     return middle(offs)
@@ -311,7 +333,11 @@ def pieces(windows: tuple[Window, ...]) -> list[Window]:
         for i in range(each):
             start = i * n_lines + int(spare * (GOLDEN * (len(found) + 1) % 1.0))
             if start + FOLD_LINES + 1 <= len(window.range_m):
-                found.append(Window(window.first_line + start, window.range_m[start : start + FOLD_LINES + 1]))
+                found.append(
+                    Window(
+                        window.first_line + start, window.range_m[start : start + FOLD_LINES + 1]
+                    )
+                )
     return found
 
 
@@ -349,7 +375,10 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
     """Return the place along the stream where a shift of all columns helps most; None in short streams."""
     places = pieces(windows)
     found: list[Turned] = []
-    profiles = [_profile(one.range_m[:FOLD_LINES, :: max(one.range_m.shape[1] // TURN_COLUMNS, 1)]) for one in places]
+    profiles = [
+        _profile(one.range_m[:FOLD_LINES, :: max(one.range_m.shape[1] // TURN_COLUMNS, 1)])
+        for one in places
+    ]
     for i in range(len(places) - 1):
         first, second = profiles[i], profiles[i + 1]
         n = len(first)
@@ -363,7 +392,9 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
             found.append(Turned(line, -share, gain, line - places[i].first_line))
     if not found:
         return None
-    return replace(min(found, key=lambda one: one.gain), n_places=sum(one.gain < TURNED for one in found))
+    return replace(
+        min(found, key=lambda one: one.gain), n_places=sum(one.gain < TURNED for one in found)
+    )
 
 
 def _offs_of_shifts(first: F64, second: F64) -> F64:
@@ -392,7 +423,9 @@ def _profile(lines: F32) -> F64:
     """Return the logarithm of the median range of every column, NaN where most lines miss it."""
     ordered = np.sort(lines, axis=0)  # NaN sorts last
     held = np.count_nonzero(np.isfinite(lines), axis=0)
-    median: F64 = ordered[np.maximum(held - 1, 0) // 2, np.arange(lines.shape[1])].astype(np.float64)
+    median: F64 = ordered[np.maximum(held - 1, 0) // 2, np.arange(lines.shape[1])].astype(
+        np.float64
+    )
     return np.where(2 * held > len(lines), np.log(median), np.nan)
 
 

@@ -81,14 +81,21 @@ def check_down(seen: Seen) -> Finding | None:
     # of a scanner that does not look down the nearest plane is a wall
     looks_down = np.count_nonzero(np.abs(seen.beam_rad) < LOOKS_DOWN_RAD) >= LEAST_ANGLES
     if not guess.is_sure or (guess.ratio < LEAST_ASIDE and not looks_down):
-        return Finding(DOWN, Verdict.FINE, f"the ranges do not tell where level ground is ({_shown(guess)})", expected)
+        return Finding(
+            DOWN,
+            Verdict.FINE,
+            f"the ranges do not tell where level ground is ({_shown(guess)})",
+            expected,
+        )
     off = abs(math.remainder(guess.down_rad, 2 * math.pi))
     found = f"level ground is {math.degrees(off):.0f} deg from straight down ({_shown(guess)})"
     told = verdict(doubtful=off > DOWN_DOUBTFUL_RAD, against=off > DOWN_AGAINST_RAD)
     hint = _corrected(seen, guess) if told else ""
     if not told and (n_off := _n_elsewhere(seen, seen.beam_rad, scale)):
         told = Verdict.DOUBTFUL
-        found = f"level ground is elsewhere in {n_off} of {len(seen.windows)} samples along the drive"
+        found = (
+            f"level ground is elsewhere in {n_off} of {len(seen.windows)} samples along the drive"
+        )
         hint = "check whether the scanner was moved, or parts of the file are of another scanner"
     return Finding(DOWN, told, found, expected, hint)
 
@@ -127,8 +134,16 @@ def check_angle_step(seen: Seen) -> Finding | None:
     """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain."""
     if seen.angle_rad is not None and are_radians(seen.angle_rad):
         found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
-        hint = f"if they are radians, name them angle_rad; if they are of another scale: {_MEASURED}"
-        return Finding(ANGLE_STEP, Verdict.AGAINST, found, "degrees: the numbers of a turn in radians span 6.28", hint)
+        hint = (
+            f"if they are radians, name them angle_rad; if they are of another scale: {_MEASURED}"
+        )
+        return Finding(
+            ANGLE_STEP,
+            Verdict.AGAINST,
+            found,
+            "degrees: the numbers of a turn in radians span 6.28",
+            hint,
+        )
     step_rad = None if seen.beam_rad is None else _even_step(seen.beam_rad)
     if step_rad is None:
         return None
@@ -143,7 +158,9 @@ def check_angle_step(seen: Seen) -> Finding | None:
         return None
     factor = measured.step_rad / step_rad
     is_doubtful = abs(factor - 1.0) > max(MOST_DOUBTLESS, SURE * measured.off)
-    told = verdict(doubtful=is_doubtful, against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR)
+    told = verdict(
+        doubtful=is_doubtful, against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR
+    )
     found = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use"
     shown = f"{math.degrees(measured.step_rad):.4g} deg, known to {measured.off:.1%}"
     hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M"
@@ -197,7 +214,11 @@ def check_height(seen: Seen) -> Finding | None:
     scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if told else []
     best = min(scales, key=lambda scale: abs(math.log(scale * depth / USUAL_M)), default=None)
     option = f"--set input.range_scale={best:g}" if best else ""
-    hint = f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}" if told else ""
+    hint = (
+        f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}"
+        if told
+        else ""
+    )
     return Finding(UNITS, told, found, f"{low:g} to {high:g} m", hint, option)
 
 

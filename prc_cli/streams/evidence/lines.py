@@ -42,7 +42,9 @@ MOST_TIMES = 4
 """Lines that are equal more often belong to a standing scanner without noise, as in a simulation."""
 LEAST_REPEATED = 8
 """Fewer repeated lines are not told."""
-_ODD = np.random.default_rng(20).integers(0, 1 << 62, COLUMNS).astype(np.uint64) * np.uint64(2) + np.uint64(1)
+_ODD = np.random.default_rng(20).integers(0, 1 << 62, COLUMNS).astype(np.uint64) * np.uint64(
+    2
+) + np.uint64(1)
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -51,9 +53,13 @@ def digests(block: ScanBlock) -> U64:
     step = max(block.points_per_line // COLUMNS, 1)
     values = np.ascontiguousarray(block.range_m[:, : step * COLUMNS : step])
     ordered = np.sort(values, axis=1)
-    different = np.count_nonzero(np.diff(ordered, axis=1) > 0, axis=1)  # NaN sorts last and is never greater
+    different = np.count_nonzero(
+        np.diff(ordered, axis=1) > 0, axis=1
+    )  # NaN sorts last and is never greater
     bits = values[different >= LEAST_VALUES - 1].view(np.uint32).astype(np.uint64)
-    found: U64 = (bits * _ODD[: bits.shape[1]]).sum(axis=1, dtype=np.uint64) + np.uint64(block.scanner)
+    found: U64 = (bits * _ODD[: bits.shape[1]]).sum(axis=1, dtype=np.uint64) + np.uint64(
+        block.scanner
+    )
     found ^= found >> np.uint64(31)
     found *= _MIX
     found ^= found >> np.uint64(29)
@@ -76,7 +82,9 @@ class LineRepeats:
             self._times[digest] = self._times.get(digest, 0) + 1
         while len(self._times) > MOST_KEPT:
             self._mask = 2 * self._mask + 1
-            self._times = {digest: n for digest, n in self._times.items() if not digest & self._mask}
+            self._times = {
+                digest: n for digest, n in self._times.items() if not digest & self._mask
+            }
 
     @property
     def n_repeated(self) -> int:
@@ -93,7 +101,13 @@ def check_repeats(repeats: LineRepeats, of_recording: str = "") -> Finding:
         return Finding("repeated-lines", Verdict.DOUBTFUL, of_recording, "each once", hint)
     found = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
     hint = "leave out the part that is there twice"
-    return Finding("repeated-lines", verdict(doubtful=n >= LEAST_REPEATED), found, f"fewer than {LEAST_REPEATED}", hint)
+    return Finding(
+        "repeated-lines",
+        verdict(doubtful=n >= LEAST_REPEATED),
+        found,
+        f"fewer than {LEAST_REPEATED}",
+        hint,
+    )
 
 
 MISREAD_CHECKS = ("ranges", "shot-order")
@@ -134,7 +148,11 @@ class Reading:
         named = self.type != "f4" or self.scale != 1
         scale = f",scale={self.scale:g}" if self.scale != 1 else ""
         missing = ",missing=0" if self.has_zeros else ""
-        told = [f'\'layout.fields=[{{name="range",type="{self.type}"{scale}{missing}}}]\''] if named else []
+        told = (
+            [f'\'layout.fields=[{{name="range",type="{self.type}"{scale}{missing}}}]\'']
+            if named
+            else []
+        )
         told += [f"layout.endian={self.endian}"] if self.endian != "little" else []
         told += [f"layout.header_bytes={self.header_bytes}"] if self.header_bytes else []
         return " ".join(f"--set {one}" for one in told)
@@ -199,7 +217,11 @@ def with_other_reading(finding: Finding, path: str, points_per_line: int | None)
     reading = other_reading(dump, points_per_line)
     if reading is None or not reading.options():
         return finding
-    return replace(finding, hint=f"its bytes are ranges of a scan with {reading.options()}", option=reading.options())
+    return replace(
+        finding,
+        hint=f"its bytes are ranges of a scan with {reading.options()}",
+        option=reading.options(),
+    )
 
 
 LEAST_LINES = 24
@@ -266,7 +288,9 @@ STANDING_LINES = 200
 LONELY = 0.085
 """Share of missing shots amid smooth surfaces: at most 0.06 in all scans at hand, 0.1 if a tenth of them is lost."""
 
-_ORDER_HINT = "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
+_ORDER_HINT = (
+    "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
+)
 
 
 def _share_of_random(difference: float, figures: Figures) -> float:
@@ -300,7 +324,9 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     if ratio >= ALIKE and (step := _step_alike(figures)):
         return _alternating(figures, m, step)
     period = _period(seen)
-    true = _exact(seen, period) if period is not None and max(m / period, period / m) > FAR_OFF else m
+    true = (
+        _exact(seen, period) if period is not None and max(m / period, period / m) > FAR_OFF else m
+    )
     if true != m and _is_as_alike(seen, true):
         return _repeating(true, m)
     if not np.isfinite(ratio):
@@ -333,7 +359,10 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
         told = verdict(doubtful=True, against=folded[m] > FOLD_NOTHING)
         return Finding(name, told, found, f"at most {FOLD_RANDOM:g}", hint)
-    found, expected = f"neighbouring lines differ {ratio:.2g} times as much as random shots", f"below {LINE_DOUBTFUL:g}"
+    found, expected = (
+        f"neighbouring lines differ {ratio:.2g} times as much as random shots",
+        f"below {LINE_DOUBTFUL:g}",
+    )
     told = verdict(doubtful=ratio >= LINE_DOUBTFUL, against=ratio >= LINE_AGAINST)
     return Finding(name, told, found, expected, hint if told else "")
 
@@ -387,13 +416,22 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
 
 
 def _repeating(period: int, m: int) -> Finding:
-    found, expected = f"the ranges repeat after {period} shots, not after {m}", f"lines of M = {m} shots that are alike"
-    return Finding("line-length", Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}")
+    found, expected = (
+        f"the ranges repeat after {period} shots, not after {m}",
+        f"lines of M = {m} shots that are alike",
+    )
+    return Finding(
+        "line-length", Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}"
+    )
 
 
 def _step_alike(figures: Figures) -> int:
     """Return how many lines later comes one that is far more alike than the next; 0 where none is."""
-    steps = (step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * figures.line[0])
+    steps = (
+        step
+        for step in range(2, len(figures.line) + 1)
+        if figures.line[step - 1] < SECOND * figures.line[0]
+    )
     return next(steps, 0)
 
 
@@ -401,7 +439,13 @@ def _alternating(figures: Figures, m: int, step: int) -> Finding:
     """Tell lines that alternate: scanned to and fro, of several scanners, or M too small."""
     if step == 2 and figures.reversed_line <= HALF * figures.line[1]:
         found = "every second line runs the other way"
-        return Finding("line-length", Verdict.AGAINST, found, "lines scanned the same way", "reverse every second line")
+        return Finding(
+            "line-length",
+            Verdict.AGAINST,
+            found,
+            "lines scanned the same way",
+            "reverse every second line",
+        )
     found = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
     hint = f"give -M {m * step} if lines are longer, or split several scanners with --scanner"
     expected = f"lines of M = {m} shots that are alike"
@@ -438,10 +482,16 @@ def _exact(seen: Seen, period: int) -> int:
     m = seen.points_per_line
     times = round(max(m / period, period / m))
     for length in (m // times, m * times):
-        if abs(length - period) <= max(FOLD_REACH, period // SHIFTS) and max(length, m) % min(length, m) == 0:
+        if (
+            abs(length - period) <= max(FOLD_REACH, period // SHIFTS)
+            and max(length, m) % min(length, m) == 0
+        ):
             return length
     near = range(max(period - FOLD_REACH, 2), period + FOLD_REACH + 1)
-    off = {length: period if period <= FRAME_SHOTS else _or_inf(fold(seen.windows, length)) for length in near}
+    off = {
+        length: period if period <= FRAME_SHOTS else _or_inf(fold(seen.windows, length))
+        for length in near
+    }
     return min(near, key=lambda length: (off[length], abs(length - period)))
 
 
@@ -449,7 +499,9 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
     """Ask whether the scene changes along the stream, but not from line to line."""
     near, far = figures.moved
     if figures.again > SEEN_AGAIN and seen.n_lines >= STANDING_LINES and not _is_fan(seen):
-        found = f"{figures.again:.0%} of the shots unlike their neighbours come again in the next line"
+        found = (
+            f"{figures.again:.0%} of the shots unlike their neighbours come again in the next line"
+        )
         hint = "the platform stands again and again, or lines are copies: cut such stretches out, or accept them"
         return Finding("standing", Verdict.DOUBTFUL, found, f"at most {SEEN_AGAIN:.0%}", hint)
     if seen.n_lines < LEAST_LINES or not near > 0 or not np.isfinite(far):
@@ -473,6 +525,8 @@ def check_dropouts(figures: Figures) -> Finding | None:
     if figures.n_between < LEAST_PAIRS:
         return None
     found = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"
-    hint = "check whether records were lost or filtered out; isolated gaps cost classes at their edges"
+    hint = (
+        "check whether records were lost or filtered out; isolated gaps cost classes at their edges"
+    )
     told = verdict(doubtful=figures.lonely_missing > LONELY)
     return Finding("dropouts", told, found, f"at most {LONELY:.1%}", hint)

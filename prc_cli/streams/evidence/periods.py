@@ -60,7 +60,9 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
         valid = np.isfinite(flat) & (flat > 0)
     max_lag = min(max_m, len(flat) // MIN_LINES)
     if np.count_nonzero(valid) < 100 or max_lag < 4:
-        return PeriodEstimate(None, 0.0, len(flat), f"too few ranges: {np.count_nonzero(valid)} of {len(flat)} shots")
+        return PeriodEstimate(
+            None, 0.0, len(flat), f"too few ranges: {np.count_nonzero(valid)} of {len(flat)} shots"
+        )
     logs = np.log(np.where(valid, flat, 1.0))
     # limit the weight of outliers
     low, middle, high = np.percentile(logs[valid], (1, 50, 99))
@@ -68,7 +70,9 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     signal[valid] -= signal[valid].mean()
     if not signal.any():
         return PeriodEstimate(None, 0.0, len(flat), "all ranges are equal")
-    correlation = _autocorrelation(signal, _MULTIPLES * max_lag + max_lag // 2, valid.astype(np.float64))
+    correlation = _autocorrelation(
+        signal, _MULTIPLES * max_lag + max_lag // 2, valid.astype(np.float64)
+    )
     period = _fundamental(correlation[: max_lag + 1])
     strength = _comb(correlation, period) if period else 0.0
     looked = f"{len(flat)} shots, lines of up to {max_lag}"
@@ -78,7 +82,9 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     refined = _refine(correlation, period)
     reason = f"the ranges repeat after {refined} shots ({looked})"
     if valid.all():
-        reason += "; no shot is missing: if the input leaves such shots out, this is a mean and no layout"
+        reason += (
+            "; no shot is missing: if the input leaves such shots out, this is a mean and no layout"
+        )
     return PeriodEstimate(refined, strength, len(flat), reason)
 
 
@@ -185,11 +191,20 @@ class RangeCorrelation:
         if not np.isfinite(self.ratio):
             return f"{self.n_pairs} neighbouring ranges are too few, or too alike, to tell"
         if self.ratio < 0.3:
-            said = "neighbouring shots have near ranges", "as expected of shots in the order they were fired"
+            said = (
+                "neighbouring shots have near ranges",
+                "as expected of shots in the order they were fired",
+            )
         elif self.ratio < 0.7:
-            said = "neighbouring ranges are only loosely alike", "the order may be disturbed, or the scene very rough"
+            said = (
+                "neighbouring ranges are only loosely alike",
+                "the order may be disturbed, or the scene very rough",
+            )
         else:
-            said = "neighbouring ranges are as unlike as random pairs", "the order carries no spatial correlation"
+            said = (
+                "neighbouring ranges are as unlike as random pairs",
+                "the order carries no spatial correlation",
+            )
         return f"{said[0]} (ratio {self.ratio:.2g}): {said[1]}"
 
 
@@ -288,7 +303,14 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
     # at or before the first return
     origin = begin - period * math.ceil(begin / period)
     share = float(len(np.unique(bins))) / n
-    return TimedScan(1 / shot_s, 1 / (period * shot_s), float(time_s[0] + origin * shot_s), n / period, strength, share)
+    return TimedScan(
+        1 / shot_s,
+        1 / (period * shot_s),
+        float(time_s[0] + origin * shot_s),
+        n / period,
+        strength,
+        share,
+    )
 
 
 def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
@@ -339,7 +361,9 @@ def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
     # at a shot; the middle between two is the one behind
     origin_s = float(time_s[0]) + math.floor(begin_s / shot_s + 0.6) * shot_s
     n_lines = float(time_s[-1] - time_s[0]) / line_s
-    return TimedScan(1 / shot_s, 1 / line_s, origin_s, n_lines, 1.0, len(time_s) * shot_s / (n_lines * line_s))
+    return TimedScan(
+        1 / shot_s, 1 / line_s, origin_s, n_lines, 1.0, len(time_s) * shot_s / (n_lines * line_s)
+    )
 
 
 def _sweep_begin(since_s: F64, angle_rad: F64, way: float, line_s: float) -> tuple[float, bool]:
@@ -430,7 +454,12 @@ def _first_peak(correlation: F64, most: int) -> int | None:
     highest = float(inner[start:].max())
     if highest < LEAST_STRENGTH:
         return None
-    peaks = np.flatnonzero((inner[start:-1] >= FIRST_PEAK * highest) & (inner[start:-1] >= inner[start + 1 :])) + start
+    peaks = (
+        np.flatnonzero(
+            (inner[start:-1] >= FIRST_PEAK * highest) & (inner[start:-1] >= inner[start + 1 :])
+        )
+        + start
+    )
     if not len(peaks):
         return None
     first = int(peaks[0])

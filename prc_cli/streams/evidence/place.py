@@ -75,14 +75,20 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     high = ~np.isnan(middle_m) & (-np.cos(beam) > 0) & (middle_m < HIGH_M)
     n_low, n_high = int(np.count_nonzero(low)), int(np.count_nonzero(high))
     if n_low < LEAST_LOW:
-        return Place("unknown", "too few neighbouring shots lie on the ground to tell a street from a forest")
+        return Place(
+            "unknown", "too few neighbouring shots lie on the ground to tell a street from a forest"
+        )
     floor = int(np.count_nonzero(low & smooth)) / n_low
     found = f"{100 * floor:.0f} % of the ground is smooth"
     if n_high < LEAST_HIGH_SHARE * middle_m.size:
         # nothing stands there: a road in the open, or a clearing
         limit = FOREST_SCORE - BUILT_SHARE / 3
         kind: Kind = "street" if floor > limit else "unknown"
-        doubt = f"a road has more than {limit:.0%} of smooth ground" if abs(floor - limit) < CLOSE_SCORE else ""
+        doubt = (
+            f"a road has more than {limit:.0%} of smooth ground"
+            if abs(floor - limit) < CLOSE_SCORE
+            else ""
+        )
         return Place(kind, f"{found}, and nothing stands high", bool(doubt), doubt)
     standing = int(np.count_nonzero(high & smooth)) / n_high
     found += f", and {100 * standing:.0f} % of what stands higher than the scanner"
@@ -93,7 +99,9 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     if off < CLOSE_SCORE:
         doubt = f"the first and a third of the second are {score:.2f}, forests have less than {FOREST_SCORE:.2f}"
     elif kind == "unknown":
-        doubt = f"forests have less smooth ground, streets at least {BUILT_SHARE:.0%} of what stands"
+        doubt = (
+            f"forests have less smooth ground, streets at least {BUILT_SHARE:.0%} of what stands"
+        )
     return Place(kind, found, off < OPEN_SCORE or kind == "unknown", doubt)
 
 
@@ -106,7 +114,9 @@ def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarra
     length = np.hypot(across, up)
     beside = np.abs((y[:, k:-k] - y[:, : -2 * k]) * up - (z[:, k:-k] - z[:, : -2 * k]) * across)
     # comparisons with NaN are false: missing shots are neither
-    joined = ~np.isnan(middle_m) & (length < np.maximum(JOINED_M, JOINED_STEPS * k * step * middle_m))
+    joined = ~np.isnan(middle_m) & (
+        length < np.maximum(JOINED_M, JOINED_STEPS * k * step * middle_m)
+    )
     return joined, joined & (beside < (SMOOTH_M + SMOOTH_PER_M * middle_m) * length)
 
 

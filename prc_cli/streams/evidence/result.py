@@ -54,7 +54,9 @@ LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
 _LOOK_FOR_DOWN = "look where down is: prc info; or give it with --set input.nadir=DEG"
-_NO_STREET = "a room, or one thing, has neither ground nor buildings nor cars; leave such stretches out"
+_NO_STREET = (
+    "a room, or one thing, has neither ground nor buildings nor cars; leave such stretches out"
+)
 _LOOK_AT_INPUT = "look at the order of the shots, M and the unit of the ranges: prc info"
 
 
@@ -64,8 +66,12 @@ class _Kept:
     def __init__(self, item: LabelledBlock) -> None:
         self.columns = _columns_with_returns(item.block.range_m)
         n_columns = len(self.columns)
-        self.beam_rad = None if item.block.beam_rad is None else item.block.beam_rad[self.columns].copy()
-        self.angle_rad = None if item.block.angle_rad is None else item.block.angle_rad[self.columns].copy()
+        self.beam_rad = (
+            None if item.block.beam_rad is None else item.block.beam_rad[self.columns].copy()
+        )
+        self.angle_rad = (
+            None if item.block.angle_rad is None else item.block.angle_rad[self.columns].copy()
+        )
         self.line = np.empty(MAX_LINES, np.int64)
         self.range_m = np.empty((MAX_LINES, n_columns), np.float32)
         self.labels = np.empty((MAX_LINES, n_columns), np.uint8)
@@ -83,7 +89,11 @@ class _Kept:
                 self._thin()
                 continue
             lines = np.arange(line, stop, self.stride)[: MAX_LINES - self.n]
-            rows = slice(line - item.block.first_line, int(lines[-1]) - item.block.first_line + 1, self.stride)
+            rows = slice(
+                line - item.block.first_line,
+                int(lines[-1]) - item.block.first_line + 1,
+                self.stride,
+            )
             at = slice(self.n, self.n + len(lines))
             self.line[at] = lines
             self.range_m[at] = item.block.range_m[rows][:, self.columns]
@@ -101,7 +111,11 @@ class _Kept:
     def sample(self) -> _Sample:
         """Return what is kept."""
         return _Sample(
-            self.line[: self.n], self.range_m[: self.n], self.labels[: self.n], self.beam_rad, self.angle_rad
+            self.line[: self.n],
+            self.range_m[: self.n],
+            self.labels[: self.n],
+            self.beam_rad,
+            self.angle_rad,
         )
 
 
@@ -195,10 +209,14 @@ def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> 
     noisy, without = int(np.count_nonzero(noise)) / n, int(np.count_nonzero(unclassified)) / n
     if without > usual.unclassified_share and noisy <= usual.noise_share:
         found, most = f"{_percent(without)} of the returns have no class", usual.unclassified_share
-        return Finding("noise-share", Verdict.DOUBTFUL, found, f"at most {_percent(most)}", _LOOK_AT_INPUT)
+        return Finding(
+            "noise-share", Verdict.DOUBTFUL, found, f"at most {_percent(most)}", _LOOK_AT_INPUT
+        )
     told = verdict(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
     found = f"{_percent(noisy)} of the returns are noise"
-    return Finding("noise-share", told, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT)
+    return Finding(
+        "noise-share", told, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT
+    )
 
 
 def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]:
@@ -208,7 +226,13 @@ def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]
         return
     share = int(np.count_nonzero(solid & (range_m > usual.reach_m))) / n
     found = f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
-    yield Finding("indoors", verdict(doubtful=share < FAR_SHARE), found, f"at least {_percent(FAR_SHARE)}", _NO_STREET)
+    yield Finding(
+        "indoors",
+        verdict(doubtful=share < FAR_SHARE),
+        found,
+        f"at least {_percent(FAR_SHARE)}",
+        _NO_STREET,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,10 +259,19 @@ class _Scene:
         beam = sample.beam_rad.astype(np.float32)
         near = solid & (sample.range_m < NEAR_M)
         ground = near & np.isin(sample.labels, (Label.GROUND, Label.CURB))
-        return cls(sample.range_m * np.sin(beam), sample.range_m * -np.cos(beam), near, ground, is_down, beam < 0)
+        return cls(
+            sample.range_m * np.sin(beam),
+            sample.range_m * -np.cos(beam),
+            near,
+            ground,
+            is_down,
+            beam < 0,
+        )
 
 
-def _ground_below(solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: UsualLabels) -> Iterator[Finding]:
+def _ground_below(
+    solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: UsualLabels
+) -> Iterator[Finding]:
     """Ask whether what lies below the scanner is ground."""
     where, seen, least = " within 60 deg of down", below, usual.level_share
     if np.count_nonzero(below) < LEAST_RETURNS:
@@ -249,7 +282,13 @@ def _ground_below(solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: 
         return
     share = int(np.count_nonzero(seen & level)) / n
     found = f"{_percent(share)} of the returns{where} are ground"
-    yield Finding("ground-below", verdict(doubtful=share < least), found, f"at least {_percent(least)}", _LOOK_FOR_DOWN)
+    yield Finding(
+        "ground-below",
+        verdict(doubtful=share < least),
+        found,
+        f"at least {_percent(least)}",
+        _LOOK_FOR_DOWN,
+    )
 
 
 def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
@@ -270,7 +309,9 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
     lean_deg = math.degrees(lean_rad)
     found = f"the ground leans by {abs(lean_deg):.2f} deg across the lines"
     told = verdict(doubtful=abs(lean_deg) > usual.lean_deg)
-    yield Finding("ground-lean", told, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad))
+    yield Finding(
+        "ground-lean", told, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad)
+    )
 
 
 def _nadir(sample: _Sample, lean_rad: float) -> str:
@@ -304,7 +345,9 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
     share = n_below / n_near
     found = f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground"
     told = verdict(doubtful=share > usual.below_share)
-    yield Finding("below-ground", told, found, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN)
+    yield Finding(
+        "below-ground", told, found, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN
+    )
 
 
 def _along(
@@ -344,7 +387,9 @@ def _along(
         hint = f"look at them: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
         yield Finding("classes-along", told, f"{said} in lines {start} to {stop}", expected, hint)
         return
-    yield Finding("classes-along", Verdict.FINE, "ground and noise are even along the stream", expected)
+    yield Finding(
+        "classes-along", Verdict.FINE, "ground and noise are even along the stream", expected
+    )
 
 
 def _share(part: F64, whole: F64) -> F64:

@@ -26,7 +26,12 @@ from prc_cli.methods.base import Needs
 from prc_cli.streams.evidence.checks import ask_all, check_few_lines, check_thinned
 from prc_cli.streams.evidence.cones import ConeSample
 from prc_cli.streams.evidence.figures import LineSample, Seen
-from prc_cli.streams.evidence.lines import LEAST_LINES, LineRepeats, check_repeats, with_other_reading
+from prc_cli.streams.evidence.lines import (
+    LEAST_LINES,
+    LineRepeats,
+    check_repeats,
+    with_other_reading,
+)
 from prc_cli.streams.evidence.table import worst_of
 
 MAX_SCANNERS = 4
@@ -89,7 +94,11 @@ class EvidenceStream(Brief):
         one = self._scanners.get(block.scanner)
         if one is None:
             one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
-        one.angle_rad, one.beam_rad, one.has_rings = block.angle_rad, block.beam_rad, block.has_rings
+        one.angle_rad, one.beam_rad, one.has_rings = (
+            block.angle_rad,
+            block.beam_rad,
+            block.has_rings,
+        )
         one.cones.add(block)
         one.n_lines += block.n_lines
         one.n_shots += block.range_m.size
@@ -106,14 +115,22 @@ class EvidenceStream(Brief):
         n_shots, n_missing = sum(one.n_shots for one in every), sum(one.n_missing for one in every)
         return tuple(
             Seen(
-                info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=n_shots,
-                n_missing=n_missing, tally=self._tally,
+                info=info,
+                scanner=scanner,
+                windows=one.sample.windows(),
+                n_lines=one.n_lines,
+                n_shots=n_shots,
+                n_missing=n_missing,
+                tally=self._tally,
                 angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
-                beam_rad=one.beam_rad, most_noise_m=self.most_noise_m, has_rings=one.has_rings,
-                least_rings=self.least_rings, cone_spread_rad=one.cones.spread_rad(),
+                beam_rad=one.beam_rad,
+                most_noise_m=self.most_noise_m,
+                has_rings=one.has_rings,
+                least_rings=self.least_rings,
+                cone_spread_rad=one.cones.spread_rad(),
             )
             for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
-        )  # fmt: skip
+        )
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the answers of all checks once the stream was read to its end; before that, none."""
@@ -126,7 +143,9 @@ class EvidenceStream(Brief):
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
-        is_long = sum(one.n_lines for one in self._scanners.values()) >= LEAST_LINES  # short streams are not judged
+        is_long = (
+            sum(one.n_lines for one in self._scanners.values()) >= LEAST_LINES
+        )  # short streams are not judged
         others = [
             *(self._of_whole() if is_whole else ()),
             *check_thinned(self.dropped),
@@ -141,14 +160,19 @@ class EvidenceStream(Brief):
         if self.is_part:
             return
         scanners = self._scanners.items()
-        yield from worst_of({key: check_few_lines(one.n_lines, one.n_shots) for key, one in scanners})
+        yield from worst_of(
+            {key: check_few_lines(one.n_lines, one.n_shots) for key, one in scanners}
+        )
 
 
-def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
+def _ask_of_all(
+    seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]
+) -> tuple[Finding, ...]:
     """Ask all checks of every scanner; ``others`` are answers to what was asked of the whole stream."""
     told = {
         one.scanner: [
-            _fitted(with_other_reading(each, one.info.path, one.points_per_line), one) for each in ask_all(one)
+            _fitted(with_other_reading(each, one.info.path, one.points_per_line), one)
+            for each in ask_all(one)
         ]
         for one in seen
     }
@@ -181,7 +205,14 @@ def watched(
     is_part = config.window is not None
     needs = needs or Needs(frozenset())
     return EvidenceStream(
-        stream, accepted_by(config), refuses, needs.most_noise_m, needs.least_rings, dropped, others, is_part
+        stream,
+        accepted_by(config),
+        refuses,
+        needs.most_noise_m,
+        needs.least_rings,
+        dropped,
+        others,
+        is_part,
     )
 
 

@@ -14,10 +14,23 @@ from typing import TypeAlias
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.streams.registered.fit import LEAST_TRUSTED, PassPieces, Track, knot_times, whole_lines, window_spacing
+from prc_cli.streams.registered.fit import (
+    LEAST_TRUSTED,
+    PassPieces,
+    Track,
+    knot_times,
+    whole_lines,
+    window_spacing,
+)
 from prc_cli.streams.registered.path import Knots
 from prc_cli.streams.registered.resection import Stations, masked_median
-from prc_cli.streams.registered.rotation import FASTEST_HZ, SLOWEST_HZ, Pieces, Turning, pieces_between
+from prc_cli.streams.registered.rotation import (
+    FASTEST_HZ,
+    SLOWEST_HZ,
+    Pieces,
+    Turning,
+    pieces_between,
+)
 from prc_cli.streams.registered.start import (
     WINDOW_POINTS,
     Windows,
@@ -99,7 +112,9 @@ def rate_of_directions(time_s: F64, offset_m: F64) -> float | None:
     return float(np.median(rates)) / (2.0 * math.pi)
 
 
-def windows_along(time_s: F64, xyz_m: F64, station_m: F64, turning: Turning, spacing_s: float) -> Windows:
+def windows_along(
+    time_s: F64, xyz_m: F64, station_m: F64, turning: Turning, spacing_s: float
+) -> Windows:
     """Return the frames of single lines whose stations are given; see :func:`.start.stations_of_lines`.
 
     Parameters
@@ -118,7 +133,9 @@ def windows_along(time_s: F64, xyz_m: F64, station_m: F64, turning: Turning, spa
     begin, end = lines_between(time_s, turning, spacing_s)
     pieces = pieces_between(time_s, xyz_m - station_m, begin, end, WINDOW_POINTS)
     offset = _offsets(pieces)
-    frame, residual = _with_bearings(directions_in_planes(offset, pieces.weight), pieces, turning, offset)
+    frame, residual = _with_bearings(
+        directions_in_planes(offset, pieces.weight), pieces, turning, offset
+    )
     n = len(begin)
     stations = Stations(
         position_m=station_m[(begin + end) // 2],
@@ -136,7 +153,9 @@ def _offsets(pieces: Pieces) -> F64:
     return pieces.xyz_m + pieces.first_m[:, None, :]
 
 
-def _with_bearings(directions: Directions, pieces: Pieces, turning: Turning, offset_m: F64) -> tuple[F64, F64]:
+def _with_bearings(
+    directions: Directions, pieces: Pieces, turning: Turning, offset_m: F64
+) -> tuple[F64, F64]:
     """Turn the frames so that bearings fit the angles; of both senses of turning the better one."""
     bearing = 2.0 * math.pi * turning.hz * pieces.time_s
     length = np.linalg.norm(offset_m, axis=2)
@@ -151,12 +170,18 @@ def _with_bearings(directions: Directions, pieces: Pieces, turning: Turning, off
         main, second = directions.frame[:, :, 0], sense * directions.frame[:, :, 1]
         frames.append(
             np.stack(
-                [cosine * main + sine * second, -sine * main + cosine * second, sense * directions.frame[:, :, 2]],
+                [
+                    cosine * main + sine * second,
+                    -sine * main + cosine * second,
+                    sense * directions.frame[:, :, 2],
+                ],
                 axis=2,
             )
         )
     left = residuals[0] <= residuals[1]
-    return np.where(left[:, None, None], frames[0], frames[1]), np.where(left, residuals[0], residuals[1])
+    return np.where(left[:, None, None], frames[0], frames[1]), np.where(
+        left, residuals[0], residuals[1]
+    )
 
 
 def turning_along(time_s: F64, xyz_m: F64, places: Places) -> Turning | None:
@@ -185,12 +210,20 @@ def turning_along(time_s: F64, xyz_m: F64, places: Places) -> Turning | None:
     return turning
 
 
-def track_along(pieces: PassPieces, turning: Turning, duration_s: float, places: Places) -> Track | None:
+def track_along(
+    pieces: PassPieces, turning: Turning, duration_s: float, places: Places
+) -> Track | None:
     """Return the track of a pass whose path is given; see :func:`.fit.fit_track`."""
     parts = [
         windows
         for time_s, xyz_m in whole_lines(pieces(), turning)
-        if len((windows := windows_along(time_s, xyz_m, places(time_s), turning, window_spacing(duration_s))).time_s)
+        if len(
+            (
+                windows := windows_along(
+                    time_s, xyz_m, places(time_s), turning, window_spacing(duration_s)
+                )
+            ).time_s
+        )
     ]
     if not parts:
         return None

@@ -68,7 +68,9 @@ class Positions:
 
     def xyz_at(self, time_s: F64) -> F64:
         """Return the positions at times of any shape (...), (..., 3) [m]."""
-        return np.stack([np.interp(time_s, self.time_s, self.xyz_m[:, axis]) for axis in range(3)], axis=-1)
+        return np.stack(
+            [np.interp(time_s, self.time_s, self.xyz_m[:, axis]) for axis in range(3)], axis=-1
+        )
 
     def covers(self, time_s: F64) -> Mask:
         """Tell which times lie within the trajectory."""
@@ -146,7 +148,9 @@ def compare(path: FoundPath, trajectory: Positions) -> Comparison:
     given_m = _distance_as_given(sample, trajectory)
     clocks, distance_m = _near_clocks(sample, trajectory)
     if not len(clocks):
-        return _unlike(path, given_m, "the trajectory covers less than half of the path, whatever its clock")
+        return _unlike(
+            path, given_m, "the trajectory covers less than half of the path, whatever its clock"
+        )
     if distance_m.min() > FAR_M:
         return _unlike(path, given_m, _why_far(sample, trajectory, float(distance_m.min())))
     near = distance_m <= FAR_M
@@ -168,7 +172,9 @@ class _Sample:
 
 def _unlike(path: FoundPath, given_m: float, why: str) -> Comparison:
     unknown = (math.nan, math.nan, math.nan)
-    return Comparison(path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", "", math.nan, why)
+    return Comparison(
+        path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", "", math.nan, why
+    )
 
 
 def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
@@ -184,7 +190,9 @@ def _clocks(sample: _Sample, trajectory: Positions) -> F64:
     first_s, last_s = sample.time_s[[0, -1]]
     low, high = first_s - trajectory.time_s[-1], last_s - trajectory.time_s[0]
     step = max(COARSE_S, (high - low) / 1_000_000)
-    clocks: F64 = step * np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64)
+    clocks: F64 = step * np.arange(
+        math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64
+    )
     return clocks
 
 
@@ -193,7 +201,10 @@ def _near_clocks(sample: _Sample, trajectory: Positions) -> tuple[F64, F64]:
     coarse = sample.thinned()
     clocks = _clocks(coarse, trajectory)
     distance = np.concatenate(
-        [_distances(coarse, trajectory, clocks[first : first + BATCH]) for first in range(0, len(clocks), BATCH)]
+        [
+            _distances(coarse, trajectory, clocks[first : first + BATCH])
+            for first in range(0, len(clocks), BATCH)
+        ]
     )
     # the one given counts first: a vehicle that stands is equally near at many
     order = np.lexsort((np.abs(clocks), np.round(distance, 2)))
@@ -207,7 +218,9 @@ def _near_clocks(sample: _Sample, trajectory: Positions) -> tuple[F64, F64]:
     return np.array([clock for clock, _ in finer]), np.array([distance for _, distance in finer])
 
 
-def _finer_clock(sample: _Sample, trajectory: Positions, clock_s: float, distance_m: float) -> tuple[float, float]:
+def _finer_clock(
+    sample: _Sample, trajectory: Positions, clock_s: float, distance_m: float
+) -> tuple[float, float]:
     for step in (COARSE_S / 8, COARSE_S / 64):
         clocks = clock_s + step * np.arange(-8, 9, dtype=np.float64)
         distance = _distances(sample, trajectory, clocks)
@@ -230,11 +243,17 @@ def _distances(sample: _Sample, trajectory: Positions, clocks: F64) -> F64:
     return distance
 
 
-def _best_fit(scanner: int, sample: _Sample, trajectory: Positions, clocks: F64, distance_m: F64) -> Comparison:
+def _best_fit(
+    scanner: int, sample: _Sample, trajectory: Positions, clocks: F64, distance_m: F64
+) -> Comparison:
     """Return the fit from the clock that leaves least; of fits that are alike, the nearest."""
     fits = [_fit(scanner, sample, trajectory, float(clock)) for clock in clocks]
     least = min(fit.spread_m for fit in fits)
-    alike = [place for place, fit in enumerate(fits) if fit.spread_m <= ALIKE_FITS * least + LEAST_SCALE_M]
+    alike = [
+        place
+        for place, fit in enumerate(fits)
+        if fit.spread_m <= ALIKE_FITS * least + LEAST_SCALE_M
+    ]
     return fits[min(alike, key=lambda place: float(distance_m[place]))]
 
 

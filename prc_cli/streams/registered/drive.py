@@ -149,17 +149,25 @@ class Drive:
             Assumption(
                 "input.columns",
                 f"time:{scan.shots_per_turn * turning.hz:.10g}",
-                "measured bearings, since times are coarse" if scan.by_bearing else "the steps of the times",
+                "measured bearings, since times are coarse"
+                if scan.by_bearing
+                else "the steps of the times",
             ),
         ]
         if len(self.scans) > 1:
             value = f"{len(self.scans)} streams"
             apart = f"{self.split} tells scanners apart; " if self.split else ""
-            told.append(Assumption("input.scanner", value, f"{apart}a gap of more than {GAP_S:g} s ends a pass"))
+            told.append(
+                Assumption(
+                    "input.scanner", value, f"{apart}a gap of more than {GAP_S:g} s ends a pass"
+                )
+            )
         return tuple(told)
 
 
-def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "", places: Places | None = None) -> Drive:
+def reconstruct(
+    path: str, spools: dict[int, Spool], *, split: str = "", places: Places | None = None
+) -> Drive:
     """Find the path of every scanner and pass, and the cell of every point.
 
     Parameters
@@ -181,10 +189,14 @@ def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "", places:
     heads: list[Head] = []
     passes = _Passes()
     for number, points in sorted(spools.items()):
-        heads.append(_reconstruct_head(path, points, passes, number if len(spools) > 1 else 0, places))
+        heads.append(
+            _reconstruct_head(path, points, passes, number if len(spools) > 1 else 0, places)
+        )
     if len(passes.scans) > MOST_PASSES:
         raise too_many_passes(path, len(passes.scans), MOST_PASSES)
-    findings = judge(path, passes.figures, passes.n_unplaced, sum(len(spool) for spool in spools.values()))
+    findings = judge(
+        path, passes.figures, passes.n_unplaced, sum(len(spool) for spool in spools.values())
+    )
     scans, tracks, figures = tuple(passes.scans), tuple(passes.tracks), tuple(passes.figures)
     return Drive(tuple(heads), scans, tracks, figures, findings, passes.n_unplaced, split)
 
@@ -232,7 +244,9 @@ def _rates(path: str, points: Spool, longest: slice, places: Places | None) -> _
     return _Rates(turning, clock)
 
 
-def _reconstruct_head(path: str, points: Spool, found: _Passes, number: int, places: Places | None) -> Head:
+def _reconstruct_head(
+    path: str, points: Spool, found: _Passes, number: int, places: Places | None
+) -> Head:
     cells = Spool(CELL)
     if len(points) < LEAST_PASS_POINTS and number > 0:
         # stray points with the number of another scanner
@@ -271,10 +285,14 @@ def _scan_of(points: Spool, part: slice, track: Track, rates: _Rates) -> Scan:
     """Return the scan of a pass, its columns by the times where they are fine enough."""
     turning, clock = rates.turning, rates.clock
     first = points.read(part.start, min(part.stop, part.start + BLOCK_POINTS))
-    fine = make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False)
+    fine = make_scan(
+        track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False
+    )
     if not are_shots_of_one_time(fine, first["time"], coordinates(first)):
         return fine
-    return make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=True), by_bearing=True)
+    return make_scan(
+        track.knots, turning, clock.shots_per_turn(turning, coarse=True), by_bearing=True
+    )
 
 
 def sample(points: Spool) -> tuple[F64, F64]:
@@ -283,7 +301,9 @@ def sample(points: Spool) -> tuple[F64, F64]:
     if len(points) <= SAMPLE_BLOCKS * BLOCK_POINTS:
         records = points.read(0, len(points))
     else:
-        records = np.concatenate([points.read(int(start), int(start) + BLOCK_POINTS) for start in starts])
+        records = np.concatenate(
+            [points.read(int(start), int(start) + BLOCK_POINTS) for start in starts]
+        )
     return np.ascontiguousarray(records["time"]), coordinates(records)
 
 
@@ -309,7 +329,9 @@ def find_passes(points: Spool) -> list[slice]:
 
 def _thinned(points: Spool, part: slice, turning: Turning) -> PassPieces:
     """Return what gives every n-th point of a pass, so that enough lie between two knots."""
-    between = (part.stop - part.start) / _duration(points, part) * max(1.0 / turning.line_hz, KNOT_S)
+    between = (
+        (part.stop - part.start) / _duration(points, part) * max(1.0 / turning.line_hz, KNOT_S)
+    )
     every = max(int(between / POINTS_PER_KNOT), 1)
 
     def pieces() -> Iterator[tuple[F64, F64]]:
@@ -360,7 +382,9 @@ def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen:
     row["range"] = placed.range_m
     row[PASS] = number
     row["angle"] = scan.angle_start_rad + scan.step_rad * placed.column
-    row["return_number"], row["number_of_returns"] = returns_of(records, placed.range_m, by_time=not scan.by_bearing)
+    row["return_number"], row["number_of_returns"] = returns_of(
+        records, placed.range_m, by_time=not scan.by_bearing
+    )
     cells.append(row)
     seen.see(placed.line, placed.column, placed.range_m)
     seen.see_times(records["time"])

@@ -61,7 +61,10 @@ class Placed:
     def see_times(self, time_s: F64) -> None:
         """Take the rising times of points."""
         if len(time_s):
-            self.first_s, self.last_s = min(self.first_s, float(time_s[0])), max(self.last_s, float(time_s[-1]))
+            self.first_s, self.last_s = (
+                min(self.first_s, float(time_s[0])),
+                max(self.last_s, float(time_s[-1])),
+            )
 
     def see_heights(self, height_m: F64) -> None:
         """Take the heights of the scanner above points near straight down [m]."""
@@ -153,7 +156,9 @@ class _Worst:
     finding: Finding | None = None
     answers: list[str] = field(default_factory=list)
 
-    def ask(self, figure: float, doubtful: float, against: float, found: str, expected: str, hint: str) -> None:
+    def ask(
+        self, figure: float, doubtful: float, against: float, found: str, expected: str, hint: str
+    ) -> None:
         verdict = Verdict.FINE
         if figure > doubtful:
             verdict = Verdict.AGAINST if figure > against else Verdict.DOUBTFUL
@@ -164,7 +169,9 @@ class _Worst:
 _HINT_TRAJECTORY = "give the scanner's path instead: --range trajectory:FILE"
 
 
-def judge(path: str, figures: list[PathFigures], n_unplaced: int, n_points: int) -> tuple[Finding, ...]:
+def judge(
+    path: str, figures: list[PathFigures], n_unplaced: int, n_points: int
+) -> tuple[Finding, ...]:
     """Return the answer of the check of the path; the worst of all passes.
 
     Raises
@@ -176,41 +183,62 @@ def judge(path: str, figures: list[PathFigures], n_unplaced: int, n_points: int)
     for one in figures:
         at = f"{one.start_s:.1f} s: " if len(figures) > 1 else ""
         worst.ask(
-            one.residual_m, MOST_RESIDUAL_M, WORST_RESIDUAL_M,
-            f"{at}points lie {one.residual_m:.3f} m off their beams (median)", f"at most {MOST_RESIDUAL_M} m",
+            one.residual_m,
+            MOST_RESIDUAL_M,
+            WORST_RESIDUAL_M,
+            f"{at}points lie {one.residual_m:.3f} m off their beams (median)",
+            f"at most {MOST_RESIDUAL_M} m",
             f"the times may be rounded, or the points moved after the drive; {_HINT_TRAJECTORY}",
-        )  # fmt: skip
+        )
         worst.ask(
-            1.0 - one.share_on_beam, 1.0 - LEAST_ON_BEAM, 1.0 - WORST_ON_BEAM,
+            1.0 - one.share_on_beam,
+            1.0 - LEAST_ON_BEAM,
+            1.0 - WORST_ON_BEAM,
             f"{at}{1.0 - one.share_on_beam:.0%} of the points lie on no beam of the scanner",
             f"at most {1.0 - LEAST_ON_BEAM:.0%}",
             "if several scanners are merged: --scanner DIMENSION; else " + _HINT_TRAJECTORY,
-        )  # fmt: skip
+        )
         worst.ask(
-            1.0 - one.share_in_front, 1.0 - LEAST_IN_FRONT, 0.3,
+            1.0 - one.share_in_front,
+            1.0 - LEAST_IN_FRONT,
+            0.3,
             f"{at}{1.0 - one.share_in_front:.0%} of the points lie behind the scanner",
-            f"at most {1.0 - LEAST_IN_FRONT:.0%}", _HINT_TRAJECTORY,
-        )  # fmt: skip
+            f"at most {1.0 - LEAST_IN_FRONT:.0%}",
+            _HINT_TRAJECTORY,
+        )
         worst.ask(
-            one.top_speed_m_s, MOST_SPEED_M_S, WORST_SPEED_M_S,
-            f"{at}the scanner moves at {one.top_speed_m_s:.0f} m/s", f"at most {MOST_SPEED_M_S:.0f} m/s",
+            one.top_speed_m_s,
+            MOST_SPEED_M_S,
+            WORST_SPEED_M_S,
+            f"{at}the scanner moves at {one.top_speed_m_s:.0f} m/s",
+            f"at most {MOST_SPEED_M_S:.0f} m/s",
             "look at the coordinates: their unit, or parts that were moved; " + _HINT_TRAJECTORY,
-        )  # fmt: skip
+        )
         worst.ask(
-            one.share_bridged, MOST_BRIDGED, 0.9,
+            one.share_bridged,
+            MOST_BRIDGED,
+            0.9,
             f"{at}{one.share_bridged:.0%} of the lines do not tell where the scanner was (within {BRIDGED_M} m)",
-            f"at most {MOST_BRIDGED:.0%}", "open ground tells too little; " + _HINT_TRAJECTORY,
-        )  # fmt: skip
+            f"at most {MOST_BRIDGED:.0%}",
+            "open ground tells too little; " + _HINT_TRAJECTORY,
+        )
         worst.ask(
-            one.share_holes, MOST_HOLES, WORST_HOLES,
-            f"{at}{one.share_holes:.0%} of the cells amid surfaces are empty", f"at most {MOST_HOLES:.0%}",
+            one.share_holes,
+            MOST_HOLES,
+            WORST_HOLES,
+            f"{at}{one.share_holes:.0%} of the cells amid surfaces are empty",
+            f"at most {MOST_HOLES:.0%}",
             "the cloud was thinned or filtered: classify the cloud before that",
-        )  # fmt: skip
+        )
     share = n_unplaced / max(n_points, 1)
     worst.ask(
-        share, MOST_UNPLACED, 0.5, f"{share:.1%} of the points belong to passes that no path fits",
-        f"at most {MOST_UNPLACED:.0%}", "give a larger tile, or several tiles of the drive together",
-    )  # fmt: skip
+        share,
+        MOST_UNPLACED,
+        0.5,
+        f"{share:.1%} of the points belong to passes that no path fits",
+        f"at most {MOST_UNPLACED:.0%}",
+        "give a larger tile, or several tiles of the drive together",
+    )
     finding = worst.finding
     assert finding is not None
     return (finding,)
@@ -218,9 +246,7 @@ def judge(path: str, figures: list[PathFigures], n_unplaced: int, n_points: int)
 
 def no_stations(path: str, turning: Turning) -> EvidenceError:
     """Return the error of points whose scan lines do not tell where the scanner was."""
-    problem = (
-        f"the beam turns {turning.hz:.5g} times a second, but its lines are too short or too few to place the scanner"
-    )
+    problem = f"the beam turns {turning.hz:.5g} times a second, but its lines are too short or too few to place the scanner"
     hint = f"look at the unit of x, y, z; give a larger part of the drive; or {_HINT_TRAJECTORY}"
     return EvidenceError(path, problem, hint)
 

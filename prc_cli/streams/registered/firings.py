@@ -91,12 +91,16 @@ def find_firings(time_s: F64, ring: I64, ahead_rad: F64, turn_hz: float) -> Firi
     first = _first_place(place[count > 0])
     # a ring that fires with the first one fires after it, not a period later
     delay = np.remainder(place - first + SAME, 1.0) - SAME
-    firings = Firings(period, origin + first * period, delay * period, np.zeros(len(delay), np.int64), evenness)
+    firings = Firings(
+        period, origin + first * period, delay * period, np.zeros(len(delay), np.int64), evenness
+    )
     ahead = np.rint(ahead_rad / (2.0 * np.pi * turn_hz * period)).astype(np.int64)
     return starting(replace(firings, late=ahead.max() - ahead), origin)
 
 
-def firing_numbers(time_s: F64, ring: I64, firings: Firings, shot_s: F64 | None = None) -> tuple[I64, Firings]:
+def firing_numbers(
+    time_s: F64, ring: I64, firings: Firings, shot_s: F64 | None = None
+) -> tuple[I64, Firings]:
     """Return the firing of every point, and the firings for the next piece of the drive.
 
     Parameters
@@ -119,7 +123,9 @@ def firing_numbers(time_s: F64, ring: I64, firings: Firings, shot_s: F64 | None 
     if not known.any():
         return np.full(len(time_s), -1, np.int64), firings
     fired_s = time_s if shot_s is None else shot_s
-    cycles = (fired_s - firings.origin_s) / firings.period_s - firings.delay_s[ring] / firings.period_s
+    cycles = (fired_s - firings.origin_s) / firings.period_s - firings.delay_s[
+        ring
+    ] / firings.period_s
     block = np.floor((time_s[known] - firings.origin_s) / BLOCK_S).astype(np.int64)
     begin = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
     phase = np.angle(np.add.reduceat(np.exp(2j * np.pi * cycles[known]), begin)) / (2.0 * np.pi)
@@ -135,7 +141,9 @@ def firing_numbers(time_s: F64, ring: I64, firings: Firings, shot_s: F64 | None 
 
 def starting(firings: Firings, time_s: float) -> Firings:
     """Return the firings counted from a time, so that neither firings nor lines from there on are below 0."""
-    periods = math.floor((time_s - firings.origin_s) / firings.period_s) - 2 - int(firings.late.max())
+    periods = (
+        math.floor((time_s - firings.origin_s) / firings.period_s) - 2 - int(firings.late.max())
+    )
     return replace(firings, origin_s=firings.origin_s + periods * firings.period_s)
 
 
@@ -164,7 +172,9 @@ def _period(step: F64) -> float:
     return best
 
 
-def _phases(fired: F64, number: I64, origin_s: float, period_s: float, n_rings: int) -> tuple[NDArray[Any], F64]:
+def _phases(
+    fired: F64, number: I64, origin_s: float, period_s: float, n_rings: int
+) -> tuple[NDArray[Any], F64]:
     """Return the summed phase of the points of every block and ring, (b, k) complex, and the blocks' times."""
     block = np.floor((fired - origin_s) / BLOCK_S).astype(np.int64)
     seen, row = np.unique(block, return_inverse=True)

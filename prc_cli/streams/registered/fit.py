@@ -90,7 +90,10 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
     arcs = _arcs(time_s, rotation) if residual > MOST_WHOLE_M else None
     if arcs is not None:
         of_arcs = stations_of_lines(time_s, xyz_m, arcs, spacing_s)
-        if len(of_arcs.time_s) and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual:
+        if (
+            len(of_arcs.time_s)
+            and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual
+        ):
             turning, windows = arcs, of_arcs
     for _ in range(3):
         drift = drift_hz(windows)

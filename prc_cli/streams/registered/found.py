@@ -54,7 +54,9 @@ def _path_of_pass(drive: Drive, number: int) -> FoundPath:
     sigma = track.sigma_m[place] + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
     xyz = positions_at(knots.time_s, knots.position_m, time_s)
     frame = _level_frames(scan)[place]
-    return FoundPath(figures.scanner, time_s, xyz, sigma, frame, frame[:, :, 0], np.full(len(time_s), number))
+    return FoundPath(
+        figures.scanner, time_s, xyz, sigma, frame, frame[:, :, 0], np.full(len(time_s), number)
+    )
 
 
 def _level_frames(scan: Scan) -> F64:

@@ -281,12 +281,15 @@ class _System:
         return np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2)[:, 3:], 0.0))
 
 
-def _normal_equations(knots: Knots, observed: Observations, scale_m: float, slope: float) -> _System:
+def _normal_equations(
+    knots: Knots, observed: Observations, scale_m: float, slope: float
+) -> _System:
     turn = knots.relative_turns()
     share = observed.share
     # the frame between two knots, by the second order of the small turn
     offset = observed.xyz_m - (
-        knots.position_m[:-1, None, :] * (1.0 - share)[:, :, None] + knots.position_m[1:, None, :] * share[:, :, None]
+        knots.position_m[:-1, None, :] * (1.0 - share)[:, :, None]
+        + knots.position_m[1:, None, :] * share[:, :, None]
     )
     local = offset @ knots.frame[:-1]
     part = share[:, :, None] * turn[:, None, :]
@@ -301,7 +304,9 @@ def _normal_equations(knots: Knots, observed: Observations, scale_m: float, slop
     zero = np.zeros_like(x)
     jacobian = np.empty((*x.shape, 2, 6))
     jacobian[:, :, 0, :3] = np.stack([cosine * z, sine * z, -range_m], axis=2)
-    jacobian[:, :, 1, :3] = np.stack([-y - slope * sine * z, x + slope * cosine * z, -slope * in_plane], axis=2)
+    jacobian[:, :, 1, :3] = np.stack(
+        [-y - slope * sine * z, x + slope * cosine * z, -slope * in_plane], axis=2
+    )
     directions = np.stack([sine, -cosine, zero, slope * cosine, slope * sine, zero - 1.0], axis=2)
     directions = directions.reshape(*x.shape, 2, 3)
     small = part[:, :, None, :]
@@ -332,7 +337,15 @@ def _normal_equations(knots: Knots, observed: Observations, scale_m: float, slop
     cone_weight = float((weight * range_m**2).sum()) + 1.0
     cone_gradient = -float((weight * across * range_m).sum())
     return _System(
-        _banded(banded_blocks), gradient, border, cone_weight, cone_gradient, in_plane, across, range_m, spread
+        _banded(banded_blocks),
+        gradient,
+        border,
+        cone_weight,
+        cone_gradient,
+        in_plane,
+        across,
+        range_m,
+        spread,
     )
 
 
@@ -352,7 +365,9 @@ def _add_smoothness(blocks: F64, gradient: F64, knots: Knots, turn: F64, scale_m
         ],
         axis=1,
     )
-    usual = np.concatenate([np.repeat(usual_rad[:, None], 3, 1), np.repeat(usual_m[:, None], 3, 1)], axis=1)
+    usual = np.concatenate(
+        [np.repeat(usual_rad[:, None], 3, 1), np.repeat(usual_m[:, None], 3, 1)], axis=1
+    )
     weight = (noise / usual) ** 2
     factors = (1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after)
     n = len(knots.time_s)

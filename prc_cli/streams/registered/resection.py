@@ -134,7 +134,9 @@ def resect(planes: Planes, xyz_m: F64, bearing_rad: F64, weight: F64, sense: int
         _, vectors = np.linalg.eigh(normal_matrix[:, :2, :2] - mixed @ solved)
         turn = vectors[:, :, 0]
         turned_station = -np.einsum("wij,wj->wi", solved, turn)
-        residual = np.abs(np.einsum("wni,wi->wn", design, np.concatenate([turn, turned_station], axis=1)))
+        residual = np.abs(
+            np.einsum("wni,wi->wn", design, np.concatenate([turn, turned_station], axis=1))
+        )
         robust = weight / (1.0 + (residual / RESECTION_SCALE_M) ** 2)
     c, s = turn[:, 0], turn[:, 1]
     station_x = c * turned_station[:, 0] - s * turned_station[:, 1]

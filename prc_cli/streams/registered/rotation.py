@@ -107,12 +107,20 @@ class Rotation:
     @property
     def is_possible(self) -> bool:
         """Whether the points may have been measured by a turning beam at all."""
-        return self.contrast > LEAST_CONTRAST and self.residual_m < MOST_RESIDUAL_M and self.in_front > LEAST_IN_FRONT
+        return (
+            self.contrast > LEAST_CONTRAST
+            and self.residual_m < MOST_RESIDUAL_M
+            and self.in_front > LEAST_IN_FRONT
+        )
 
     @property
     def is_clear(self) -> bool:
         """Whether no other rate comes near."""
-        return self.contrast > CLEAR_CONTRAST and self.residual_m < CLEAR_RESIDUAL_M and self.in_front > CLEAR_IN_FRONT
+        return (
+            self.contrast > CLEAR_CONTRAST
+            and self.residual_m < CLEAR_RESIDUAL_M
+            and self.in_front > CLEAR_IN_FRONT
+        )
 
 
 def cut_pieces(time_s: F64, xyz_m: F64, length_s: float, n_pieces: int) -> Pieces | None:
@@ -132,24 +140,32 @@ def cut_pieces(time_s: F64, xyz_m: F64, length_s: float, n_pieces: int) -> Piece
     begin = np.linspace(0, len(time_s) - 1, 6 * n_pieces).astype(np.int64)
     end = np.searchsorted(time_s, time_s[begin] + length_s)
     count = end - begin
-    usable = np.flatnonzero((count >= LEAST_PIECE_POINTS) & (time_s[np.maximum(end - 1, 0)] - time_s[begin] > 0))
+    usable = np.flatnonzero(
+        (count >= LEAST_PIECE_POINTS) & (time_s[np.maximum(end - 1, 0)] - time_s[begin] > 0)
+    )
     if len(usable) < 8:
         return None
     usable = usable[np.linspace(0, len(usable) - 1, min(n_pieces, len(usable))).astype(np.int64)]
     return pieces_between(time_s, xyz_m, begin[usable], end[usable], PIECE_POINTS)
 
 
-def pieces_between(time_s: F64, xyz_m: F64, begin: np.ndarray, end: np.ndarray, n_points: int) -> Pieces:
+def pieces_between(
+    time_s: F64, xyz_m: F64, begin: np.ndarray, end: np.ndarray, n_points: int
+) -> Pieces:
     """Return evenly chosen points of the pieces from ``begin`` to ``end``, (p,) each."""
     count = end - begin
     step = np.maximum(count, 1)[:, None] / np.minimum(n_points, np.maximum(count, 1))[:, None]
     place = np.arange(n_points)[None, :]
-    index = begin[:, None] + np.minimum((place + 0.5) * step, np.maximum(count - 1, 0)[:, None]).astype(np.int64)
+    index = begin[:, None] + np.minimum(
+        (place + 0.5) * step, np.maximum(count - 1, 0)[:, None]
+    ).astype(np.int64)
     index = np.clip(index, 0, len(time_s) - 1)
     weight = (place < np.minimum(n_points, count)[:, None]).astype(np.float64)
     first = xyz_m[index[:, 0]]
     middle = 0.5 * (time_s[index[:, 0]] + time_s[np.clip(end - 1, 0, len(time_s) - 1)])
-    return Pieces(time_s[index] - middle[:, None], xyz_m[index] - first[:, None, :], weight, middle, first)
+    return Pieces(
+        time_s[index] - middle[:, None], xyz_m[index] - first[:, None, :], weight, middle, first
+    )
 
 
 def find_rotation(time_s: F64, xyz_m: F64, *, n_pieces: int = 48) -> Rotation | None:
@@ -175,7 +191,10 @@ def find_rotation(time_s: F64, xyz_m: F64, *, n_pieces: int = 48) -> Rotation | 
         if pieces is None:
             continue
         rotation = _best_rate(pieces)
-        if best is None or rotation.residual_m * best.contrast < best.residual_m * rotation.contrast:
+        if (
+            best is None
+            or rotation.residual_m * best.contrast < best.residual_m * rotation.contrast
+        ):
             best = rotation
         if best.is_clear:
             break

@@ -55,7 +55,10 @@ class Scan:
 
     def stations(self, time_s: F64) -> F64:
         """Return where the scanner was at times (n,), (n, 3) [m]."""
-        columns = [np.interp(time_s, self.knots.time_s, self.knots.position_m[:, axis]) for axis in range(3)]
+        columns = [
+            np.interp(time_s, self.knots.time_s, self.knots.position_m[:, axis])
+            for axis in range(3)
+        ]
         return np.stack(columns, axis=1)
 
     def bearings(self, time_s: F64, offset_m: F64) -> F64:
@@ -92,7 +95,9 @@ class Scan:
         turns = self.phase(time_s)
         line = np.floor(turns).astype(np.int64)
         if self.by_bearing:
-            measured = (self.bearings(time_s, offset) - np.interp(time_s, self.knots.time_s, self.begin_rad)) / TURN
+            measured = (
+                self.bearings(time_s, offset) - np.interp(time_s, self.knots.time_s, self.begin_rad)
+            ) / TURN
             # the turn of the measured bearing is that of the time
             turns = measured + np.rint(turns - measured)
             line = np.floor(turns).astype(np.int64)
@@ -104,7 +109,9 @@ class Scan:
     def _columns_by_bearing(self, turns: F64, line: I64) -> I64:
         """Return the columns of measured bearings; of two in one column one moves to a free one beside it."""
         order = np.argsort(turns, kind="stable")
-        column = np.minimum(((turns - line) * self.shots_per_turn).astype(np.int64), self.points_per_line - 1)
+        column = np.minimum(
+            ((turns - line) * self.shots_per_turn).astype(np.int64), self.points_per_line - 1
+        )
         column[order] = spread_columns(column[order], line[order])
         return column
 
@@ -114,7 +121,9 @@ class Scan:
         if turning.is_arc:
             turns: F64 = (time_s - turning.origin_s) * turning.line_hz
         else:
-            turns = (turning.bearing(time_s) - np.interp(time_s, self.knots.time_s, self.begin_rad)) / TURN
+            turns = (
+                turning.bearing(time_s) - np.interp(time_s, self.knots.time_s, self.begin_rad)
+            ) / TURN
         return turns
 
     def _shots_in_line(self, time_s: F64, turns: F64, line: I64) -> F64:
@@ -144,7 +153,9 @@ def slow_part(time_s: F64, angle_rad: F64) -> F64:
     n_parts = max(round((time_s[-1] - time_s[0]) / LEVEL_S), 1)
     if n_parts < 3:
         return np.full(len(time_s), float(np.mean(angle_rad)))
-    part = np.minimum(((time_s - time_s[0]) / (time_s[-1] - time_s[0]) * n_parts).astype(np.int64), n_parts - 1)
+    part = np.minimum(
+        ((time_s - time_s[0]) / (time_s[-1] - time_s[0]) * n_parts).astype(np.int64), n_parts - 1
+    )
     count = np.bincount(part, minlength=n_parts)
     known = count > 0
     middle = np.bincount(part, time_s, n_parts)[known] / count[known]

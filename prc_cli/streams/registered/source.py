@@ -22,7 +22,11 @@ from prc_cli.streams.order import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import PASS, Drive, reconstruct
 from prc_cli.streams.registered.spinning import NoScan
-from prc_cli.streams.registered.spinning_drive import SpinningDrive, SpinningSource, reconstruct_spinning
+from prc_cli.streams.registered.spinning_drive import (
+    SpinningDrive,
+    SpinningSource,
+    reconstruct_spinning,
+)
 from prc_cli.streams.registered.spool import Spool
 from prc_cli.streams.rules import only_times_tell
 
@@ -38,7 +42,9 @@ MOST_SCANNERS = 8
 """A dimension with more values does not number scanners."""
 
 
-def with_points(source: RecordSource, config: InputConfig) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
+def with_points(
+    source: RecordSource, config: InputConfig
+) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud as a stream, the rules that read it, and what is assumed.
 
     Parameters
@@ -60,7 +66,9 @@ def with_points(source: RecordSource, config: InputConfig) -> tuple[Cloud, Input
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
     if isinstance(drive, SpinningDrive):
-        cloud = _whole(source, SpinningSource(source, drive), sum(len(scan) for scan in drive.scans))
+        cloud = _whole(
+            source, SpinningSource(source, drive), sum(len(scan) for scan in drive.scans)
+        )
         return cloud, config.model_copy(update=drive.rules()), drive.assumptions()
     return _as_stream(source, config, drive, drive.assumptions())
 
@@ -86,9 +94,13 @@ def is_tile(source: RecordSource, config: InputConfig) -> bool:
     return first is not None and bool(np.mean(np.diff(first.values["time"]) < 0) > MOST_STEPS_BACK)
 
 
-def with_path(source: RecordSource, config: InputConfig) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
+def with_path(
+    source: RecordSource, config: InputConfig
+) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud whose path is given as a stream; see :func:`with_points`."""
-    rule = open_ranges(config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt)
+    rule = open_ranges(
+        config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt
+    )
     assert rule.trajectory is not None
     split = None if config.scanner == "none" else config.scanner
     spools = spool_by_time(source, split)
@@ -112,7 +124,11 @@ def _as_stream(
         rules["angle_start"] = math.degrees(drive.angle_start_rad)
         rules["angle_step"] = math.degrees(drive.step_rad)
     n_usable = sum(len(head.points) for head in drive.heads)
-    return _whole(source, RegisteredSource(source, drive), n_usable), config.model_copy(update=rules), told
+    return (
+        _whole(source, RegisteredSource(source, drive), n_usable),
+        config.model_copy(update=rules),
+        told,
+    )
 
 
 _latest: tuple[tuple[object, ...], Drive | SpinningDrive] | None = None
@@ -184,7 +200,12 @@ def _numbers_of_scanners(source: RecordSource) -> Iterator[str]:
 def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
     """Write the points into temporary files in the order of their times, one for every scanner."""
     carried = tuple(name for name in CARRIED if name in source.dimensions)
-    names = (*XYZ, "time", *carried, *((split,) if split is not None and split not in carried else ()))
+    names = (
+        *XYZ,
+        "time",
+        *carried,
+        *((split,) if split is not None and split not in carried else ()),
+    )
     usable = _Usable(source)
     spools = _spooled(usable, names, split, must_rise=True)
     if spools is None:
@@ -223,7 +244,10 @@ class _WithLost(DerivedSource):
             first += chunk.n
         n = len(self.lost)
         whole = {"scan_line": 0, "column": -1, PASS: 0, "return_number": 1, "number_of_returns": 1}
-        values = {name: np.full(n, whole[name], np.int32) if name in whole else np.full(n, np.nan) for name in names}
+        values = {
+            name: np.full(n, whole[name], np.int32) if name in whole else np.full(n, np.nan)
+            for name in names
+        }
         yield RecordChunk(first, values, n, self.lost)
 
 
@@ -261,7 +285,9 @@ def _spooled(
         for name in names:
             if name in (dtype.names or ()):
                 records[name] = chunk.values[name]
-        heads = np.zeros(chunk.n, np.int64) if split is None else chunk.values[split].astype(np.int64)
+        heads = (
+            np.zeros(chunk.n, np.int64) if split is None else chunk.values[split].astype(np.int64)
+        )
         for head in np.unique(heads).tolist():
             # a spool opens a file: only one for every scanner
             if head not in spools:

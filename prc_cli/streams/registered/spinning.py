@@ -178,7 +178,9 @@ def _coarse_rate(time_s: F64, xyz_m: F64, middle: F64) -> float | NoScan:
     return float(rates[int(np.argmin(scores))])
 
 
-def _misfit(time_s: F64, xyz_m: F64, middle: F64, hz: float, n_points: int = N_SCANNED) -> tuple[float, int]:
+def _misfit(
+    time_s: F64, xyz_m: F64, middle: F64, hz: float, n_points: int = N_SCANNED
+) -> tuple[float, int]:
     """Return how badly a rate fits [m], infinite where the fit is degenerate, and the number of windows."""
     windows = _full(cut_windows(time_s, xyz_m, middle, 1.0 / hz, n_points))
     n_windows = len(windows.time_s)
@@ -412,7 +414,9 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
         about = np.zeros((len(turn), 3))
         about[:, 2] = turn
         poses = replace(poses, frame=poses.frame @ rotations(about))
-        rings = measure_rings(poses.local(windows)[use], number[use], replace(rings, ahead_rad=ahead))
+        rings = measure_rings(
+            poses.local(windows)[use], number[use], replace(rings, ahead_rad=ahead)
+        )
         slope = np.where(number >= 0, rings.tangent[number], np.nan)
         beams = azimuth + rings.ahead_rad[number]
         fitted = replace(windows, use=windows.use & (number >= 0))
@@ -480,7 +484,10 @@ def _with_heights(poses: Poses, windows: Windows) -> Poses:
         moving = replace(poses, velocity_m_s=poses.velocity_m_s + speed[:, None] * axis)
         local = moving.local(windows)
         level = np.hypot(local[:, :, 0], local[:, :, 1])
-        found = [sharpest_height(z[u], far[u]) for z, far, u in zip(local[:, :, 2], level, windows.use, strict=True)]
+        found = [
+            sharpest_height(z[u], far[u])
+            for z, far, u in zip(local[:, :, 2], level, windows.use, strict=True)
+        ]
         sharpness = float(np.median([sharp for _, sharp in found]))
         if sharpness > best:
             height = np.array([height for height, _ in found])[:, None]
@@ -532,7 +539,9 @@ def _sharpness(z_m: F64, level_m: F64, heights: NDArray[Any], bin_rad: float) ->
     sharpness = np.empty(len(heights))
     for i, height in enumerate(heights):
         place = ((np.arctan2(z_m - height, level_m) + 0.5 * np.pi) / bin_rad).astype(np.int64)
-        count = np.bincount(place, minlength=n_blocks * n_bins)[: n_blocks * n_bins].reshape(-1, n_bins)
+        count = np.bincount(place, minlength=n_blocks * n_bins)[: n_blocks * n_bins].reshape(
+            -1, n_bins
+        )
         total = count.sum(axis=1)
         pairs = (count * (count - 1)).sum(axis=1) / np.maximum(total * (total - 1), 1)
         sharpness[i] = (np.sqrt(total) * (pairs - (total > 1) / n_bins)).sum()
@@ -541,7 +550,9 @@ def _sharpness(z_m: F64, level_m: F64, heights: NDArray[Any], bin_rad: float) ->
 
 def _ring_density(elevation: F64, width_rad: float) -> F64:
     """Return how many points lie about every bin of elevation, from straight down to straight up."""
-    count = np.bincount(_ring_bins(elevation), minlength=int(np.pi / RING_BIN_RAD) + 2).astype(np.float64)
+    count = np.bincount(_ring_bins(elevation), minlength=int(np.pi / RING_BIN_RAD) + 2).astype(
+        np.float64
+    )
     reach = math.ceil(4.0 * width_rad / RING_BIN_RAD)
     shape = np.exp(-0.5 * (np.arange(-reach, reach + 1) * RING_BIN_RAD / width_rad) ** 2)
     return np.convolve(count, shape, mode="same")
@@ -554,7 +565,9 @@ def _ring_bins(elevation: F64) -> I64:
 
 def _agreeing(elevation: F64, use: Mask, width_rad: float) -> Mask:
     """Mark the windows whose points lie where those of the other windows crowd: the height of others is wrong."""
-    every = [_ring_density(angle[known], width_rad) for angle, known in zip(elevation, use, strict=True)]
+    every = [
+        _ring_density(angle[known], width_rad) for angle, known in zip(elevation, use, strict=True)
+    ]
     total = np.sum(every, axis=0)
     around = math.ceil(2.0 * BLOCK_RAD / RING_BIN_RAD)
     crowd = np.zeros(len(every))
@@ -571,7 +584,9 @@ def _ring_elevations(elevation: F64, width_rad: float) -> F64:
     """Return the elevations where points crowd, rising."""
     density = _ring_density(elevation, width_rad)
     inner = density[1:-1]
-    peaks = 1 + np.flatnonzero((inner > density[:-2]) & (inner >= density[2:]) & (inner >= MIN_RING_POINTS))
+    peaks = 1 + np.flatnonzero(
+        (inner > density[:-2]) & (inner >= density[2:]) & (inner >= MIN_RING_POINTS)
+    )
     kept: list[int] = []
     for peak in peaks.tolist():
         while kept:
@@ -718,7 +733,9 @@ def _foretold_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
         z, far = local[i, windows.use[i], 2], level[i, windows.use[i]]
         height: float | None = None
         if before >= 0 and (since := windows.time_s[i] - windows.time_s[before]) < LONGEST_STEP_S:
-            foretold = station[before] + windows.centre_m[before] + since * poses.velocity_m_s[before]
+            foretold = (
+                station[before] + windows.centre_m[before] + since * poses.velocity_m_s[before]
+            )
             guess = float(axis @ (foretold - windows.centre_m[i] - station[i]))
             height = _ring_height(z[:N_HEIGHT], far[:N_HEIGHT], guess, rings)
         if height is None:
@@ -785,7 +802,9 @@ def _onto_rings(windows: Windows, azimuth: F64, poses: Poses, rings: Rings) -> H
     near = known & (beside < BEAM_M) & (cone < BEAM_M)
     share = near.sum(axis=1) / windows.use.sum(axis=1)
     is_trusted = share >= MIN_ON_RINGS
-    return HeadPath(windows.time_s, poses, medians(beside, known), medians(cone, known), share, is_trusted)
+    return HeadPath(
+        windows.time_s, poses, medians(beside, known), medians(cone, known), share, is_trusted
+    )
 
 
 def _good_share(path: HeadPath) -> float:

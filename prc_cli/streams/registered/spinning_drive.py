@@ -87,12 +87,28 @@ class SpinningDrive:
         firing_hz = 1.0 / head.firings.period_s
         off = f"points lie {figures.residual_m:.3f} m off their beams (median)"
         told = [
-            Assumption("input.range", "points", f"a head that spins {head.rate.hz:.6g} times a second; {off}"),
-            Assumption("input.lines", f"time:{firing_hz:.9g}", "the rings fire together this often"),
-            Assumption("input.columns", f"{head.rings.n_rings} rings", "elevations at which the points crowd"),
+            Assumption(
+                "input.range",
+                "points",
+                f"a head that spins {head.rate.hz:.6g} times a second; {off}",
+            ),
+            Assumption(
+                "input.lines", f"time:{firing_hz:.9g}", "the rings fire together this often"
+            ),
+            Assumption(
+                "input.columns",
+                f"{head.rings.n_rings} rings",
+                "elevations at which the points crowd",
+            ),
         ]
         if len(self.figures) > 1:
-            told.append(Assumption("input.scanner", f"{len(self.figures)} passes", "gaps in time, or other scanners"))
+            told.append(
+                Assumption(
+                    "input.scanner",
+                    f"{len(self.figures)} passes",
+                    "gaps in time, or other scanners",
+                )
+            )
         return tuple(told)
 
 
@@ -136,13 +152,17 @@ class _Pass:
         rising = np.flatnonzero(np.diff(known_s, prepend=-np.inf) > 0)
         known_s, station, axis = known_s[rising], station[rising], axis[rising]
         first_s, last_s = self.points_s[0], self.points_s[-1]
-        time_s = np.concatenate([[first_s], known_s[(known_s > first_s) & (known_s < last_s)], [last_s]])
+        time_s = np.concatenate(
+            [[first_s], known_s[(known_s > first_s) & (known_s < last_s)], [last_s]]
+        )
         place = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
         beyond = np.maximum(np.maximum(known_s[0] - time_s, time_s - known_s[-1]), 0.0)
         sigma = scatter(station) + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
         xyz = positions_at(known_s, station, time_s)
         numbers = np.full(len(time_s), number)
-        return FoundPath(scanner, time_s, xyz, sigma, course_frames(time_s, xyz), axis[place], numbers, "forward")
+        return FoundPath(
+            scanner, time_s, xyz, sigma, course_frames(time_s, xyz), axis[place], numbers, "forward"
+        )
 
     def figures(self, head: SpinningHead) -> PathFigures | None:
         """Return the figures; none if no window was fitted."""
@@ -193,8 +213,13 @@ def course_frames(time_s: F64, xyz_m: F64) -> F64:
     xyz_m
         (k, 3) float64 [m].
     """
-    ends = [np.clip(time_s + shift, time_s[0], time_s[-1]) for shift in (-0.5 * COURSE_S, 0.5 * COURSE_S)]
-    before, after = (np.stack([np.interp(end, time_s, column) for column in xyz_m.T[:2]], axis=1) for end in ends)
+    ends = [
+        np.clip(time_s + shift, time_s[0], time_s[-1])
+        for shift in (-0.5 * COURSE_S, 0.5 * COURSE_S)
+    ]
+    before, after = (
+        np.stack([np.interp(end, time_s, column) for column in xyz_m.T[:2]], axis=1) for end in ends
+    )
     moved = after - before
     length = np.linalg.norm(moved, axis=1)
     moves = length > STANDS_M_S * np.maximum(ends[1] - ends[0], 1e-9)
@@ -238,7 +263,10 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
         then = head
         for part in find_passes(points):
             seen = _Pass()
-            seen.points_s = [float(points.read(place, place + 1)["time"][0]) for place in (part.start, part.stop - 1)]
+            seen.points_s = [
+                float(points.read(place, place + 1)["time"][0])
+                for place in (part.start, part.stop - 1)
+            ]
             then = _place(points, part, placed, then, len(figures), seen)
             found = seen.figures(head)
             n_points += part.stop - part.start
@@ -267,7 +295,9 @@ def judge_rings(share_clear: float) -> Finding:
     return Finding(CHECK, verdict, found, f"at most {1.0 - LEAST_CLEAR:.0%}", hint)
 
 
-def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number: int, seen: _Pass) -> SpinningHead:
+def _place(
+    points: Spool, part: slice, placed: Spool, head: SpinningHead, number: int, seen: _Pass
+) -> SpinningHead:
     """Find the cells of the points of a pass, and write the points in the order of their lines."""
     late = int(head.firings.late.max())
     waiting = np.empty(0, placed.dtype)
@@ -305,7 +335,9 @@ def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number
 
 def with_returns(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return rows in the order of line, column and range with the returns of every shot numbered."""
-    begins = (np.diff(rows["scan_line"], prepend=-1) != 0) | (np.diff(rows["column"], prepend=-2) != 0)
+    begins = (np.diff(rows["scan_line"], prepend=-1) != 0) | (
+        np.diff(rows["column"], prepend=-2) != 0
+    )
     begins |= rows["column"] == NO_COLUMN
     shot = np.cumsum(begins) - 1
     first = np.flatnonzero(begins)
@@ -343,7 +375,9 @@ class SpinningSource(DerivedSource):
     def facts(self) -> SourceFacts:
         """Metadata of the cloud, and what is doubtful about the path."""
         facts: SourceFacts = self.source.facts
-        return replace(facts, points_per_line=None, rules=(), findings=(*facts.findings, *self.drive.findings))
+        return replace(
+            facts, points_per_line=None, rules=(), findings=(*facts.findings, *self.drive.findings)
+        )
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Deliver the points scanner after scanner, each in the order of its lines."""

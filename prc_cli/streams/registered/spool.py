@@ -50,7 +50,9 @@ class Spool:
         records.view(np.uint8)[:] = np.frombuffer(raw, np.uint8)
         return records
 
-    def chunks(self, start: int = 0, stop: int | None = None, n: int = CHUNK_RECORDS) -> Iterator[NDArray[np.void]]:
+    def chunks(
+        self, start: int = 0, stop: int | None = None, n: int = CHUNK_RECORDS
+    ) -> Iterator[NDArray[np.void]]:
         """Read the records from ``start`` to ``stop`` in pieces of ``n``."""
         stop = self._n if stop is None else stop
         for first in range(start, stop, n):

@@ -54,7 +54,9 @@ class Windows:
             axis = stations.frame[:, :, 2]
             keep = np.einsum("wi,wi->w", axis, axis[nearest]) >= 0.0
         chosen = stations.where(keep | clear, mirrored)
-        return cls(time_s, chosen, mirrored.where(keep | clear, stations), trusted_windows(time_s, chosen))
+        return cls(
+            time_s, chosen, mirrored.where(keep | clear, stations), trusted_windows(time_s, chosen)
+        )
 
 
 def nearest_of(places: I64, n: int) -> I64:
@@ -117,7 +119,9 @@ def join_windows(parts: list[Windows]) -> Windows:
     """Return the windows of consecutive parts of a pass as one."""
     time_s = np.concatenate([part.time_s for part in parts])
     return Windows.settled(
-        time_s, _joined([part.stations for part in parts]), _joined([part.mirrored for part in parts])
+        time_s,
+        _joined([part.stations for part in parts]),
+        _joined([part.mirrored for part in parts]),
     )
 
 
@@ -130,7 +134,10 @@ def join_along(parts: list[Windows]) -> Windows:
 
 def _joined(parts: list[Stations]) -> Stations:
     return Stations(
-        **{one.name: np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Stations)}
+        **{
+            one.name: np.concatenate([getattr(part, one.name) for part in parts])
+            for one in fields(Stations)
+        }
     )
 
 
@@ -156,7 +163,10 @@ def trusted_windows(time_s: F64, stations: Stations) -> Mask:
     turn = np.linalg.norm(rotation_vectors(np.swapaxes(usual, 1, 2) @ frame), axis=1)
     # a straight, even path through the neighbours
     since = when[near] - when[:, None]
-    velocity = np.median(np.diff(position[near], axis=1) / np.maximum(np.diff(since, axis=1), 1e-6)[:, :, None], axis=1)
+    velocity = np.median(
+        np.diff(position[near], axis=1) / np.maximum(np.diff(since, axis=1), 1e-6)[:, :, None],
+        axis=1,
+    )
     expected = np.median(position[near] - since[:, :, None] * velocity[:, None, :], axis=1)
     move = np.linalg.norm(position - expected, axis=1)
     trusted = np.zeros_like(fits)

@@ -71,7 +71,9 @@ class Poses:
 
     def where(self, keep: Mask) -> Poses:
         """Return the poses of some of the windows."""
-        return Poses(self.station_m[keep], self.velocity_m_s[keep], self.frame[keep], self.rate_rad_s[keep])
+        return Poses(
+            self.station_m[keep], self.velocity_m_s[keep], self.frame[keep], self.rate_rad_s[keep]
+        )
 
     def local(self, windows: Windows) -> F64:
         """Return points in the frame of the head that does not spin, (w, n, 3) [m]."""
@@ -136,7 +138,12 @@ def cut_windows(time_s: F64, xyz_m: F64, middle_s: F64, length_s: float, n_point
     use = place < count
     index = np.where(use, begin[:, None] + np.where(count > n_points, spread, place), 0)
     points = xyz_m[index]
-    centre = np.stack([np.median(p[u], axis=0) if u.any() else np.zeros(3) for p, u in zip(points, use, strict=True)])
+    centre = np.stack(
+        [
+            np.median(p[u], axis=0) if u.any() else np.zeros(3)
+            for p, u in zip(points, use, strict=True)
+        ]
+    )
     since = np.where(use, time_s[index] - middle_s[:, None], 0.0)
     points = np.where(use[:, :, None], points - centre[:, None, :], 0.0)
     return Windows(middle_s, centre, since, points, use, index)
@@ -171,7 +178,9 @@ def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) ->
     cosine, sine = np.cos(azimuth)[:, :, None], np.sin(azimuth)[:, :, None]
     since = windows.since_s[:, :, None]
     points = windows.xyz_m
-    rows = np.concatenate([-sine * points, cosine * points, sine, -cosine, since * sine, -since * cosine], axis=2)
+    rows = np.concatenate(
+        [-sine * points, cosine * points, sine, -cosine, since * sine, -since * cosine], axis=2
+    )
     weight = windows.use.astype(np.float64)
     for _ in range(n_rounds):
         normal = np.swapaxes(rows, 1, 2) @ (rows * weight[:, :, None])
@@ -197,7 +206,9 @@ def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) ->
     share = ahead.sum(axis=1) / np.maximum(windows.use.sum(axis=1), 1)
     # the same half planes, the other way
     frame[:, :, :2] *= np.where(share < 0.5, -1.0, 1.0)[:, None, None]
-    return LinearFit(poses, median, size[:, 1] / np.maximum(size[:, 0], 1e-12), np.maximum(share, 1.0 - share))
+    return LinearFit(
+        poses, median, size[:, 1] / np.maximum(size[:, 0], 1e-12), np.maximum(share, 1.0 - share)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +222,9 @@ class Refined:
     """(w, n) float64, distance from the cone of its ring; 0 for points of no ring [m]."""
 
 
-def refine(windows: Windows, azimuth: F64, poses: Poses, scales_m: F64, slope: F64 | None = None) -> Refined:
+def refine(
+    windows: Windows, azimuth: F64, poses: Poses, scales_m: F64, slope: F64 | None = None
+) -> Refined:
     """Refine poses by Gauss-Newton with Cauchy weights.
 
     Parameters

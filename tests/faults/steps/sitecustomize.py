@@ -13,7 +13,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-_EVENTS = {"os.rename", "os.remove", "os.link", "os.mkdir", "os.utime", "os.truncate", "open", "sqlite3.connect"}
+_EVENTS = {
+    "os.rename",
+    "os.remove",
+    "os.link",
+    "os.mkdir",
+    "os.utime",
+    "os.truncate",
+    "open",
+    "sqlite3.connect",
+}
 
 
 _WORKERS = ("prc_cli.jobs.batch.worker", "multiprocessing")
@@ -26,7 +35,9 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
     def step(event: str, arguments: tuple[object, ...]) -> None:
         if event not in _EVENTS or not any(_is_below(out, argument) for argument in arguments[:2]):
             return
-        if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+        if event == "open" and not (
+            isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+        ):
             return  # to read is no step
         _count(handle, strike_at, victims)
 
@@ -70,7 +81,11 @@ def _hold(release: str, paths: list[str]) -> None:
 
 def _let_change(paths: list[str]) -> None:
     def change(event: str, arguments: tuple[object, ...]) -> None:
-        if event != "open" or not isinstance(arguments[2], int) or arguments[2] & (os.O_WRONLY | os.O_RDWR):
+        if (
+            event != "open"
+            or not isinstance(arguments[2], int)
+            or arguments[2] & (os.O_WRONLY | os.O_RDWR)
+        ):
             return
         for path in paths:
             if not _is_below(path, arguments[0]):

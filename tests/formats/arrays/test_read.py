@@ -33,7 +33,9 @@ def config(**keys: Any) -> InputConfig:
 def whole(stream: ScanStream) -> ScanBlock:
     """The stream as one block; a typed parameter, so that mypy holds ArrayStream to the protocol."""
     blocks = list(stream.blocks())
-    assert [block.first_line for block in blocks] == list(np.cumsum([0] + [b.n_lines for b in blocks])[:-1])
+    assert [block.first_line for block in blocks] == list(
+        np.cumsum([0] + [b.n_lines for b in blocks])[:-1]
+    )
     assert all(b.range_m.flags.c_contiguous and b.range_m.dtype == np.float32 for b in blocks)
     return join(blocks)
 
@@ -62,18 +64,30 @@ def refused(path: Path, given: InputConfig = AUTO) -> str:
 @pytest.mark.parametrize("chunk", [1, 200, 1 << 19])
 @pytest.mark.parametrize("given", ["xyz", "angles", "M"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_rows_that_are_rings_are_exchanged(tmp_path: Path, chunk: int, given: str, order: Literal["C", "F"]) -> None:
+def test_rows_that_are_rings_are_exchanged(
+    tmp_path: Path, chunk: int, given: str, order: Literal["C", "F"]
+) -> None:
     """Rings x azimuth was taken for lines: PRC, or refused."""
-    elevation, azimuth = np.deg2rad(np.linspace(-25, 2, 16))[:, None], np.linspace(0, 2 * np.pi, 90)[None]
+    elevation, azimuth = (
+        np.deg2rad(np.linspace(-25, 2, 16))[:, None],
+        np.linspace(0, 2 * np.pi, 90)[None],
+    )
     ranges = (np.arange(16 * 90).reshape(16, 90) / 100 + 2).astype(np.float32)
     arrays: dict[str, Any] = {"range_m": ranges, "intensity": 2 * ranges}
     if given == "xyz":
         across = np.cos(elevation) * np.stack([np.cos(azimuth), np.sin(azimuth)])
-        arrays["xyz"] = ranges[..., None] * np.stack([*across, np.broadcast_to(np.sin(elevation), ranges.shape)], -1)
+        arrays["xyz"] = ranges[..., None] * np.stack(
+            [*across, np.broadcast_to(np.sin(elevation), ranges.shape)], -1
+        )
     elif given == "angles":
         arrays["zenith_deg"] = 90 - np.rad2deg(elevation[:, 0])
-    np.savez(tmp_path / "a.npz", **{name: np.asarray(value, order=order) for name, value in arrays.items()})
-    stream = ArrayStream(tmp_path / "a.npz", config(points_per_line=16 if given == "M" else None), chunk_shots=chunk)
+    np.savez(
+        tmp_path / "a.npz",
+        **{name: np.asarray(value, order=order) for name, value in arrays.items()},
+    )
+    stream = ArrayStream(
+        tmp_path / "a.npz", config(points_per_line=16 if given == "M" else None), chunk_shots=chunk
+    )
     assert (stream.info.n_lines, stream.info.points_per_line) == (90, 16)
     block = whole(stream)
     np.testing.assert_array_equal(block.range_m, ranges.T)
@@ -81,22 +95,33 @@ def test_rows_that_are_rings_are_exchanged(tmp_path: Path, chunk: int, given: st
     np.testing.assert_array_equal(ranges.ravel()[block.records()], ranges.T)
     assert any(one.key == "input.lines" for one in stream.info.assumptions)
     if given == "xyz":
-        np.testing.assert_array_equal(block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32))
+        np.testing.assert_array_equal(
+            block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32)
+        )
 
 
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
 @pytest.mark.parametrize("angles", ["angle_deg", "zenith_deg"])
-def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk: int, angles: str) -> None:
+def test_everything_an_archive_can_hold(
+    tmp_path: Path, compressed: bool, chunk: int, angles: str
+) -> None:
     rng = np.random.default_rng(5)
     ranges = image()
     ranges[0, 0] = -4
     xyz = rng.normal(size=(7, 5, 3))
     xyz[3, 3, 1] = 1e300
     intensity = rng.integers(0, 65535, (7, 5))
-    arrays = {"xyz": xyz, "intensity": intensity, "range_m": ranges, "time_s": 100 + np.arange(7) * 0.02}
+    arrays = {
+        "xyz": xyz,
+        "intensity": intensity,
+        "range_m": ranges,
+        "time_s": 100 + np.arange(7) * 0.02,
+    }
     degrees = np.linspace(-90, 90, 5)
-    path = save_npz(tmp_path, compressed=compressed, **arrays, **{angles: degrees}, note=np.array("x"))
+    path = save_npz(
+        tmp_path, compressed=compressed, **arrays, **{angles: degrees}, note=np.array("x")
+    )
     stream = ArrayStream(path, AUTO, chunk_shots=chunk)
     assert stream.info.angle_rad is not None
     np.testing.assert_array_equal(stream.info.angle_rad, np.deg2rad(degrees))
@@ -111,7 +136,9 @@ def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk:
     np.testing.assert_array_equal(block.time_s, np.repeat(arrays["time_s"][:, None], 5, axis=1))
     assert block.xyz_m is not None
     gone = np.isnan(expected)[:, :, None] | (np.abs(xyz) > 1e30)
-    np.testing.assert_array_equal(block.xyz_m, np.where(gone, np.nan, xyz.clip(-9, 9)).astype(np.float32))
+    np.testing.assert_array_equal(
+        block.xyz_m, np.where(gone, np.nan, xyz.clip(-9, 9)).astype(np.float32)
+    )
     assert block.intensity is not None
     np.testing.assert_array_equal(block.intensity, intensity.astype(np.float32))
 
@@ -119,16 +146,28 @@ def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk:
 @pytest.mark.parametrize(
     ("array", "found"),
     [
-        (np.ones((2, 3), complex), "scan.npy: found an array of complex numbers, expected floats or integers"),
+        (
+            np.ones((2, 3), complex),
+            "scan.npy: found an array of complex numbers, expected floats or integers",
+        ),
         (np.array([["a", "b"]]), "found an array of text, expected floats or integers"),
-        (np.array([[None, 1]], object), "found an array of Python objects, expected floats or integers"),
+        (
+            np.array([[None, 1]], object),
+            "found an array of Python objects, expected floats or integers",
+        ),
         (np.ones((2, 3), bool), "found an array of true/false values, expected floats or integers"),
-        (np.zeros((2, 3), [("range", "f4"), ("t", "f8")]), "found an array of records with the fields range, t"),
+        (
+            np.zeros((2, 3), [("range", "f4"), ("t", "f8")]),
+            "found an array of records with the fields range, t",
+        ),
         (np.ones((2, 3, 4)), "found ranges of shape (2, 3, 4), expected (lines, points per line)"),
         (np.float32(3), "found ranges of shape (), expected (lines, points per line)"),
         (np.ones((0, 3)), "no shots, found shape (0, 3)"),
         (np.ones((3, 0)), "no shots, found shape (3, 0)"),
-        (np.ones(6), "found 6 ranges in a row, expected (lines, points per line); set input.points_per_line"),
+        (
+            np.ones(6),
+            "found 6 ranges in a row, expected (lines, points per line); set input.points_per_line",
+        ),
     ],
 )
 def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) -> None:
@@ -140,16 +179,33 @@ def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) 
 @pytest.mark.parametrize(
     ("beside", "found"),
     [
-        ({"angle_deg": np.zeros(4)}, "angle_deg: found shape (4,), expected (5,), one angle a column"),
-        ({"angle_deg": np.array([0, 1, np.nan, 3, 4])}, "angle_deg: column 2: found nan, expected an angle in degrees"),
+        (
+            {"angle_deg": np.zeros(4)},
+            "angle_deg: found shape (4,), expected (5,), one angle a column",
+        ),
+        (
+            {"angle_deg": np.array([0, 1, np.nan, 3, 4])},
+            "angle_deg: column 2: found nan, expected an angle in degrees",
+        ),
         ({"angle_deg": np.array(["a"] * 5)}, "angle_deg: found an array of text"),
-        ({"time_s": np.zeros(6)}, "time_s: found shape (6,), expected (7,) or (7, 5), as the ranges have it"),
-        ({"xyz": np.zeros((7, 5, 2))}, "xyz: found shape (7, 5, 2), expected (7, 5, 3), as the ranges have it"),
-        ({"intensity": np.zeros((5, 7))}, "intensity: found shape (5, 7), expected (7, 5), as the ranges have it"),
+        (
+            {"time_s": np.zeros(6)},
+            "time_s: found shape (6,), expected (7,) or (7, 5), as the ranges have it",
+        ),
+        (
+            {"xyz": np.zeros((7, 5, 2))},
+            "xyz: found shape (7, 5, 2), expected (7, 5, 3), as the ranges have it",
+        ),
+        (
+            {"intensity": np.zeros((5, 7))},
+            "intensity: found shape (5, 7), expected (7, 5), as the ranges have it",
+        ),
         ({"intensity": np.zeros((7, 5), object)}, "intensity: found an array of Python objects"),
     ],
 )
-def test_arrays_that_do_not_fit_the_ranges(tmp_path: Path, beside: dict[str, Any], found: str) -> None:
+def test_arrays_that_do_not_fit_the_ranges(
+    tmp_path: Path, beside: dict[str, Any], found: str
+) -> None:
     assert refused(save_npz(tmp_path, range_m=image(), **beside)).startswith(f"scan.npz: {found}")
 
 
@@ -165,7 +221,9 @@ def test_arrays_that_do_not_fit_the_ranges(tmp_path: Path, beside: dict[str, Any
     ],
 )
 def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match=f"input.{next(iter(keys))}: found .* scan.npy is a range image; leave"):
+    with pytest.raises(
+        ConfigError, match=f"input.{next(iter(keys))}: found .* scan.npy is a range image; leave"
+    ):
         ArrayStream(save(tmp_path, image()), config(**keys))
 
 
@@ -180,9 +238,15 @@ def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any])
         (lambda raw: raw[:50], "no npy header (EOF: reading array header"),
         (lambda raw: raw[:-3], "found 137 bytes of numbers, expected 140 for shape (7, 5)"),
         (lambda raw: raw + b"\0", "found 141 bytes of numbers, expected 140 for shape (7, 5)"),
-        (lambda raw: raw.replace(b"(7, 5)", b"(-7,5)"), "found shape (-7, 5), expected no negative size"),
+        (
+            lambda raw: raw.replace(b"(7, 5)", b"(-7,5)"),
+            "found shape (-7, 5), expected no negative size",
+        ),
         (lambda raw: raw.replace(b"(7, 5), }", b"(99999999999, 99999999999), }", 1), "scan.npy: "),
-        (lambda raw: raw.replace(b"'<f4'", b"'<q9'"), "no npy header (descr is not a valid dtype descriptor"),
+        (
+            lambda raw: raw.replace(b"'<f4'", b"'<q9'"),
+            "no npy header (descr is not a valid dtype descriptor",
+        ),
         (lambda raw: raw.replace(b"'<f4'", b"import"), "no npy header ("),
         (lambda raw: raw.replace(b"'<f4'", b"(((((").replace(b"}", b"\xbe"), "no npy header ("),
         (lambda raw: raw[:6] + b"\3\0" + raw[8:], "found npy format 3.0, expected 1.0 or 2.0"),
@@ -235,7 +299,10 @@ def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Pa
     content = io.BytesIO()
     np.save(content, image())
     for change, found in (
-        (content.getvalue()[:-4], "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)"),
+        (
+            content.getvalue()[:-4],
+            "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)",
+        ),
         (content.getvalue() + b"1", "range_m: found 141 bytes of numbers, expected 140"),
         (b"text", "range_m: no npy header (EOF: reading magic string"),
     ):
@@ -252,4 +319,6 @@ def test_a_real_scan(real_data: Path) -> None:
     with np.load(path) as arrays:
         np.testing.assert_array_equal(whole(stream).range_m, arrays["range_m"])
         assert stream.info.angle_rad is not None
-        np.testing.assert_allclose(np.rad2deg(stream.info.angle_rad), arrays["zenith_deg"], rtol=1e-6)
+        np.testing.assert_allclose(
+            np.rad2deg(stream.info.angle_rad), arrays["zenith_deg"], rtol=1e-6
+        )

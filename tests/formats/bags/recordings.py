@@ -34,7 +34,11 @@ def header(store: Any, time_ns: int, frame: str, sequence: int = 0) -> Any:
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
     own = types["std_msgs/msg/Header"]
-    return own(seq=sequence, stamp=stamp, frame_id=frame) if "seq" in own.__annotations__ else own(stamp, frame)
+    return (
+        own(seq=sequence, stamp=stamp, frame_id=frame)
+        if "seq" in own.__annotations__
+        else own(stamp, frame)
+    )
 
 
 def ranges(seed: int = 1) -> np.ndarray:
@@ -46,7 +50,9 @@ def ranges(seed: int = 1) -> np.ndarray:
     return found.astype(np.float32)
 
 
-def laser(store: Any, time_ns: int, range_m: np.ndarray, frame: str = "laser", **changes: Any) -> Any:
+def laser(
+    store: Any, time_ns: int, range_m: np.ndarray, frame: str = "laser", **changes: Any
+) -> Any:
     values = {
         "header": header(store, time_ns, frame),
         "angle_min": -1.5,
@@ -74,18 +80,26 @@ def echoes(store: Any, time_ns: int, lists: list[list[float]], lit: list[list[fl
 def lasers(version: int, topic: str = "/scan", frame: str = "laser", seed: int = 1) -> list[Sent]:
     store = STORES[version]
     return [
-        Sent(topic, "sensor_msgs/msg/LaserScan", START_NS + i * PERIOD_NS,
-             laser(store, START_NS + i * PERIOD_NS, row, frame))
+        Sent(
+            topic,
+            "sensor_msgs/msg/LaserScan",
+            START_NS + i * PERIOD_NS,
+            laser(store, START_NS + i * PERIOD_NS, row, frame),
+        )
         for i, row in enumerate(ranges(seed))
-    ]  # fmt: skip
+    ]
 
 
 def strings(version: int, topic: str = "/talk") -> list[Sent]:
     kind = "std_msgs/msg/String"
-    return [Sent(topic, kind, START_NS + i, STORES[version].types[kind](data="hello")) for i in range(3)]
+    return [
+        Sent(topic, kind, START_NS + i, STORES[version].types[kind](data="hello")) for i in range(3)
+    ]
 
 
-def write_bag(path: Path, sent: list[Sent], compression: str = "", chunk: int | None = None) -> Path:
+def write_bag(
+    path: Path, sent: list[Sent], compression: str = "", chunk: int | None = None
+) -> Path:
     """Write a ROS 1 bag."""
     store = STORES[1]
     writer = Writer1(path)
@@ -95,16 +109,22 @@ def write_bag(path: Path, sent: list[Sent], compression: str = "", chunk: int | 
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
     with writer:
         kinds = {one.topic: one.kind for one in sent}
-        topics = {name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
+        topics = {
+            name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()
+        }
         for one in sorted(sent, key=lambda each: each.time_ns):
-            writer.write(topics[one.topic], one.time_ns, store.serialize_ros1(one.message, one.kind))
+            writer.write(
+                topics[one.topic], one.time_ns, store.serialize_ros1(one.message, one.kind)
+            )
     return path
 
 
 def write_mcap(path: Path, sent: list[Sent], compression: str = "none", chunk: int = 4096) -> Path:
     store = STORES[2]
     with path.open("wb") as handle:
-        writer = McapWriter(handle, chunk_size=chunk, compression=CompressionType[compression.upper()])
+        writer = McapWriter(
+            handle, chunk_size=chunk, compression=CompressionType[compression.upper()]
+        )
         writer.start(profile="ros2")
         channels: dict[str, int] = {}
         for one in sorted(sent, key=lambda each: each.time_ns):
@@ -136,13 +156,18 @@ def write_db3(path: Path, sent: list[Sent], *, packed: bool = False, little: boo
         data = bytes(store.serialize_cdr(one.message, one.kind, little_endian=little))
         data = zstandard.compress(data) if packed else data
         number = names.index((one.topic, one.kind)) + 1
-        base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", (number, one.time_ns, data))
+        base.execute(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)",
+            (number, one.time_ns, data),
+        )
     base.commit()
     base.close()
     return path
 
 
-def cloud(version: int, time_ns: int, table: np.ndarray, *, height: int = 1, frame: str = "velodyne") -> Any:
+def cloud(
+    version: int, time_ns: int, table: np.ndarray, *, height: int = 1, frame: str = "velodyne"
+) -> Any:
     """A ``PointCloud2`` of a structured array, with its fields and byte order."""
     types = STORES[version].types
     codes = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}

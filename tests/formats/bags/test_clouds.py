@@ -23,20 +23,32 @@ TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("ti
 def shots(seed: int = 5) -> dict[str, np.ndarray]:
     """Two turns of a scanner whose rings fire together, 1.8 degrees from column to column; a fifth did not return."""
     rng = np.random.default_rng(seed)
-    column, ring = (each.ravel() for each in np.meshgrid(np.arange(N_LINES), np.arange(N_RINGS), indexing="ij"))
+    column, ring = (
+        each.ravel() for each in np.meshgrid(np.arange(N_LINES), np.arange(N_RINGS), indexing="ij")
+    )
     range_m = rng.uniform(5, 6, N_LINES * N_RINGS)
     range_m[rng.random(len(range_m)) < 0.2] = np.nan
     azimuth, elevation = -column * 2 * np.pi / TURN_LINES, np.deg2rad(-14 + 4 * ring)
     flat = range_m * np.cos(elevation)
-    xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1)
-    return {"column": column, "ring": ring, "range": range_m, "xyz": xyz, "time": column * 0.1 / TURN_LINES}
+    xyz = np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
+    )
+    return {
+        "column": column,
+        "ring": ring,
+        "range": range_m,
+        "xyz": xyz,
+        "time": column * 0.1 / TURN_LINES,
+    }
 
 
 def record(path: Path, drive: dict[str, np.ndarray], numbers: np.ndarray) -> Path:
     """Write a message a turn with the points that returned, ring after ring."""
     sent = []
     for first in range(0, N_LINES, TURN_LINES):
-        use = np.flatnonzero((drive["column"] // TURN_LINES == first // TURN_LINES) & np.isfinite(drive["range"]))
+        use = np.flatnonzero(
+            (drive["column"] // TURN_LINES == first // TURN_LINES) & np.isfinite(drive["range"])
+        )
         use = use[np.argsort(drive["ring"][use], kind="stable")]
         table = np.zeros(len(use), TYPE)
         for axis, name in enumerate("xyz"):
@@ -45,7 +57,11 @@ def record(path: Path, drive: dict[str, np.ndarray], numbers: np.ndarray) -> Pat
         after_s = first * 0.1 / TURN_LINES
         table["time"] = drive["time"][use] - after_s
         start_ns = made.START_NS + round(after_s * 1e9)
-        sent.append(made.Sent("/points", "sensor_msgs/msg/PointCloud2", start_ns, made.cloud(2, start_ns, table)))
+        sent.append(
+            made.Sent(
+                "/points", "sensor_msgs/msg/PointCloud2", start_ns, made.cloud(2, start_ns, table)
+            )
+        )
     return made.write_mcap(path, sent)
 
 
@@ -55,7 +71,9 @@ def read(path: Path) -> ScanBlock:
 
 
 @pytest.mark.parametrize("n_columns", [1, 2, 6, 25])
-def test_points_that_share_the_time_of_a_packet_have_columns_of_their_own(tmp_path: Path, n_columns: int) -> None:
+def test_points_that_share_the_time_of_a_packet_have_columns_of_their_own(
+    tmp_path: Path, n_columns: int
+) -> None:
     drive = shots()
     drive["time"] = drive["column"] // n_columns * n_columns * 0.1 / TURN_LINES
     block = read(record(tmp_path / "a.mcap", drive, np.arange(N_RINGS)))
@@ -86,9 +104,14 @@ def test_two_scanners_in_one_cloud_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("numbers", "note"),
-    [(np.arange(8), ""), (1 + np.arange(8), ""), (4 * np.arange(8), "in steps of 4"), (2 + 8 * np.arange(8), "steps"),
-     (np.array([0, 1, 5, 9, 20, 21, 40, 90]), "in their order")],
-)  # fmt: skip
+    [
+        (np.arange(8), ""),
+        (1 + np.arange(8), ""),
+        (4 * np.arange(8), "in steps of 4"),
+        (2 + 8 * np.arange(8), "steps"),
+        (np.array([0, 1, 5, 9, 20, 21, 40, 90]), "in their order"),
+    ],
+)
 def test_numbers_of_rings_may_have_gaps(tmp_path: Path, numbers: np.ndarray, note: str) -> None:
     drive, path = shots(), tmp_path / "a.mcap"
     stream = BagStream(record(path, drive, numbers), InputConfig())

@@ -31,17 +31,28 @@ from tests.formats.bags import recordings as made
 from tests.formats.bags.test_read import drive, messages
 from tests.runner import runner
 
-POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")]
+POINT = [
+    ("x", "<f4"),
+    ("y", "<f4"),
+    ("z", "<f4"),
+    ("intensity", "<f4"),
+    ("ring", "<u2"),
+    ("t", "<u4"),
+]
 SENT: dict[str, Callable[[int], list[made.Sent]]] = {
     "lasers": lambda version: made.lasers(version),
     "echoes": lambda version: echoes(version),
     "clouds": lambda version: clouds(version, POINT),
     "packed clouds": lambda version: clouds(version, [*POINT, ("reflex", "u1")]),
-    "big clouds": lambda version: clouds(version, [(name, kind.replace("<", ">")) for name, kind in POINT]),
+    "big clouds": lambda version: clouds(
+        version, [(name, kind.replace("<", ">")) for name, kind in POINT]
+    ),
     "mixed": lambda version: [
-        *made.lasers(version, "/b"), *clouds(version, POINT), *made.lasers(version, "/a", "other"),
+        *made.lasers(version, "/b"),
+        *clouds(version, POINT),
+        *made.lasers(version, "/a", "other"),
     ],
-}  # fmt: skip
+}
 WRITE = {".bag": made.write_bag, ".mcap": made.write_mcap, ".db3": made.write_db3}
 
 
@@ -58,7 +69,9 @@ def echoes(version: int) -> list[made.Sent]:
 
 def recorded(folder: Path, name: str, suffix: str, **options: Any) -> Path:
     version = 1 if suffix == ".bag" else 2
-    return WRITE[suffix](folder / f"in{suffix}", [*SENT[name](version), *made.strings(version)], **options)
+    return WRITE[suffix](
+        folder / f"in{suffix}", [*SENT[name](version), *made.strings(version)], **options
+    )
 
 
 def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
@@ -68,7 +81,11 @@ def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
     for block in BagStream(source, rules).blocks():
         labels = rng.choice(np.array(common.URBAN, np.uint8), block.range_m.shape)
         labels[np.isnan(block.range_m)] = Label.MISSING
-        blocks.append(LabelledBlock(block, labels, rng.choice(np.array(common.URBAN, np.uint8), len(block.extra))))
+        blocks.append(
+            LabelledBlock(
+                block, labels, rng.choice(np.array(common.URBAN, np.uint8), len(block.extra))
+            )
+        )
         tally = tally + block.tally
     record = common.run_record(n_records=tally.n_records)
     alone = output.with_name(f"{output.name}.npy")
@@ -131,8 +148,13 @@ def test_other_readers_find_points_and_codes(tmp_path: Path, suffix: str) -> Non
     # a database has its metadata beside it: a bag of its own
     named = folder if suffix == ".db3" else output
     codes = []
-    with AnyReader([source], default_typestore=store) as old, AnyReader([named], default_typestore=store) as new:
-        points = [read(data, one.msgtype) for one, _, data in old.messages() if one.topic == "/points"]
+    with (
+        AnyReader([source], default_typestore=store) as old,
+        AnyReader([named], default_typestore=store) as new,
+    ):
+        points = [
+            read(data, one.msgtype) for one, _, data in old.messages() if one.topic == "/points"
+        ]
         for one, _, data in new.messages():
             found: Any = read(data, one.msgtype)
             if one.topic in ("/a/labels", "/b/labels"):
@@ -147,9 +169,18 @@ def test_other_readers_find_points_and_codes(tmp_path: Path, suffix: str) -> Non
                 assert found.fields[:-1] == was.fields
                 assert (added.name, added.datatype, added.count) == ("label", 2, 1)
                 rows = found.data.reshape(-1, found.point_step)
-                np.testing.assert_array_equal(rows[:, : was.point_step], was.data.reshape(-1, was.point_step))
-                assert (found.width, found.height, found.is_dense) == (was.width, was.height, was.is_dense)
-                assert (found.row_step, found.is_bigendian) == (found.width * found.point_step, was.is_bigendian)
+                np.testing.assert_array_equal(
+                    rows[:, : was.point_step], was.data.reshape(-1, was.point_step)
+                )
+                assert (found.width, found.height, found.is_dense) == (
+                    was.width,
+                    was.height,
+                    was.is_dense,
+                )
+                assert (found.row_step, found.is_bigendian) == (
+                    found.width * found.point_step,
+                    was.is_bigendian,
+                )
                 codes.append(rows[:, added.offset].astype(int))
     assert not points
     np.testing.assert_array_equal(np.sort(np.concatenate(codes)), np.sort(read_codes(output)))
@@ -166,7 +197,8 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     store = made.STORES[2]
     data = bytes(store.serialize_cdr(message, message.__msgtype__))
     found = store.deserialize_cdr(
-        CloudCodec(is_cdr=True).label(data, lambda n: np.arange(n, dtype=np.uint8)), message.__msgtype__
+        CloudCodec(is_cdr=True).label(data, lambda n: np.arange(n, dtype=np.uint8)),
+        message.__msgtype__,
     )
     table["label"] = np.arange(6)
     assert (found.height, found.width, found.point_step, found.row_step) == (2, 3, step, 3 * step)
@@ -175,7 +207,9 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
 
 
 @pytest.mark.parametrize("suffix", WRITE)
-def test_nothing_is_left_of_a_run_that_ends_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
+def test_nothing_is_left_of_a_run_that_ends_early(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
     source, folder = recorded(tmp_path, "lasers", suffix), out_folder(tmp_path)
 
     def full(*_: object) -> None:
@@ -215,14 +249,18 @@ def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
     made.write_db3(folder / "bag_0.db3", [*made.lasers(2), *made.strings(2)])
-    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  relative_file_paths:\n    - bag_0.db3\n")
+    (folder / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - bag_0.db3\n"
+    )
     out = out_folder(tmp_path)
     for name in ("labels.npy", "drive.db3"):
         arguments = ["classify", str(folder), str(out / name), "--preset", "urban", "--quiet"]
         result = runner().invoke(cli, arguments)
         assert result.exit_code in (0, 4), result.stderr
     np.testing.assert_array_equal(np.load(out / "labels.npy"), read_codes(out / "drive.db3"))
-    told = runner().invoke(cli, ["evaluate", str(out / "labels.npy"), str(out / "drive.db3"), "--json"])
+    told = runner().invoke(
+        cli, ["evaluate", str(out / "labels.npy"), str(out / "drive.db3"), "--json"]
+    )
     assert told.exit_code == 0, told.stderr
     assert '"accuracy": 1.0' in told.stdout
     (folder / "metadata.yaml").write_text("relative_file_paths:\n  - bag_0.db3\n  - bag_1.db3\n")
@@ -257,9 +295,13 @@ def test_a_recording_in_several_files_is_one_stream(tmp_path: Path) -> None:
     sent = made.lasers(2)
     whole, folder = made.write_db3(tmp_path / "whole.db3", sent), tmp_path / "split"
     folder.mkdir()
-    names = [made.write_db3(folder / f"rec_{i}.db3", sent[5 * i : 5 * i + 5]).name for i in range(3)]
+    names = [
+        made.write_db3(folder / f"rec_{i}.db3", sent[5 * i : 5 * i + 5]).name for i in range(3)
+    ]
     listed = "".join(f"    - {name}\n" for name in names)
-    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}")
+    (folder / "metadata.yaml").write_text(
+        f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}"
+    )
     given = load_config(preset="urban")
     classify(whole, tmp_path / "whole.npy", given)
     classify(folder, tmp_path / "split.npy", given)

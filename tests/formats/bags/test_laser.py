@@ -15,7 +15,9 @@ from tests.formats.bags import recordings as made
 STEP = 3.0 / (made.M - 1)
 
 
-def read_parts(folder: Path, parts: list[tuple[np.ndarray, dict[str, float]]]) -> tuple[BagStream, ScanBlock]:
+def read_parts(
+    folder: Path, parts: list[tuple[np.ndarray, dict[str, float]]]
+) -> tuple[BagStream, ScanBlock]:
     """Read a bag with a message for every part."""
     sent = []
     for number, (range_m, changes) in enumerate(parts):
@@ -32,7 +34,9 @@ def clean(range_m: np.ndarray) -> np.ndarray:
 
 def test_scans_with_a_beam_less_have_an_empty_cell(tmp_path: Path) -> None:
     ranges = made.ranges()
-    stream, block = read_parts(tmp_path, [(row[: made.M - k % 3], {}) for k, row in enumerate(ranges)])
+    stream, block = read_parts(
+        tmp_path, [(row[: made.M - k % 3], {}) for k, row in enumerate(ranges)]
+    )
     wanted = clean(ranges)
     wanted[1::3, -1:], wanted[2::3, -2:] = np.nan, np.nan
     np.testing.assert_array_equal(block.range_m, wanted)
@@ -44,7 +48,9 @@ def test_scans_with_a_beam_less_have_an_empty_cell(tmp_path: Path) -> None:
 
 def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> None:
     ranges = made.ranges()
-    _, block = read_parts(tmp_path, [(row, {"angle_min": -1.5 + STEP * (k % 2)}) for k, row in enumerate(ranges)])
+    _, block = read_parts(
+        tmp_path, [(row, {"angle_min": -1.5 + STEP * (k % 2)}) for k, row in enumerate(ranges)]
+    )
     assert block.points_per_line == made.M + 1
     np.testing.assert_array_equal(block.range_m[0::2, :-1], clean(ranges[0::2]))
     np.testing.assert_array_equal(block.range_m[1::2, 1:], clean(ranges[1::2]))

@@ -69,7 +69,11 @@ def test_every_container_gives_the_same_lines(tmp_path: Path, name: str) -> None
 
 
 def test_topics_and_frames_are_scanners_of_their_own(tmp_path: Path) -> None:
-    sent = [*made.lasers(2, "/b", "left", 1), *made.lasers(2, "/a", "one", 2), *made.lasers(2, "/b", "right", 3)]
+    sent = [
+        *made.lasers(2, "/b", "left", 1),
+        *made.lasers(2, "/a", "one", 2),
+        *made.lasers(2, "/b", "right", 3),
+    ]
     path = made.write_mcap(tmp_path / "three.mcap", [*sent, *made.strings(2)])
     stream, blocks = read(path)
     found = {block.scanner: block.range_m for block in blocks}
@@ -109,7 +113,16 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
 
 
 def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_path: Path) -> None:
-    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("intensity", "<f4"), ("t", "<u4")])
+    dtype = np.dtype(
+        [
+            ("x", "<f4"),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("ring", "<u2"),
+            ("intensity", "<f4"),
+            ("t", "<u4"),
+        ]
+    )
     sent = [*messages(drive(), dtype), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
     stream, blocks = read(made.write_mcap(tmp_path / "mixed.mcap", sent))
     assert {block.scanner: block.points_per_line for block in blocks} == {0: 8, 1: made.M}
@@ -123,10 +136,18 @@ def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_p
     assert "/scan (laser): no vertical direction known" in " ".join(result.output.split())
 
 
-@pytest.mark.parametrize(("name", "mend"), [("a.bag", "rosbag reindex"), ("a.mcap", "mcap recover")])
-def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(tmp_path: Path, name: str, mend: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "mend"), [("a.bag", "rosbag reindex"), ("a.mcap", "mcap recover")]
+)
+def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(
+    tmp_path: Path, name: str, mend: str
+) -> None:
     path = tmp_path / name
-    whole = made.write_bag(path, made.lasers(1)) if name == "a.bag" else made.write_mcap(path, made.lasers(2))
+    whole = (
+        made.write_bag(path, made.lasers(1))
+        if name == "a.bag"
+        else made.write_mcap(path, made.lasers(2))
+    )
     path.write_bytes(whole.read_bytes()[:-100])
     with pytest.raises(InputError, match=rf"the bag is damaged .*{mend} \S+/{name}"):
         BagStream(path, InputConfig())
@@ -139,7 +160,9 @@ def test_a_message_that_grows_beyond_measure_is_refused(
 ) -> None:
     version, path = (1, tmp_path / name) if name == "a.bag" else (2, tmp_path / name)
     row = np.zeros(25 << 20, np.float32)
-    long = made.Sent("/scan", "sensor_msgs/msg/LaserScan", 1, made.laser(made.STORES[version], 1, row[:4]))
+    long = made.Sent(
+        "/scan", "sensor_msgs/msg/LaserScan", 1, made.laser(made.STORES[version], 1, row[:4])
+    )
     long.message.ranges = row
     made.write_bag(path, [long], "lz4") if version == 1 else made.write_mcap(path, [long], "zstd")
     assert path.stat().st_size < 1 << 20
@@ -155,7 +178,9 @@ def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nam
     for each in ("rosbags", "rosbags.rosbag1", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, each, None)
     (tmp_path / name).write_bytes(b"x")
-    with pytest.raises(InputError, match=r"needs rosbags, which is not installed; pip install prc-cli\[ros\]"):
+    with pytest.raises(
+        InputError, match=r"needs rosbags, which is not installed; pip install prc-cli\[ros\]"
+    ):
         BagStream(tmp_path / name, InputConfig())
 
 
@@ -177,7 +202,10 @@ def test_set_ups_that_change_are_refused(tmp_path: Path) -> None:
     store, sent = made.STORES[2], made.lasers(2)
     later = made.START_NS + 40 * made.PERIOD_NS
     for changes, expected in (
-        ({"angle_increment": 0.2}, "message 12: found angle_increment 0.2, expected about 0.0769231"),
+        (
+            {"angle_increment": 0.2},
+            "message 12: found angle_increment 0.2, expected about 0.0769231",
+        ),
         ({"angle_increment": -3.0 / 39}, "message 12: found angle_increment -0.0769231"),
     ):
         odd = made.laser(store, later, made.ranges()[0], **changes)
@@ -192,8 +220,10 @@ def test_hostile_containers_end_in_one_line(tmp_path: Path) -> None:
     made.write_db3(view, made.lasers(2))
     base = sqlite3.connect(view)
     base.execute("ALTER TABLE messages RENAME TO other")
-    base.execute("CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
-                 "SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data FROM n")  # fmt: skip
+    base.execute(
+        "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+        "SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
+    )
     base.commit()
     base.close()
     with pytest.raises(InputError, match="no plain table 'messages'"):
@@ -224,7 +254,10 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     (block,) = read(path)[1]
     with AnyReader([path]) as reader:
         chosen = [one for one in reader.connections if one.topic == "/sick_lms_1xx/scan"]
-        scans = [reader.deserialize(raw, one.msgtype) for one, _, raw in reader.messages(connections=chosen)]
+        scans = [
+            reader.deserialize(raw, one.msgtype)
+            for one, _, raw in reader.messages(connections=chosen)
+        ]
         counts = {one.topic: one.msgcount for one in reader.connections}
     ranges = np.stack([scan.ranges for scan in scans])
     inside = (ranges >= scans[0].range_min) & (ranges <= scans[0].range_max)
@@ -234,7 +267,9 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     np.testing.assert_array_equal(block.intensity, np.where(inside, lit, np.nan))
     stamps = np.array([scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9 for scan in scans])
     steps = np.array([scan.time_increment for scan in scans])
-    np.testing.assert_allclose(block.time_s, stamps[:, None] + steps[:, None] * np.arange(541), atol=5e-7)
+    np.testing.assert_allclose(
+        block.time_s, stamps[:, None] + steps[:, None] * np.arange(541), atol=5e-7
+    )
     assert float(np.mean(~inside)) == pytest.approx(0.129, abs=1e-3)
     told_down = ("--set", "input.nadir=0")  # a room has a ceiling, too
     told = runner().invoke(cli, ["info", "--json", str(path), "--method", "fused", *told_down])
@@ -243,7 +278,9 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     assert found["header"]["topic /sick_lms_1xx/scan"] == "sensor_msgs/LaserScan, 89 messages"
     assert counts["/sick_lms_1xx/scan"] == 89
     output = tmp_path / "labels.npy"
-    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", *told_down])
+    result = runner().invoke(
+        cli, ["classify", str(path), str(output), "--method", "fused", *told_down]
+    )
     assert result.exit_code == 4, result.output  # it was recorded in a room
     assert len(np.load(output)) == 89 * 541
 
@@ -251,7 +288,9 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["nebula_vlp16", "nebula_xt16"])
-def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_path: Path, name: str) -> None:
+def test_packets_of_the_samples_are_decoded_cell_by_cell(
+    real_data: Path, tmp_path: Path, name: str
+) -> None:
     """Against a plain decoder of one packet after the other."""
     (path,) = (real_data / "ros" / name).glob("*.db3")
     stream, blocks = read(path, **{"return": "last"})
@@ -272,13 +311,18 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_pa
                 at += 8 + 1206
                 for pair in range(6):
                     for firing in range(2):
-                        row = [_two(packet, (100 * (2 * pair + r)) + 4 + 48 * firing, order, 3) for r in range(2)]
+                        row = [
+                            _two(packet, (100 * (2 * pair + r)) + 4 + 48 * firing, order, 3)
+                            for r in range(2)
+                        ]
                         rows.append(row)
             else:
                 packet = data[at + 8 : at + 8 + 568]
                 at += 8 + 1504
                 starts = [[12 + 66 * (2 * pair + r) + 2 for r in range(2)] for pair in range(4)]
-                rows += [[_two(packet, start, range(15, -1, -1), 4) for start in two] for two in starts]
+                rows += [
+                    [_two(packet, start, range(15, -1, -1), 4) for start in two] for two in starts
+                ]
                 unit, per_packet = 0.004, 4
     distance = np.array(rows, np.float64) * unit
     assert distance.shape == (block.n_lines, 2, n_lasers)
@@ -302,7 +346,13 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_pa
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "m", "missing"),
-    [("40p", 40, 0.247), ("64", 64, 0.225), ("qt64", 64, 0.037), ("vlp32", 32, 0.499), ("vls128", 128, 0.099)],
+    [
+        ("40p", 40, 0.247),
+        ("64", 64, 0.225),
+        ("qt64", 64, 0.037),
+        ("vlp32", 32, 0.499),
+        ("vls128", 128, 0.099),
+    ],
 )
 def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     real_data: Path, name: str, m: int, missing: float
@@ -314,12 +364,18 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     assert block.points_per_line == m
     assert float(np.isnan(block.range_m).mean()) == pytest.approx(missing, abs=1e-3)
     data = cloud.read_bytes()
-    points = np.frombuffer(data[data.index(b"DATA binary\n") + 12 :], "<f4").reshape(-1, 3).astype(np.float64)
+    points = (
+        np.frombuffer(data[data.index(b"DATA binary\n") + 12 :], "<f4")
+        .reshape(-1, 3)
+        .astype(np.float64)
+    )
     length = np.linalg.norm(points, axis=1)
     elevation = np.rad2deg(np.arcsin(points[:, 2] / length))
     assert block.xyz_m is not None
     x, y, z = block.xyz_m.astype(np.float64).transpose(2, 0, 1)
-    of_ring = np.rad2deg(np.nanmedian(np.arctan2(z, np.hypot(x, y))[:, np.isfinite(z).any(axis=0)], axis=0))
+    of_ring = np.rad2deg(
+        np.nanmedian(np.arctan2(z, np.hypot(x, y))[:, np.isfinite(z).any(axis=0)], axis=0)
+    )
     rings = np.flatnonzero(np.isfinite(z).any(axis=0))
     nearest = np.abs(elevation[:, None] - of_ring).argmin(axis=1)
     assert np.abs(elevation - of_ring[nearest]).max() < 1e-3
@@ -379,11 +435,15 @@ def drive(n: int = 300, m: int = 8, seed: int = 5) -> dict[str, np.ndarray]:
     time_s = column * 5e-4 + order[ring] * 5e-5
     azimuth, elevation = time_s * 2 * np.pi / 0.1, np.deg2rad(-14 + 4 * ring)
     flat = range_m * np.cos(elevation)
-    xyz = np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1)
+    xyz = np.stack(
+        [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
+    )
     return {"column": column, "ring": ring, "range": range_m, "xyz": xyz, "time": time_s}
 
 
-def messages(shots: dict[str, np.ndarray], kinds: str, *, every: int = 100, version: int = 2) -> list[made.Sent]:
+def messages(
+    shots: dict[str, np.ndarray], kinds: str, *, every: int = 100, version: int = 2
+) -> list[made.Sent]:
     """Messages of 100 columns with the points that returned, ring after ring."""
     sent = []
     for first in range(0, int(shots["column"].max()) + 1, every):
@@ -404,7 +464,9 @@ def messages(shots: dict[str, np.ndarray], kinds: str, *, every: int = 100, vers
     return sent
 
 
-@pytest.mark.parametrize("kinds", ["<f4,<f4,<f4,<f4,<u2,<f4", "<f4,<f4,<f4,u1,u1,<u4", ">f8,>f8,>f8,>f4,>i4,>f8"])
+@pytest.mark.parametrize(
+    "kinds", ["<f4,<f4,<f4,<f4,<u2,<f4", "<f4,<f4,<f4,u1,u1,<u4", ">f8,>f8,>f8,>f4,>i4,>f8"]
+)
 def test_columns_come_back_from_times(tmp_path: Path, kinds: str) -> None:
     shots = drive()
     time = {"<f4": "time", "<u4": "t", ">f8": "timestamp"}[kinds.rpartition(",")[2]]
@@ -414,7 +476,9 @@ def test_columns_come_back_from_times(tmp_path: Path, kinds: str) -> None:
     wanted = shots["range"].reshape(300, 8)
     np.testing.assert_allclose(block.range_m, wanted, rtol=1e-5)
     assert block.time_s is not None
-    np.testing.assert_allclose(block.time_s - made.START_NS * 1e-9, shots["time"].reshape(300, 8), atol=1e-6)
+    np.testing.assert_allclose(
+        block.time_s - made.START_NS * 1e-9, shots["time"].reshape(300, 8), atol=1e-6
+    )
     assert block.tally.n_records == np.isfinite(wanted).sum()
     records = block.records()
     assert np.array_equal(np.sort(records[records >= 0]), np.arange(np.isfinite(wanted).sum()))
@@ -445,7 +509,9 @@ def test_a_cloud_has_the_cells_of_its_packets(real_data: Path, tmp_path: Path, n
         sent.append(made.Sent("/points", KIND, start_ns, made.cloud(2, start_ns, table)))
     block = joined(made.write_db3(tmp_path / "a.db3", sent))
     first = int(line.min())
-    offset = [k for k in range(-30, 31) if _equal(block.range_m, packets.range_m[first:], k) > 0.999]
+    offset = [
+        k for k in range(-30, 31) if _equal(block.range_m, packets.range_m[first:], k) > 0.999
+    ]
     assert len(offset) == 1
 
 

@@ -20,10 +20,19 @@ EVERY = 200
 """Columns of a message: a turn."""
 
 
-def cloud_messages(shots: dict[str, np.ndarray], table: Any = None, *, pause_s: float = 0.0) -> list[made.Sent]:
+def cloud_messages(
+    shots: dict[str, np.ndarray], table: Any = None, *, pause_s: float = 0.0
+) -> list[made.Sent]:
     """A message a turn; ``table`` changes its points, all but the first come later by a pause."""
     sent = []
-    dtype = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), ("ring", "u2"), ("time", "f8")]
+    dtype = [
+        ("x", "f4"),
+        ("y", "f4"),
+        ("z", "f4"),
+        ("intensity", "f4"),
+        ("ring", "u2"),
+        ("time", "f8"),
+    ]
     for number, first in enumerate(range(0, int(shots["column"].max()) + 1, EVERY)):
         use = np.flatnonzero((shots["column"] // EVERY == number) & np.isfinite(shots["range"]))
         points = np.zeros(len(use), dtype)
@@ -49,7 +58,10 @@ def in_unit(unit: float, kind: str, *, is_absolute: bool = False) -> Any:
     """Points whose times are stored in another unit."""
 
     def change(points: np.ndarray, stamp_s: float) -> np.ndarray:
-        dtype = [(name, kind if name == "time" else points.dtype[name]) for name in points.dtype.names or ()]
+        dtype = [
+            (name, kind if name == "time" else points.dtype[name])
+            for name in points.dtype.names or ()
+        ]
         changed = points.astype(dtype)
         time = (points["time"] + (stamp_s if is_absolute else 0.0)) / unit
         changed["time"] = np.rint(time) if kind[0] in "iu" else time
@@ -61,11 +73,17 @@ def in_unit(unit: float, kind: str, *, is_absolute: bool = False) -> Any:
 @pytest.mark.parametrize(
     "change",
     [
-        in_unit(1e-3, "f4"), in_unit(1e-6, "f4"), in_unit(1e-9, "f4"), in_unit(1e-6, "u4"), in_unit(1e-9, "u4"),
-        in_unit(0.1, "f4"), in_unit(1e-3, "f8", is_absolute=True), in_unit(1e-6, "f8", is_absolute=True),
+        in_unit(1e-3, "f4"),
+        in_unit(1e-6, "f4"),
+        in_unit(1e-9, "f4"),
+        in_unit(1e-6, "u4"),
+        in_unit(1e-9, "u4"),
+        in_unit(0.1, "f4"),
+        in_unit(1e-3, "f8", is_absolute=True),
+        in_unit(1e-6, "f8", is_absolute=True),
         in_unit(1.0, "f8", is_absolute=True),
     ],
-)  # fmt: skip
+)
 def test_the_turn_shows_the_unit_of_the_times(tmp_path: Path, change: Any) -> None:
     shots = drive(600)
     _, block = read_cloud(tmp_path, cloud_messages(shots, change))
@@ -118,7 +136,9 @@ def test_a_first_message_with_wild_times_does_not_end_the_drive(tmp_path: Path) 
         return points
 
     _, block = read_cloud(tmp_path, cloud_messages(shots, wild))
-    np.testing.assert_allclose(block.range_m[200:790], shots["range"].reshape(800, 8)[200:790], rtol=1e-5)
+    np.testing.assert_allclose(
+        block.range_m[200:790], shots["range"].reshape(800, 8)[200:790], rtol=1e-5
+    )
 
 
 def test_empty_points_may_have_no_time(tmp_path: Path) -> None:
@@ -159,17 +179,25 @@ def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path: Path) ->
     stream, block = read_cloud(tmp_path, cloud_messages(shots, bare))
     assert "have no times" in stream.info.facts.notes[0]
     assert abs(block.n_lines - 600) < 6
-    assert np.isfinite(block.range_m).sum() + len(block.extra) > 0.99 * np.isfinite(shots["range"]).sum()
+    assert (
+        np.isfinite(block.range_m).sum() + len(block.extra)
+        > 0.99 * np.isfinite(shots["range"]).sum()
+    )
 
 
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
-        (["x", "y", "z", "intensity"], "/points: has points without ring \\(fields: x, y, z, intensity\\)"),
+        (
+            ["x", "y", "z", "intensity"],
+            "/points: has points without ring \\(fields: x, y, z, intensity\\)",
+        ),
         (["x", "y", "z", "intensity", "tag", "line", "timestamp"], "has points of a Livox"),
     ],
 )
-def test_clouds_that_cannot_be_read_say_which_field_is_missing(tmp_path: Path, names: list[str], expected: str) -> None:
+def test_clouds_that_cannot_be_read_say_which_field_is_missing(
+    tmp_path: Path, names: list[str], expected: str
+) -> None:
     kinds = [(name, "u1" if name in ("tag", "line") else "f4") for name in names]
     cloud = made.cloud(1, made.START_NS, np.ones(5, kinds))
     path = made.write_bag(tmp_path / "a.bag", [made.Sent("/points", KIND, made.START_NS, cloud)])

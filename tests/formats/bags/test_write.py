@@ -21,7 +21,11 @@ from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
 from tests.runner import runner
 
-SPIN = {"scanner": {"name": "vlp-32c", "azimuth_step_deg": 1.4, "line_hz": 2570.0}, "duration_s": 0.3, "seed": 5}
+SPIN = {
+    "scanner": {"name": "vlp-32c", "azimuth_step_deg": 1.4, "line_hz": 2570.0},
+    "duration_s": 0.3,
+    "seed": 5,
+}
 WALK = {"scanner": {"points_per_line": 400}, "lines": 200, "trajectory": {"stop_every_m": 0.0}}
 SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -72,10 +76,22 @@ def test_clouds_have_the_shots_in_the_order_of_their_times(tmp_path: Path) -> No
         times, codes = [], []
         for _, _, data in reader.messages():
             cloud = reader.deserialize(data, connection.msgtype)
-            assert [field.name for field in cloud.fields] == ["x", "y", "z", "intensity", "ring", "label", "time"]  # type: ignore[attr-defined]
+            assert [field.name for field in cloud.fields] == [
+                "x",
+                "y",
+                "z",
+                "intensity",
+                "ring",
+                "label",
+                "time",
+            ]  # type: ignore[attr-defined]
             rows = cloud.data.reshape(-1, cloud.point_step)  # type: ignore[attr-defined]
             stamp = cloud.header.stamp  # type: ignore[attr-defined]
-            times.append(stamp.sec + stamp.nanosec * 1e-9 + rows[:, 20:24].copy().view("<f4")[:, 0].astype(float))
+            times.append(
+                stamp.sec
+                + stamp.nanosec * 1e-9
+                + rows[:, 20:24].copy().view("<f4")[:, 0].astype(float)
+            )
             codes.append(rows[:, 18:20].copy().view("<u2")[:, 0])
     assert len(times) == 3
     assert (np.diff(np.concatenate(times)) > -1e-7).all()
@@ -101,22 +117,36 @@ def test_an_archive_of_a_spinning_scanner_is_in_order(tmp_path: Path) -> None:
     done = runner().invoke(cli, ["info", str(tmp_path / "spin.npz")])
     assert "yes, rings can classify it" in done.output
     convert(tmp_path / "spin.npz", tmp_path / "again.bag", load_config())
-    expected, found = np.load(tmp_path / "spin.npz")["range_m"], whole(tmp_path / "again.bag")["range_m"]
+    expected, found = (
+        np.load(tmp_path / "spin.npz")["range_m"],
+        whole(tmp_path / "again.bag")["range_m"],
+    )
     assert np.count_nonzero(~np.isnan(found)) == np.count_nonzero(~np.isnan(expected))
 
 
 def test_what_no_message_can_hold(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="a scan from a tripod"):
-        simulate("street-scan", tmp_path / "a.bag", load_settings("street-scan", options={"lines": 9}))
+        simulate(
+            "street-scan", tmp_path / "a.bag", load_settings("street-scan", options={"lines": 9})
+        )
     with pytest.raises(ConfigError, match="which it holds itself"):
         settings = load_settings("street", options=WALK)
         simulate("street", tmp_path / "a.bag", settings, beside=Beside(labels=tmp_path / "a.npy"))
     n, m = 6, 300
     angle = np.linspace(-1.0, 1.0, m) ** 3
-    np.savez(tmp_path / "uneven.npz", range_m=np.full((n, m), 5.0, "f4"), angle_rad=angle, time_s=np.arange(n * 1.0))
+    np.savez(
+        tmp_path / "uneven.npz",
+        range_m=np.full((n, m), 5.0, "f4"),
+        angle_rad=angle,
+        time_s=np.arange(n * 1.0),
+    )
     with pytest.raises(OutputError, match="uneven steps"):
         convert(tmp_path / "uneven.npz", tmp_path / "a.bag", load_config())
-    np.savez(tmp_path / "timeless.npz", range_m=np.full((n, m), 5.0, "f4"), angle_rad=np.linspace(-1.0, 1.0, m))
+    np.savez(
+        tmp_path / "timeless.npz",
+        range_m=np.full((n, m), 5.0, "f4"),
+        angle_rad=np.linspace(-1.0, 1.0, m),
+    )
     with pytest.raises(OutputError, match="no times"):
         convert(tmp_path / "timeless.npz", tmp_path / "a.bag", load_config())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["timeless.npz", "uneven.npz"]
@@ -146,7 +176,9 @@ def test_shots_without_a_time_lie_between_others(tmp_path: Path, suffix: str) ->
 
 @pytest.mark.parametrize("value", [np.nan, -5.0, 1e12])
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_times_that_no_message_can_have_are_refused(tmp_path: Path, suffix: str, value: float) -> None:
+def test_times_that_no_message_can_have_are_refused(
+    tmp_path: Path, suffix: str, value: float
+) -> None:
     def change(time_s: np.ndarray) -> None:
         time_s[7] = value
 

@@ -50,7 +50,12 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
     source = opened(path)
     assert source.n_records == N
     found = read(source, ("time", "angle", "range", "ring"))
-    for name, own in (("time", "GPS_time"), ("angle", "theta"), ("range", "range"), ("ring", "ring")):
+    for name, own in (
+        ("time", "GPS_time"),
+        ("angle", "theta"),
+        ("range", "range"),
+        ("ring", "ring"),
+    ):
         np.testing.assert_array_equal(found[name], made[own])
 
 
@@ -60,14 +65,20 @@ def test_other_elements_and_lists_behind_the_points_are_passed_over(tmp_path: Pa
         "ply\nformat binary_little_endian 1.0\nelement camera 2\nproperty double f\nelement vertex 2\n"
         "property float range\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    path.write_bytes(head.encode() + bytes(16) + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0")
+    path.write_bytes(
+        head.encode() + bytes(16) + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0"
+    )
     assert read(opened(path), ("range",))["range"].tolist() == [1.5, 2.5]
 
 
 def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
     """The list of a shot is written anew with every return that is added."""
     path = tmp_path / "a.ply"
-    lists = {1: [(1, 1)], 2: [(1, 1), (1, 2), (2, 2)], 3: [(1, 1), (1, 2), (2, 2), (1, 3), (2, 3), (3, 3)]}
+    lists = {
+        1: [(1, 1)],
+        2: [(1, 1), (1, 2), (2, 2)],
+        3: [(1, 1), (1, 2), (2, 2), (1, 3), (2, 3), (3, 3)],
+    }
     n_echo = np.random.default_rng(1).integers(1, 4, 400)
     rows = [
         (shot * 1e-5, shot % 40 * 0.1 - 2, 5.0 + echo, echo, count)
@@ -76,14 +87,19 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
     ]
     time, theta, range_m, echo, count = (np.array(column) for column in zip(*rows, strict=True))
     made = {
-        "GPS_time": time, "theta": theta.astype("f4"), "range": range_m.astype("f4"), "num_echo": echo.astype("u1"),
-        "nb_of_echo": count.astype("u1"), "amplitude": -range_m.astype("f4"),
-    }  # fmt: skip
+        "GPS_time": time,
+        "theta": theta.astype("f4"),
+        "range": range_m.astype("f4"),
+        "num_echo": echo.astype("u1"),
+        "nb_of_echo": count.astype("u1"),
+        "amplitude": -range_m.astype("f4"),
+    }
     path.write_bytes(ply(made, "binary_big_endian"))
     source = opened(path)
     n_copies = int(np.sum(n_echo == 2) + 3 * np.sum(n_echo == 3))
     assert any(
-        note.startswith(f"{n_copies} of the first {len(time)} rows repeat a return") for note in source.facts.notes
+        note.startswith(f"{n_copies} of the first {len(time)} rows repeat a return")
+        for note in source.facts.notes
     )
     block = join(list(open_input(path, InputConfig()).blocks()))
     assert np.isfinite(block.range_m).sum() == 400
@@ -93,16 +109,20 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 7, 64, 1000])
-def test_shots_do_not_depend_on_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+def test_shots_do_not_depend_on_chunks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
     """A shot whose returns lie in two chunks is one shot, and no chunk waits for the next but for its last shot."""
     path = tmp_path / "a.ply"
     n_echo = np.random.default_rng(2).integers(1, 4, 300)
     shot = np.repeat(np.arange(300), n_echo)
     echo = np.arange(len(shot)) - np.repeat(np.cumsum(n_echo) - n_echo, n_echo) + 1
     made = {
-        "GPS_time": shot * 1e-5, "range": echo.astype("f4"), "num_echo": echo.astype("u1"),
+        "GPS_time": shot * 1e-5,
+        "range": echo.astype("f4"),
+        "num_echo": echo.astype("u1"),
         "nb_of_echo": n_echo[shot].astype("u1"),
-    }  # fmt: skip
+    }
     path.write_bytes(ply(made))
     monkeypatch.setattr(raw, "CHUNK_RECORDS", rows)
     names = ("return_number", "number_of_returns")
@@ -111,24 +131,47 @@ def test_shots_do_not_depend_on_chunks(tmp_path: Path, monkeypatch: pytest.Monke
     found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
     np.testing.assert_array_equal(found["return_number"], echo)
     np.testing.assert_array_equal(found["number_of_returns"], n_echo[shot])
-    assert [chunk.first_record for chunk in chunks] == np.cumsum([0, *(chunk.n for chunk in chunks)])[:-1].tolist()
+    assert [chunk.first_record for chunk in chunks] == np.cumsum(
+        [0, *(chunk.n for chunk in chunks)]
+    )[:-1].tolist()
 
 
 @pytest.mark.parametrize(
     ("head", "told"),
     [
-        ("ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float range\nend_header\n", "in point 1"),
+        (
+            "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float range\nend_header\n",
+            "in point 1",
+        ),
         (
             "ply\nformat ascii 1.0\nelement vertex 99999\nproperty float range\nproperty int a\nend_header\n1 2\n",
             "after 1",
         ),
-        ("ply\nformat binary 1.0\nelement vertex 1\nproperty float range\nend_header\n", "found format"),
-        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty real range\nend_header\n1\n", "found the type 'real'"),
-        ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float range\nend_header\n1\n", "expected a whole number"),
-        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 1\n", "is a list"),
-        ("ply\nformat ascii 1.0\nelement face 1\nproperty float a\nend_header\n1\n", "no element vertex, it has face"),
+        (
+            "ply\nformat binary 1.0\nelement vertex 1\nproperty float range\nend_header\n",
+            "found format",
+        ),
+        (
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty real range\nend_header\n1\n",
+            "found the type 'real'",
+        ),
+        (
+            "ply\nformat ascii 1.0\nelement vertex -1\nproperty float range\nend_header\n1\n",
+            "expected a whole number",
+        ),
+        (
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 1\n",
+            "is a list",
+        ),
+        (
+            "ply\nformat ascii 1.0\nelement face 1\nproperty float a\nend_header\n1\n",
+            "no element vertex, it has face",
+        ),
         ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float a\nend_header\n", "no points"),
-        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty int a\nproperty int a\nend_header\n1 1\n", "second time"),
+        (
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty int a\nproperty int a\nend_header\n1 1\n",
+            "second time",
+        ),
         ("ply\nformat ascii 1.0\nelement vertex 1\n", "no line end_header"),
         ("plx\n", "expected ply"),
     ],
@@ -196,7 +239,9 @@ def pcd_columns() -> dict[str, Array]:
 @pytest.mark.parametrize("data", DATA)
 def test_pcd_headers_that_lie(tmp_path: Path, data: str, old: str, new: str, told: str) -> None:
     path = tmp_path / "a.pcd"
-    path.write_bytes(pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1))
+    path.write_bytes(
+        pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1)
+    )
     with pytest.raises(InputError, match=told):
         open_source(path)
 
@@ -233,9 +278,20 @@ def run(words: list[str]) -> int:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive, as an archive of arrays, with its labels."""
     folder = tmp_path_factory.mktemp("drive")
-    told = ["simulate", "street", str(folder / "s.npz"), "--lines", "40", "--scanner", "sick-push-broom", "-q"]
+    told = [
+        "simulate",
+        "street",
+        str(folder / "s.npz"),
+        "--lines",
+        "40",
+        "--scanner",
+        "sick-push-broom",
+        "-q",
+    ]
     assert run([*told, "--seed", "5"]) == 0
-    assert run(["classify", str(folder / "s.npz"), str(folder / "s.npy"), "--preset", "urban", "-q"]) in (0, 4)
+    assert run(
+        ["classify", str(folder / "s.npz"), str(folder / "s.npy"), "--preset", "urban", "-q"]
+    ) in (0, 4)
     return folder
 
 
@@ -243,9 +299,14 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"s.{suffix}"
     assert run(["convert", str(drive / "s.npz"), str(path), "-q"]) == 0
-    first, again = (join(list(open_input(one, InputConfig()).blocks())) for one in (drive / "s.npz", path))
+    first, again = (
+        join(list(open_input(one, InputConfig()).blocks())) for one in (drive / "s.npz", path)
+    )
     np.testing.assert_array_equal(first.range_m, again.range_m)
-    assert run(["classify", str(path), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (0, 4)
+    assert run(["classify", str(path), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (
+        0,
+        4,
+    )
     np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), np.load(drive / "s.npy").ravel())
 
 
@@ -258,11 +319,17 @@ def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, su
     n_lines, m = image.shape
     line, column = np.divmod(np.arange(image.size, dtype=np.uint32), m)
     made = {
-        "range": np.nan_to_num(image).ravel(), "scan_line": line, "column": column,
+        "range": np.nan_to_num(image).ravel(),
+        "scan_line": line,
+        "column": column,
         "quality": np.arange(image.size, dtype=np.int16),
-    }  # fmt: skip
+    }
     given = tmp_path / f"g.{suffix}"
-    data = ply(made, form, ("a comment",)) if suffix == "ply" else pcd(made, "ascii" if form == "ascii" else "binary")
+    data = (
+        ply(made, form, ("a comment",))
+        if suffix == "ply"
+        else pcd(made, "ascii" if form == "ascii" else "binary")
+    )
     given.write_bytes(data)
     out = tmp_path / "o.ply"
     assert run(["classify", str(given), str(out), "--preset", "urban", "-q"]) in (0, 4)
@@ -277,9 +344,13 @@ def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, su
 
 
 @pytest.mark.parametrize("has_faces", [False, True])
-def test_bytes_behind_the_points_are_told_unless_the_header_names_them(tmp_path: Path, has_faces: bool) -> None:
+def test_bytes_behind_the_points_are_told_unless_the_header_names_them(
+    tmp_path: Path, has_faces: bool
+) -> None:
     faces = "element face 1\nproperty list uchar int vertex_indices\n" if has_faces else ""
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float range\n{faces}end_header\n"
-    (tmp_path / "a.ply").write_bytes(head.encode() + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0")
+    (tmp_path / "a.ply").write_bytes(
+        head.encode() + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0"
+    )
     told = "5 bytes behind the last point were left out: the header does not name them"
     assert (told in opened(tmp_path / "a.ply").facts.notes) != has_faces

@@ -63,14 +63,20 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
         fields = reordered(e57_fields(points), order)
         stream = open_input(write_e57(tmp_path / "a.E57", [Scan(fields)]), AUTO)
         (block,) = scans_of(stream)
-        assert (stream.info.format, stream.info.n_lines, stream.info.points_per_line) == ("E57", 9, 7)
+        assert (stream.info.format, stream.info.n_lines, stream.info.points_per_line) == (
+            "E57",
+            9,
+            7,
+        )
         assert equal(block.range_m, ranges), name
         assert block.xyz_m is not None
         assert equal(block.xyz_m, xyz)
         record = np.full((9, 7), -1)
         record[fields["columnIndex"], fields["rowIndex"]] = np.arange(len(order))
         assert equal(block.record, record), name
-        assert equal(block.intensity, np.where(np.isnan(ranges), np.nan, points[..., 3].astype(np.float32)))
+        assert equal(
+            block.intensity, np.where(np.isnan(ranges), np.nan, points[..., 3].astype(np.float32))
+        )
         assert block.tally == ReadTally(n_records=len(order))
         on_disk = any("put in order on disk" in item.why for item in stream.info.assumptions)
         assert on_disk != (name in ("column by column", "rows of a column in no order"))
@@ -78,7 +84,9 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("shots", [1, 20, 70])
 @pytest.mark.parametrize("chunk", [3, 17])
-def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int) -> None:
+def test_chunks_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int
+) -> None:
     points, other = grid_points(9, 7), grid_points(4, 12, 2)
     fields = [reordered(e57_fields(points), order) for order in orders(points).values()]
     scans = [Scan(item, rotation=(0.8, 0.4, 0.2, 0.4)) for item in (*fields, e57_fields(other))]
@@ -94,7 +102,9 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.mark.parametrize(("rule", "chosen"), [("first", 1), ("last", 2), ("strongest", 0)])
-def test_several_points_of_a_cell_are_returns_of_a_shot(tmp_path: Path, rule: Any, chosen: int) -> None:
+def test_several_points_of_a_cell_are_returns_of_a_shot(
+    tmp_path: Path, rule: Any, chosen: int
+) -> None:
     fields = {
         "cartesianX": np.array([5.0, 4.0, 9.0, 3.0]),
         "cartesianY": np.zeros(4),
@@ -104,7 +114,9 @@ def test_several_points_of_a_cell_are_returns_of_a_shot(tmp_path: Path, rule: An
         "columnIndex": np.array([0, 0, 0, 1]),
         "returnIndex": np.array([1, 0, 2, 0]),
     }
-    (block,) = scans_of(E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), InputConfig(**{"return": rule})))
+    (block,) = scans_of(
+        E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), InputConfig(**{"return": rule}))
+    )
     assert block.records().tolist() == [[-1, chosen], [3, -1]]
     assert sorted(block.extra.record.tolist()) == sorted({0, 1, 2} - {chosen})
     assert block.extra.column.tolist() == [1, 1]
@@ -123,26 +135,48 @@ def without(*names: str, **other: Array) -> dict[str, Array]:
 @pytest.mark.parametrize(
     ("scan", "parts"),
     {
-        "no indices": (Scan(without("rowIndex", "columnIndex")), ("scan 0", "no rowIndex and no columnIndex")),
+        "no indices": (
+            Scan(without("rowIndex", "columnIndex")),
+            ("scan 0", "no rowIndex and no columnIndex"),
+        ),
         "no column": (Scan(without("columnIndex")), ("no columnIndex", "not organised")),
         "no coordinates": (Scan(without("cartesianX")), ("expected cartesianX",)),
-        "half an index": (Scan(without(rowIndex=np.arange(9) / 2)), ("rowIndex from 0 to 4", "whole numbers")),
-        "no index": (Scan(without(rowIndex=np.full(9, np.nan))), ("rowIndex from nan", "whole numbers")),
-        "huge rows": (Scan(without(rowIndex=np.arange(9) * 10**14)), ("rowIndex from 0 to 8", "at most 10000000")),
-        "huge columns": (Scan(without(columnIndex=np.arange(9) * 10**8)), ("columnIndex from 0 to 8", "at most")),
+        "half an index": (
+            Scan(without(rowIndex=np.arange(9) / 2)),
+            ("rowIndex from 0 to 4", "whole numbers"),
+        ),
+        "no index": (
+            Scan(without(rowIndex=np.full(9, np.nan))),
+            ("rowIndex from nan", "whole numbers"),
+        ),
+        "huge rows": (
+            Scan(without(rowIndex=np.arange(9) * 10**14)),
+            ("rowIndex from 0 to 8", "at most 10000000"),
+        ),
+        "huge columns": (
+            Scan(without(columnIndex=np.arange(9) * 10**8)),
+            ("columnIndex from 0 to 8", "at most"),
+        ),
         "huge scan": (
             Scan(without(columnIndex=np.arange(9) * 10**6, rowIndex=np.arange(9) * 10**6)),
             ("found 9 points in 8000001 columns x 8000001 rows", "denser"),
         ),
         "crowded cells": (
-            Scan({name: np.repeat(values, 50)[:430] for name, values in without(rowIndex=np.zeros(9, int)).items()}),
+            Scan(
+                {
+                    name: np.repeat(values, 50)[:430]
+                    for name, values in without(rowIndex=np.zeros(9, int)).items()
+                }
+            ),
             ("found 150 points in column 0", "1 rows"),
         ),
         "no rotation": (Scan(without(), rotation=(0, 0, 0, 0)), ("scan 0", "quaternion")),
         "rotation too long": (Scan(without(), rotation=(1e200, 0, 0, 0)), ("quaternion",)),
     }.values(),
-)  # fmt: skip
-def test_scans_that_are_no_images_are_refused(tmp_path: Path, scan: Scan, parts: tuple[str, ...]) -> None:
+)
+def test_scans_that_are_no_images_are_refused(
+    tmp_path: Path, scan: Scan, parts: tuple[str, ...]
+) -> None:
     message = refused(write_e57(tmp_path / "a.e57", [scan]))
     for part in parts:
         assert part in message
@@ -151,7 +185,11 @@ def test_scans_that_are_no_images_are_refused(tmp_path: Path, scan: Scan, parts:
 def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> None:
     path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(grid_points(5, 4, missing=0)))])
     stream = E57Stream(path, AUTO)
-    for other in (grid_points(5, 9, missing=0), grid_points(2, 2, missing=0), grid_points(4, 5, missing=0)):
+    for other in (
+        grid_points(5, 9, missing=0),
+        grid_points(2, 2, missing=0),
+        grid_points(4, 5, missing=0),
+    ):
         write_e57(path, [Scan(e57_fields(other))])
         with pytest.raises(PrcError):
             scans_of(stream)
@@ -160,7 +198,10 @@ def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> Non
 @pytest.mark.data
 def test_a_real_scan(real_data: Path) -> None:
     stream = open_input(real_data / "organised" / "pumpA.e57", AUTO)
-    assert any(item.value == "not read: colorRed, colorGreen, colorBlue" for item in stream.info.assumptions)
+    assert any(
+        item.value == "not read: colorRed, colorGreen, colorBlue"
+        for item in stream.info.assumptions
+    )
     (block,) = scans_of(stream)
     assert block.range_m.shape == (345, 1074)
     assert np.isfinite(block.range_m).sum() == stream.info.n_records == 155201
@@ -187,7 +228,9 @@ def block(first: int, seed: int, *, scanner: int = 0, further: bool = False) -> 
     extra = ExtraReturns.none()
     if further:
         line, column = (index[::5].astype(np.int32) for index in np.nonzero(~np.isnan(ranges)))
-        extra = ExtraReturns(line, column, ranges[line, column] * np.float32(0.75), np.full(len(line), -1))
+        extra = ExtraReturns(
+            line, column, ranges[line, column] * np.float32(0.75), np.full(len(line), -1)
+        )
     return ScanBlock(
         first,
         ranges,
@@ -202,7 +245,9 @@ def block(first: int, seed: int, *, scanner: int = 0, further: bool = False) -> 
 def write(path: Path, blocks: list[ScanBlock], *, returns: bool = False) -> tuple[str, ...]:
     items = [StreamItem(each) for each in blocks]
     info = StreamInfo("made up", "test", M, None, None, down_rad=0.0)
-    with open_stream_writer(path, StreamShape.of(items[0], info, scanners=False, returns=returns)) as writer:
+    with open_stream_writer(
+        path, StreamShape.of(items[0], info, scanners=False, returns=returns)
+    ) as writer:
         for item in items:
             writer.add_item(item)
         losses = writer.losses

@@ -57,7 +57,8 @@ def test_npy(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> 
 
 @pytest.mark.parametrize("packed", ["", ".gz"])
 @pytest.mark.parametrize(
-    ("header", "asked"), [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")]
+    ("header", "asked"),
+    [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")],
 )
 def test_text(tmp_path: Path, header: str, asked: str | None, packed: str) -> None:
     rows = "".join(f"{k},{code},GROUND\n" for k, code in enumerate(CODES))
@@ -69,7 +70,9 @@ def test_text(tmp_path: Path, header: str, asked: str | None, packed: str) -> No
 
 @pytest.mark.parametrize("kind", [pa.uint8(), pa.int64(), pa.uint64(), pa.float32()])
 def test_parquet(tmp_path: Path, kind: Any) -> None:
-    path = write_parquet(tmp_path / "codes.parquet", record=range(6), **{"class": pa.array(CODES, kind)})
+    path = write_parquet(
+        tmp_path / "codes.parquet", record=range(6), **{"class": pa.array(CODES, kind)}
+    )
     assert open_codes(path).n == 6
     assert read(path) == CODES
     gaps = write_parquet(tmp_path / "gaps.parquet", mine=pa.array([2, None, 7], kind))
@@ -84,8 +87,14 @@ def test_parquet(tmp_path: Path, kind: Any) -> None:
         ([np.inf], "record 0: found the class code inf"),
         ([1e300], "record 0: found the class code 1e+300"),
         (np.array([3, 2**63], np.uint64), "record 1: found the class code 9223372036854775808"),
-        (np.array([True]), "found an array of true/false values, expected class codes, whole numbers"),
-        (np.ones((1, 1, 1)), "found shape (1, 1, 1), expected (records,) or (lines, points per line)"),
+        (
+            np.array([True]),
+            "found an array of true/false values, expected class codes, whole numbers",
+        ),
+        (
+            np.ones((1, 1, 1)),
+            "found shape (1, 1, 1), expected (records,) or (lines, points per line)",
+        ),
         (np.ones(0), "found shape (0,), expected (records,)"),
     ],
 )
@@ -107,7 +116,9 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")
     assert np.concatenate(list(open_codes(path).chunks())).tolist() == [2, 6, 7]
     path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
-    with pytest.raises(InputError, match="row 1 holds record 2, expected 1: rows were moved or left out"):
+    with pytest.raises(
+        InputError, match="row 1 holds record 2, expected 1: rows were moved or left out"
+    ):
         list(open_codes(path).chunks())
 
 
@@ -139,7 +150,9 @@ def test_one_entry_a_record_in_record_order(
     labels = random_labels(990, (Label.MISSING, *URBAN, Label.STEM))
     order = np.random.default_rng(5).permutation(990)
     path = tmp_path / f"labels{suffix}"
-    record = write(path, SOURCE, record_blocks(labels, order=order), n_records=990 if known else None)
+    record = write(
+        path, SOURCE, record_blocks(labels, order=order), n_records=990 if known else None
+    )
     found = read_back(path)
     assert found.dtype == np.uint8
     assert np.array_equal(found, ClassCodes().lookup()[labels])
@@ -163,16 +176,27 @@ NAMED = ["ground", "Building", "car", "", "class 40", "low vegetation"]
 def test_names_of_classes_in_text_are_codes(tmp_path: Path, head: str) -> None:
     delimiter = ";" if ";" in head else ","
     place = [word.lower() in ("class", "label") for word in head.split(delimiter)].index(True)
-    rows = [[*["7"] * place, name or '""', *["7"] * (head.count(delimiter) - place)] for name in NAMED]
+    rows = [
+        [*["7"] * place, name or '""', *["7"] * (head.count(delimiter) - place)] for name in NAMED
+    ]
     path = tmp_path / "a.csv"
-    path.write_text("\n".join([head, *(delimiter.join(row) for row in rows)]) + "\n", encoding="utf-8")
+    path.write_text(
+        "\n".join([head, *(delimiter.join(row) for row in rows)]) + "\n", encoding="utf-8"
+    )
     assert read(path) == [2, 6, 65, -1, 40, 3]
 
 
 def test_names_of_classes_in_parquet_are_codes(tmp_path: Path) -> None:
     names = pa.array([name or None for name in NAMED])
     assert read(write_parquet(tmp_path / "a.parquet", label=names)) == [2, 6, 65, -1, 40, 3]
-    assert read(write_parquet(tmp_path / "b.parquet", label=names.dictionary_encode())) == [2, 6, 65, -1, 40, 3]
+    assert read(write_parquet(tmp_path / "b.parquet", label=names.dictionary_encode())) == [
+        2,
+        6,
+        65,
+        -1,
+        40,
+        3,
+    ]
 
 
 def test_unknown_names_of_classes_are_refused_with_the_known_ones(tmp_path: Path) -> None:

@@ -67,7 +67,9 @@ def parse(path: Path) -> Parsed:
     else:
         tail_at = start + n * length
         records = np.frombuffer(data[start:tail_at], np.uint8).copy()
-    return Parsed(data[:size], vlrs, data[at:start], records.reshape(n, length), data[tail_at:], form, data)
+    return Parsed(
+        data[:size], vlrs, data[at:start], records.reshape(n, length), data[tail_at:], form, data
+    )
 
 
 def same_but_class(before: Parsed, after: Parsed) -> None:
@@ -76,7 +78,9 @@ def same_but_class(before: Parsed, after: Parsed) -> None:
     assert masked[0] == masked[1]
     assert before.kept_vlrs() == after.kept_vlrs()
     assert before.user_bytes == after.user_bytes
-    assert np.array_equal(without_class(before.records, before.form), without_class(after.records, after.form))
+    assert np.array_equal(
+        without_class(before.records, before.form), without_class(after.records, after.form)
+    )
     assert before.tail == after.tail
 
 
@@ -134,7 +138,11 @@ def make_las(
     formats 9 and 10, whose waveforms laszip cannot keep otherwise).
     """
     rng = np.random.default_rng(seed)
-    version = f"1.{minor}" if minor is not None else ("1.4" if form >= 6 else "1.3" if form >= 4 else "1.2")
+    version = (
+        f"1.{minor}"
+        if minor is not None
+        else ("1.4" if form >= 6 else "1.3" if form >= 4 else "1.2")
+    )
     header = laspy.LasHeader(point_format=form, version=version)
     header.scales = np.array([0.001, 0.002, 0.0005])
     header.offsets = np.array([650_000.0, 6_860_000.0, -3.5])
@@ -152,7 +160,10 @@ def make_las(
         bits[:, 0:20:4] = rng.integers(0, 256, (n, 5))
         bits[:, 14] = 0x11 if form >= 6 else 0x09
     las.points = laspy.ScaleAwarePointRecord(
-        bits.reshape(-1).view(las.point_format.dtype()), las.point_format, header.scales, header.offsets
+        bits.reshape(-1).view(las.point_format.dtype()),
+        las.point_format,
+        header.scales,
+        header.offsets,
     )
     las.write(path)
     data = path.read_bytes()

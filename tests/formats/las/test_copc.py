@@ -71,10 +71,13 @@ def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
     at = next(evlr.start for evlr in las.evlrs if evlr.record_id == 1000) + 60
     good = bytes(data)
     for place, value in (
-        (at + 16, struct.pack("<Q", 7)), (at + 24, struct.pack("<i", 5)), (at + 28, struct.pack("<i", 1)),
-        (375 + 54 + 40, struct.pack("<Q", 3)), (375 + 54 + 48, struct.pack("<Q", 33)),
+        (at + 16, struct.pack("<Q", 7)),
+        (at + 24, struct.pack("<i", 5)),
+        (at + 28, struct.pack("<i", 1)),
+        (375 + 54 + 40, struct.pack("<Q", 3)),
+        (375 + 54 + 48, struct.pack("<Q", 33)),
         (at + 8 * 32 + 16, struct.pack("<Q", at)),
-    ):  # fmt: skip
+    ):
         data[:] = good
         data[place : place + len(value)] = value
         source.write_bytes(data)
@@ -88,7 +91,9 @@ def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
 ENTRY = struct.Struct("<4iQii")
 
 
-def make_copc(path: Path, point_format: int = 6, *, n: int = 900, two_pages: bool = True, seed: int = 2) -> Any:
+def make_copc(
+    path: Path, point_format: int = 6, *, n: int = 900, two_pages: bool = True, seed: int = 2
+) -> Any:
     """Write an octree of two levels; returns the points in file order."""
     rng = np.random.default_rng(seed)
     header = laspy.LasHeader(version="1.4", point_format=point_format)
@@ -134,14 +139,20 @@ def _with_index(out: io.BytesIO, vlr: Any, start: int, sizes: Any, *, two_pages:
     table = lazrs.read_chunk_table(out, vlr)
     places = start + 8 + np.concatenate([[0], np.cumsum([size for _, size in table])])
     keys = [(0, 0, 0, 0), *((1, k & 1, k >> 1 & 1, k >> 2) for k in range(8))]
-    entries = [ENTRY.pack(*key, int(places[k]), table[k][1], int(sizes[k])) for k, key in enumerate(keys) if sizes[k]]
+    entries = [
+        ENTRY.pack(*key, int(places[k]), table[k][1], int(sizes[k]))
+        for k, key in enumerate(keys)
+        if sizes[k]
+    ]
     base = end + 60
     # the last node in a page of its own, in the same record
     link = ENTRY.pack(*keys[8], base + 9 * ENTRY.size, ENTRY.size, -1)
     pages = b"".join([*entries[:8], link, entries[8]] if two_pages else entries)
     root = 9 * ENTRY.size
     evlr = io.BytesIO()
-    VLRList([laspy.VLR("copc", 1000, "hierarchy", pages), laspy.VLR("other", 5, "more", b"abc")]).write_to(evlr, True)
+    VLRList(
+        [laspy.VLR("copc", 1000, "hierarchy", pages), laspy.VLR("other", 5, "more", b"abc")]
+    ).write_to(evlr, True)
     out.seek(end)
     out.write(evlr.getvalue())
     data = bytearray(out.getvalue())

@@ -17,7 +17,12 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats.las.read import LasSource
 from prc_cli.streams.order import OrderWatch
 
-VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
+VERSION = {
+    **dict.fromkeys(range(4), "1.2"),
+    4: "1.3",
+    5: "1.3",
+    **dict.fromkeys(range(6, 11), "1.4"),
+}
 ANGLE = {True: ("scan_angle", 0.006), False: ("scan_angle_rank", 1.0)}
 
 
@@ -49,7 +54,9 @@ def make(path: Path, point_format: int = 6, n: int = 200, **kwargs: Any) -> lasp
 
 def read(source: LasSource, name: str) -> np.ndarray[Any, Any]:
     chunks = list(source.chunks((name,)))
-    assert [chunk.first_record for chunk in chunks] == list(np.cumsum([0] + [chunk.n for chunk in chunks])[:-1])
+    assert [chunk.first_record for chunk in chunks] == list(
+        np.cumsum([0] + [chunk.n for chunk in chunks])[:-1]
+    )
     return np.concatenate([chunk.values[name] for chunk in chunks])
 
 
@@ -63,9 +70,15 @@ def expected(las: laspy.LasData, name: str) -> np.ndarray[Any, Any]:
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 @pytest.mark.parametrize("point_format", range(11))
-def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int, suffix: str) -> None:
+def test_every_dimension_of_every_point_format(
+    tmp_path: Path, point_format: int, suffix: str
+) -> None:
     path = tmp_path / f"drive.{suffix}"
-    make(path, point_format, extra=[laspy.ExtraBytesParams("range", "f4"), laspy.ExtraBytesParams("column", "u2")])
+    make(
+        path,
+        point_format,
+        extra=[laspy.ExtraBytesParams("range", "f4"), laspy.ExtraBytesParams("column", "u2")],
+    )
     las = laspy.read(path)
     source = LasSource(path)
     assert (source.n_records, source.header.point_format, source.describe()["version"]) == (
@@ -92,27 +105,44 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first_pair", [0, 3, 60_000, 120_000, None])
-def test_spared_intensity_is_there_wherever_it_may_decide(tmp_path: Path, first_pair: int | None) -> None:
+def test_spared_intensity_is_there_wherever_it_may_decide(
+    tmp_path: Path, first_pair: int | None
+) -> None:
     n = 120_001
     number = np.ones(n, np.uint8)
     if first_pair is not None:
         number[first_pair : first_pair + 1] = 2
         number[first_pair + 700 :: 31] = 15
-    las = make(tmp_path / "drive.laz", 6, n=n, return_number=np.minimum(number, 1), number_of_returns=number)
-    source, plain = LasSource(tmp_path / "drive.laz", 33_333), LasSource(tmp_path / "drive.laz", 33_333)
+    las = make(
+        tmp_path / "drive.laz",
+        6,
+        n=n,
+        return_number=np.minimum(number, 1),
+        number_of_returns=number,
+    )
+    source, plain = (
+        LasSource(tmp_path / "drive.laz", 33_333),
+        LasSource(tmp_path / "drive.laz", 33_333),
+    )
     source.skip_intensity()
     names = ("time", "number_of_returns", "intensity")
     chunks = list(source.chunks(names))
     found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
     np.testing.assert_array_equal(found["time"], las.gps_time)
     np.testing.assert_array_equal(found["number_of_returns"], number)
-    np.testing.assert_array_equal(found["intensity"][number > 1], np.asarray(las.intensity)[number > 1])
+    np.testing.assert_array_equal(
+        found["intensity"][number > 1], np.asarray(las.intensity)[number > 1]
+    )
     if first_pair is None:
         assert np.any(found["intensity"] != np.asarray(las.intensity))  # it was not decoded
     assert source.laz_contexts is not None
     assert plain.laz_contexts is not None
     np.testing.assert_array_equal(read(plain, "intensity"), las.intensity)
-    kept = (np.concatenate(list(one.laz_contexts.take(n))) for one in (source, plain) if one.laz_contexts is not None)
+    kept = (
+        np.concatenate(list(one.laz_contexts.take(n)))
+        for one in (source, plain)
+        if one.laz_contexts is not None
+    )
     np.testing.assert_array_equal(next(kept), next(kept))
 
 
@@ -136,7 +166,12 @@ def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(source, "gauge"), [np.nan, 1, 2, 3, 4])
     assert read(source, "plain").dtype == np.int16
     assert "normal" not in source.dimensions  # three numbers a record
-    assert {"name": "normal", "type": "3f4", "description": "", "scaled": False} in source.describe()["extra_bytes"]
+    assert {
+        "name": "normal",
+        "type": "3f4",
+        "description": "",
+        "scaled": False,
+    } in source.describe()["extra_bytes"]
 
 
 @pytest.mark.parametrize(
@@ -153,7 +188,9 @@ def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
         ("angle_gon", "", np.pi / 200),
     ],
 )
-def test_extra_bytes_of_usual_names(tmp_path: Path, name: str, description: str, radians: float) -> None:
+def test_extra_bytes_of_usual_names(
+    tmp_path: Path, name: str, description: str, radians: float
+) -> None:
     """An angle beside range, line and column was renamed and ignored: PRC, exit 0, ground F1 .50 for .99."""
     said = [laspy.ExtraBytesParams(name, "f4", description), laspy.ExtraBytesParams("line", "i4")]
     data = make(tmp_path / "a.las", 6, n=9, extra=[*said, laspy.ExtraBytesParams("range_mm", "i4")])
@@ -190,20 +227,52 @@ def refused(path: Path) -> str:
     ("offset", "layout", "value", "message"),
     [
         (94, "<H", 100, "byte 94: header size 100, expected at least 227"),
-        (96, "<I", 100, "byte 96: records begin at byte 100, expected between the header's end (227)"),
+        (
+            96,
+            "<I",
+            100,
+            "byte 96: records begin at byte 100, expected between the header's end (227)",
+        ),
         (96, "<I", 2**32 - 1, "byte 96: records begin at byte 4294967295, expected between"),
-        (100, "<I", 2**32 - 1, "byte 100: 4294967295 VLRs in 54 bytes before the records, expected at most 1"),
-        (227 + 20, "<H", 65_535, "byte 227: VLR 1 of 1 claims 65535 bytes, 0 are left before the records"),
+        (
+            100,
+            "<I",
+            2**32 - 1,
+            "byte 100: 4294967295 VLRs in 54 bytes before the records, expected at most 1",
+        ),
+        (
+            227 + 20,
+            "<H",
+            65_535,
+            "byte 227: VLR 1 of 1 claims 65535 bytes, 0 are left before the records",
+        ),
         (104, "<B", 11, "byte 104: point format 11, expected 0 to 10"),
         (105, "<H", 20, "byte 105: records of 20 bytes, expected at least 28 for point format 1"),
-        (131, "<d", math.nan, "byte 131: x scale factor nan, expected a finite number other than 0"),
+        (
+            131,
+            "<d",
+            math.nan,
+            "byte 131: x scale factor nan, expected a finite number other than 0",
+        ),
         (139, "<d", 0.0, "byte 139: y scale factor 0.0, expected a finite number other than 0"),
         (171, "<d", math.inf, "byte 171: z offset inf, expected a finite number"),
-        (107, "<I", 201, "the header promises 201 records, 5909 bytes in all; found 5881 bytes, room for 200 records"),
-        (107, "<I", 2**32 - 1, "the header promises 4294967295 records, 120259084541 bytes in all; found 5881 bytes"),
+        (
+            107,
+            "<I",
+            201,
+            "the header promises 201 records, 5909 bytes in all; found 5881 bytes, room for 200 records",
+        ),
+        (
+            107,
+            "<I",
+            2**32 - 1,
+            "the header promises 4294967295 records, 120259084541 bytes in all; found 5881 bytes",
+        ),
     ],
 )
-def test_a_header_that_lies(tmp_path: Path, offset: int, layout: str, value: float, message: str) -> None:
+def test_a_header_that_lies(
+    tmp_path: Path, offset: int, layout: str, value: float, message: str
+) -> None:
     path = tmp_path / "a.las"
     make(path, 1, vlrs=[laspy.VLR("me", 7, "", b"")])
     patch(path, offset, layout, value)
@@ -216,7 +285,9 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
     chunks = LasSource(path, 50).chunks(("x",))
     next(chunks)
     path.write_bytes(path.read_bytes()[: 227 + 28 * 110 + 5])
-    with pytest.raises(InputError, match=r"the file ends at record 1\d\d, expected 200: it changed while read"):
+    with pytest.raises(
+        InputError, match=r"the file ends at record 1\d\d, expected 200: it changed while read"
+    ):
         list(chunks)
 
 
@@ -232,7 +303,10 @@ def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
     patch(path, 247, "<Q", 0)
     source = LasSource(path)
     np.testing.assert_array_equal(read(source, "x"), np.asarray(las.x))
-    assert source.notes[0] == "the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken"
+    assert (
+        source.notes[0]
+        == "the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken"
+    )
     patch(path, 107, "<I", 201)
     assert "201 records" in refused(path) or "expected 201" in refused(path)
     patch(path, 107, "<I", 0)
@@ -245,7 +319,9 @@ def test_extra_bytes_that_make_no_sense(tmp_path: Path) -> None:
     good = path.read_bytes()
     descriptor = good.index(b"range\0") - 4
     patch(path, descriptor + 112, "<d", math.nan)
-    assert refused(path).startswith("extra bytes VLR: 'range' has scale nan and offset 0.0, expected finite numbers")
+    assert refused(path).startswith(
+        "extra bytes VLR: 'range' has scale nan and offset 0.0, expected finite numbers"
+    )
     path.write_bytes(good)
     patch(path, descriptor + 2, "<B", 77)
     assert refused(path) == "extra bytes VLR: 'range' has data type 77, expected 0 to 30"
@@ -290,7 +366,9 @@ def test_chunk_table_that_lies(tmp_path: Path) -> None:
     for count in (0, 2**32 - 1):
         path.write_bytes(raw)
         patch(path, table + 4, "<I", count)
-        assert refused(path).startswith(f"byte {table + 4}: chunk table of {count} chunks, expected 1 to ")
+        assert refused(path).startswith(
+            f"byte {table + 4}: chunk table of {count} chunks, expected 1 to "
+        )
     path.write_bytes(raw)
     patch(path, table + 4, "<I", 2)
     assert "the 2 LAZ chunks hold at most 100000" in refused(path)
@@ -328,11 +406,16 @@ def test_laszip_vlr_that_lies(tmp_path: Path) -> None:
 
 @given(
     compressed=st.booleans(),
-    edits=st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=8)), min_size=1, max_size=4),
+    edits=st.lists(
+        st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=8)), min_size=1, max_size=4
+    ),
     cut=st.floats(0.3, 1),
 )
 def test_any_damage_ends_in_one_line_or_in_records(
-    tmp_path_factory: pytest.TempPathFactory, compressed: bool, edits: list[tuple[float, bytes]], cut: float
+    tmp_path_factory: pytest.TempPathFactory,
+    compressed: bool,
+    edits: list[tuple[float, bytes]],
+    cut: float,
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"fuzz.{'laz' if compressed else 'las'}"
     make(path, 6, extra=[laspy.ExtraBytesParams("range", "f4")])
@@ -345,7 +428,10 @@ def test_any_damage_ends_in_one_line_or_in_records(
     try:
         source = LasSource(path)
         source.describe()
-        n_read, n_promised = sum(chunk.n for chunk in source.chunks(source.dimensions)), source.n_records
+        n_read, n_promised = (
+            sum(chunk.n for chunk in source.chunks(source.dimensions)),
+            source.n_records,
+        )
     except InputError as error:
         n_read, n_promised = str(error).count("\n"), 0
     assert n_read == n_promised
@@ -368,7 +454,9 @@ def test_any_damage_ends_in_one_line_or_in_records(
         ("profiler/jakarto_0.02s.las", 10_310, 0, True),
     ],
 )
-def test_real_files(real_data: Path, name: str, n_records: int, back: int, chronological: bool) -> None:
+def test_real_files(
+    real_data: Path, name: str, n_records: int, back: int, chronological: bool
+) -> None:
     path = real_data / name
     source = LasSource(path)
     las = laspy.read(path)
@@ -380,21 +468,29 @@ def test_real_files(real_data: Path, name: str, n_records: int, back: int, chron
         watch.see(chunk.values["time"], None)
         # angles that are 0 throughout are none
         angle = ("angle",) if "angle" in source.dimensions else ()
-        assert bool(angle) == bool(expected(las, "angle")[: len(chunk.values["x"])].any()) or first > 0
+        assert (
+            bool(angle) == bool(expected(las, "angle")[: len(chunk.values["x"])].any()) or first > 0
+        )
         for dimension in ("x", "time", "intensity", "return_number", "classification", *angle):
-            np.testing.assert_allclose(chunk.values[dimension], expected(las, dimension)[part], rtol=1e-15)
+            np.testing.assert_allclose(
+                chunk.values[dimension], expected(las, dimension)[part], rtol=1e-15
+            )
         first += chunk.n
     assert first == n_records
     assert watch.evidence().n_back == back
     assert watch.evidence().is_chronological is chronological
 
 
-@pytest.mark.parametrize(("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)])
+@pytest.mark.parametrize(
+    ("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)]
+)
 def test_extra_bytes_with_an_offset_alone_have_it_in_their_unit(
     tmp_path: Path, name: str, read_as: str, factor: float
 ) -> None:
     path = tmp_path / "a.las"
-    las = make(path, 6, n=5, extra=[laspy.ExtraBytesParams(name, "i4", scales=[1.0], offsets=[500.0])])
+    las = make(
+        path, 6, n=5, extra=[laspy.ExtraBytesParams(name, "i4", scales=[1.0], offsets=[500.0])]
+    )
     patch(path, path.read_bytes().index(name.encode() + b"\0") - 1, "<B", 0x10)  # options: no scale
     stored = las.points.array[name].astype(np.float64)
     np.testing.assert_allclose(read(LasSource(path), read_as), (stored + 500.0) * factor)

@@ -20,7 +20,16 @@ from prc_cli.formats.las.header import standard_bytes
 from prc_cli.formats.las.points import set_classes
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.writing.columns import SPACING_M, OutputConfig
-from tests.formats.common import FOREST, URBAN, labelled, random_labels, record_blocks, run_record, write, writer
+from tests.formats.common import (
+    FOREST,
+    URBAN,
+    labelled,
+    random_labels,
+    record_blocks,
+    run_record,
+    write,
+    writer,
+)
 from tests.formats.las.lasbytes import (
     Parsed,
     classes,
@@ -33,12 +42,17 @@ from tests.formats.las.lasbytes import (
     vlr_bytes,
 )
 
-VLRS = (vlr_bytes(b"LASF_Projection", 2112, b'PROJCS["x"]\0'), vlr_bytes(b"nobody\0dirt", 77, bytes(range(256))))
+VLRS = (
+    vlr_bytes(b"LASF_Projection", 2112, b'PROJCS["x"]\0'),
+    vlr_bytes(b"nobody\0dirt", 77, bytes(range(256))),
+)
 EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, bytes(1000)))
 UPGRADED = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 
 
-def rewrite(source: Path, output: Path, *, of: tuple[Label, ...] = URBAN, **changes: Any) -> tuple[Parsed, np.ndarray]:
+def rewrite(
+    source: Path, output: Path, *, of: tuple[Label, ...] = URBAN, **changes: Any
+) -> tuple[Parsed, np.ndarray]:
     n = n_points(source.read_bytes())
     labels = random_labels(n, of)
     write(output, source, record_blocks(labels), **changes)
@@ -78,14 +92,17 @@ def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: s
 @pytest.mark.parametrize("form", range(6))
 def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: str) -> None:
     source, output = tmp_path / "in.las", tmp_path / f"out{suffix}"
-    old = make_las(source, form, raw_points=True, vlrs=VLRS[1:], user_bytes=b"user", header_user_bytes=b"mine")
+    old = make_las(
+        source, form, raw_points=True, vlrs=VLRS[1:], user_bytes=b"user", header_user_bytes=b"mine"
+    )
     labels = random_labels(300, FOREST)
     with writer(output, source) as opened:
         for block in record_blocks(labels):
             opened.add(block)
         opened.finish(run_record())
     assert any(
-        f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}" in text for text in opened.notices
+        f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}" in text
+        for text in opened.notices
     )
     new = parse(output)
     assert np.array_equal(classes(new), ClassCodes().lookup()[labels])
@@ -122,7 +139,10 @@ def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
     laspy.LasData(header).write(source)
     with (
         writer(tmp_path / "out.las", source, options=OutputConfig(segment_ids=True)) as opened,
-        pytest.raises(OutputError, match=r"extra bytes named 'segment_id' of type 3, expected none or type 5; .*false"),
+        pytest.raises(
+            OutputError,
+            match=r"extra bytes named 'segment_id' of type 3, expected none or type 5; .*false",
+        ),
     ):
         opened.finish(run_record())
 
@@ -154,7 +174,9 @@ def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str
     if after == ".las":
         same_but_class(parse(source), rewrite(source, output)[0])
         return
-    with pytest.raises(OutputError, match=r"does not hold the waveform packets.*write \.las instead"):
+    with pytest.raises(
+        OutputError, match=r"does not hold the waveform packets.*write \.las instead"
+    ):
         rewrite(source, output)
     assert list(tmp_path.iterdir()) == [source]
 
@@ -206,7 +228,9 @@ def test_five_bits_hold_code_31_and_not_32(form: int) -> None:
     records = np.full((2, standard_bytes(form)), 0xFF, np.uint8)
     set_classes(records, form, np.array([31, 0], np.uint8))
     assert records[:, 15].tolist() == [0xFF, 0xE0]
-    with pytest.raises(ValueError, match=rf"code 32 does not fit the five bits of point format {form}"):
+    with pytest.raises(
+        ValueError, match=rf"code 32 does not fit the five bits of point format {form}"
+    ):
         set_classes(records, form, np.array([2, 32], np.uint8))
 
 
@@ -224,7 +248,9 @@ NAMES = {64: "stem", 65: "car"}
 
 def entries(path: Path) -> dict[int, str]:
     """The names as laspy reads them."""
-    found = [vlr for vlr in laspy.read(path).header.vlrs if isinstance(vlr, ClassificationLookupVlr)]
+    found = [
+        vlr for vlr in laspy.read(path).header.vlrs if isinstance(vlr, ClassificationLookupVlr)
+    ]
     assert len(found) <= 1
     return dict(found[0].lookups) if found else {}
 
@@ -253,7 +279,9 @@ def test_copies_hold_them_and_all_else_stays(tmp_path: Path, form: int, suffix: 
     out, plain = parse(tmp_path / f"out{suffix}"), parse(tmp_path / f"plain{suffix}")
     ours = [vlr for vlr in out.vlrs if vlr[2:].startswith(b"LASF_Spec\0") and vlr[18:20] == b"\0\0"]
     assert len(ours) == 1
-    assert ours[0][54:] == b"".join(struct.pack("<B15s", code, name.encode()) for code, name in NAMES.items())
+    assert ours[0][54:] == b"".join(
+        struct.pack("<B15s", code, name.encode()) for code, name in NAMES.items()
+    )
     assert [vlr for vlr in out.kept_vlrs() if vlr not in ours] == plain.kept_vlrs()
     assert out.records.tobytes() == plain.records.tobytes()
 
@@ -262,7 +290,11 @@ def test_names_of_the_input_are_kept_and_joined(tmp_path: Path) -> None:
     before = struct.pack("<B15sB15sB15s", 70, b"Rail \xe4", 65, b"car", 65, b"again")
     source = named(tmp_path / "in.laz", before)
     record = write(tmp_path / "out.laz", source, stems(), user_names=NAMES)
-    after = next(vlr for vlr in parse(tmp_path / "out.laz").vlrs if vlr[18:20] == b"\0\0" and b"LASF_Spec" in vlr[:20])
+    after = next(
+        vlr
+        for vlr in parse(tmp_path / "out.laz").vlrs
+        if vlr[18:20] == b"\0\0" and b"LASF_Spec" in vlr[:20]
+    )
     assert after[54:] == before + struct.pack("<B15s", 64, b"stem")
     assert after[22:54].startswith(b"of the makers")
     assert not [one for one in record.notices if "named" in one]
@@ -293,7 +325,10 @@ def stream(seed: int = 0, **fields: Any) -> tuple[list[LabelledBlock], np.ndarra
     blocks = []
     for first in range(0, LINES, 5):
         rows = slice(first, first + 5)
-        own = {name: value if name in ("angle_rad", "scanner") else value[rows] for name, value in fields.items()}
+        own = {
+            name: value if name in ("angle_rad", "scanner") else value[rows]
+            for name, value in fields.items()
+        }
         blocks.append(labelled(labels[rows], first_line=first, range_m=ranges[rows], **own))
     return blocks, ranges, labels
 
@@ -338,11 +373,15 @@ def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     assert np.all(las.point_source_id == 3)
     n_first = np.count_nonzero(at[0] == 0)
     assert f"{n_first} records have no time; their gps_time is 0" in record.notices
-    assert any("intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices)
+    assert any(
+        "intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices
+    )
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_bytes_do_not_depend_on_blocks_or_batches(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bytes_do_not_depend_on_blocks_or_batches(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     blocks, ranges, labels = stream()
     write(tmp_path / f"a{suffix}", SOURCE, blocks)
     monkeypatch.setattr(codec_module, "_BATCH_RECORDS", M)
@@ -350,12 +389,17 @@ def test_bytes_do_not_depend_on_blocks_or_batches(tmp_path: Path, suffix: str, m
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
-@pytest.mark.parametrize(("before", "after"), [(".las", ".laz"), (".laz", ".laz"), (".las", ".las")])
+@pytest.mark.parametrize(
+    ("before", "after"), [(".las", ".laz"), (".laz", ".laz"), (".las", ".las")]
+)
 def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
     tmp_path: Path, before: str, after: str
 ) -> None:
     source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
-    vlrs = (vlr_bytes(b"LASF_Projection", 2112, b"PROJCS[\xe9]\0"), vlr_bytes(b"M\xfcller", 77, bytes(range(256))))
+    vlrs = (
+        vlr_bytes(b"LASF_Projection", 2112, b"PROJCS[\xe9]\0"),
+        vlr_bytes(b"M\xfcller", 77, bytes(range(256))),
+    )
     old = make_las(source, 6, minor=4, vlrs=vlrs, evlrs=(evlr_bytes(b"B\xe4r", 5, b"abc"),))
     with pytest.raises(UnicodeDecodeError), laspy.open(source):
         pass
@@ -365,4 +409,6 @@ def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
         assert {vlr.user_id for vlr in reader.header.evlrs} == {"B?r"}
     assert [len(vlr) for vlr in new.kept_vlrs()] == [len(vlr) for vlr in old.kept_vlrs()]
     assert new.kept_vlrs()[1][54:] == bytes(range(256))
-    assert any("were written as ?" in notice for notice in json.loads(new.record_payloads()[0])["notices"])
+    assert any(
+        "were written as ?" in notice for notice in json.loads(new.record_payloads()[0])["notices"]
+    )

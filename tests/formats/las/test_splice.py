@@ -75,7 +75,9 @@ def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
     return parse(output), ClassCodes().lookup()[labels]
 
 
-@pytest.mark.parametrize(("n", "chunk_points"), [(1, 50), (50, 50), (51, 50), (1030, 50), (7, 1), (300, 50_000)])
+@pytest.mark.parametrize(
+    ("n", "chunk_points"), [(1, 50), (50, 50), (51, 50), (1030, 50), (7, 1), (300, 50_000)]
+)
 @pytest.mark.parametrize("form", [6, 7, 8])
 def test_bytes_are_those_of_compressing_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: int, n: int, chunk_points: int
@@ -139,7 +141,10 @@ def test_chunks_whose_heads_lie_are_left_to_the_decoder(
 def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, suffix: str) -> None:
     source, output = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
     make_las(source, 6)
-    with pytest.raises(InputError, match="changed while it was read"), writer(output, source) as opened:
+    with (
+        pytest.raises(InputError, match="changed while it was read"),
+        writer(output, source) as opened,
+    ):
         for block in record_blocks(random_labels(300)):
             opened.add(block)
         os.utime(source, ns=(0, 1_700_000_000_000_000_000))
@@ -149,10 +154,16 @@ def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, s
 
 def random_laz(path: Path, rng: np.random.Generator) -> None:
     """Any format, chunk size and records: rare return numbers such as 0 of 0, runs of channels and of classes."""
-    form, n, extra = int(rng.choice([6, 7, 8])), int(rng.choice([1, 2, 49, 50, 51, 300])), bool(rng.integers(2))
+    form, n, extra = (
+        int(rng.choice([6, 7, 8])),
+        int(rng.choice([1, 2, 49, 50, 51, 300])),
+        bool(rng.integers(2)),
+    )
     evlrs = [evlr_bytes(b"nobody", 5, b"abc" * 9)] if rng.integers(2) else []
     plain = path.with_suffix(".las")
-    make_las(plain, form, n=n, seed=int(rng.integers(1000)), extra=extra, evlrs=evlrs, raw_points=True)
+    make_las(
+        plain, form, n=n, seed=int(rng.integers(1000)), extra=extra, evlrs=evlrs, raw_points=True
+    )
     data = bytearray(plain.read_bytes())
     start, length = field(bytes(data), 96, "I"), field(bytes(data), 105, "H")
     records: Raw = np.frombuffer(data, np.uint8)[start : start + n * length].reshape(n, length)
@@ -160,7 +171,9 @@ def random_laz(path: Path, rng: np.random.Generator) -> None:
     records[:, 15] = np.repeat(rng.integers(0, 4, n) << 4, 10)[:n]
     records[:, 16] = np.repeat(rng.integers(0, 256, n), 5)[:n]
     plain.write_bytes(data)
-    compressed(plain, path, int(rng.choice([1, 3, 50, 1000, 1 << 20])), form=form, extra=8 if extra else 0)
+    compressed(
+        plain, path, int(rng.choice([1, 3, 50, 1000, 1 << 20])), form=form, extra=8 if extra else 0
+    )
 
 
 def classify_again(source: Path, output: Path, labels: Raw, *, kept: bool = False) -> bytes | None:
@@ -187,7 +200,9 @@ def test_three_ways_to_the_same_bytes(
     source = tmp_path / "in.laz"
     random_laz(source, rng)
     n = n_points(source.read_bytes())
-    labels = rng.choice(np.array(URBAN, np.uint8), n) if seed % 3 else np.full(n, URBAN[1], np.uint8)
+    labels = (
+        rng.choice(np.array(URBAN, np.uint8), n) if seed % 3 else np.full(n, URBAN[1], np.uint8)
+    )
     if damaged:
         data = bytearray(source.read_bytes())
         first = field(bytes(data), 96, "I") + 8

@@ -17,7 +17,9 @@ def udp(payload: bytes, port: int = 2368) -> bytes:
     return struct.pack(">HHHH", 4000, port, 8 + len(payload), 0) + payload
 
 
-def ip4(body: bytes, *, offset: int = 0, more: bool = False, number: int = 1, source: bytes = SOURCE) -> bytes:
+def ip4(
+    body: bytes, *, offset: int = 0, more: bool = False, number: int = 1, source: bytes = SOURCE
+) -> bytes:
     flags = (0x2000 if more else 0) | offset // 8
     head = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(body), number & 0xFFFF, flags, 64, 17, 0)
     return head + source + bytes([255] * 4) + body
@@ -32,9 +34,13 @@ def ethernet(packet: bytes, *, vlan: bool = False) -> bytes:
     return bytes(12) + (b"\x81\x00\x00\x05" if vlan else b"") + kind + packet
 
 
-def write_pcap(path: Path, frames: list[tuple[float, bytes]], *, order: str = "<", nano: bool = False) -> Path:
+def write_pcap(
+    path: Path, frames: list[tuple[float, bytes]], *, order: str = "<", nano: bool = False
+) -> Path:
     unit = 1e9 if nano else 1e6
-    parts = [struct.pack(order + "IHHiIII", 0xA1B23C4D if nano else 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)]
+    parts = [
+        struct.pack(order + "IHHiIII", 0xA1B23C4D if nano else 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    ]
     for time_s, frame in frames:
         whole, part = divmod(round(time_s * unit), round(unit))
         parts += [struct.pack(order + "IIII", whole, part, len(frame), len(frame)), frame]
@@ -56,13 +62,17 @@ def write_pcapng(path: Path, frames: list[tuple[float, bytes]], *, order: str = 
     ]
     for time_s, frame in frames:
         stamp = round(time_s * 1e9)
-        head = struct.pack(order + "IIIII", 0, stamp >> 32, stamp & 0xFFFFFFFF, len(frame), len(frame))
+        head = struct.pack(
+            order + "IIIII", 0, stamp >> 32, stamp & 0xFFFFFFFF, len(frame), len(frame)
+        )
         parts.append(block(6, head + frame))
     path.write_bytes(b"".join(parts))
     return path
 
 
-def vlp16(n: int = 20, *, seed: int = 3, model: int = 0x22, mode: int = 0x37, start_us: int = 5_000_000) -> list[bytes]:
+def vlp16(
+    n: int = 20, *, seed: int = 3, model: int = 0x22, mode: int = 0x37, start_us: int = 5_000_000
+) -> list[bytes]:
     """Packets of a VLP-16 that turns at 10 Hz; a tenth of the shots have no return."""
     return velodyne(n, model, seed=seed, mode=mode, start_us=start_us, firings=2)
 
@@ -72,7 +82,13 @@ BANKS = {0xA1: (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF), 0x40: (0xEEFF, 0xDDFF)}
 
 
 def velodyne(
-    n: int, model: int, *, seed: int = 3, mode: int = 0x37, start_us: int = 5_000_000, firings: int = 1
+    n: int,
+    model: int,
+    *,
+    seed: int = 3,
+    mode: int = 0x37,
+    start_us: int = 5_000_000,
+    firings: int = 1,
 ) -> list[bytes]:
     """Packets of a Velodyne, 55.296 us (HDL-32E: 46.08, HDL-64E: 48) from column to column."""
     rng = np.random.default_rng(seed)
@@ -110,11 +126,13 @@ HESAI = {
     "XT32M": (b"\xee\xff\x06\x01", 820, 32, 6, 12, 4, 10, 19),
     "128": (b"\xee\xff\x01\x03", 861, 128, 2, 12, 3, 33, 42),
     "OT128": (b"\xee\xff\x01\x04", 861, 128, 2, 12, 3, 33, 42),
-}  # fmt: skip
+}
 """First bytes, size, channels, blocks, bytes of header and shot, places of mode and time behind the blocks."""
 
 
-def hesai(name: str, n: int = 4, *, mode: int = 0x37, column_us: float = 50.0) -> tuple[list[bytes], np.ndarray]:
+def hesai(
+    name: str, n: int = 4, *, mode: int = 0x37, column_us: float = 50.0
+) -> tuple[list[bytes], np.ndarray]:
     """Packets of a Hesai, and the distances in them in units of 4 mm, (blocks, channels)."""
     start, size, channels, n_blocks, head, shot, mode_at, time_at = HESAI[name]
     rng = np.random.default_rng(5)
@@ -145,7 +163,9 @@ def hesai(name: str, n: int = 4, *, mode: int = 0x37, column_us: float = 50.0) -
     return packets, np.array(every)
 
 
-def framed(packets: list[bytes], port: int = 2368, source: bytes = SOURCE, step_s: float = 0.001327104) -> Any:
+def framed(
+    packets: list[bytes], port: int = 2368, source: bytes = SOURCE, step_s: float = 0.001327104
+) -> Any:
     return [
         (START_S + i * step_s, ethernet(ip4(udp(packet, port), number=i, source=source)))
         for i, packet in enumerate(packets)
@@ -168,7 +188,9 @@ METADATA = {
 }
 
 
-def ouster(profile: str = "RNG19_RFL8_SIG16_NIR16", n_frames: int = 2) -> tuple[dict[str, Any], list[bytes]]:
+def ouster(
+    profile: str = "RNG19_RFL8_SIG16_NIR16", n_frames: int = 2
+) -> tuple[dict[str, Any], list[bytes]]:
     """Metadata and packets: the range of a pixel is 1000 (frame + 1) + column + 200 row millimetres."""
     table = json.loads(json.dumps(METADATA))
     table["data_format"]["udp_profile_lidar"] = profile
@@ -187,7 +209,9 @@ def ouster(profile: str = "RNG19_RFL8_SIG16_NIR16", n_frames: int = 2) -> tuple[
     return table, packets
 
 
-def _column(profile: str, stamp: int, number: int, frame: int, is_good: bool, range_mm: list[int]) -> bytes:
+def _column(
+    profile: str, stamp: int, number: int, frame: int, is_good: bool, range_mm: list[int]
+) -> bytes:
     if profile == "LEGACY":
         head = struct.pack("<QHHI", stamp, number, frame, 0)
         pixels = [struct.pack("<IHHHH", one, 1, 7, 2, 0) for one in range_mm]

@@ -44,11 +44,15 @@ def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
         _, other = read(made.write_pcapng(tmp_path / "d.pcapng", frames, order=order))
         same(plain, other, times=False)
     tagged = [
-        (at, made.ethernet(made.ip4(made.udp(one)), vlan=True)) for (at, _), one in zip(frames, packets, strict=True)
+        (at, made.ethernet(made.ip4(made.udp(one)), vlan=True))
+        for (at, _), one in zip(frames, packets, strict=True)
     ]
     _, other = read(made.write_pcap(tmp_path / "e.pcap", tagged))
     same(plain, other)
-    six = [(at, made.ethernet(made.ip6(made.udp(one)))) for (at, _), one in zip(frames, packets, strict=True)]
+    six = [
+        (at, made.ethernet(made.ip6(made.udp(one))))
+        for (at, _), one in zip(frames, packets, strict=True)
+    ]
     _, other = read(made.write_pcap(tmp_path / "f.pcap", six))
     same(plain, other)
 
@@ -63,7 +67,8 @@ def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         if i % 2:
             parts.reverse()
         frames += [
-            (at, made.ethernet(made.ip4(part, offset=offset, more=offset < 960, number=i))) for offset, part in parts
+            (at, made.ethernet(made.ip4(part, offset=offset, more=offset < 960, number=i)))
+            for offset, part in parts
         ]
     _, other = read(made.write_pcap(tmp_path / "b.pcap", frames))
     same(plain, other)
@@ -72,7 +77,12 @@ def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert stream.info.facts.notes == ("1 datagrams lack a fragment: left out",)
     # as many wait as may
     monkeypatch.setattr("prc_cli.formats.packets.capture.MAX_PENDING", len(packets))
-    same(plain, read(made.write_pcap(tmp_path / "d.pcap", [one for k in range(3) for one in frames[k::3]]))[1])
+    same(
+        plain,
+        read(made.write_pcap(tmp_path / "d.pcap", [one for k in range(3) for one in frames[k::3]]))[
+            1
+        ],
+    )
 
 
 def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
@@ -111,7 +121,8 @@ def test_a_pause_of_the_recording_is_shortened_and_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "profile", ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8", "RNG19_RFL8_SIG16_NIR16_DUAL"]
+    "profile",
+    ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8", "RNG19_RFL8_SIG16_NIR16_DUAL"],
 )
 def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, profile: str) -> None:
     table, packets = made.ouster(profile)
@@ -129,11 +140,17 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
         wanted = wanted // 8 * 8 if profile == "RNG15_RFL8_NIR8" else wanted
         found = block.range_m[shift : shift + 240, ring]
         np.testing.assert_allclose(found, wanted * 1e-3, rtol=1e-6)
-        np.testing.assert_allclose(block.time_s[shift : shift + 240, ring], column * 1e-3, atol=1e-9)
-    azimuth = np.rad2deg(np.unwrap(np.arctan2(block.xyz_m[4:238, :, 1], block.xyz_m[4:238, :, 0]), axis=1))
+        np.testing.assert_allclose(
+            block.time_s[shift : shift + 240, ring], column * 1e-3, atol=1e-9
+        )
+    azimuth = np.rad2deg(
+        np.unwrap(np.arctan2(block.xyz_m[4:238, :, 1], block.xyz_m[4:238, :, 0]), axis=1)
+    )
     assert np.ptp(azimuth, axis=1).max() < 0.2
     assert len(block.extra) == (480 if profile.endswith("DUAL") else 0)
-    result = runner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"])
+    result = runner().invoke(
+        cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"]
+    )
     assert result.exit_code in (0, 4), result.output
     assert stream.info.facts.has_line_times
 
@@ -150,11 +167,20 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
         assert any(one in result.stderr for one in expected.split("|"))
     for changes, expected in (
         ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of 4, expected 5 numbers"),
-        ({"pixel_shift_by_row": [0, 10**400, 0, 0]}, "pixel_shift_by_row: found 10000.*, expected 4 numbers"),
-        ({"udp_profile_lidar": ["NEW"]}, "udp_profile_lidar: found .'NEW'., expected one of LEGACY"),
+        (
+            {"pixel_shift_by_row": [0, 10**400, 0, 0]},
+            "pixel_shift_by_row: found 10000.*, expected 4 numbers",
+        ),
+        (
+            {"udp_profile_lidar": ["NEW"]},
+            "udp_profile_lidar: found .'NEW'., expected one of LEGACY",
+        ),
         ({"udp_profile_lidar": "NEW"}, "udp_profile_lidar: found NEW, expected one of LEGACY"),
         ({"columns_per_packet": 8}, "no packets of a known scanner: 16 of 1024 bytes to port 7502"),
-        ({"columns_per_frame": "x"}, "columns_per_frame: found x, expected a whole number from 1 to 4096"),
+        (
+            {"columns_per_frame": "x"},
+            "columns_per_frame: found x, expected a whole number from 1 to 4096",
+        ),
     ):
         wrong = {**table, "data_format": {**table["data_format"], **changes}}
         path.with_suffix(".json").write_text(json.dumps(wrong))
@@ -162,22 +188,38 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
             PacketStream(path, InputConfig())
     unknown = made.hesai("XT16")[0][0]
     for packets, expected in (
-        (made.vlp16(model=0x23), r"model 0x23 \(VLP-32A or VLP-32B\), expected Velodyne HDL-32E, Velodyne VLP-16"),
-        ([unknown[:2] + b"\4\3" + unknown[4:]], r"Hesai, protocol 4.3, 16 channels in 8 blocks, 568 bytes\), expected"),
-        (made.velodyne(3, 0x40), r"HDL-64E need the calibration of the unit; give --metadata FILE.yml"),
-        (made.hesai("XT32M", mode=0x3D)[0], r"three returns a shot \(mode 0x3d\), expected one or two"),
+        (
+            made.vlp16(model=0x23),
+            r"model 0x23 \(VLP-32A or VLP-32B\), expected Velodyne HDL-32E, Velodyne VLP-16",
+        ),
+        (
+            [unknown[:2] + b"\4\3" + unknown[4:]],
+            r"Hesai, protocol 4.3, 16 channels in 8 blocks, 568 bytes\), expected",
+        ),
+        (
+            made.velodyne(3, 0x40),
+            r"HDL-64E need the calibration of the unit; give --metadata FILE.yml",
+        ),
+        (
+            made.hesai("XT32M", mode=0x3D)[0],
+            r"three returns a shot \(mode 0x3d\), expected one or two",
+        ),
     ):
         other = made.write_pcap(tmp_path / "b.pcap", made.framed(packets))
         with pytest.raises(InputError, match=expected):
             PacketStream(other, InputConfig())
-    mixed = made.write_pcap(tmp_path / "c.pcap", made.framed(made.vlp16(5) + made.vlp16(5, mode=0x38)))
+    mixed = made.write_pcap(
+        tmp_path / "c.pcap", made.framed(made.vlp16(5) + made.vlp16(5, mode=0x38))
+    )
     with pytest.raises(InputError, match="return mode 0x38 after 0x22 and 0x37"):
         read(mixed)
     (tmp_path / "d.pcap").write_bytes(b"no capture")
     with pytest.raises(InputError, match="begins with 6e6f2063, expected a capture"):
         PacketStream(tmp_path / "d.pcap", InputConfig())
     (tmp_path / "e.pcap").write_bytes(other.read_bytes()[:24] + b"\xff" * 100)
-    with pytest.raises(InputError, match="found a packet of 4294967295 bytes, expected at most 262144"):
+    with pytest.raises(
+        InputError, match="found a packet of 4294967295 bytes, expected at most 262144"
+    ):
         PacketStream(tmp_path / "e.pcap", InputConfig())
 
 
@@ -214,7 +256,9 @@ def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path: Path, model: in
             for k in range(64)
         ]
         calibration = tmp_path / "unit.yml"
-        calibration.write_text(json.dumps({"num_lasers": 64, "distance_resolution": 0.002, "lasers": lasers}))
+        calibration.write_text(
+            json.dumps({"num_lasers": 64, "distance_resolution": 0.002, "lasers": lasers})
+        )
         config.calibration = velodyne_decoder.Calibration.read(str(calibration))
         config.model, changes = velodyne_decoder.Model.HDL64E_S2, {"metadata": str(calibration)}
     _, block = read(path, max_gap_lines=10**6, **changes)
@@ -242,19 +286,31 @@ def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str,
     shift -= shift.min()
     assert block.n_lines == len(wanted) + shift.max()
     for ring, by in enumerate(shift):
-        np.testing.assert_allclose(block.range_m[by : by + len(wanted), ring], wanted[:, ring], rtol=1e-6)
+        np.testing.assert_allclose(
+            block.range_m[by : by + len(wanted), ring], wanted[:, ring], rtol=1e-6
+        )
     assert block.xyz_m is not None
     found = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
-    np.testing.assert_allclose(np.nanmedian(found, axis=0), np.array(table["elevation_deg"])[order], atol=1e-3)
+    np.testing.assert_allclose(
+        np.nanmedian(found, axis=0), np.array(table["elevation_deg"])[order], atol=1e-3
+    )
 
 
-COLUMNS_US = {"40P": 55.56, "64": 55.56, "QT64": 166.67, "QT128": 111.11, "128": 55.556, "OT128": 55.556}
+COLUMNS_US = {
+    "40P": 55.56,
+    "64": 55.56,
+    "QT64": 166.67,
+    "QT128": 111.11,
+    "128": 55.556,
+    "OT128": 55.556,
+}
 
 
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
-    ("name", "n_lines", "m", "missing"), [("vlp16", 293 * 24, 16, 0.347), ("hdl32", 6000, 32, 0.236)]
+    ("name", "n_lines", "m", "missing"),
+    [("vlp16", 293 * 24, 16, 0.347), ("hdl32", 6000, 32, 0.236)],
 )
 def test_velodyne_samples_are_what_velodyne_decoder_reads(
     real_data: Path, tmp_path: Path, name: str, n_lines: int, m: int, missing: float
@@ -263,9 +319,13 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
     _, block = read(path)
     assert block.range_m.shape == (n_lines, m)
     assert float(np.isnan(block.range_m).mean()) == pytest.approx(missing, abs=1e-3)
-    scans = list(velodyne_decoder.read_pcap(str(path), velodyne_decoder.Config(min_range=0, max_range=1000)))
+    scans = list(
+        velodyne_decoder.read_pcap(str(path), velodyne_decoder.Config(min_range=0, max_range=1000))
+    )
     points = np.concatenate([points for _, points in scans])
-    device = np.concatenate([stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans])
+    device = np.concatenate(
+        [stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans]
+    )
     # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their own ways
     compare(block, points, 0.05, 0.002)
     assert block.time_s is not None
@@ -320,14 +380,20 @@ def test_the_ouster_sample_is_decoded_cell_by_cell(real_data: Path, tmp_path: Pa
         np.testing.assert_allclose(times, stamp.ravel() * 1e-9, atol=1e-9)
     # a frame's own destaggering differs only where it wraps
     whole = np.stack([np.roll(image[1, row], shift[row]) for row in range(128)])
-    np.testing.assert_allclose(np.nan_to_num(block.range_m[1024 + 24 : 2048, ::-1].T), whole[:, 24:] * 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.nan_to_num(block.range_m[1024 + 24 : 2048, ::-1].T), whole[:, 24:] * 1e-3, rtol=1e-6
+    )
     assert float((image == 0).mean()) == pytest.approx(0.180, abs=1e-3)
     elevation = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
-    np.testing.assert_allclose(np.nanmedian(elevation, axis=0), table["beam_altitude_angles"][::-1], atol=0.1)
+    np.testing.assert_allclose(
+        np.nanmedian(elevation, axis=0), table["beam_altitude_angles"][::-1], atol=0.1
+    )
     azimuth = np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0])
     spread = np.abs(np.angle(np.exp(1j * (azimuth - azimuth[:, 64:65]))))
     assert np.nanpercentile(np.rad2deg(spread), 99) < 0.6
-    result = runner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--method", "fused", "-q"])
+    result = runner().invoke(
+        cli, ["classify", str(path), str(tmp_path / "o.npy"), "--method", "fused", "-q"]
+    )
     assert result.exit_code in (0, 4), result.output
     told = runner().invoke(cli, ["info", str(path), "--json", "--method", "fused"])
     assert json.loads(told.output)["classifiable"] is True

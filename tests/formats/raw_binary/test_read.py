@@ -29,7 +29,14 @@ WIDE = Layout(
 def wide_records(n: int) -> np.ndarray[Any, Any]:
     """Records of the layout WIDE, written field by field, with rubbish in the padding."""
     rng = np.random.default_rng(4)
-    fields = [("flags", "u1"), ("range", ">u4"), ("angle", ">f4"), ("time", ">f8"), ("column", ">u2"), ("pad", "S5")]
+    fields = [
+        ("flags", "u1"),
+        ("range", ">u4"),
+        ("angle", ">f4"),
+        ("time", ">f8"),
+        ("column", ">u2"),
+        ("pad", "S5"),
+    ]
     records = np.zeros(n, fields)
     records["flags"] = rng.integers(0, 255, n)
     records["range"] = rng.integers(0, 3, n) * 1500
@@ -42,7 +49,9 @@ def wide_records(n: int) -> np.ndarray[Any, Any]:
 
 def read(source: RawBinarySource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
     chunks = list(source.chunks(names))
-    assert [chunk.first_record for chunk in chunks] == list(np.cumsum([0] + [c.n for c in chunks])[:-1])
+    assert [chunk.first_record for chunk in chunks] == list(
+        np.cumsum([0] + [c.n for c in chunks])[:-1]
+    )
     assert all(chunk.record is None and set(chunk.values) == set(names) for chunk in chunks)
     assert all(len(array) == chunk.n for chunk in chunks for array in chunk.values.values())
     return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
@@ -82,7 +91,10 @@ def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
         (b"HEA", "found 3 bytes, fewer than the header of 5 bytes; check layout.header_bytes"),
         (b"HEAD\n", "nothing follows the header of 5 bytes, expected records of 24 bytes"),
         (b"HEAD\n" + bytes(23), "byte 5 (record 0): found 23 bytes, expected a record of 24 bytes"),
-        (b"HEAD\n" + bytes(24 * 3 + 1), "byte 77 (record 3): found 1 bytes, expected a record of 24 bytes"),
+        (
+            b"HEAD\n" + bytes(24 * 3 + 1),
+            "byte 77 (record 3): found 1 bytes, expected a record of 24 bytes",
+        ),
     ],
 )
 def test_short_files_are_refused_when_opened(tmp_path: Path, content: bytes, found: str) -> None:
@@ -103,4 +115,6 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:25])
     with pytest.raises(InputError) as caught:
         list(chunks)
-    assert "byte 24 (record 6): the file ends, expected 10 records as when opened" in str(caught.value)
+    assert "byte 24 (record 6): the file ends, expected 10 records as when opened" in str(
+        caught.value
+    )

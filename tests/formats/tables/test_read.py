@@ -19,13 +19,17 @@ def columns(path: Path, *names: str) -> dict[str, F64]:
     source = open_table(path)
     assert source is not None
     chunks = list(source.chunks(names))
-    assert [chunk.first_record for chunk in chunks] == np.cumsum([0] + [chunk.n for chunk in chunks])[:-1].tolist()
+    assert [chunk.first_record for chunk in chunks] == np.cumsum(
+        [0] + [chunk.n for chunk in chunks]
+    )[:-1].tolist()
     assert source.n_records == sum(chunk.n for chunk in chunks)
     return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
 
 
 def test_parquet(tmp_path: Path) -> None:
-    table = pa.table({"line": [1, 2], "name": ["a", "b"], "range_m": [1.5, None], "range": [7.0, 8.0]})
+    table = pa.table(
+        {"line": [1, 2], "name": ["a", "b"], "range_m": [1.5, None], "range": [7.0, 8.0]}
+    )
     parquet.write_table(table, tmp_path / "a.parquet")
     source = open_table(tmp_path / "a.parquet")
     assert source is not None
@@ -46,7 +50,9 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no whole Parquet file"):
         open_table(tmp_path / "a.parquet")
     np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)))
-    with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range, scan_line"):
+    with pytest.raises(
+        ConfigError, match="no dimension 'time' in the file; it has: range, scan_line"
+    ):
         columns(tmp_path / "a.npz", "time")
 
 
@@ -73,8 +79,12 @@ def test_columns_are_read_by_their_usual_names(tmp_path: Path, compression: str)
     assert rule.value == "rings"
     chunks = list(source.chunks(("time", "ring")))
     assert [chunk.first_record for chunk in chunks] == [0, 30_000, 60_000, 90_000]
-    np.testing.assert_allclose(np.concatenate([chunk.values["time"] for chunk in chunks]), np.arange(n) * 1e-6)
-    np.testing.assert_array_equal(np.concatenate([chunk.values["ring"] for chunk in chunks]), np.arange(n) % 32)
+    np.testing.assert_allclose(
+        np.concatenate([chunk.values["time"] for chunk in chunks]), np.arange(n) * 1e-6
+    )
+    np.testing.assert_array_equal(
+        np.concatenate([chunk.values["ring"] for chunk in chunks]), np.arange(n) % 32
+    )
 
 
 @pytest.mark.parametrize("n_bytes", [7, 500])

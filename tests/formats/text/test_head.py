@@ -60,7 +60,9 @@ def test_row_names_of_r_have_no_name(tmp_path: Path) -> None:
     head = '"scan_line" "column" "angle" "range"\n'
     source = TextSource(write(tmp_path / "a.txt", head, has_row_names=True))
     assert source.text.names == ("", *NAMES)
-    np.testing.assert_allclose(next(iter(source.chunks(("range",)))).values["range"], [row[3] for row in ROWS])
+    np.testing.assert_allclose(
+        next(iter(source.chunks(("range",)))).values["range"], [row[3] for row in ROWS]
+    )
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".asc", ".pts", ".txt"])

@@ -29,19 +29,29 @@ def write(folder: Path, content: str | bytes, name: str = "drive.csv") -> Path:
 def read(source: RecordSource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
     """All records; a typed parameter, so that mypy holds TextSource to the protocol."""
     chunks = list(source.chunks(names))
-    assert [chunk.first_record for chunk in chunks] == list(np.cumsum([0] + [c.n for c in chunks])[: len(chunks)])
-    assert all(chunk.n and chunk.record is None and set(chunk.values) == set(names) for chunk in chunks)
+    assert [chunk.first_record for chunk in chunks] == list(
+        np.cumsum([0] + [c.n for c in chunks])[: len(chunks)]
+    )
+    assert all(
+        chunk.n and chunk.record is None and set(chunk.values) == set(names) for chunk in chunks
+    )
     empty: list[np.ndarray[Any, Any]] = [np.empty(0)]
-    return {name: np.concatenate([chunk.values[name] for chunk in chunks] or empty) for name in names}
+    return {
+        name: np.concatenate([chunk.values[name] for chunk in chunks] or empty) for name in names
+    }
 
 
-def values(folder: Path, content: str | bytes, name: str = "range", layout: Layout | None = None) -> list[float]:
+def values(
+    folder: Path, content: str | bytes, name: str = "range", layout: Layout | None = None
+) -> list[float]:
     found = read(TextSource(write(folder, content), layout), name)[name]
     assert found.dtype == np.float64
     return [float(value) for value in found]
 
 
-def problem(folder: Path, content: str | bytes, layout: Layout | None = None, name: str = "range") -> str:
+def problem(
+    folder: Path, content: str | bytes, layout: Layout | None = None, name: str = "range"
+) -> str:
     """The error of reading a column, without the folder; always one line."""
     with pytest.raises(InputError) as caught:
         read(TextSource(write(folder, content), layout), name)
@@ -82,7 +92,18 @@ def test_names_in_the_header(tmp_path: Path, header: str, dimensions: tuple[str,
 def test_line_ends_byte_order_marks_blank_lines_and_comments(
     tmp_path: Path, ending: str, mark: str, last: bool
 ) -> None:
-    lines = ["# Straße", "", "range,x", "1,2", "   ", "# a, comment", "3,4", "", "  # another", "5,6"]
+    lines = [
+        "# Straße",
+        "",
+        "range,x",
+        "1,2",
+        "   ",
+        "# a, comment",
+        "3,4",
+        "",
+        "  # another",
+        "5,6",
+    ]
     content = mark + ending.join(lines) + (ending + ending if last else "")
     assert values(tmp_path, content) == [1, 3, 5]
 
@@ -92,7 +113,9 @@ CELLS = st.sampled_from(["", "nan", "1", "-2.5", "1e3", " 7 ", "+4", "inf", '"8"
 
 @given(
     rows=st.lists(st.tuples(CELLS, CELLS), min_size=1, max_size=12),
-    between=st.lists(st.sampled_from(["", "\n", "# c,d\n", "\r\n", "  \n"]), min_size=12, max_size=12),
+    between=st.lists(
+        st.sampled_from(["", "\n", "# c,d\n", "\r\n", "  \n"]), min_size=12, max_size=12
+    ),
     block=st.integers(1, 60),
     delimiter=st.sampled_from([",", ";"]),
 )
@@ -119,25 +142,42 @@ def test_values_do_not_depend_on_blocks(
 @pytest.mark.parametrize(
     ("content", "found"),
     [
-        ("range,x\n1,2\n\n# c\nabc,3\n", "line 5: column 'range': found 'abc', expected a number; leave the"),
-        ("range;x\n1.5;2\n3,5;3\n", "line 3: column 'range': found '3,5', expected a number; write decimals with"),
+        (
+            "range,x\n1,2\n\n# c\nabc,3\n",
+            "line 5: column 'range': found 'abc', expected a number; leave the",
+        ),
+        (
+            "range;x\n1.5;2\n3,5;3\n",
+            "line 3: column 'range': found '3,5', expected a number; write decimals with",
+        ),
         ("range,x\n1,2\n0x10,3\n", "line 3: column 'range': found '0x10', expected a number"),
         ("range,x\n1,2\n1_0,3\n", "line 3: column 'range': found '1_0', expected a number"),
-        (b"range,x\n1,2\n\xe41,3\n", "line 3: column 'range': found bytes that are not UTF-8, expected a number"),
+        (
+            b"range,x\n1,2\n\xe41,3\n",
+            "line 3: column 'range': found bytes that are not UTF-8, expected a number",
+        ),
         ("range,x\n1,2\n3\n", "line 3: 1 cells, expected 2 as in line 1: '3'"),
         ("range,x\r\n1,2\r\n3,4,5\r\n", "line 3: 3 cells, expected 2 as in line 1: '3,4,5'"),
         ("# c\n\nrange x\n1 2\n3 4 5\n", "line 5: 3 cells, expected 2 as in line 3: '3 4 5'"),
         ('range,x\n1,2\n3,"4\n5,6\n', "line 3: found '3,\"4', expected cells with closed quotes"),
         ('range,x\n1,"a\n2,b"\n', "line 2: found '1,\"a', expected cells with closed quotes"),
-        ("range,x\n1,2\r3,4\n", "line 2: a carriage return inside the line, expected lines that end in LF or CR LF"),
+        (
+            "range,x\n1,2\r3,4\n",
+            "line 2: a carriage return inside the line, expected lines that end in LF or CR LF",
+        ),
         ("range,x\r1,2\r3,4", "line 1: a carriage return inside the line"),
         ("range\n1\n\n2\n", "line 3: a blank line between the rows of one column"),
         ("range\n1\n# c\n  \n2\n", "line 4: a blank line between the rows of one column"),
-        ("range,range,x\n1,2,3\n", "line 1: the name 'range' stands in columns 0 and 1, expected once"),
+        (
+            "range,range,x\n1,2,3\n",
+            "line 1: the name 'range' stands in columns 0 and 1, expected once",
+        ),
     ],
 )
 @pytest.mark.parametrize("block", [5, 1 << 22])
-def test_errors_name_the_line_and_the_text(tmp_path: Path, content: str | bytes, found: str, block: int) -> None:
+def test_errors_name_the_line_and_the_text(
+    tmp_path: Path, content: str | bytes, found: str, block: int
+) -> None:
     path = write(tmp_path, content)
     with pytest.raises(InputError) as caught:
         read(TextSource(path, block_bytes=block), "range")
@@ -167,7 +207,9 @@ def test_files_that_hold_no_rows_or_no_text(tmp_path: Path, content: bytes, foun
     assert found.removesuffix(", expected") in problem(tmp_path, content)
 
 
-def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_without_end_is_refused_before_it_is_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(text_lines, "MAX_LINE_BYTES", 1000)
     path = write(tmp_path, b"range\n1\n" + b"2" * 100_000)
     with pytest.raises(InputError, match="line 3: more than 1000 bytes without a line end"):
@@ -179,7 +221,8 @@ def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeyp
 
 @given(
     lines=st.lists(
-        st.sampled_from(["", "#", "# a,b", "  ", " \t# c", "\r", "#\r", "\x0b", "\x0c#", "#1,2"]), max_size=9
+        st.sampled_from(["", "#", "# a,b", "  ", " \t# c", "\r", "#\r", "\x0b", "\x0c#", "#1,2"]),
+        max_size=9,
     ),
     ends=st.booleans(),
     block_bytes=st.integers(1, 60),
@@ -205,7 +248,12 @@ def cloud_values(path: Path, text: str, layout: Layout | None = None) -> dict[st
 
 
 @pytest.mark.parametrize(
-    "text", ["range;z\n1,5;2\n-3,25;4,5\n", "range z\n1,5 2\n-3,25 4,5\n", "range\tz\n1,5\t2\n-3,25\t4,5\n"]
+    "text",
+    [
+        "range;z\n1,5;2\n-3,25;4,5\n",
+        "range z\n1,5 2\n-3,25 4,5\n",
+        "range\tz\n1,5\t2\n-3,25\t4,5\n",
+    ],
 )
 def test_decimal_commas_are_found(tmp_path: Path, text: str) -> None:
     assert cloud_values(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}

@@ -18,7 +18,9 @@ def write(path: Path, n_turns: int) -> Path:
     azimuth, elevation = np.deg2rad(column + 0.25), np.deg2rad(2.0 * ring - 15)
     range_m = 8 + np.sin(3 * azimuth)
     flat = range_m * np.cos(elevation)
-    xyz = np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1)
+    xyz = np.stack(
+        [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
+    )
     table = np.column_stack([xyz, ring, column / 3600 + ring * 2e-6])
     formats = ["%.6f"] * 3 + ["%d", "%.9f"]
     np.savetxt(path, table, delimiter=",", header="x,y,z,ring,time", comments="", fmt=formats)

@@ -21,7 +21,11 @@ def read(column: DiskColumn, n: int = 1000) -> np.ndarray:
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-@given(st.lists(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 2**32 - 1)), max_size=40), max_size=6))
+@given(
+    st.lists(
+        st.lists(st.tuples(st.integers(0, 200), st.integers(0, 2**32 - 1)), max_size=40), max_size=6
+    )
+)
 def test_equals_an_array_in_memory(
     tmp_path_factory: pytest.TempPathFactory, parts: list[list[tuple[int, int]]]
 ) -> None:
@@ -57,7 +61,9 @@ def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page_bytes", [32, 1 << 20])
-def test_records_are_read_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, page_bytes: int) -> None:
+def test_records_are_read_in_any_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, page_bytes: int
+) -> None:
     monkeypatch.setattr(module, "PAGE_BYTES", page_bytes)
     kind = np.dtype([("x", "<f8"), ("code", "<i4")])
     rows = np.zeros(1000, kind)

@@ -74,16 +74,31 @@ def _cloud(path: Path) -> int:
 
 def _bag(path: Path) -> int:
     with AnyReader([path.parent if path.suffix == ".db3" else path]) as reader:
-        scans = [reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/scan"]
+        scans = [
+            reader.deserialize(data, one.msgtype)
+            for one, _, data in reader.messages()
+            if one.topic == "/scan"
+        ]
     return sum(len(scan.ranges) for scan in scans)
 
 
 READERS: dict[str, Callable[[Path], int]] = {
-    ".las": _las, ".laz": _las, ".csv": lambda path: _csv(path.read_text()), ".csv.zst": _zst,
-    ".csv.gz": lambda path: _csv(gzip.decompress(path.read_bytes()).decode()), ".npz": _array, ".npy": _array,
-    ".parquet": lambda path: parquet.read_table(path).num_rows, ".bin": _dump, ".e57": _e57, ".ply": _cloud,
-    ".pcd": _cloud, ".bag": _bag, ".mcap": _bag, ".db3": _bag,
-}  # fmt: skip
+    ".las": _las,
+    ".laz": _las,
+    ".csv": lambda path: _csv(path.read_text()),
+    ".csv.zst": _zst,
+    ".csv.gz": lambda path: _csv(gzip.decompress(path.read_bytes()).decode()),
+    ".npz": _array,
+    ".npy": _array,
+    ".parquet": lambda path: parquet.read_table(path).num_rows,
+    ".bin": _dump,
+    ".e57": _e57,
+    ".ply": _cloud,
+    ".pcd": _cloud,
+    ".bag": _bag,
+    ".mcap": _bag,
+    ".db3": _bag,
+}
 
 
 @pytest.mark.parametrize("suffix", sorted(by_suffix("streams")))
@@ -95,9 +110,15 @@ def test_every_stream(tmp_path: Path, suffix: str) -> None:
     assert found in {LINES * M, n_returns, n_returns + made.counts.n_extra}
 
 
-@pytest.mark.parametrize("suffix", sorted(set(by_suffix("labels")) - {".las", ".laz", ".bag", ".mcap", ".db3"}))
+@pytest.mark.parametrize(
+    "suffix", sorted(set(by_suffix("labels")) - {".las", ".laz", ".bag", ".mcap", ".db3"})
+)
 def test_labels(tmp_path: Path, suffix: str) -> None:
     source, path = tmp_path / "in.npz", tmp_path / f"o{suffix}"
     simulate("street", source, load_settings("street", options=SETTINGS))
-    classify(source, path, load_config(preset="urban", options={"input": {"accept_doubts": ["shot-order"]}}))
+    classify(
+        source,
+        path,
+        load_config(preset="urban", options={"input": {"accept_doubts": ["shot-order"]}}),
+    )
     assert 0 < READERS[suffix](path) <= LINES * M

@@ -20,7 +20,11 @@ from prc_cli.jobs.batch.types import Done, InputPrint, Task
 
 
 def main() -> None:
-    folder, rng, n_kills, n_rows = Path(sys.argv[1]), random.Random(int(sys.argv[2])), *map(int, sys.argv[3:5])
+    folder, rng, n_kills, n_rows = (
+        Path(sys.argv[1]),
+        random.Random(int(sys.argv[2])),
+        *map(int, sys.argv[3:5]),
+    )
     started: set[str] = set()
     finished: set[str] = set()
     for number in count():
@@ -58,7 +62,9 @@ def _write(folder: Path, writing: int) -> None:
         journal.begin_run("writer")
         n = len(journal.entries())
         while True:
-            journal.start(Task(f"{n}", Path("a"), Path("b"), LoadedConfig(RunConfig()), "c"), "worker")
+            journal.start(
+                Task(f"{n}", Path("a"), Path("b"), LoadedConfig(RunConfig()), "c"), "worker"
+            )
             os.write(writing, f"s{n}\n".encode())
             journal.finish(_done(f"{n}"))
             os.write(writing, f"f{n}\n".encode())
@@ -66,7 +72,9 @@ def _write(folder: Path, writing: int) -> None:
 
 
 def _done(name: str) -> Done:
-    return Done(name, InputPrint(1, 2, "ab"), 3, 4, 1.0, 2.0, None, 5, 6, 7, (("GROUND", len(name)),))
+    return Done(
+        name, InputPrint(1, 2, "ab"), 3, 4, 1.0, 2.0, None, 5, 6, 7, (("GROUND", len(name)),)
+    )
 
 
 if __name__ == "__main__":

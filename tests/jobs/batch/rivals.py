@@ -57,7 +57,9 @@ def main() -> None:
         for mark in (folder / "inside").glob(f"{pid}.*"):  # its number may be given again
             mark.unlink()
         n_failed += os.waitstatus_to_exitcode(status) not in (0, DIED)
-        goes_on = n_lives < n_wanted or (log.read_text().count("inherited") < n_inherited and n_lives < MOST_LIVES)
+        goes_on = n_lives < n_wanted or (
+            log.read_text().count("inherited") < n_inherited and n_lives < MOST_LIVES
+        )
     counts = Counter(log.read_text().split())
     sys.stdout.write(json.dumps({**counts, "lives": n_lives, "failed": n_failed}))
 
@@ -89,7 +91,11 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
                 mark = folder / "inside" / f"{os.getpid()}.{_word(kind)}"
                 mark.touch()
                 for other in (folder / "inside").iterdir():
-                    if other != mark and _alive(int(other.name.split(".")[0])) and _excludes(mark, other):
+                    if (
+                        other != mark
+                        and _alive(int(other.name.split(".")[0]))
+                        and _excludes(mark, other)
+                    ):
                         log.write("VIOLATION\n")
                 time.sleep(rng.random() * 0.01)
                 step(DEATH_INSIDE)
@@ -116,7 +122,10 @@ def _word(kind: Shard | None) -> str:
 
 def _excludes(mark: Path, other: Path) -> bool:
     """Tell whether two that are inside may not be: all but two different shards of one division."""
-    return mark.suffix == other.suffix or mark.suffix.partition("-")[2] != other.suffix.partition("-")[2]
+    return (
+        mark.suffix == other.suffix
+        or mark.suffix.partition("-")[2] != other.suffix.partition("-")[2]
+    )
 
 
 def _alive(pid: int) -> bool:

@@ -25,7 +25,16 @@ from prc_cli.core.files import temporary_name
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.batch import dask_engine
 from prc_cli.jobs.batch.dask_engine import DaskEngine
-from prc_cli.jobs.batch.types import Done, EngineSettings, Event, Failed, Problem, Progress, Started, Task
+from prc_cli.jobs.batch.types import (
+    Done,
+    EngineSettings,
+    Event,
+    Failed,
+    Problem,
+    Progress,
+    Started,
+    Task,
+)
 from prc_cli.jobs.classify import classify, load_classifier
 from tests import patience
 from tests.patience import HANGS_S, wait_until
@@ -66,7 +75,9 @@ def scene(n_lines: int, seed: int, m: int = M) -> Any:
 
 def config() -> LoadedConfig:
     # lines of nothing but random surfaces are no scan
-    return load_config(options={"prc": {"lines_per_block": 10}, "input": {"accept_doubts": CHECK_NAMES}})
+    return load_config(
+        options={"prc": {"lines_per_block": 10}, "input": {"accept_doubts": CHECK_NAMES}}
+    )
 
 
 def tasks_in(folder: Path, lines: dict[str, int], m: int = M) -> list[Task]:
@@ -97,7 +108,9 @@ def check_bytes(tasks: list[Task], folder: Path) -> None:
         whole = folder / f"whole-{task.source.name}.labels.npy"
         classify(task.source, whole, task.config, overwrite=True, threads=1)
         assert task.output.read_bytes() == whole.read_bytes()
-        records = [path.with_name(f"{path.name}.prc.json").read_bytes() for path in (task.output, whole)]
+        records = [
+            path.with_name(f"{path.name}.prc.json").read_bytes() for path in (task.output, whole)
+        ]
         assert records[0] == records[1]
 
 
@@ -140,10 +153,20 @@ def test_closing_stops_what_is_at_work(cluster: Any, tmp_path: Path) -> None:
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
         wait_until(lambda: not any(client.processing().values()))
     # what was at work is rolled back
-    wait_until(lambda: not [name for name in left_in(tmp_path / "out") if name.endswith((".part", ".npy", ".json"))])
+    wait_until(
+        lambda: (
+            not [
+                name
+                for name in left_in(tmp_path / "out")
+                if name.endswith((".part", ".npy", ".json"))
+            ]
+        )
+    )
 
 
-def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_that_hangs_is_given_up(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tasks = tasks_in(tmp_path, {"hangs.npy": 20, **{f"{i}.npy": 20 for i in range(4)}})
     load_classifier(config())  # compiling loops is no progress either
     real, let_go = dask_engine.run_item, threading.Event()
@@ -182,14 +205,18 @@ def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("who", ["scheduler", "worker"])
-def test_other_versions_are_refused(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str) -> None:
+def test_other_versions_are_refused(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str
+) -> None:
     tasks = tasks_in(tmp_path, {"a.npy": 20})
     if who == "scheduler":
         monkeypatch.setattr(dask_engine, "version_here", lambda: "0.0.1")
     else:
         facts = dask_engine.WorkerFacts("0.0.1", "elsewhere", ())
         monkeypatch.setattr(dask_engine, "examine_worker", lambda paths: facts)
-    with pytest.raises(ConfigError, match=rf"{who}.*found prc 0.0.1, expected .* as here; pip install"):
+    with pytest.raises(
+        ConfigError, match=rf"{who}.*found prc 0.0.1, expected .* as here; pip install"
+    ):
         run(DaskEngine(cluster.scheduler_address), tasks)
 
 
@@ -241,7 +268,9 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
     own = temporary_name(task.output)
     left = own.with_name(own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-"))
     left.write_bytes(b"half")
-    report = dask_engine.Report("tcp://b", (Failed("a.npy", None, 1.0, Problem("damaged", "a.npy", "cut", "")),))
+    report = dask_engine.Report(
+        "tcp://b", (Failed("a.npy", None, 1.0, Problem("damaged", "a.npy", "cut", "")),)
+    )
 
     class Finished:
         status = "finished"
@@ -278,21 +307,46 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
         "DASK_LOGGING__DISTRIBUTED": "critical",
     }
     found = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
-    work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(found), "--nthreads", "1"]
+    dask = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+    ]
+    work = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        "--scheduler-file",
+        str(found),
+        "--nthreads",
+        "1",
+    ]
     commands = [
         [*dask, "--scheduler-file", str(found), "--no-dashboard"],
-        *([*work, "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path / f"w{i}")] for i in range(2)),
+        *(
+            [*work, "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path / f"w{i}")]
+            for i in range(2)
+        ),
     ]
     with ExitStack() as stack:
         started = []
         for command in commands:
             process = patience.popen(
-                command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+                command,
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
             )
             stack.callback(end, process)
             started.append(process)
-        client = distributed.Client(scheduler_file=str(found), timeout=HANGS_S, set_as_default=False)
+        client = distributed.Client(
+            scheduler_file=str(found), timeout=HANGS_S, set_as_default=False
+        )
         stack.callback(client.close)
         client.wait_for_workers(2, timeout=HANGS_S)
         yield Machines(client.scheduler.address, client, started[0])
@@ -333,7 +387,9 @@ def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
     assert all(isinstance(outcome, Done) for outcome in found.values()), found
     check_bytes(tasks, tmp_path)
     # what the killed one was writing is not taken for an output
-    assert len([name for name in left_in(tmp_path / "out") if not name.endswith(".part")]) == 2 * len(tasks)
+    assert len(
+        [name for name in left_in(tmp_path / "out") if not name.endswith(".part")]
+    ) == 2 * len(tasks)
 
 
 @pytest.mark.long
@@ -404,5 +460,9 @@ def test_lines_are_reported_once_whatever_attempt_comes_to_them(tmp_path: Path) 
     watch = dask_engine._Run(client, "tcp://x", EngineSettings(), lambda _: None)
     watch._pending["k"] = dask_engine._Job(task, None)
     reports = [("first", 5), ("first", 8), ("second", 3), ("second", 9)]
-    found = [event for worker, n in reports for event in watch._on_event(dask_engine.LINES, "k", worker, n)]
+    found = [
+        event
+        for worker, n in reports
+        for event in watch._on_event(dask_engine.LINES, "k", worker, n)
+    ]
     assert found == [Progress("a.npy", 5), Progress("a.npy", 3), Progress("a.npy", 1)]

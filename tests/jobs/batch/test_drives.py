@@ -58,7 +58,9 @@ class Here:
                 # it had finished the first file
                 task.output.parent.mkdir(parents=True, exist_ok=True)
                 task.output.write_bytes(b"half of a drive")
-                yield from (Failed(name, None, 1.0, Problem("killed", name, "died")) for name in task.names)
+                yield from (
+                    Failed(name, None, 1.0, Problem("killed", name, "died")) for name in task.names
+                )
             else:
                 yield from run_item(task)
 
@@ -92,9 +94,13 @@ def test_a_drive_has_the_labels_of_the_joined_file(settings: BatchSettings, tmp_
     labels = [np.load(settings.out / f"{name}.labels.npy") for name in names]
     assert np.array_equal(np.concatenate(labels), np.load(tmp_path / "whole.npy"))
     list(classify_drive([settings.archive / name for name in names], tmp_path / "once", WITH_M))
-    assert labels_in(settings) == [path.read_bytes() for path in sorted((tmp_path / "once").glob("*.npy"))]
+    assert labels_in(settings) == [
+        path.read_bytes() for path in sorted((tmp_path / "once").glob("*.npy"))
+    ]
     assert [done.n_records for done in found.done] == np.diff(CUTS).tolist()
-    assert all("one drive of 3 files, drive_0.bin to drive_2.bin" in done.notices for done in found.done)
+    assert all(
+        "one drive of 3 files, drive_0.bin to drive_2.bin" in done.notices for done in found.done
+    )
     again = Here()
     assert run_batch(settings, again).n_skipped == 3
     assert again.items == []
@@ -115,8 +121,9 @@ def test_more_parts_or_none_make_the_drive_new(settings: BatchSettings) -> None:
     more = settings.archive / "drive_3.bin"
     more.write_bytes((settings.archive / "drive_2.bin").read_bytes())
     assert reasons(plan_batch(settings)[0]) == {
-        **{f"drive_{i}.bin": "changed drive" for i in range(3)}, "drive_3.bin": "new",
-    }  # fmt: skip
+        **{f"drive_{i}.bin": "changed drive" for i in range(3)},
+        "drive_3.bin": "new",
+    }
     more.unlink()
     assert plan_batch(settings)[0].todo == ()
     alone = plan_batch(replace(settings, drives=()))[0]
@@ -129,11 +136,16 @@ def test_more_parts_or_none_make_the_drive_new(settings: BatchSettings) -> None:
 def test_a_damaged_part_fails_its_drive_and_nothing_else(settings: BatchSettings) -> None:
     whole = (settings.archive / "drive_1.bin").read_bytes()
     (settings.archive / "drive_1.bin").write_bytes(whole[:-1])
-    (settings.archive / "other.bin").write_bytes((settings.archive.parent / "whole.bin").read_bytes())
+    (settings.archive / "other.bin").write_bytes(
+        (settings.archive.parent / "whole.bin").read_bytes()
+    )
     found = run_batch(settings, Here())
     assert (found.exit_code, [done.name for done in found.done]) == (1, ["other.bin"])
     assert [failed.name for failed in found.failed] == [f"drive_{i}.bin" for i in range(3)]
-    assert all(failed.problem.where.startswith(str(settings.archive / "drive_1.bin")) for failed in found.failed)
+    assert all(
+        failed.problem.where.startswith(str(settings.archive / "drive_1.bin"))
+        for failed in found.failed
+    )
     assert sorted(path.name for path in settings.out.glob("drive_*")) == []
     (settings.archive / "drive_1.bin").write_bytes(whole)
     engine = Here()
@@ -153,15 +165,22 @@ def test_streams_before_a_gap_stay_where_a_later_one_fails(tmp_path: Path) -> No
     cut_laz(tmp_path / "in", gap_s=7.0)[0].unlink()
     (tmp_path / "in" / "drive.npz").unlink(missing_ok=True)
     settings = BatchSettings(
-        tmp_path / "in", tmp_path / "out", config=ConfigLayers(preset="urban"), drives=("drive_?.laz",)
+        tmp_path / "in",
+        tmp_path / "out",
+        config=ConfigLayers(preset="urban"),
+        drives=("drive_?.laz",),
     )
     found = run_batch(settings, Here())
     assert found.exit_code == 0
-    assert any("a stream of its own begins with this file" in notice for notice in found.done[2].notices)
+    assert any(
+        "a stream of its own begins with this file" in notice for notice in found.done[2].notices
+    )
     parts = sorted((tmp_path / "in").glob("*.laz"))
     list(classify_drive(parts, tmp_path / "once", URBAN))
     for part in parts:
-        assert (tmp_path / "out" / part.name).read_bytes() == (tmp_path / "once" / part.name).read_bytes()
+        assert (tmp_path / "out" / part.name).read_bytes() == (
+            tmp_path / "once" / part.name
+        ).read_bytes()
     last = tmp_path / "in" / "drive_2.laz"
     last.write_bytes(last.read_bytes()[:-40_000])
     again = run_batch(settings, Here())
@@ -188,7 +207,9 @@ def test_drives_are_selected_as_a_whole(settings: BatchSettings) -> None:
     plan = plan_batch(replace(settings, limit=5))[0]
     assert (len(plan.todo), plan.n_items, plan.n_beyond_limit) == (4, 1, 3)
     assert len(plan_batch(replace(settings, limit=1))[0].todo) == 4
-    names = [[item.name for item in discover(replace(settings, shard=Shard(i, 2))).files] for i in (1, 2)]
+    names = [
+        [item.name for item in discover(replace(settings, shard=Shard(i, 2))).files] for i in (1, 2)
+    ]
     assert sum(map(len, names)) == 7
     assert all(len([name for name in some if name.startswith("a_")]) in (0, 4) for some in names)
     os.utime(settings.archive / "drive_2.bin", (2e9, 2e9))
@@ -206,7 +227,9 @@ def test_files_of_one_drive_need_one_configuration(settings: BatchSettings, tmp_
 
 def test_labels_alone_come_out_of_dumps(settings: BatchSettings) -> None:
     found = run_batch(replace(settings, to="laz"), Here())
-    assert all("would make points of the ranges" in failed.problem.problem for failed in found.failed)
+    assert all(
+        "would make points of the ranges" in failed.problem.problem for failed in found.failed
+    )
     assert run_batch(replace(settings, to="csv"), Here()).exit_code == 0
 
 
@@ -225,7 +248,15 @@ def test_parts_are_numbered_by_the_last_wildcards() -> None:
 
 @pytest.mark.slow
 def test_one_command_takes_an_archive_of_drives(settings: BatchSettings) -> None:
-    words = ["batch", str(settings.archive), str(settings.out), "--drive", PATTERN, "--preset", "urban"]
+    words = [
+        "batch",
+        str(settings.archive),
+        str(settings.out),
+        "--drive",
+        PATTERN,
+        "--preset",
+        "urban",
+    ]
     done = runner().invoke(cli, [*words, "-M", str(POINTS_PER_LINE), "--jobs", "2"])
     assert done.exit_code == 0, done.output
     assert "[3/3] done drive_2.bin" in done.output

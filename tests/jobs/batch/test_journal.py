@@ -56,13 +56,25 @@ def task(name: str, config: str = "c" * 64) -> Task:
 
 def done(name: str, n: int = 10) -> Done:
     return Done(
-        name, InputPrint(n, 1_700_000_000_123_456_789, "ab" * 32), 7 * n, 1_800_000_000_987_654_321, 1.25, 1.5, None,
-        n, 3 * n, 2 * n, (("GROUND", n), ("NOISE", 0), ("OBJECT", n)), ("a notice", "with a \udcff byte"),
-    )  # fmt: skip
+        name,
+        InputPrint(n, 1_700_000_000_123_456_789, "ab" * 32),
+        7 * n,
+        1_800_000_000_987_654_321,
+        1.25,
+        1.5,
+        None,
+        n,
+        3 * n,
+        2 * n,
+        (("GROUND", n), ("NOISE", 0), ("OBJECT", n)),
+        ("a notice", "with a \udcff byte"),
+    )
 
 
 def failed(name: str, kind: str = "InputError") -> Failed:
-    return Failed(name, None, 0.5, Problem(kind, name, "found no header, expected one", "check the copy"))
+    return Failed(
+        name, None, 0.5, Problem(kind, name, "found no header, expected one", "check the copy")
+    )
 
 
 def spelled(entry: Entry | None) -> Problem:
@@ -78,7 +90,12 @@ def test_any_name_comes_back(folder: Path, name: str) -> None:
         journal.start(task(name), "worker 1")
         running = journal.entry(name)
         assert running is not None
-        assert (running.name, running.state, running.outcome, running.finished) == (name, "running", None, None)
+        assert (running.name, running.state, running.outcome, running.finished) == (
+            name,
+            "running",
+            None,
+            None,
+        )
         journal.finish(failed(name))
         assert spelled(journal.entry(name)).problem == "found no header, expected one"
         journal.start(task(name), "worker 1")
@@ -95,17 +112,30 @@ def test_what_is_known_of_a_file(folder: Path) -> None:
         journal.finish(done("a.laz"))
         entry = journal.entry("a.laz")
         assert entry == Entry(
-            "a.laz", "done", "first", __version__, run, 1, entry.started, entry.finished, "worker 1", done("a.laz"),
+            "a.laz",
+            "done",
+            "first",
+            __version__,
+            run,
+            1,
+            entry.started,
+            entry.finished,
+            "worker 1",
+            done("a.laz"),
             source=str(Path("archive/a.laz").resolve()),
-        )  # fmt: skip
+        )
         assert entry.finished is not None
         assert entry.started <= entry.finished
         # the next version of the input fails; what is known is the last attempt
         journal.start(task("a.laz", "second"), "worker 2")
         assert journal.entry("a.laz") == replace(
-            entry, state="running", config_sha256="second", owner="worker 2", finished=None,
+            entry,
+            state="running",
+            config_sha256="second",
+            owner="worker 2",
+            finished=None,
             started=journal.entry("a.laz").started,
-        )  # fmt: skip
+        )
         journal.finish(failed("a.laz"))
         entry = journal.entry("a.laz")
         assert (entry.state, entry.attempts, entry.outcome) == ("failed", 1, failed("a.laz"))
@@ -185,12 +215,16 @@ def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
     database.close()
     content = (folder / "journal.sqlite").read_bytes()
     for action in (Journal(folder).__enter__, lambda: read_entries(folder)):
-        with pytest.raises(OutputError, match="newer prc-cli .tables of version 7, this program knows 2.*upgrade"):
+        with pytest.raises(
+            OutputError, match="newer prc-cli .tables of version 7, this program knows 2.*upgrade"
+        ):
             action()
     assert (folder / "journal.sqlite").read_bytes() == content
 
 
-def test_a_journal_that_somebody_holds_is_busy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_journal_that_somebody_holds_is_busy(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(subject, "WAIT_S", 0.05)
     with Journal(folder) as journal:
         other = sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
@@ -222,7 +256,9 @@ except PrcError as error:
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
 @pytest.mark.parametrize("live", [False, True])
-def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: Path, live: bool) -> None:
+def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(
+    open_to_all: Path, live: bool
+) -> None:
     """As another user, beside a live writer and after it."""
     folder = open_to_all / ".prc"
     with Journal(folder) as journal:
@@ -232,7 +268,9 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: 
             journal.__exit__(None, None, None)
         folder.chmod(0o555)
         try:
-            result = patience.run([sys.executable, "-c", AS_NOBODY, str(folder)], capture_output=True, text=True)
+            result = patience.run(
+                [sys.executable, "-c", AS_NOBODY, str(folder)], capture_output=True, text=True
+            )
         finally:
             folder.chmod(0o755)
     assert result.stdout.startswith("1\nOutputError"), (result.stdout, result.stderr)
@@ -285,26 +323,43 @@ def test_random_damage_is_one_clear_error_or_none(folder: Path, tmp_path: Path, 
 @pytest.mark.parametrize(
     "change",
     [
-        "state = 'well'", "attempts = 'many'", "outcome = '{'", "outcome = 5", "outcome = x'ff'", "outcome = '[]'",
-        *(f"outcome = json_set(outcome, '$.{key}', {value})" for key, value in (
-            ("labels", "json('[[1]]')"), ("labels", 5), ("notices", 7), ("seconds", "'soon'"), ("n_lines", "'x'"),
-            ("input.mtime_ns", "NULL"), ("odd", 1),
-        )),
+        "state = 'well'",
+        "attempts = 'many'",
+        "outcome = '{'",
+        "outcome = 5",
+        "outcome = x'ff'",
+        "outcome = '[]'",
+        *(
+            f"outcome = json_set(outcome, '$.{key}', {value})"
+            for key, value in (
+                ("labels", "json('[[1]]')"),
+                ("labels", 5),
+                ("notices", 7),
+                ("seconds", "'soon'"),
+                ("n_lines", "'x'"),
+                ("input.mtime_ns", "NULL"),
+                ("odd", 1),
+            )
+        ),
         f"outcome = '{'[' * 100_000}'",
     ],
-)  # fmt: skip
+)
 def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
     with Journal(folder) as journal:
         journal.begin_run("me")
         journal.start(task("a"), "worker")
         journal.finish(done("a"))
-        with contextlib.closing(sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)) as own:
+        with contextlib.closing(
+            sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
+        ) as own:
             own.execute(f"UPDATE files SET {change}")
         with pytest.raises(OutputError, match="a row makes no sense"):
             journal.entries()
         with pytest.raises(OutputError, match="a row makes no sense"):
             journal.entry("a")
-    with pytest.raises(OutputError, match=r"a row makes no sense: .*; move it away \(mv .* --adopt"):
+    with pytest.raises(
+        OutputError, match=r"a row makes no sense: .*; move it away \(mv .* --adopt"
+    ):
         read_entries(folder)
 
 

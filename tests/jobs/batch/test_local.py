@@ -34,7 +34,9 @@ class Clock:
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.ahead_s = 0.0
-        patch.setattr(local, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + self.ahead_s))
+        patch.setattr(
+            local, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + self.ahead_s)
+        )
 
     def turn_on(self) -> None:
         """Let every worker be silent for longer than it may be."""
@@ -107,7 +109,9 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
                 os.kill(process_of(event), signal.SIGKILL)
             if isinstance(event, Started) and event.name == "hangs":
                 os.kill(process_of(event), signal.SIGSTOP)
-            if len(outcomes(found)) == len(tasks) - 1 and not clock.ahead_s:  # all but the one that hangs
+            if (
+                len(outcomes(found)) == len(tasks) - 1 and not clock.ahead_s
+            ):  # all but the one that hangs
                 clock.turn_on()
     return folder, found
 
@@ -116,10 +120,16 @@ def outcomes(events: list[Event]) -> dict[str, Done | Failed]:
     return {event.name: event for event in events if isinstance(event, Done | Failed)}
 
 
-def test_every_file_has_one_outcome_whatever_the_others_did(events: tuple[Path, list[Event]]) -> None:
+def test_every_file_has_one_outcome_whatever_the_others_did(
+    events: tuple[Path, list[Event]],
+) -> None:
     ended = [event.name for event in events[1] if isinstance(event, Done | Failed)]
     assert sorted(ended) == ["a", "b", "c", "damaged", "gone", "hangs", "killed"]
-    assert {name for name, event in outcomes(events[1]).items() if isinstance(event, Done)} == {"a", "b", "c"}
+    assert {name for name, event in outcomes(events[1]).items() if isinstance(event, Done)} == {
+        "a",
+        "b",
+        "c",
+    }
 
 
 def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Event]]) -> None:
@@ -128,7 +138,11 @@ def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Ev
         assert kinds[0] is Started
         assert kinds[-1] is Done
         assert set(kinds[1:-1]) == {Progress}
-        lines = sum(event.n_lines for event in events[1] if isinstance(event, Progress) and event.name == name)
+        lines = sum(
+            event.n_lines
+            for event in events[1]
+            if isinstance(event, Progress) and event.name == name
+        )
         assert lines == 80
 
 
@@ -149,7 +163,9 @@ def test_a_file_without_progress_is_given_up(events: tuple[Path, list[Event]]) -
 
 def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
     source = write_endless(tmp_path / "endless.npy")
-    others = children(os.getpid())  # such as Python's own tracker of resources, which an earlier test started
+    others = children(
+        os.getpid()
+    )  # such as Python's own tracker of resources, which an earlier test started
     run = LocalEngine().run([task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1))
     for event in run:
         if isinstance(event, Progress):
@@ -175,7 +191,9 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
     if isinstance(event, Progress):
         print("progress", flush=True)
 """
-    with patience.start([sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True) as parent:
+    with patience.start(
+        [sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True
+    ) as parent:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "progress\n"
         workers = children(parent.pid)
@@ -187,12 +205,19 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
 def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "a.npz", street(80))
     found: list[Event] = []
-    for event in LocalEngine().run([task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1)):
+    for event in LocalEngine().run(
+        [task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1)
+    ):
         found.append(event)
         if isinstance(event, Started):
-            assert os.getpgid(process_of(event)) != os.getpgid(0)  # the terminal sends it to a group
+            assert os.getpgid(process_of(event)) != os.getpgid(
+                0
+            )  # the terminal sends it to a group
             os.kill(process_of(event), signal.SIGINT)
-    assert [type(event) for event in found if not isinstance(event, Started | Progress)] == [Done, Done]
+    assert [type(event) for event in found if not isinstance(event, Started | Progress)] == [
+        Done,
+        Done,
+    ]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count address space")
@@ -208,7 +233,9 @@ def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: 
     assert isinstance(found["small"], Done)
 
 
-def test_workers_that_cannot_start_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_cannot_start_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho no libraries here >&2\nexit 3\n")
     broken.chmod(0o755)

@@ -52,7 +52,9 @@ def leave(path: Path, owner: Owner) -> None:
 
 @contextmanager
 def held_by_another_process(folder: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
-    with start([sys.executable, "-c", HOLD, str(folder), *more], stdout=subprocess.PIPE, text=True) as process:
+    with start(
+        [sys.executable, "-c", HOLD, str(folder), *more], stdout=subprocess.PIPE, text=True
+    ) as process:
         yield process
 
 
@@ -77,7 +79,13 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
     with Lock(folder), pytest.raises(BusyError) as caught, Lock(folder):
         pass
     assert caught.value.exit_code == 5
-    for word in (str(os.getpid()), platform.node(), "another run is at work", "since 20", f"kill {os.getpid()}"):
+    for word in (
+        str(os.getpid()),
+        platform.node(),
+        "another run is at work",
+        "since 20",
+        f"kill {os.getpid()}",
+    ):
         assert word in str(caught.value)
     assert os.listdir(folder) == []
 
@@ -141,7 +149,9 @@ def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("event", ["taken over", "removed"])
-def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder: Path, event: str) -> None:
+def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
+    folder: Path, event: str
+) -> None:
     """As after somebody removed files."""
     other = Owner(host="elsewhere")
     with Lock(folder) as lock:
@@ -151,7 +161,9 @@ def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder: Pat
             lock.path.unlink()
         with pytest.raises(BusyError, match="the lock was lost"):
             lock.check()
-    assert [holder.owner for holder in holders(folder)] == ([other] if event == "taken over" else [])
+    assert [holder.owner for holder in holders(folder)] == (
+        [other] if event == "taken over" else []
+    )
 
 
 @pytest.mark.parametrize("number", [errno.ENOTSUP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL])
@@ -163,7 +175,10 @@ def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
 
     fcntl = pytest.importorskip("fcntl")
     monkeypatch.setattr(fcntl, "flock", flock)
-    with pytest.raises(OutputError, match="this file system has no file locks.*another disk"), Lock(folder):
+    with (
+        pytest.raises(OutputError, match="this file system has no file locks.*another disk"),
+        Lock(folder),
+    ):
         pass
     assert holders(folder) == []
     assert not has_locks(folder)
@@ -224,7 +239,15 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
 
 def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -> None:
     """Let rivals compete until so many lived, and so many took the lock of a dead one; no two may be inside at once."""
-    command = [sys.executable, str(RIVALS), str(folder), str(seed), str(n_lives), str(n_inherited), kinds]
+    command = [
+        sys.executable,
+        str(RIVALS),
+        str(folder),
+        str(seed),
+        str(n_lives),
+        str(n_inherited),
+        kinds,
+    ]
     result = run(command, capture_output=True, text=True, timeout=3600)
     assert result.returncode == 0, result.stderr
     counts: dict[str, int] = json.loads(result.stdout)
@@ -237,7 +260,9 @@ def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and fork")
 @pytest.mark.parametrize(("seed", "kinds"), [(1, "whole"), (2, "whole,1/2,2/2,1/3")])
-def test_rivals_that_die_at_any_step_are_never_two_inside(tmp_path: Path, seed: int, kinds: str) -> None:
+def test_rivals_that_die_at_any_step_are_never_two_inside(
+    tmp_path: Path, seed: int, kinds: str
+) -> None:
     fight(tmp_path, seed, 40, 8, kinds)
 
 

@@ -58,16 +58,24 @@ def entry(settings: BatchSettings, name: str, state: State = "done", **changes: 
         written.write_bytes(b"labels")
     read = InputPrint(status.st_size, status.st_mtime_ns, fingerprint(source).sha256)
     at = written.stat() if written.exists() else None
-    done = Done(name, read, 6, at.st_mtime_ns if at else 0, 2.0, 1.5, 100.0, 9, 99, 99, (("ground", 99),))
-    outcome = done if state == "done" else Failed(name, read, 1.0, Problem("killed", name, "by somebody"))
+    done = Done(
+        name, read, 6, at.st_mtime_ns if at else 0, 2.0, 1.5, 100.0, 9, 99, 99, (("ground", 99),)
+    )
+    outcome = (
+        done if state == "done" else Failed(name, read, 1.0, Problem("killed", name, "by somebody"))
+    )
     config = BatchConfig(settings.config).base_sha256
-    made = Entry(name, state, config, __version__, "run", 1, "2026-01-01", "2026-01-01", "me", outcome)
+    made = Entry(
+        name, state, config, __version__, "run", 1, "2026-01-01", "2026-01-01", "me", outcome
+    )
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
 def plan_of(settings: BatchSettings, *known: Entry) -> Plan:
     files = discover(settings).files
-    return make_plan(settings, files, BatchConfig(settings.config), {item.name: item for item in known})
+    return make_plan(
+        settings, files, BatchConfig(settings.config), {item.name: item for item in known}
+    )
 
 
 def reasons(plan: Plan) -> dict[str, str]:
@@ -133,8 +141,14 @@ def test_adopting_needs_the_same_input_configuration_and_program(tmp_path: Path)
     assert plan.todo == ()
     ((_, adopted),) = plan.adopted
     assert adopted.input == done.input
-    assert (adopted.n_lines, adopted.n_shots, adopted.n_records) == (done.n_lines, done.n_shots, done.n_records)
-    assert {name: count for name, count in adopted.labels if count} == {n: count for n, count in done.labels if count}
+    assert (adopted.n_lines, adopted.n_shots, adopted.n_records) == (
+        done.n_lines,
+        done.n_shots,
+        done.n_records,
+    )
+    assert {name: count for name, count in adopted.labels if count} == {
+        n: count for n, count in done.labels if count
+    }
     refused = replace(entry(settings, "a.npz", "failed"), owns_output=False)
     assert len(plan_of(settings, refused).adopted) == 1
     forest = replace(settings, config=ConfigLayers(preset="forest"))
@@ -244,7 +258,15 @@ def left_out(archive: Path, **options: object) -> dict[str, str]:
 @pytest.fixture
 def archive(tmp_path: Path) -> Path:
     folder = tmp_path / "archive"
-    for name in ("b.laz", "a/2.las", "a/10.LAZ", "a/deep/er/x.csv.gz", "z.npz", "notes.md", "a/.hidden.laz"):
+    for name in (
+        "b.laz",
+        "a/2.las",
+        "a/10.LAZ",
+        "a/deep/er/x.csv.gz",
+        "z.npz",
+        "notes.md",
+        "a/.hidden.laz",
+    ):
         put(folder / name)
     put(folder / ".git" / "c.laz")
     return folder
@@ -270,7 +292,9 @@ def archive(tmp_path: Path) -> Path:
         (["*.laz"], ["b*"], []),
     ],
 )
-def test_patterns_choose(archive: Path, include: list[str], exclude: list[str], expected: list[str]) -> None:
+def test_patterns_choose(
+    archive: Path, include: list[str], exclude: list[str], expected: list[str]
+) -> None:
     assert names(archive, include=tuple(include), exclude=tuple(exclude)) == expected
 
 
@@ -281,7 +305,13 @@ def test_outputs_are_no_inputs(archive: Path) -> None:
     put(archive / "old" / OWN_FOLDER / "journal.sqlite")
     put(archive / "old" / "b.laz")
     put(archive / "z.npz.labels.npy")
-    assert names(archive, out=out) == ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz", "b.laz", "z.npz"]
+    assert names(archive, out=out) == [
+        "a/10.LAZ",
+        "a/2.las",
+        "a/deep/er/x.csv.gz",
+        "b.laz",
+        "z.npz",
+    ]
     found = left_out(archive, out=out)
     assert found == {
         "old/": "the output folder of another batch run",
@@ -312,8 +342,11 @@ def test_links_and_pipes(archive: Path) -> None:
     put(archive / "folder.laz" / "in.laz")
     found = names(archive)
     assert [name for name in found if "laz" in name] == [
-        "b.laz", "folder.laz/in.laz", "hidden_store.laz", "second_name.laz",
-    ]  # fmt: skip
+        "b.laz",
+        "folder.laz/in.laz",
+        "hidden_store.laz",
+        "second_name.laz",
+    ]
     assert left_out(archive) == {
         "a/cycle": "a symbolic link to a folder of the archive, whose files have their own names",
         "folder_out": "a symbolic link that leads out of the archive",
@@ -326,7 +359,14 @@ def test_links_and_pipes(archive: Path) -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="names of bytes")
 def test_odd_names(tmp_path: Path) -> None:
-    odd = [b"a\nb.laz", b"\x1b[31m.laz", b"latin\xe9.laz", b"{stem}.laz", b" .laz", "\u2028.laz".encode()]
+    odd = [
+        b"a\nb.laz",
+        b"\x1b[31m.laz",
+        b"latin\xe9.laz",
+        b"{stem}.laz",
+        b" .laz",
+        "\u2028.laz".encode(),
+    ]
     for name in odd:
         put(Path(os.fsdecode(os.path.join(os.fsencode(tmp_path / "in"), name))))  # noqa: PTH118
     found = discover(BatchSettings(tmp_path / "in", tmp_path / "out")).files
@@ -360,7 +400,9 @@ def test_since(archive: Path) -> None:
     assert found.n_not_selected == 3
 
 
-def test_a_file_system_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_system_that_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     answers = threading.Event()
 
     def hang(settings: BatchSettings, exclude: Patterns) -> Iterator[None]:

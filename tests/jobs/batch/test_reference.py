@@ -23,7 +23,11 @@ REFERENCE = {"a.npz": [2, 6, 6, 0], "night/b.csv.gz": [2, 2, 6, 6, 5], "night/c.
 
 def trees(folder: Path) -> tuple[list[Output], Path]:
     """Outputs as batch names them, and references under several of the names that are understood."""
-    reference_names = {"a.npz": "a.npy", "night/b.csv.gz": "night/b.csv", "night/c.bin": "night/c.bin.labels.npy"}
+    reference_names = {
+        "a.npz": "a.npy",
+        "night/b.csv.gz": "night/b.csv",
+        "night/c.bin": "night/c.bin.labels.npy",
+    }
     outputs = []
     for name, codes in PREDICTED.items():
         relative = f"{name}.labels.npy"
@@ -51,7 +55,9 @@ def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) ->
     assert found.matrix.n_ignored == whole.matrix.n_ignored == 1
     for output, reference, item in zip(outputs, references, found.files, strict=True):
         assert item.matrix is not None
-        np.testing.assert_array_equal(item.matrix.counts, evaluate_all([output.path], [reference]).matrix.counts)
+        np.testing.assert_array_equal(
+            item.matrix.counts, evaluate_all([output.path], [reference]).matrix.counts
+        )
 
 
 @pytest.mark.slow
@@ -63,10 +69,16 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
     found = evaluate_tree(outputs, ReferenceSettings(tree, gates=gates))
     assert found.as_dict()["mapping"] == "prc"
     assert [gate.passed for gate in found.gates] == [True, False]
-    record = {"program": "prc-cli", "config": {"method": "fused", "fused": {"environment": "urban"}}}
+    record = {
+        "program": "prc-cli",
+        "config": {"method": "fused", "fused": {"environment": "urban"}},
+    }
     for output in outputs:
         record_path(output.path).write_text(json.dumps(record))
-    assert evaluate_tree(outputs, ReferenceSettings(tree, gates=gates)).as_dict()["mapping"] == "street"
+    assert (
+        evaluate_tree(outputs, ReferenceSettings(tree, gates=gates)).as_dict()["mapping"]
+        == "street"
+    )
     assert evaluate_tree(outputs, ReferenceSettings(tree, "prc")).as_dict()["mapping"] == "prc"
     with pytest.raises(ConfigError):
         check_reference(ReferenceSettings(tree, gates=("recall.dragon=0.5",)))
@@ -90,7 +102,10 @@ def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
     np.save(tree / "night" / "c.bin.labels.npy", np.array([7, 7, 7], np.uint8))
     found = evaluate_tree(outputs, ReferenceSettings(tree))
     assert [item.name for item in found.unpaired] == ["a.npz", "night/c.bin"]
-    assert [item.problem.kind for item in found.unpaired if item.problem] == ["InputError", "InputError"]
+    assert [item.problem.kind for item in found.unpaired if item.problem] == [
+        "InputError",
+        "InputError",
+    ]
     assert found.matrix.n_scored == 5
     table = found.as_dict()
     assert table["files"][0]["scores"] is None
@@ -142,7 +157,9 @@ def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -
     crafted = overflowing()
     (tmp_path / "out" / "d.laz").write_bytes(crafted)
     (tree / "d.laz").write_bytes(crafted)
-    outputs.insert(1, Output("d.laz", "d.laz", tmp_path / "out" / "d.laz", tmp_path / "archive" / "d.laz"))
+    outputs.insert(
+        1, Output("d.laz", "d.laz", tmp_path / "out" / "d.laz", tmp_path / "archive" / "d.laz")
+    )
     found = evaluate_tree(outputs, ReferenceSettings(tree, match="time"))
     problem = found.files[1].problem
     assert problem is not None

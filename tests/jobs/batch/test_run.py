@@ -61,9 +61,18 @@ def finished(task: Task, **labels: int) -> Done:
     task.output.write_bytes(task.source.read_bytes())
     status, written = task.source.stat(), task.output.stat()
     return Done(
-        task.name, InputPrint(status.st_size, status.st_mtime_ns, "0"), written.st_size, written.st_mtime_ns,
-        1.0, 1.0, 50.0, 1, 100, 100, tuple((labels or {"ground": 60, "building": 40}).items()),
-    )  # fmt: skip
+        task.name,
+        InputPrint(status.st_size, status.st_mtime_ns, "0"),
+        written.st_size,
+        written.st_mtime_ns,
+        1.0,
+        1.0,
+        50.0,
+        1,
+        100,
+        100,
+        tuple((labels or {"ground": 60, "building": 40}).items()),
+    )
 
 
 def failed(task: Task, kind: str) -> Failed:
@@ -116,7 +125,9 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
 
 
 def test_one_bad_file_costs_itself(settings: BatchSettings) -> None:
-    engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
+    engine = Scripted(
+        lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task)
+    )
     summary = run_batch(settings, engine)
     assert summary.exit_code == 1
     assert [item.name for item in summary.done] == ["a.npz", "c.npz", "d.npz"]
@@ -142,8 +153,12 @@ def test_one_bad_file_costs_itself(settings: BatchSettings) -> None:
         ("OutputError", 1, 2),
     ],
 )
-def test_what_may_pass_is_tried_again(settings: BatchSettings, kind: str, retry: int, attempts: int) -> None:
-    engine = Scripted(lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task))
+def test_what_may_pass_is_tried_again(
+    settings: BatchSettings, kind: str, retry: int, attempts: int
+) -> None:
+    engine = Scripted(
+        lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task)
+    )
     events: list[RunEvent] = []
     summary = run_batch(replace(settings, retry=retry), engine, events.append)
     tries = [jobs for name, jobs in engine.begun if name == "b.npz"]
@@ -158,7 +173,9 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
     def script(task: Task, attempt: int) -> Outcome:
         if task.name in ("a.npz", "c.npz") and attempt == 1:
             return failed(task, "killed")
-        assert not task.overwrite  # what an attempt before wrote is recognised, what others put there is kept
+        assert (
+            not task.overwrite
+        )  # what an attempt before wrote is recognised, what others put there is kept
         return finished(task)
 
     engine = Scripted(script)
@@ -170,15 +187,21 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
 
 
 def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:
-    engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
+    engine = Scripted(
+        lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task)
+    )
     summary = run_batch(replace(settings, fail_fast=True), engine)
     assert [name for name, _ in engine.begun] == ["a.npz", "b.npz"]
     assert (summary.exit_code, summary.ended, summary.n_waiting) == (1, "stopped", 2)
     assert len(run_batch(settings, Scripted()).done) == 3
 
 
-@pytest.mark.parametrize(("signal_error", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
-def test_a_signal_is_noted_and_passed_on(settings: BatchSettings, signal_error: BaseException, code: int) -> None:
+@pytest.mark.parametrize(
+    ("signal_error", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)]
+)
+def test_a_signal_is_noted_and_passed_on(
+    settings: BatchSettings, signal_error: BaseException, code: int
+) -> None:
     closed = []
 
     class Stopped(Scripted):
@@ -199,13 +222,19 @@ def test_a_signal_is_noted_and_passed_on(settings: BatchSettings, signal_error: 
     # cut off, as if the run had been killed: no file failed
     assert states(settings) == {"a.npz": "done", "b.npz": "running", "c.npz": "running"}
     written = json.loads((settings.out / "summary.json").read_text())
-    assert (written["ended"], written["counts"]["waiting"], written["counts"]["failed"]) == ("interrupted", 3, 0)
+    assert (written["ended"], written["counts"]["waiting"], written["counts"]["failed"]) == (
+        "interrupted",
+        3,
+        0,
+    )
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [code]
     summary = run_batch(settings, Scripted())
     assert (len(summary.done), dict(summary.reasons)["unfinished"]) == (3, 2)
 
 
-def test_a_lost_lock_stops_the_run(settings: BatchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_lock_stops_the_run(
+    settings: BatchSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked = []
 
     def check(self: Lock) -> None:
@@ -220,8 +249,12 @@ def test_a_lost_lock_stops_the_run(settings: BatchSettings, monkeypatch: pytest.
     assert len(engine.begun) == 2
 
 
-@pytest.mark.parametrize("wrong", ["config", "archive", "out", "since", "pattern", "reference", "to"])
-def test_nothing_is_made_when_something_is_wrong(settings: BatchSettings, tmp_path: Path, wrong: str) -> None:
+@pytest.mark.parametrize(
+    "wrong", ["config", "archive", "out", "since", "pattern", "reference", "to"]
+)
+def test_nothing_is_made_when_something_is_wrong(
+    settings: BatchSettings, tmp_path: Path, wrong: str
+) -> None:
     changes: dict[str, Any] = {
         "config": {"config": ConfigLayers(options={"prc": {"nothing": 1}})},
         "archive": {"archive": tmp_path / "nothing"},
@@ -250,7 +283,11 @@ def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSetti
     assert [event for event in events if isinstance(event, Doubted)] == [expected]
     assert (summary.exit_code, summary.n_doubted) == (4, 1)
     table = json.loads((settings.out / "summary.json").read_bytes())
-    assert (table["counts"]["doubted"], table["doubt_counts"], table["exit_code"]) == (1, {"units": 1}, 4)
+    assert (table["counts"]["doubted"], table["doubt_counts"], table["exit_code"]) == (
+        1,
+        {"units": 1},
+        4,
+    )
     last = read_runs(settings.out / OWN_FOLDER)[-1]
     assert (last.exit_code, dict(last.totals)["doubted"]) == (4, 1)
     # it stands until somebody accepts it, and is told by every run
@@ -282,10 +319,15 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
     assert [item.name for item in again.standing] == ["a.npz"], "it was not even looked at"
     without = replace(settings, exclude=("a.npz",))
     assert run_batch(without, Scripted(script)).exit_code == 4
-    accepting = replace(without, config=ConfigLayers(options={"input": {"accept_doubts": ("units",)}}))
+    accepting = replace(
+        without, config=ConfigLayers(options={"input": {"accept_doubts": ("units",)}})
+    )
     for config, done in ((accepting, ["b.npz"]), (accepting, []), (without, ["b.npz"])):
         summary = run_batch(config, Scripted(script))
-        assert ([item.name for item in summary.done], summary.exit_code) == (done, 0 if config is accepting else 4)
+        assert ([item.name for item in summary.done], summary.exit_code) == (
+            done,
+            0 if config is accepting else 4,
+        )
 
 
 def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: Path) -> None:
@@ -299,9 +341,16 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     np.save(archive / "thin.npy", wide)  # one shot of a hundred has a range
     settings = BatchSettings(archive, tmp_path / "out", jobs=1, drift=False, retry=3)
     found = run_batch(settings, Scripted(work))
-    assert [(item.name, item.problem.kind) for item in found.failed] == [("shuffled.npy", "EvidenceError")]
-    assert {(doubt.name, doubt.check) for doubt in found.doubts} == {("thin.npy", "returns"), ("thin.npy", "method")}
-    assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}["shuffled.npy"] == 1
+    assert [(item.name, item.problem.kind) for item in found.failed] == [
+        ("shuffled.npy", "EvidenceError")
+    ]
+    assert {(doubt.name, doubt.check) for doubt in found.doubts} == {
+        ("thin.npy", "returns"),
+        ("thin.npy", "method"),
+    }
+    assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}[
+        "shuffled.npy"
+    ] == 1
     assert found.exit_code == 1
     # what was classified one by one is adopted with its doubts
     shutil.rmtree(settings.out / OWN_FOLDER)
@@ -311,7 +360,10 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
     accepted = run_batch(replace(settings, config=accepting), Scripted(work))
     # only those that have one are done again
-    assert ([item.name for item in accepted.done], accepted.exit_code) == (["shuffled.npy", "thin.npy"], 0)
+    assert ([item.name for item in accepted.done], accepted.exit_code) == (
+        ["shuffled.npy", "thin.npy"],
+        0,
+    )
     assert (accepted.failed, accepted.doubts) == ((), ())
 
 
@@ -341,7 +393,11 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     states = {one.name: one.state for one in verify_outputs(out)}
     assert states == {"a.npz.labels.npy": "damaged", "b.npz.labels.npy": "whole"}
     summary = run_batch(replace(settings, adopt=True), Scripted(work))
-    assert ([item.name for item in summary.done], summary.n_skipped, summary.exit_code) == (["a.npz"], 1, 0)
+    assert ([item.name for item in summary.done], summary.n_skipped, summary.exit_code) == (
+        ["a.npz"],
+        1,
+        0,
+    )
     assert dict(summary.reasons) == {"changed output": 1}
     assert output.read_bytes() == whole
     assert len([*(out / OWN_FOLDER / "changed").iterdir()]) == 1
@@ -351,7 +407,9 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     output.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     os.utime(output, ns=(1, 1))
     assert run_batch(settings, Scripted(work)).n_skipped == 2
-    assert dict(run_batch(replace(settings, verify=True), Scripted(work)).reasons) == {"changed output": 1}
+    assert dict(run_batch(replace(settings, verify=True), Scripted(work)).reasons) == {
+        "changed output": 1
+    }
     output.unlink()
     assert {one.state for one in verify_outputs(out)} == {"missing", "whole"}
 
@@ -410,7 +468,9 @@ def test_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
     assert told(one) == told(three)
 
 
-def test_workers_that_cannot_be_started_leave_files_to_the_next_run(settings: BatchSettings) -> None:
+def test_workers_that_cannot_be_started_leave_files_to_the_next_run(
+    settings: BatchSettings,
+) -> None:
     class Broken(Scripted):
         def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
             yield Started(next(iter(tasks)).name, "here")
@@ -469,11 +529,17 @@ def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left:
     task = order(tmp_path)
     root = Path(__file__).resolve().parents[3]
     ended = patience.run(
-        [sys.executable, "-c", PROGRAM, step], input=pickle.dumps(task), env={**os.environ, "PYTHONPATH": str(root)}
+        [sys.executable, "-c", PROGRAM, step],
+        input=pickle.dumps(task),
+        env={**os.environ, "PYTHONPATH": str(root)},
     )
     assert ended.returncode == -signal.SIGKILL
     # the spool is left as well, unless the writer got to its end
-    left = [name for name in labels_in(task.output.parent) if not name.endswith(".part") or ".prc.json" in name]
+    left = [
+        name
+        for name in labels_in(task.output.parent)
+        if not name.endswith(".part") or ".prc.json" in name
+    ]
     assert task.output.name in left, left
     assert len(labels_in(task.output.parent)) >= n_left
     again = run_task(task)
@@ -485,13 +551,17 @@ def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left:
     assert set(labels_in(task.output.parent)) == {"a.npy", "a.npy.prc.json"}
 
 
-def test_outputs_of_another_archive_are_not_replaced(settings: BatchSettings, tmp_path: Path) -> None:
+def test_outputs_of_another_archive_are_not_replaced(
+    settings: BatchSettings, tmp_path: Path
+) -> None:
     run_batch(settings, Scripted())
     before = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
     other = tmp_path / "other"
     shutil.copytree(settings.archive, other)
     moved = run_batch(replace(settings, archive=other), Scripted())
-    assert (moved.exit_code, moved.n_skipped) == (0, 4), "the same files in another place are the same"
+    assert (moved.exit_code, moved.n_skipped) == (0, 4), (
+        "the same files in another place are the same"
+    )
     (other / "b.npz").write_bytes(b"of another drive")
     (other / "e.npz").write_bytes(b"new")
     engine = Scripted()
@@ -499,7 +569,9 @@ def test_outputs_of_another_archive_are_not_replaced(settings: BatchSettings, tm
     assert second.exit_code == 1
     assert [name for name, _ in engine.begun] == ["e.npz"]
     assert [item.name for item in second.failed] == ["b.npz"]
-    assert f"was made of {(settings.archive / 'b.npz').resolve()}" in second.failed[0].problem.problem
+    assert (
+        f"was made of {(settings.archive / 'b.npz').resolve()}" in second.failed[0].problem.problem
+    )
     outputs = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
     assert {name: outputs[name] for name in before if name.startswith("b.npz")} == {
         name: content for name, content in before.items() if name.startswith("b.npz")

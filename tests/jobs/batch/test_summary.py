@@ -21,7 +21,14 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
-from prc_cli.jobs.batch.report import EXIT_CODES, MIN_EARLIER, BatchEvaluation, BatchSummary, drift, write_summary
+from prc_cli.jobs.batch.report import (
+    EXIT_CODES,
+    MIN_EARLIER,
+    BatchEvaluation,
+    BatchSummary,
+    drift,
+    write_summary,
+)
 from prc_cli.jobs.batch.run import run_batch
 from prc_cli.jobs.batch.types import (
     Alarm,
@@ -39,7 +46,9 @@ from tests.street import street, write_npz
 
 
 def summary(**changes: object) -> BatchSummary:
-    base = BatchSummary("r1", Path("a"), Path("o"), "2026-11-21T02:00:00Z", "2026-11-21T02:01:00Z", 60.0, 4, 1)
+    base = BatchSummary(
+        "r1", Path("a"), Path("o"), "2026-11-21T02:00:00Z", "2026-11-21T02:01:00Z", 60.0, 4, 1
+    )
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
@@ -87,13 +96,20 @@ def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) ->
 NAMES = ("NOISE", "GROUND", "OBJECT", "CAR")
 
 
-def shares_of(rng: np.random.Generator, n: int, concentration: float = 300.0) -> list[dict[str, int]]:
+def shares_of(
+    rng: np.random.Generator, n: int, concentration: float = 300.0
+) -> list[dict[str, int]]:
     """Histograms of streets that differ as streets do."""
     shares = rng.dirichlet(np.array([0.05, 0.55, 0.35, 0.05]) * concentration, n)
-    return [dict(zip(NAMES, map(int, row * rng.integers(10_000, 5_000_000)), strict=True)) for row in shares]
+    return [
+        dict(zip(NAMES, map(int, row * rng.integers(10_000, 5_000_000)), strict=True))
+        for row in shares
+    ]
 
 
-def moved(histogram: dict[str, int], share: float, source: str = "GROUND", to: str = "NOISE") -> dict[str, int]:
+def moved(
+    histogram: dict[str, int], share: float, source: str = "GROUND", to: str = "NOISE"
+) -> dict[str, int]:
     """The same file with a part of its records in another class."""
     n = int(sum(histogram.values()) * share)
     assert histogram[source] >= n
@@ -134,7 +150,9 @@ def settings(tmp_path: Path) -> BatchSettings:
         np.save(tmp_path / "ref" / f"{name}.npy", codes.ravel())
     layers = ConfigLayers(preset="urban", options={"input": {"accept_doubts": ["method"]}})
     reference = ReferenceSettings(tmp_path / "ref", "prc", gates=("accuracy=0.99",))
-    return BatchSettings(tmp_path / "archive", tmp_path / "out", layers, jobs=1, reference=reference, drift=False)
+    return BatchSettings(
+        tmp_path / "archive", tmp_path / "out", layers, jobs=1, reference=reference, drift=False
+    )
 
 
 @pytest.mark.slow
@@ -169,7 +187,9 @@ OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
 def entries() -> set[str]:
     """Names in the first column of the table of errors, and in the paragraph above it."""
     above, _, table = OPERATIONS.partition("## Errors")[2].partition("\n|")
-    return set(re.findall(r"`(\w+)`", above + " ".join(re.findall(r"^\| ([^|]+)\|", table, re.MULTILINE))))
+    return set(
+        re.findall(r"`(\w+)`", above + " ".join(re.findall(r"^\| ([^|]+)\|", table, re.MULTILINE)))
+    )
 
 
 def subclasses(kind: type[BaseException]) -> set[str]:
@@ -185,14 +205,24 @@ def kinds_in_code() -> set[str]:
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign):
                 target, value = node.targets[0], node.value
-                pairs = zip(target.elts, value.elts, strict=False) if (
-                    isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
-                ) else [(target, value)]  # fmt: skip
+                pairs = (
+                    zip(target.elts, value.elts, strict=False)
+                    if (isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple))
+                    else [(target, value)]
+                )
                 for name, item in pairs:
-                    if isinstance(name, ast.Name) and isinstance(item, ast.Constant) and isinstance(item.value, str):
+                    if (
+                        isinstance(name, ast.Name)
+                        and isinstance(item, ast.Constant)
+                        and isinstance(item.value, str)
+                    ):
                         constants[name.id] = item.value
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) == Problem.__name__ and node.args:
+            if (
+                isinstance(node, ast.Call)
+                and ast.unparse(node.func) == Problem.__name__
+                and node.args
+            ):
                 kind = node.args[0]
                 if isinstance(kind, ast.Constant):
                     found.add(str(kind.value))
@@ -226,7 +256,10 @@ def files(*ground: int) -> list[dict[str, int]]:
 def test_alarms_at_their_limits() -> None:
     usual = files(600, 610, 591, 605, 595, 600, 600, 600)
     far = {"GROUND": 100, "OBJECT": 900}
-    assert drift(far, usual) == "GROUND is 10.0 % of the records, in 8 earlier files 60.0 % (59.4 to 60.6 % in most)"
+    assert (
+        drift(far, usual)
+        == "GROUND is 10.0 % of the records, in 8 earlier files 60.0 % (59.4 to 60.6 % in most)"
+    )
     # a file of a single record counts, an empty one does not
     assert drift(far, usual[:7]) is None
     assert drift(far, [*usual[:7], {"GROUND": 1}]) is not None
@@ -241,13 +274,18 @@ def test_alarms_at_their_limits() -> None:
     # distances 100, 80, 60, 40, 40, 60, 80, 100: median 70, median deviation 20
     limit = 600 - 70 - 6 * 1.4826 * 20
     assert drift({"GROUND": math.ceil(limit), "OBJECT": 1000 - math.ceil(limit)}, wide) is None
-    assert drift({"GROUND": math.floor(limit) - 1, "OBJECT": 1001 - math.floor(limit)}, wide) is not None
+    assert (
+        drift({"GROUND": math.floor(limit) - 1, "OBJECT": 1001 - math.floor(limit)}, wide)
+        is not None
+    )
 
 
 @pytest.mark.parametrize(
     ("n_alike", "n_usual", "is_odd"), [(2, 20, True), (3, 20, False), (4, 90, True), (5, 90, False)]
 )
-def test_a_kind_of_drive_that_was_there_is_not_odd(n_alike: int, n_usual: int, is_odd: bool) -> None:
+def test_a_kind_of_drive_that_was_there_is_not_odd(
+    n_alike: int, n_usual: int, is_odd: bool
+) -> None:
     for alike, expected in ((149, is_odd), (151, True)):
         earlier = files(*[600] * n_usual, *[alike] * n_alike)
         assert (drift({"GROUND": 100, "OBJECT": 900}, earlier) is not None) is expected
@@ -255,28 +293,44 @@ def test_a_kind_of_drive_that_was_there_is_not_odd(n_alike: int, n_usual: int, i
 
 def rules(**given: Any) -> Any:
     config = {key: given.pop(key, None) for key in ("time_origin", "angle_start", "angle_step")}
-    usual = {"lines": "angle-wrap", "columns": "angle", "line_hz": None, "config": SimpleNamespace(**config)}
-    grid = SimpleNamespace(grid=SimpleNamespace(start_rad=math.radians(5.0), step_rad=math.radians(0.25)))
+    usual = {
+        "lines": "angle-wrap",
+        "columns": "angle",
+        "line_hz": None,
+        "config": SimpleNamespace(**config),
+    }
+    grid = SimpleNamespace(
+        grid=SimpleNamespace(start_rad=math.radians(5.0), step_rad=math.radians(0.25))
+    )
     times = iter([SimpleNamespace(values={"time": np.array([7.25, 8.0])})])
     return SimpleNamespace(
         rules=SimpleNamespace(**{**usual, **given}),
-        setups=dict(enumerate([SimpleNamespace(columns=one) for one in (grid, SimpleNamespace(grid=None), grid)])),
+        setups=dict(
+            enumerate(
+                [SimpleNamespace(columns=one) for one in (grid, SimpleNamespace(grid=None), grid)]
+            )
+        ),
         source=SimpleNamespace(chunks=lambda _: times),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"lines": "fixed"}, "their order"), ({"columns": "order"}, "their order"),
-        ({"columns": "time"}, "the first return of their line"), (None, "the records around them"),
-        ({}, None), ({"columns": "time", "line_hz": 50.0}, None),
+        ({"lines": "fixed"}, "their order"),
+        ({"columns": "order"}, "their order"),
+        ({"columns": "time"}, "the first return of their line"),
+        (None, "the records around them"),
+        ({}, None),
+        ({"columns": "time", "line_hz": 50.0}, None),
     ],
-)  # fmt: skip
+)
 def test_cells_that_would_move(given: dict[str, Any] | None, said: str | None) -> None:
     opened: Any = SimpleNamespace(grid=None if given is None else rules(**given))
     if said is None:
         _check_lines(Path("a.las"), opened)
     else:
-        with pytest.raises(ConfigError, match=f"the cells of shots follow from {said}, so that leaving"):
+        with pytest.raises(
+            ConfigError, match=f"the cells of shots follow from {said}, so that leaving"
+        ):
             _check_lines(Path("a.las"), opened)

@@ -46,7 +46,9 @@ class Drive:
         self.time_s = 3.0e8 + np.arange(n) * 2e-5
         self.line = np.arange(n) // M
         self.range_m = random.uniform(2.0, 60.0, n)
-        self.xyz = np.stack([6.7e5 + self.line * 0.1, 6.2e6 + (np.arange(n) % M) * 0.1, np.full(n, 40.0)], axis=1)
+        self.xyz = np.stack(
+            [6.7e5 + self.line * 0.1, 6.2e6 + (np.arange(n) % M) * 0.1, np.full(n, 40.0)], axis=1
+        )
         self.xyz += random.uniform(-0.03, 0.03, (n, 3))
         self.truth = random.choice([2, 5, 6, 65], n)
         self.label = np.where(random.random(n) < 0.8, np.where(self.truth == 65, 6, self.truth), 5)
@@ -56,7 +58,9 @@ class Drive:
 
     def matrix(self, chosen: Mask | None = None) -> ConfusionMatrix:
         chosen = self.kept if chosen is None else chosen
-        return accumulate(ConfusionMatrix.empty(MAPPING), self.label[chosen], self.truth[chosen], MAPPING)
+        return accumulate(
+            ConfusionMatrix.empty(MAPPING), self.label[chosen], self.truth[chosen], MAPPING
+        )
 
     def write_labels(self, path: Path) -> Path:
         np.save(path, self.label.astype(np.uint8))
@@ -64,9 +68,13 @@ class Drive:
 
     def write_points(self, path: Path, *, labels: bool = False) -> Path:
         columns = {
-            "line": self.line, "time_s": self.time_s, "range_m": np.where(self.missing, np.nan, self.range_m),
-            **{axis: np.where(self.missing, np.nan, self.xyz[:, k]) for k, axis in enumerate("xyz")},
-        }  # fmt: skip
+            "line": self.line,
+            "time_s": self.time_s,
+            "range_m": np.where(self.missing, np.nan, self.range_m),
+            **{
+                axis: np.where(self.missing, np.nan, self.xyz[:, k]) for k, axis in enumerate("xyz")
+            },
+        }
         if labels:
             columns["class"] = self.label
         with gzip.open(path, "wt", newline="") as handle:
@@ -84,7 +92,9 @@ class Drive:
         """Kept records by tiles across the drive, each in another order."""
         random = np.random.default_rng(3)
         kept = np.flatnonzero(self.kept)
-        side = (self.xyz[kept, 1] > self.xyz[:, 1].mean()).astype(int) + 2 * (self.line[kept] > self.line.max() // 2)
+        side = (self.xyz[kept, 1] > self.xyz[:, 1].mean()).astype(int) + 2 * (
+            self.line[kept] > self.line.max() // 2
+        )
         return [random.permutation(kept[side == k]) for k in range(4)]
 
     def write_tiles(self, folder: Path, crs: int | None = None, shift: float = 0.0) -> list[Path]:
@@ -92,12 +102,25 @@ class Drive:
         paths = []
         for k, record in enumerate(self.tiles()):
             paths.append(folder / f"tile_{k}.laz")
-            write_las(paths[-1], self.xyz[record] + shift, self.truth[record], self.time_s[record], record, crs)
+            write_las(
+                paths[-1],
+                self.xyz[record] + shift,
+                self.truth[record],
+                self.time_s[record],
+                record,
+                crs,
+            )
         return paths
 
 
 def write_las(
-    path: Path, xyz: F64, classes: I64, time_s: F64, record: I64, crs: int | None = None, source: I64 | None = None
+    path: Path,
+    xyz: F64,
+    classes: I64,
+    time_s: F64,
+    record: I64,
+    crs: int | None = None,
+    source: I64 | None = None,
 ) -> None:
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
@@ -131,7 +154,9 @@ def folder(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(predicted: Path | Sequence[Path], reference: Path | Sequence[Path], **options: object) -> Evaluation:
+def run(
+    predicted: Path | Sequence[Path], reference: Path | Sequence[Path], **options: object
+) -> Evaluation:
     sides = [[side] if isinstance(side, Path) else list(side) for side in (predicted, reference)]
     return evaluate_all(*sides, MAPPING, options=EvaluateOptions(**options))  # type: ignore[arg-type]
 
@@ -150,14 +175,21 @@ def by(match: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
-def test_labels_alone_against_filtered_and_shuffled_tiles(drive: Drive, folder: Path, match: str) -> None:
-    found = run(folder / "labels.npy", folder / "tiles", **by(match), predicted_points=folder / "raw.csv.gz")
+def test_labels_alone_against_filtered_and_shuffled_tiles(
+    drive: Drive, folder: Path, match: str
+) -> None:
+    found = run(
+        folder / "labels.npy", folder / "tiles", **by(match), predicted_points=folder / "raw.csv.gz"
+    )
     assert_same(found, drive.matrix())
     n_kept = int(drive.kept.sum())
     assert (found.match.n_predicted, found.match.n_reference) == (drive.n, n_kept)
     assert (found.match.n_matched, found.match.n_reference_matched) == (n_kept, n_kept)
     if match == "nearest":
-        assert f"{drive.missing.sum():,} predicted records have no finite coordinates: left out" in found.match.notes
+        assert (
+            f"{drive.missing.sum():,} predicted records have no finite coordinates: left out"
+            in found.match.notes
+        )
 
 
 @pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
@@ -169,19 +201,33 @@ def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) 
     shape = (-1, M)
     np.savez(
         tmp_path / "image.npz",
-        label=drive.label.reshape(shape), xyz=drive.xyz.reshape(-1, M, 3), time_s=drive.time_s.reshape(shape),
+        label=drive.label.reshape(shape),
+        xyz=drive.xyz.reshape(-1, M, 3),
+        time_s=drive.time_s.reshape(shape),
         range_m=drive.range_m.reshape(shape),
-    )  # fmt: skip
+    )
     for match in ("time", "nearest"):
-        found = run(tmp_path / "image.npz", folder / "tiles", **by(match), split_lines=100, split_range_m=(20.0,))
+        found = run(
+            tmp_path / "image.npz",
+            folder / "tiles",
+            **by(match),
+            split_lines=100,
+            split_range_m=(20.0,),
+        )
         assert_same(found, drive.matrix())
-        assert [part.name for part in found.splits["lines"]] == ["lines 0-99", "lines 100-199", "lines 200-299"]
+        assert [part.name for part in found.splits["lines"]] == [
+            "lines 0-99",
+            "lines 100-199",
+            "lines 200-299",
+        ]
         for part in found.splits["lines"]:
             chosen = drive.kept & (drive.line >= part.low) & (drive.line < part.high)
             np.testing.assert_array_equal(part.matrix.counts, drive.matrix(chosen).counts)
         near, far = found.splits["range"]
         assert (near.name, far.name) == ("0-20 m", "from 20 m")
-        np.testing.assert_array_equal(near.matrix.counts, drive.matrix(drive.kept & (drive.range_m < 20)).counts)
+        np.testing.assert_array_equal(
+            near.matrix.counts, drive.matrix(drive.kept & (drive.range_m < 20)).counts
+        )
         np.testing.assert_array_equal((near.matrix + far.matrix).counts, found.matrix.counts)
 
 
@@ -220,18 +266,28 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     assert found.splits["range"][-1].matrix.n_scored == drive.missing.sum()
     # the reference may be the one that knows
     np.save(folder / "truth.npy", drive.truth)
-    swapped = run(folder / "labels.npy", folder / "truth.npy", reference_points=folder / "raw.csv.gz", split_lines=150)
+    swapped = run(
+        folder / "labels.npy",
+        folder / "truth.npy",
+        reference_points=folder / "raw.csv.gz",
+        split_lines=150,
+    )
     assert len(swapped.splits["lines"]) == 2
     assert "lines: taken from the reference" in swapped.match.notes
 
 
-def test_intervals_hold_the_score_and_do_not_depend_on_the_match(drive: Drive, folder: Path) -> None:
+def test_intervals_hold_the_score_and_do_not_depend_on_the_match(
+    drive: Drive, folder: Path
+) -> None:
     options = {"intervals": True, "interval_lines": 10, "predicted_points": folder / "raw.csv.gz"}
     found = run(folder / "labels.npy", folder / "tiles", match="time", **options)
     assert found.interval_method.startswith("block jackknife, 30 blocks of 10 scan lines")
     recall = found.intervals["recall.ground"]
     assert recall.low < found.matrix.row_shares()[0, 0] < recall.high < recall.low + 0.1
-    assert run(folder / "labels.npy", folder / "tiles", **EXACT, **options).intervals == found.intervals
+    assert (
+        run(folder / "labels.npy", folder / "tiles", **EXACT, **options).intervals
+        == found.intervals
+    )
     np.save(folder / "truth.npy", drive.truth)
     records = run(folder / "labels.npy", folder / "truth.npy", intervals=True, interval_lines=1)
     assert "30 blocks of 1000 records" in records.interval_method
@@ -254,7 +310,9 @@ def test_poor_matches_are_refused(drive: Drive, folder: Path, tmp_path: Path) ->
     assert "time 300000000 to 300000001" in message
     assert "both clocks count alike" in message
     half = replace_time(tmp_path / "half.las", drive, 0.3)
-    message = refused(InputError, lambda: run(folder / "labelled.csv.gz", half, match="time", min_matched=0.9))
+    message = refused(
+        InputError, lambda: run(folder / "labelled.csv.gz", half, match="time", min_matched=0.9)
+    )
     assert "expected at least 90 %" in message
     assert run(folder / "labelled.csv.gz", half, match="time", min_matched=0.1).match.n_matched > 0
 
@@ -281,11 +339,20 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({"match": "colour"}, "found 'colour', expected one of: order, time, dimension:NAME, nearest"),
+        (
+            {"match": "colour"},
+            "found 'colour', expected one of: order, time, dimension:NAME, nearest",
+        ),
         ({"tolerance": 1.0}, "records matched by order have none"),
-        ({"unmatched": "noise"}, "--unmatched: needs coordinates of both sides, records are matched by order"),
+        (
+            {"unmatched": "noise"},
+            "--unmatched: needs coordinates of both sides, records are matched by order",
+        ),
         ({"inside": "0,0,1,1", "match": "time"}, "give --match nearest"),
-        ({"third": Path("c.npy"), "match": "time"}, "a third labelling is matched by order or nearest"),
+        (
+            {"third": Path("c.npy"), "match": "time"},
+            "a third labelling is matched by order or nearest",
+        ),
         ({"pool": True}, "records of pooled files have no order"),
         ({"match": "nearest", "tolerance": 0.0}, "expected a finite number above 0"),
         ({"min_matched": 2.0}, "expected a share from 0 to 1"),
@@ -299,7 +366,9 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
         ({"split_scanner": True}, "no scanner to split by"),
     ],
 )
-def test_options_that_make_no_sense(folder: Path, options: dict[str, object], expected: str) -> None:
+def test_options_that_make_no_sense(
+    folder: Path, options: dict[str, object], expected: str
+) -> None:
     np.save(folder / "same.npy", np.ones(5, np.uint8) * 2)
     act = lambda: run(folder / "same.npy", folder / "same.npy", **options)  # noqa: E731
     assert expected.replace("class codes alone", "") in refused(ConfigError, act)
@@ -317,10 +386,16 @@ def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
     message = refused(InputError, lambda: run(tmp_path / "nan.csv", folder / "tiles", match="time"))
     assert "no record has finite time" in message
     (tmp_path / "half.csv").write_text("record,class\n0.5,2\n1,2\n")
-    message = refused(InputError, lambda: run(tmp_path / "half.csv", folder / "tiles", match="dimension:record"))
+    message = refused(
+        InputError, lambda: run(tmp_path / "half.csv", folder / "tiles", match="dimension:record")
+    )
     assert "expected a whole number below 2^53" in message
-    assert "nowhere: no such file" in refused(InputError, lambda: run(folder / "tiles", tmp_path / "nowhere"))
-    message = refused(ConfigError, lambda: run([folder / "labels.npy"] * 2, [folder / "labels.npy"]))
+    assert "nowhere: no such file" in refused(
+        InputError, lambda: run(folder / "tiles", tmp_path / "nowhere")
+    )
+    message = refused(
+        ConfigError, lambda: run([folder / "labels.npy"] * 2, [folder / "labels.npy"])
+    )
     assert "2 predicted and 1 reference files" in message
     with pytest.raises(InputError, match="codes that the class mapping does not list: 99"):
         np.save(tmp_path / "odd.npy", np.full(drive.n, 99))
@@ -336,7 +411,10 @@ def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with gzip.open(raw) as packed:
         lines = packed.read().decode().splitlines()
     time_s = 3.1e8 + np.arange(len(lines) - 1) * 1.3e-5
-    timed = [f"{lines[0]},time", *(f"{line},{t!r}" for line, t in zip(lines[1:], time_s.tolist(), strict=True))]
+    timed = [
+        f"{lines[0]},time",
+        *(f"{line},{t!r}" for line, t in zip(lines[1:], time_s.tolist(), strict=True)),
+    ]
     (folder / "timed.csv").write_text("\n".join(timed) + "\n")
     table = np.genfromtxt(lines[1:], delimiter=",")
     random = np.random.default_rng(1)
@@ -344,12 +422,24 @@ def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     mapping = load_mapping("oakland")
     index = mapping.class_indices(table[kept, 7].astype(np.int64), "reference")
     codes = np.array(
-        [*({"ground": 2, "vegetation": 5, "building": 6}.get(n, 65) for n in mapping.names("reference")), 0]
+        [
+            *(
+                {"ground": 2, "vegetation": 5, "building": 6}.get(n, 65)
+                for n in mapping.names("reference")
+            ),
+            0,
+        ]
     )
     (folder / "tiles").mkdir()
     for k, part in enumerate(np.array_split(random.permutation(len(kept)), 3)):
         record = kept[part]
-        write_las(folder / "tiles" / f"{k}.laz", table[record, 4:7], codes[index[part]], time_s[record], record)
+        write_las(
+            folder / "tiles" / f"{k}.laz",
+            table[record, 4:7],
+            codes[index[part]],
+            time_s[record],
+            record,
+        )
     np.save(folder / "labels_kept.npy", np.load(folder / "labels.npy").ravel()[kept])
     np.save(folder / "truth_kept.npy", codes[index])
     return folder
@@ -374,7 +464,11 @@ def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
         np.savez(tmp_path / f"{name}.npz", range_m=image, angle_deg=np.rad2deg(angles()))
         for suffix in (".npy", ".laz"):
             classify(tmp_path / f"{name}.npz", tmp_path / f"{name}{suffix}", config)
-    classify(tmp_path / "a.npz", tmp_path / "part.npy", load_config(options={"input": {"only_lines": "20:120"}}))
+    classify(
+        tmp_path / "a.npz",
+        tmp_path / "part.npy",
+        load_config(options={"input": {"only_lines": "20:120"}}),
+    )
     for one, other, said in (
         ("b.npy", "a.laz", "137 lines of 180 shots, but .* has 100 of 180: another scan"),
         ("a.laz", "b.npy", "137 lines of 180 shots, but .* has 100 of 180: another scan"),
@@ -402,7 +496,10 @@ def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
         classify(tmp_path / "s.npz", left, config)
     for one, two in ((left, cloud), (cloud, left)):
         found = evaluate_all([one], [two])
-        assert (found.match.method, found.match.n_matched) == ("cell", int((~np.isnan(image)).sum()))
+        assert (found.match.method, found.match.n_matched) == (
+            "cell",
+            int((~np.isnan(image)).sum()),
+        )
         assert found.matrix.counts.trace() == found.matrix.counts.sum() > 0
         assert "matched by cell (scan line, column)" in " ".join(found.match.notes)
     assert evaluate_all([cloud], [cloud]).match.method == "order"
@@ -418,21 +515,31 @@ def colour(name: str) -> tuple[int, ...]:
     return tuple(bytes.fromhex(class_colour(name)[1:]))
 
 
-def draw(tmp_path: Path, predicted: object, reference: object, m: int) -> list[tuple[str, np.ndarray]]:
+def draw(
+    tmp_path: Path, predicted: object, reference: object, m: int
+) -> list[tuple[str, np.ndarray]]:
     paths = tmp_path / "predicted.npy", tmp_path / "reference.npy"
     for path, codes in zip(paths, (predicted, reference), strict=True):
         np.save(path, np.asarray(codes, np.uint8))
     found = class_pictures(*paths, GROUND_CAR, m)
-    return [(title, np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))) for title, content in found]
+    return [
+        (title, np.asarray(Image.open(io.BytesIO(content)).convert("RGB")))
+        for title, content in found
+    ]
 
 
 def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
     # three lines of two shots; records of an unfinished line are left out
-    (one, first), (_, second), (_, differ) = draw(tmp_path, [2, 7, 2, 2, 0, 2, 2], [2, 2, 65, 0, 2, 2, 2], 2)
+    (one, first), (_, second), (_, differ) = draw(
+        tmp_path, [2, 7, 2, 2, 0, 2, 2], [2, 2, 65, 0, 2, 2, 2], 2
+    )
     assert one == "Predicted, lines 0-2 of predicted.npy"
     assert first.shape == second.shape == differ.shape
     rows, columns = (np.array([0, -1]), np.array([0, first.shape[1] // 2, -1]))
-    cells = [[[tuple(image[r, c].tolist()) for c in columns] for r in rows] for image in (first, second, differ)]
+    cells = [
+        [[tuple(image[r, c].tolist()) for c in columns] for r in rows]
+        for image in (first, second, differ)
+    ]
     ground, noise, car = colour("ground"), colour("noise"), colour("car")
     assert cells[0] == [[ground, ground, WHITE], [noise, ground, ground]]
     assert cells[1] == [[ground, car, ground], [ground, WHITE, ground]]
@@ -453,11 +560,22 @@ def test_records_without_their_missing_shots_are_drawn_in_their_cells(tmp_path: 
     las.classification = np.where(column < m // 2, 2, 7).astype(np.uint8)[returned]
     las.write(tmp_path / "cells.las")
     np.save(tmp_path / "codes.npy", np.asarray(las.classification))
-    mapping = ClassMapping(predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)})
-    for pair in (("cells.las", "cells.las"), ("cells.las", "codes.npy"), ("codes.npy", "cells.las")):
-        for title, content in class_pictures(tmp_path / pair[0], tmp_path / pair[1], mapping, m)[:2]:
+    mapping = ClassMapping(
+        predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)}
+    )
+    for pair in (
+        ("cells.las", "cells.las"),
+        ("cells.las", "codes.npy"),
+        ("codes.npy", "cells.las"),
+    ):
+        for title, content in class_pictures(tmp_path / pair[0], tmp_path / pair[1], mapping, m)[
+            :2
+        ]:
             image = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
-            for half, name in ((image[: len(image) // 2], "ground"), (image[len(image) // 2 :], "noise")):
+            for half, name in (
+                (image[: len(image) // 2], "ground"),
+                (image[len(image) // 2 :], "noise"),
+            ):
                 seen = {tuple(one) for one in half.reshape(-1, 3).tolist()}
                 assert seen == {colour(name), WHITE}, (pair, title)
     las.remove_extra_dims(["scan_line", "column"])
@@ -467,15 +585,22 @@ def test_records_without_their_missing_shots_are_drawn_in_their_cells(tmp_path: 
 
 @pytest.mark.parametrize("rising", [True, False])
 @pytest.mark.parametrize("folder", [True, False])
-def test_the_sky_is_at_the_top_whichever_way_the_columns_run(tmp_path: Path, *, rising: bool, folder: bool) -> None:
+def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
+    tmp_path: Path, *, rising: bool, folder: bool
+) -> None:
     m, n = 60, 40
     beam = np.deg2rad(np.linspace(20, 120, m))
     beam = beam if rising else beam[::-1]
     # a scanner 2 m over the ground, and a wall 15 m away
-    range_m = np.minimum(np.where(np.cos(beam) > 0.01, 2.0 / np.maximum(np.cos(beam), 0.01), 99.0), 15.0 / np.sin(beam))
+    range_m = np.minimum(
+        np.where(np.cos(beam) > 0.01, 2.0 / np.maximum(np.cos(beam), 0.01), 99.0),
+        15.0 / np.sin(beam),
+    )
     x, z = range_m * np.sin(beam), -range_m * np.cos(beam)
     rows = [
-        f"{range_m[k]:.4f},{x[k]:.4f},{0.01 * line:.4f},{z[k]:.4f},{line},{k}" for line in range(n) for k in range(m)
+        f"{range_m[k]:.4f},{x[k]:.4f},{0.01 * line:.4f},{z[k]:.4f},{line},{k}"
+        for line in range(n)
+        for k in range(m)
     ]
     points = tmp_path / "points"
     points.mkdir()
@@ -483,7 +608,9 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(tmp_path: Path, *, 
     codes = np.tile(np.where(z < -1.99, 2, 7), n).astype(np.uint8)
     np.save(tmp_path / "labels.npy", codes)
     pair = tmp_path / "labels.npy", tmp_path / "labels.npy"
-    mapping = ClassMapping(predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)})
+    mapping = ClassMapping(
+        predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)}
+    )
     where = points if folder else points / "labels.csv"
     found = class_pictures(*pair, mapping, m, points=(where, None))
     image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
@@ -497,7 +624,11 @@ def test_a_street_stands_as_in_its_rendering(real_data: Path) -> None:
     found = class_pictures(
         street,
         street,
-        ClassMapping(unlisted="other", predicted={"ground": ("1200-1206",)}, reference={"ground": ("1200-1206",)}),
+        ClassMapping(
+            unlisted="other",
+            predicted={"ground": ("1200-1206",)},
+            reference={"ground": ("1200-1206",)},
+        ),
         229,
     )
     image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))

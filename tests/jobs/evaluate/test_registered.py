@@ -39,7 +39,9 @@ class Town:
         ground = random.uniform(0, 1, (60_000, 3)) * [100, 20, 0.005]
         wall = random.uniform(0, 1, (30_000, 3)) * [100, 0.005, 6] + [0, 20, 0]
         post = random.uniform(-1, 1, (3_000, 3)) * [0.1, 0.1, 2] + [50.5, 10, 2]
-        cubes = [random.uniform(0, 1, (1_500, 3)) * [0.5, 0.5, 2] + [x, 4, 0] for x in (20, 43, 71, 90)]
+        cubes = [
+            random.uniform(0, 1, (1_500, 3)) * [0.5, 0.5, 2] + [x, 4, 0] for x in (20, 43, 71, 90)
+        ]
         noise = random.uniform(0, 1, (4_000, 3)) * [100, 18, 8] + [0, 1, 1]
         parts = [ground, wall, post, *cubes, noise]
         self.xyz = np.concatenate(parts)
@@ -74,7 +76,9 @@ def folder(town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def tiles(town: Town, folder: Path, shift: float = 0.0, drop: int | None = None, wide: float = 0.0) -> Path:
+def tiles(
+    town: Town, folder: Path, shift: float = 0.0, drop: int | None = None, wide: float = 0.0
+) -> Path:
     """Write tiles of 25 m: shuffled, without noise, half of the points."""
     random = np.random.default_rng(1)
     xyz = town.xyz + town.error + [shift, 0, 0]
@@ -122,8 +126,14 @@ def test_an_area_leaves_out_the_rest(town: Town, folder: Path, tmp_path: Path, k
     if kind == "polygon":
         pytest.importorskip("shapely")
         ring = [[10, 0], [30, 0], [30, 12], [10, 12], [10, 0]]
-        feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
-        (tmp_path / "a.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        feature = {
+            "type": "Feature",
+            "properties": {},
+            "geometry": {"type": "Polygon", "coordinates": [ring]},
+        }
+        (tmp_path / "a.geojson").write_text(
+            json.dumps({"type": "FeatureCollection", "features": [feature]})
+        )
         area = str(tmp_path / "a.geojson")
     x, y = np.round(town.xyz[:, 0], 3), np.round(town.xyz[:, 1], 3)
     n = int(((x >= 10) & (x <= 30) & (y >= 0) & (y <= 12)).sum())
@@ -140,7 +150,9 @@ def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
     assert rows["ground"] == 0
     assert rows["building"] == pytest.approx(10_000, rel=0.05)
     with (tmp_path / "trees.csv").open("w", newline="") as handle:
-        csv.writer(handle).writerows([["x", "y", "radius", "height"], [50.5, 10, 0.4, 2.0], [20.25, 4.25, 0.5, 9]])
+        csv.writer(handle).writerows(
+            [["x", "y", "radius", "height"], [50.5, 10, 0.4, 2.0], [20.25, 4.25, 0.5, 9]]
+        )
     found = run(folder, trees=tmp_path / "trees.csv", tolerance=0.3)
     rows = dict(zip(found.matrix.reference_names, found.matrix.counts.sum(axis=1), strict=True))
     # half of the post is higher than its cylinder, and a block stands in the other one
@@ -155,10 +167,16 @@ def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_pa
         ("wide", {"wide": 5.0}, "overlap: tile_"),
     )
     for name, wrong, expected in cases:
-        found = run(folder, tiles(town, tmp_path / name, **wrong), unmatched="noise", min_matched=0.3)
+        found = run(
+            folder, tiles(town, tmp_path / name, **wrong), unmatched="noise", min_matched=0.3
+        )
         assert noted(found, expected), found.match.notes
     for name, xyz, expected in (
-        ("degrees", town.xyz * [1e-5, 1e-5, 1] + [24.5, 60.1, 0], "coordinates in degrees, expected metres"),
+        (
+            "degrees",
+            town.xyz * [1e-5, 1e-5, 1] + [24.5, 60.1, 0],
+            "coordinates in degrees, expected metres",
+        ),
         ("far", town.xyz + 500.0, "nothing overlaps; check that both are registered in one system"),
     ):
         path = write(tmp_path / name / "a.las", xyz, town.codes)
@@ -166,7 +184,10 @@ def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_pa
             run(folder, path)
     moved = write(tmp_path / "moved" / "run.las", town.xyz + np.array([500, 0, 0]), town.labels)
     with pytest.raises(InputError, match="x and y are swapped in one of them"):
-        run(moved.parent, write(tmp_path / "s.las", town.xyz[:, [1, 0, 2]] + np.array([0, 500, 0]), town.codes))
+        run(
+            moved.parent,
+            write(tmp_path / "s.las", town.xyz[:, [1, 0, 2]] + np.array([0, 500, 0]), town.codes),
+        )
 
 
 def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
@@ -174,13 +195,19 @@ def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
     path = write(tmp_path / "third.las", town.xyz, third)
     truth = write(tmp_path / "truth.las", town.xyz, town.codes)
     for match in ("nearest", "order"):
-        options = EvaluateOptions(match=match, third=path, tolerance=0.001 if match == "nearest" else None)
+        options = EvaluateOptions(
+            match=match, third=path, tolerance=0.001 if match == "nearest" else None
+        )
         found = evaluate_all([folder / "run.las"], [truth], MAPPING, options=options)
         assert found.three is not None
         states = found.three.states()
         right = town.labels == town.codes, third == town.codes
         assert states["both right"] == np.sum(right[0] & right[1])
-        assert states["only predicted right"] == np.sum(right[0] & ~right[1]) == np.sum(third != town.codes)
+        assert (
+            states["only predicted right"]
+            == np.sum(right[0] & ~right[1])
+            == np.sum(third != town.codes)
+        )
         assert states["only third right"] == np.sum(~right[0] & right[1])
         assert sum(states.values()) == len(town.codes)
         assert "three labellings" in as_markdown(found).lower()
@@ -201,7 +228,11 @@ def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
     ],
 )
 def test_options_that_cannot_be_used(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], message: str
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: dict[str, Any],
+    message: str,
 ) -> None:
     pytest.importorskip("shapely")
     monkeypatch.chdir(tmp_path)
@@ -214,7 +245,9 @@ def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Pa
     tile = folder / "tiles" / "tile_1.laz"
     for tolerance in (0.0, 0.1):
         options = TransferOptions(match="nearest", tolerance_s=tolerance)
-        counts = transfer(folder / "run.las", tile, tmp_path / "out.laz", options, overwrite=True).counts
+        counts = transfer(
+            folder / "run.las", tile, tmp_path / "out.laz", options, overwrite=True
+        ).counts
         assert counts.n_matched == counts.n_points > 10_000
     las = laspy.read(tmp_path / "out.laz")
     xyz = np.stack([las.x, las.y, las.z], axis=1)
@@ -222,8 +255,16 @@ def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Pa
     assert np.mean(np.asarray(las.classification) == town.labels[nearest]) > 0.999
     with pytest.raises(ConfigError, match="no dimension 'x'"):
         np.save(tmp_path / "labels.npy", town.labels.astype(np.uint8))
-        (tmp_path / "times.csv").write_text("time\n" + "\n".join(map(str, range(len(town.labels)))) + "\n")
-        transfer(tmp_path / "labels.npy", tile, tmp_path / "o.laz", options, points=tmp_path / "times.csv")
+        (tmp_path / "times.csv").write_text(
+            "time\n" + "\n".join(map(str, range(len(town.labels)))) + "\n"
+        )
+        transfer(
+            tmp_path / "labels.npy",
+            tile,
+            tmp_path / "o.laz",
+            options,
+            points=tmp_path / "times.csv",
+        )
 
 
 LINES, M = 60, 91
@@ -257,13 +298,30 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     head = "time,x,y,z,roll,pitch,yaw"
     np.savetxt(folder / "poses.csv", rows, "%.6f", ",", header=head, comments="")
     by_compass = [(t, x, y, z, r, -p, (90 - w) % 360) for t, x, y, z, r, p, w in rows]
-    np.savetxt(folder / "compass.csv", by_compass, "%.6f", ",", header=head.replace("yaw", "heading"), comments="")
-    np.savetxt(folder / "positions.csv", [row[:4] for row in rows], "%.6f", ",", header=head[:10], comments="")
+    np.savetxt(
+        folder / "compass.csv",
+        by_compass,
+        "%.6f",
+        ",",
+        header=head.replace("yaw", "heading"),
+        comments="",
+    )
+    np.savetxt(
+        folder / "positions.csv",
+        [row[:4] for row in rows],
+        "%.6f",
+        ",",
+        header=head[:10],
+        comments="",
+    )
     np.savetxt(folder / "bare.csv", [row[:4] for row in rows], "%.6f", ",")
     beam = np.stack([np.zeros(M), np.sin(np.deg2rad(ANGLE_DEG)), -np.cos(np.deg2rad(ANGLE_DEG))])
     mounted = turn(3, 25, -10) @ beam
     xyz = np.concatenate(
-        [places[k] + (turn(*angles[k]) @ (mounted * range_m[k] + [[0.5], [-0.2], [0.4]])).T for k in range(LINES)]
+        [
+            places[k] + (turn(*angles[k]) @ (mounted * range_m[k] + [[0.5], [-0.2], [0.4]])).T
+            for k in range(LINES)
+        ]
     )
     kept = random.permutation(np.flatnonzero(np.isfinite(xyz).all(axis=1)))
     las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
@@ -275,8 +333,22 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def evaluate(drive: Path, *arguments: str, poses: str = "poses.csv") -> Any:
-    command = ["evaluate", str(drive / "labels.npy"), str(drive / "registered.laz"), "--match", "nearest", "--json"]
-    command += ["--predicted-points", str(drive / "drive.npz"), "--trajectory", str(drive / poses), "--mapping", "prc"]
+    command = [
+        "evaluate",
+        str(drive / "labels.npy"),
+        str(drive / "registered.laz"),
+        "--match",
+        "nearest",
+        "--json",
+    ]
+    command += [
+        "--predicted-points",
+        str(drive / "drive.npz"),
+        "--trajectory",
+        str(drive / poses),
+        "--mapping",
+        "prc",
+    ]
     return runner().invoke(cli, [*command, *arguments])
 
 
@@ -296,7 +368,15 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
     truth = np.array(las.classification)
     las.classification[:] = 1
     las.write(tmp_path / "blank.laz")
-    command = ["transfer", str(drive / "labels.npy"), str(tmp_path / "blank.laz"), str(out), "--match", "nearest", "-q"]
+    command = [
+        "transfer",
+        str(drive / "labels.npy"),
+        str(tmp_path / "blank.laz"),
+        str(out),
+        "--match",
+        "nearest",
+        "-q",
+    ]
     command += [
         "--points",
         str(drive / "drive.npz"),
@@ -323,7 +403,9 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
         (("--match", "order"), "poses.csv", "give --match nearest"),
     ],
 )
-def test_what_cannot_place_shots_is_refused(drive: Path, arguments: tuple[str, ...], poses: str, message: str) -> None:
+def test_what_cannot_place_shots_is_refused(
+    drive: Path, arguments: tuple[str, ...], poses: str, message: str
+) -> None:
     done = evaluate(drive, *arguments, poses=poses)
     assert done.exit_code in (1, 2)
     assert message in f"{done.output} {done.exception}"
@@ -349,7 +431,16 @@ def test_a_wrong_mount_is_refused_or_scores_nothing(drive: Path) -> None:
 def test_sbet_and_csv_of_one_drive_turn_alike(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     for name in ("a.csv", "a.sbet"):
-        arguments = ["simulate", "street", str(tmp_path / f"{name}.npz"), "--lines", "6", "--seed", "3", "-q"]
+        arguments = [
+            "simulate",
+            "street",
+            str(tmp_path / f"{name}.npz"),
+            "--lines",
+            "6",
+            "--seed",
+            "3",
+            "-q",
+        ]
         arguments += ["--set", "frame.crs=EPSG:32635", "--trajectory", str(tmp_path / name)]
         done = runner().invoke(cli, arguments)
         assert done.exit_code == 0, done.output
@@ -374,4 +465,6 @@ def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_i
     for shift in (5, 1000):  # some find a partner, or none can
         write(Path("raw.las"), town.xyz + shift, town.labels)
         refused = runner().invoke(cli, ["evaluate", "raw.las", "car.las", "--match", "nearest"])
-        assert "shots that are relative to the scanner: add --trajectory POSES" in str(refused.exception)
+        assert "shots that are relative to the scanner: add --trajectory POSES" in str(
+            refused.exception
+        )

@@ -63,7 +63,10 @@ def test_stems_are_told_once_each(cut: int) -> None:
     assert first.angle_deg == pytest.approx(90.0, abs=0.6)
     assert (second.first_line, second.side_m) == (15, pytest.approx(8.0, abs=1e-5))
     low, high = 2.0 - 8.0 / np.tan(BEAM[20]), 2.0 - 8.0 / np.tan(BEAM[99])
-    assert (second.base_m, second.top_m) == (pytest.approx(low, abs=1e-4), pytest.approx(high, abs=1e-4))
+    assert (second.base_m, second.top_m) == (
+        pytest.approx(low, abs=1e-4),
+        pytest.approx(high, abs=1e-4),
+    )
     assert second.height_m == pytest.approx(high - low, abs=1e-4)
     assert np.isnan(first.x)
 

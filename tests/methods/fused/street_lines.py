@@ -35,7 +35,9 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
         roof = np.where(down > 0, (HEIGHT_M - 1.5) / down, np.inf)
         flank = np.where(side > 0, 2.0 / side, np.inf)
     facade[facade * -down > 6.0] = np.inf
-    car = np.where((flank * down > HEIGHT_M - 1.5) & (flank * down < HEIGHT_M - 0.25), flank, np.inf)
+    car = np.where(
+        (flank * down > HEIGHT_M - 1.5) & (flank * down < HEIGHT_M - 0.25), flank, np.inf
+    )
     car = np.minimum(car, np.where((roof * side > 2.0) & (roof * side < 3.7), roof, np.inf))
     ranges, kind = np.empty((n_lines, len(BEAM))), np.empty((n_lines, len(BEAM)), np.uint8)
     for line in range(n_lines):
@@ -45,7 +47,9 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
         if n_lines // 3 <= line < 2 * n_lines // 3:
             things.append(car)
         every = np.stack(things)
-        kind[line] = np.array([GROUND, BUILDING, VEGETATION, CAR], np.uint8)[np.argmin(every, axis=0)]
+        kind[line] = np.array([GROUND, BUILDING, VEGETATION, CAR], np.uint8)[
+            np.argmin(every, axis=0)
+        ]
         ranges[line] = np.min(every, axis=0)
     ranges += rng.normal(0, noise_m, ranges.shape)
     strays = rng.random(ranges.shape) < 0.01

@@ -37,35 +37,48 @@ MOST = 0.001
 
 def labels(range_m: F32, beam_rad: F64, k: int) -> U8:
     block = ScanBlock(0, range_m, beam_rad=beam_rad, is_last=True)
-    return np.concatenate([item.labels for item in label_blocks(iter([block]), FusedParams(lines_per_block=k))])
+    return np.concatenate(
+        [item.labels for item in label_blocks(iter([block]), FusedParams(lines_per_block=k))]
+    )
 
 
 def changed(range_m: F32, beam_rad: F64, *sizes: int) -> list[float]:
     """Return the share of the labels that change with the lines per block."""
     whole = labels(range_m, beam_rad, len(range_m))
     assert len(np.unique(whole)) > 5
-    return [float((labels(range_m, beam_rad, k) != whole)[whole != Label.MISSING].mean()) for k in sizes]
+    return [
+        float((labels(range_m, beam_rad, k) != whole)[whole != Label.MISSING].mean()) for k in sizes
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scanner", ["photon-80", "sick-push-broom"])
 def test_on_a_street(scanner: str) -> None:
     """With range noise that is measured anew along the way, and cars that are found by lines on both sides."""
-    options = {"seed": 5, "lines": 150, "scanner": {"name": scanner, "noise_m": 0.012, "points_per_line": 361}}
+    options = {
+        "seed": 5,
+        "lines": 150,
+        "scanner": {"name": scanner, "noise_m": 0.012, "points_per_line": 361},
+    }
     scan = open_simulation("street", load_settings("street", options=options), threads=1).scan
     blocks = list(scan.blocks())
     angle_rad, down_rad = blocks[0].angle_rad, scan.info.down_rad
     assert angle_rad is not None
     assert down_rad is not None
     beam_rad = (angle_rad - down_rad + np.pi) % (2 * np.pi) - np.pi
-    assert changed(np.concatenate([block.range_m for block in blocks]), beam_rad, 1, 16, 37, 128) == [0] * 4
+    assert (
+        changed(np.concatenate([block.range_m for block in blocks]), beam_rad, 1, 16, 37, 128)
+        == [0] * 4
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.data
 def test_on_a_push_broom_strip(real_data: Path) -> None:
     """Some of its lines are so close together that every second one is a stream of its own."""
-    table = np.genfromtxt(real_data / "oakland" / "oakland_2.csv.gz", delimiter=",", skip_header=1, usecols=(0, 2, 3))
+    table = np.genfromtxt(
+        real_data / "oakland" / "oakland_2.csv.gz", delimiter=",", skip_header=1, usecols=(0, 2, 3)
+    )
     n_lines = len(np.unique(table[:, 0]))
     range_m = table[:, 2].reshape(n_lines, -1).astype(np.float32)
     beam_rad = np.deg2rad(table[: range_m.shape[1], 1])
@@ -112,7 +125,10 @@ def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
 
 def test_lines_may_begin_with_either_half() -> None:
     odd = np.arange(len(BEAM)) % 2 == 1
-    first, second = wall(np.where(odd, 0.5, 0.0))[:30], wall(np.where(odd, -0.5, 0.0), lines=60)[30:]
+    first, second = (
+        wall(np.where(odd, 0.5, 0.0))[:30],
+        wall(np.where(odd, -0.5, 0.0), lines=60)[30:],
+    )
     found = in_step(np.concatenate([first, second]))
     whole = wall(np.zeros(len(BEAM)), lines=60)
     off = np.abs(found - whole).max(axis=1)
@@ -160,7 +176,12 @@ def test_stages_and_loops_agree_on_places_beside_the_scanner() -> None:
     assert (ground.BINS, ground.DEPTHS) == (fused_ground.BINS, fused_ground.DEPTHS)
     assert (classes.LINES, classes.BINS) == (fused_fans.LINES, fused_fans.BINS)
     strips = (fused_strips.STRIPS, fused_strips.STRIP_M, fused_strips.SLOT_M, fused_strips.SLOTS)
-    assert strips == (fused_classes.STRIPS, fused_classes.STRIP_M, fused_classes.SLOT_M, fused_classes.SLOTS)
+    assert strips == (
+        fused_classes.STRIPS,
+        fused_classes.STRIP_M,
+        fused_classes.SLOT_M,
+        fused_classes.SLOTS,
+    )
     for loops in (fused_confidence, fused_flanks):
         assert strips[:3] == (loops.STRIPS, loops.STRIP_M, loops.SLOT_M)
         assert loops.LINES == fused_strips.LINES

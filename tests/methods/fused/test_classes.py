@@ -12,7 +12,14 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
 from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, initial_state
-from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines, with_limits
+from tests.methods.fused.street_lines import (
+    BEAM,
+    BUILDING,
+    GROUND,
+    HEIGHT_M,
+    street_lines,
+    with_limits,
+)
 
 SCANNER = FusedScanner.of(BEAM)
 SIDE, DOWN = np.sin(BEAM), np.cos(BEAM)
@@ -43,7 +50,12 @@ def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) ->
     ranges, kind = street
     found = classified(ranges) == Label.CURB
     height = HEIGHT_M - ranges * DOWN
-    face = (np.abs(np.abs(ranges * SIDE) - 4.0) < 0.015) & (height > 0.03) & (height < 0.09) & (kind == GROUND)
+    face = (
+        (np.abs(np.abs(ranges * SIDE) - 4.0) < 0.015)
+        & (height > 0.03)
+        & (height < 0.09)
+        & (kind == GROUND)
+    )
     assert face.sum() > 200
     assert found[face].mean() > 0.9
     near = np.abs(np.abs(ranges[found] * SIDE[np.nonzero(found)[1]]) - 4.0) < 0.1
@@ -97,7 +109,11 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
 
 def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
     ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
-    legs, trunk, head = surface(-3.15, 0.0, 0.85), surface(-3.0, 0.85, 1.5), surface(-3.1, 1.5, 1.75)
+    legs, trunk, head = (
+        surface(-3.15, 0.0, 0.85),
+        surface(-3.0, 0.85, 1.5),
+        surface(-3.1, 1.5, 1.75),
+    )
     person = np.minimum(np.minimum(legs, trunk), head)
     hit[20:24] = np.isfinite(person)
     noise = np.random.default_rng(3).normal(0, 0.005, ranges.shape)
@@ -107,8 +123,12 @@ def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
     assert not (classified(ranges, columns={"small_lines": 0})[hit] == Label.UNCLASSIFIED).any()
 
 
-@pytest.mark.parametrize(("radius_m", "label"), [(0.3, Label.VEGETATION), (0.08, Label.POLE), (None, Label.BUILDING)])
-def test_what_stands_alone_is_a_wall_only_if_flat(street: tuple[F32, U8], radius_m: float | None, label: Label) -> None:
+@pytest.mark.parametrize(
+    ("radius_m", "label"), [(0.3, Label.VEGETATION), (0.08, Label.POLE), (None, Label.BUILDING)]
+)
+def test_what_stands_alone_is_a_wall_only_if_flat(
+    street: tuple[F32, U8], radius_m: float | None, label: Label
+) -> None:
     ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
     for line in range(18, 30):  # between the car's lines and the ends
         off = (line - 23.5) / 6

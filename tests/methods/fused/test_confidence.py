@@ -26,10 +26,18 @@ def confidence(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) 
     """Label a block in pieces; return the confidence of all lines."""
     params = load_config(preset=preset).config.classifier
     pieces = (
-        replace(block, first_line=a, range_m=block.range_m[a : a + size], is_last=a + size >= block.n_lines)
+        replace(
+            block,
+            first_line=a,
+            range_m=block.range_m[a : a + size],
+            is_last=a + size >= block.n_lines,
+        )
         for a in range(0, block.n_lines, size)
     )
-    found = [item.confidence for item in label_blocks(pieces, params, wanted=Wanted(confidence=True), threads=threads)]
+    found = [
+        item.confidence
+        for item in label_blocks(pieces, params, wanted=Wanted(confidence=True), threads=threads)
+    ]
     return np.concatenate([one for one in found if one is not None])
 
 
@@ -53,7 +61,10 @@ def test_it_depends_neither_on_threads_nor_on_cuts() -> None:
 def test_labels_are_the_same_without_it() -> None:
     block = ScanBlock(0, street_lines(140)[0], beam_rad=BEAM, is_last=True)
     params = load_config(preset="fused").config.classifier
-    on, off = (list(label_blocks(iter([block]), params, wanted=Wanted(confidence=wanted))) for wanted in (True, False))
+    on, off = (
+        list(label_blocks(iter([block]), params, wanted=Wanted(confidence=wanted)))
+        for wanted in (True, False)
+    )
     for one, other in zip(on, off, strict=True):
         np.testing.assert_array_equal(one.labels, other.labels)
         assert other.confidence is None
@@ -77,7 +88,11 @@ def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
     line, column = np.array([10, 10], np.int32), np.array([200, 200], np.int32)
     far = np.array([ranges[10, 200] + 0.01, 90.0], np.float32)
     block = ScanBlock(
-        0, ranges, beam_rad=BEAM, is_last=True, extra=ExtraReturns(line, column, far, np.arange(2) + ranges.size)
+        0,
+        ranges,
+        beam_rad=BEAM,
+        is_last=True,
+        extra=ExtraReturns(line, column, far, np.arange(2) + ranges.size),
     )
     params = load_config(preset="fused").config.classifier
     first = next(iter(label_blocks(iter([block]), params, wanted=Wanted(confidence=True))))
@@ -123,7 +138,10 @@ def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
     few = 12 if preset is None else 1  # columns, too few to measure their angles
     np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0][:, ::few], **angles)
     config = load_config(preset=preset, options=ON)
-    with pytest.raises(ConfigError, match=r"output\.confidence: found a method .* expected fused; give --preset fused"):
+    with pytest.raises(
+        ConfigError,
+        match=r"output\.confidence: found a method .* expected fused; give --preset fused",
+    ):
         classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
     assert not (tmp_path / "o.csv").exists()
 
@@ -131,7 +149,9 @@ def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
 @pytest.mark.parametrize("environment", ["urban", "forest"])
 def test_every_label_has_its_questions_and_its_row(environment: str) -> None:
     place = "forest" if environment == "forest" else "urban"
-    method = load_config(preset="fused" if place == "urban" else "fused-forest").config.classifier.method()
+    method = load_config(
+        preset="fused" if place == "urban" else "fused-forest"
+    ).config.classifier.method()
     told = method.gives - {Label.MISSING, Label.UNCLASSIFIED}
     assert set(QUESTIONS[place]) == told
     for label, questions in QUESTIONS[place].items():

@@ -99,7 +99,11 @@ def test_stems_and_ground_of_a_simulated_walk() -> None:
     """Fewer lines and columns than a user has; the figures of whole walks are in the documentation."""
     ranges, angle, reference = walk()
     labels = forest(ranges, Plane.of(angle), 0.0, FOREST)
-    for label, recall, precision in ((Label.STEM, 0.75, 0.9), (Label.GROUND, 0.9, 0.85), (Label.NOISE, 0.35, 0.6)):
+    for label, recall, precision in (
+        (Label.STEM, 0.75, 0.9),
+        (Label.GROUND, 0.9, 0.85),
+        (Label.NOISE, 0.35, 0.6),
+    ):
         both = np.count_nonzero((labels == label) & (reference == label))
         assert both > recall * np.count_nonzero(reference == label), label.name
         assert both > precision * np.count_nonzero(labels == label), label.name
@@ -120,6 +124,8 @@ def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
     if noise_m == 0.03:
         soil = reference == Label.GROUND
         assert (aware == Label.GROUND)[soil].mean() > (not_aware == Label.GROUND)[soil].mean() + 0.1
-        accepted = load_config(preset="fused-forest", options={"input": {"accept_doubts": ["range-noise"]}})
+        accepted = load_config(
+            preset="fused-forest", options={"input": {"accept_doubts": ["range-noise"]}}
+        )
         by_preset = classify_ranges(noisy, accepted, beam_rad=angle).labels
         assert (by_preset == aware).mean() > 0.99

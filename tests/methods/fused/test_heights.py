@@ -21,7 +21,12 @@ from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, s
 def heights(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> F32:
     """Label a block in pieces; return the heights of all lines."""
     pieces = (
-        replace(block, first_line=a, range_m=block.range_m[a : a + size], is_last=a + size >= block.n_lines)
+        replace(
+            block,
+            first_line=a,
+            range_m=block.range_m[a : a + size],
+            is_last=a + size >= block.n_lines,
+        )
         for a in range(0, block.n_lines, size)
     )
     method = load_config(preset=preset).config.classifier
@@ -40,18 +45,24 @@ def test_heights_are_those_above_the_road(preset: str) -> None:
     assert np.quantile(np.abs(found - expected)[road], 0.99) < 0.08
     facade = (kind == BUILDING) & np.isfinite(found)
     facade[50:100] = False  # behind the car
-    assert np.quantile(np.abs(found - expected)[facade], 0.9) < 0.16  # the sidewalk before it is 0.12 m higher
+    assert (
+        np.quantile(np.abs(found - expected)[facade], 0.9) < 0.16
+    )  # the sidewalk before it is 0.12 m higher
 
 
 def test_they_do_not_depend_on_threads_and_cuts() -> None:
     block = ScanBlock(0, street_lines(150)[0], beam_rad=BEAM, is_last=True)
-    np.testing.assert_array_equal(heights("fused", block, 17, threads=3), heights("fused", block, 150))
+    np.testing.assert_array_equal(
+        heights("fused", block, 17, threads=3), heights("fused", block, 150)
+    )
 
 
 def test_a_leaning_plane_has_true_heights() -> None:
     ranges = street_lines(20)[0]
     up = -ranges * np.cos(BEAM) * 0.8
-    xyz = np.stack([np.sqrt(np.maximum(ranges**2 - up**2, 0)), np.zeros_like(up), up], axis=-1).astype(np.float32)
+    xyz = np.stack(
+        [np.sqrt(np.maximum(ranges**2 - up**2, 0)), np.zeros_like(up), up], axis=-1
+    ).astype(np.float32)
     block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM)
     above = np.where(np.arange(ranges.size).reshape(ranges.shape), np.float32(2.0), np.float32(1e9))
     found = true_heights(above, block)
@@ -75,7 +86,11 @@ def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
     np.savez(tmp_path / "s.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
     config = load_config(options={"output": {"stages": True}, "input": {"nadir": 0.0}})
     output = tmp_path / f"o{suffix}"
-    assert not [one for one in classify(tmp_path / "s.npz", output, config).record.notices if "stages" in one]
+    assert not [
+        one
+        for one in classify(tmp_path / "s.npz", output, config).record.notices
+        if "stages" in one
+    ]
     block = ScanBlock(0, ranges, beam_rad=BEAM, is_last=True)
     expected = heights("fused", block, 128)
     if suffix == ".laz":
@@ -90,5 +105,7 @@ def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
 def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:
     ranges, degrees = street_lines(60)[0], np.rad2deg(BEAM)
     ranges[0] = np.where((degrees > 100) & (degrees < 110), -0.3 / np.cos(BEAM), np.nan)
-    found = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[1:, np.abs(degrees) < 45]
+    found = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[
+        1:, np.abs(degrees) < 45
+    ]
     assert np.nanquantile(np.abs(found), 0.9) < 0.1

@@ -12,11 +12,25 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
 from prc_cli.methods.fused.neighbours import smooth_pairs
-from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, classify_block, initial_state
+from prc_cli.methods.fused.pipeline import (
+    Fused,
+    FusedParams,
+    FusedScanner,
+    classify_block,
+    initial_state,
+)
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.spacing import IN_LINE_PAIRS, SPACED_LINES, STANDS, spaced_pairs
 from prc_cli.methods.fused.thresholds import NEVER, Smoothness
-from tests.methods.fused.street_lines import BEAM, BUILDING, CAR, HEIGHT_M, VEGETATION, street_lines, with_limits
+from tests.methods.fused.street_lines import (
+    BEAM,
+    BUILDING,
+    CAR,
+    HEIGHT_M,
+    VEGETATION,
+    street_lines,
+    with_limits,
+)
 
 SCANNER = FusedScanner.of(BEAM)
 PLANE = ScanPlane.of(BEAM)
@@ -34,7 +48,9 @@ def drive(places: I64, n_lines: int = 48) -> tuple[F32, U8]:
 
 def labelled(ranges: F32, k: int = 64, scanner: FusedScanner = SCANNER) -> tuple[U8, I64]:
     """Return the labels of a drive in blocks of k lines, and the distances of lines after every block."""
-    params = FusedParams.model_validate({"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}})
+    params = FusedParams.model_validate(
+        {"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}}
+    )
     turn = OneByOne(initial_state(scanner))
     parts, strides = [], []
     for first in range(0, len(ranges), k):
@@ -68,11 +84,15 @@ def test_a_drive_that_stops_keeps_its_labels() -> None:
     surface = np.isin(kind[40], (BUILDING, VEGETATION))
     assert (labels[stop] == normal)[:, surface].mean() > 0.96
     for one, label in ((BUILDING, Label.BUILDING), (VEGETATION, Label.VEGETATION)):
-        assert share(labels[stop], kind[stop], one, label) > share(normal, kind[40], one, label) - 0.03
+        assert (
+            share(labels[stop], kind[stop], one, label) > share(normal, kind[40], one, label) - 0.03
+        )
 
 
 def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
-    places = np.concatenate([np.arange(20), np.arange(80, 160) // 4, np.full(60, 40), np.arange(40, 48)])
+    places = np.concatenate(
+        [np.arange(20), np.arange(80, 160) // 4, np.full(60, 40), np.arange(40, 48)]
+    )
     ranges, _ = drive(places)
     whole = labelled(ranges, 200)[0]
     for k in (1, 7, 13, 64):

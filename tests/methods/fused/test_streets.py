@@ -14,27 +14,52 @@ from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import LABELS_ALONE, OneByOne, Wanted
 from prc_cli.methods.fused import pipeline
-from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, FusedState, initial_state
+from prc_cli.methods.fused.pipeline import (
+    Fused,
+    FusedParams,
+    FusedScanner,
+    FusedState,
+    initial_state,
+)
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.range_noise import DEFAULT_NOISE_M, NoiseAlong, SensorParams
 from prc_cli.methods.fused.thresholds import NEVER, NO_BINS
 from prc_cli.methods.run import run_blocks
-from tests.methods.fused.street_lines import BEAM, BUILDING, CAR, GROUND, STRAY, VEGETATION, street_lines, with_limits
+from tests.methods.fused.street_lines import (
+    BEAM,
+    BUILDING,
+    CAR,
+    GROUND,
+    STRAY,
+    VEGETATION,
+    street_lines,
+    with_limits,
+)
 
 PLANE = ScanPlane.of(BEAM)
 SCANNER = FusedScanner.of(BEAM)
 PARAMS = FusedParams()
 EXPECTED = {
-    GROUND: Label.GROUND, BUILDING: Label.BUILDING, VEGETATION: Label.VEGETATION, STRAY: Label.NOISE, CAR: Label.CAR,
-}  # fmt: skip
+    GROUND: Label.GROUND,
+    BUILDING: Label.BUILDING,
+    VEGETATION: Label.VEGETATION,
+    STRAY: Label.NOISE,
+    CAR: Label.CAR,
+}
 
 
 def classify_block(
-    ranges: F32, following: F32 | None, state: FusedState, params: FusedParams, scanner: FusedScanner = SCANNER
+    ranges: F32,
+    following: F32 | None,
+    state: FusedState,
+    params: FusedParams,
+    scanner: FusedScanner = SCANNER,
 ) -> tuple[U8, FusedState]:
     """Classify one block: its labels, and the state after it."""
     turn = OneByOne(state)
-    (found,) = Fused(params).label(ScanBlock(0, ranges, next_m=following), scanner, turn, LABELS_ALONE)
+    (found,) = Fused(params).label(
+        ScanBlock(0, ranges, next_m=following), scanner, turn, LABELS_ALONE
+    )
     return found.labels, turn.state
 
 
@@ -61,7 +86,13 @@ def street() -> tuple[F32, U8]:
 def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
     labels, kind = classified(street[0]), street[1]
     found = recalls(labels, kind)
-    for one, least in ((GROUND, 0.99), (BUILDING, 0.97), (VEGETATION, 0.93), (STRAY, 0.85), (CAR, 0.85)):
+    for one, least in (
+        (GROUND, 0.99),
+        (BUILDING, 0.97),
+        (VEGETATION, 0.93),
+        (STRAY, 0.85),
+        (CAR, 0.85),
+    ):
         assert found[one] > least, one
     assert (kind[labels == Label.GROUND] == GROUND).mean() > 0.98
     assert ((labels == Label.MISSING) == np.isnan(street[0])).all()
@@ -102,10 +133,18 @@ def test_a_drive_that_begins_beneath_trees_sees_better_later() -> None:
         ({"decision": {"least_near": 0, "spike_share": NEVER}}, STRAY),
         ({"decision": {"car_bins": NO_BINS, "car_bins_rough": NO_BINS}}, CAR),
         ({"decision": {"leaf_share": 0, "leaf_share_before_wall": 0}}, VEGETATION),
-        ({"walk": {"step_m": 0, "slope": 0, "gap_slope": 0}, "decision": {"level_m": 0, "soil_m": 0}}, GROUND),
+        (
+            {
+                "walk": {"step_m": 0, "slope": 0, "gap_slope": 0},
+                "decision": {"level_m": 0, "soil_m": 0},
+            },
+            GROUND,
+        ),
     ],
 )
-def test_a_step_that_is_off_is_missed(street: tuple[F32, U8], off: dict[str, Any], kind: int) -> None:
+def test_a_step_that_is_off_is_missed(
+    street: tuple[F32, U8], off: dict[str, Any], kind: int
+) -> None:
     usual = recalls(classified(street[0]), street[1])[kind]
     assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
@@ -142,7 +181,9 @@ def test_every_line_has_the_noise_measured_up_to_it() -> None:
     ranges[:128] += np.random.default_rng(8).exponential(0.1, ranges[:128].shape).astype(np.float32)
     turn, found = OneByOne(initial_state(SCANNER)), []
     for first in range(0, len(ranges), 64):
-        block = ScanBlock(first, ranges[first : first + 64], next_m=ranges[first + 64 : first + 64 + 47])
+        block = ScanBlock(
+            first, ranges[first : first + 64], next_m=ranges[first + 64 : first + 64 + 47]
+        )
         (labelled,) = Fused(PARAMS).label(block, SCANNER, turn, Wanted(measures=True))
         found += labelled.measures["range noise [m]"][:, 0].tolist()
     assert found == noise_along(ranges, SensorParams(), 64)
@@ -152,7 +193,9 @@ def test_every_line_has_the_noise_measured_up_to_it() -> None:
 def test_cars_are_sought_at_the_heights_of_their_own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
-    def find_cars(shots: Any, n_lines: int, plane: Any, before: Any, thresholds: Any) -> tuple[U8, Any]:
+    def find_cars(
+        shots: Any, n_lines: int, plane: Any, before: Any, thresholds: Any
+    ) -> tuple[U8, Any]:
         seen.append(shots)
         return shots[0], before
 

@@ -9,7 +9,13 @@ from numpy.random import Generator
 
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.methods.base import OneByOne
-from prc_cli.methods.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
+from prc_cli.methods.prc.pipeline import (
+    PrcParams,
+    PrcState,
+    PrcTrace,
+    classify_block,
+    initial_state,
+)
 from prc_cli.methods.prc.surfaces import area_threshold
 from tests.oracles.prc_method import Settings
 
@@ -26,7 +32,9 @@ def trace_block(
     return trace, turn.state
 
 
-def run_blocks(range_m: F32, params: PrcParams, extra_lines: int = 0) -> list[tuple[PrcTrace, PrcState]]:
+def run_blocks(
+    range_m: F32, params: PrcParams, extra_lines: int = 0
+) -> list[tuple[PrcTrace, PrcState]]:
     """Classify a stream as the program does, k lines and the least look-ahead at a time; the state after each."""
     k, width = params.lines_per_block, range_m.shape[1]
     ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines
@@ -42,7 +50,9 @@ def run_blocks(range_m: F32, params: PrcParams, extra_lines: int = 0) -> list[tu
 def run_stream(range_m: F32, params: PrcParams) -> tuple[U8, I64]:
     """Labels and segments of a whole stream."""
     traces = [trace for trace, _ in run_blocks(range_m, params)]
-    return np.concatenate([trace.labels for trace in traces]), np.concatenate([segments_of(each) for each in traces])
+    return np.concatenate([trace.labels for trace in traces]), np.concatenate(
+        [segments_of(each) for each in traces]
+    )
 
 
 def segments_of(trace: PrcTrace) -> I64:
@@ -96,7 +106,10 @@ def random_params(rng: Generator) -> PrcParams:
                 "d_c": pick(rng, 0.05, 0.0625, 1.0),
             },
             "components": {"min_votes": pick(rng, 1, 2, 3)},
-            "surfaces": {"area": pick(rng, 1, 3, 7.5, 12, 30, "auto"), "gamma": pick(rng, 0, 1, 2, 3)},
+            "surfaces": {
+                "area": pick(rng, 1, 3, 7.5, 12, 30, "auto"),
+                "gamma": pick(rng, 0, 1, 2, 3),
+            },
             "urban": {"ground": pick(rng, "running-total", "block")},
             "forest": {
                 "column_step": pick(rng, 1, 3, 10),

@@ -12,10 +12,18 @@ from prc_cli.methods.base import Wanted
 from prc_cli.methods.prc import pipeline
 from prc_cli.methods.prc.pipeline import Prc, PrcParams, initial_state
 from prc_cli.methods.run import run_blocks
-from tests.methods.prc.streams import TIGHT_LOOK_AHEAD, random_params, random_stream, run_stream, trace_block
+from tests.methods.prc.streams import (
+    TIGHT_LOOK_AHEAD,
+    random_params,
+    random_stream,
+    run_stream,
+    trace_block,
+)
 
 
-def run_threads(stream: F32, params: PrcParams, threads: int, *, segments: bool) -> tuple[U8, list[I64 | None]]:
+def run_threads(
+    stream: F32, params: PrcParams, threads: int, *, segments: bool
+) -> tuple[U8, list[I64 | None]]:
     blocks = iter([ScanBlock(0, stream)])
     found = list(run_blocks(blocks, Prc(params), threads=threads, wanted=Wanted(segments=segments)))
     return np.concatenate([item.labels for item in found]), [item.segments for item in found]
@@ -30,7 +38,9 @@ def test_threads_change_nothing(threads: int) -> None:
         expected, segments = run_stream(stream, params)
         labels, ids = run_threads(stream, params, threads, segments=True)
         np.testing.assert_array_equal(labels, expected)
-        np.testing.assert_array_equal(np.concatenate([part for part in ids if part is not None]), segments)
+        np.testing.assert_array_equal(
+            np.concatenate([part for part in ids if part is not None]), segments
+        )
         labels, ids = run_threads(stream, params, threads, segments=False)
         np.testing.assert_array_equal(labels, expected)
         assert ids == [None] * len(ids)
@@ -46,13 +56,17 @@ def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
         k, ahead = params.lines_per_block, TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
         for first in range(0, len(stream), k):
             following = stream[first + k : first + k + ahead]
-            trace, state = trace_block(stream[first : first + k], following, state, params, segments=False)
+            trace, state = trace_block(
+                stream[first : first + k], following, state, params, segments=False
+            )
             assert trace.segments is None
             np.testing.assert_array_equal(trace.labels, expected[first : first + k])
 
 
 @pytest.mark.parametrize("stage", ["background", "identify", "count_smooth", "urban"])
-def test_error_in_any_stage_is_the_one_that_is_seen(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+def test_error_in_any_stage_is_the_one_that_is_seen(
+    monkeypatch: pytest.MonkeyPatch, stage: str
+) -> None:
     """A block that fails before, in, between and after the turns; the blocks before it come out, nobody waits."""
     stream = np.full((60, 40), 20.0, np.float32)
     stream[33, 7] = 5.0
@@ -68,7 +82,9 @@ def test_error_in_any_stage_is_the_one_that_is_seen(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(pipeline, stage, fails)
     n_found = 0
     with pytest.raises(MemoryError, match=stage):
-        for _ in run_blocks(iter([ScanBlock(0, stream)]), Prc(PrcParams(lines_per_block=6)), threads=3):
+        for _ in run_blocks(
+            iter([ScanBlock(0, stream)]), Prc(PrcParams(lines_per_block=6)), threads=3
+        ):
             n_found += 1
     assert n_found <= 5, "blocks are begun in order, and calls of a stage nearly so"
 

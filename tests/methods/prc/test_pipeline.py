@@ -32,7 +32,9 @@ def assert_equals_oracle(seed: int) -> set[int]:
     rng = np.random.default_rng(seed)
     params, stream = random_params(rng), random_stream(rng)
     labels, segments = run_stream(stream, params)
-    expected_labels, expected_segments = oracle_prc.classify_stream(stream, to_settings(params, stream.shape[1]))
+    expected_labels, expected_segments = oracle_prc.classify_stream(
+        stream, to_settings(params, stream.shape[1])
+    )
     np.testing.assert_array_equal(labels, expected_labels)
     np.testing.assert_array_equal(segments, expected_segments)
     assert labels.dtype == np.uint8
@@ -44,9 +46,9 @@ def test_pipeline_equals_the_oracle_for_any_block_length() -> None:
     seen: set[int] = set()
     for seed in range(200):
         seen |= assert_equals_oracle(seed)
-    assert seen == {*(Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.STEM)}, (
-        "the data does not show every class"
-    )
+    assert seen == {
+        *(Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.STEM)
+    }, "the data does not show every class"
 
 
 @given(st.integers(1000, 2**40))
@@ -57,7 +59,9 @@ def test_pipeline_equals_the_oracle_on_any_seed(seed: int) -> None:
 def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
     rng = np.random.default_rng(5)
     h = np.arange(400)
-    street = np.where(np.abs(h - 100) < 90, 2 + np.abs(h - 100) / 8, np.where(h > 300, 14 - (h - 300) / 70, 9.0))
+    street = np.where(
+        np.abs(h - 100) < 90, 2 + np.abs(h - 100) / 8, np.where(h > 300, 14 - (h - 300) / 70, 9.0)
+    )
     stream = np.repeat(street[None], 230, axis=0)
     stream[120:140, 150:200] = 4.0  # a car
     foliage = (slice(60, 110), slice(220, 280))
@@ -71,7 +75,12 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
         PrcParams(),
         build(
             PrcParams,
-            {"lines_per_block": 70, "environment": "forest", "surfaces": {"area": "auto"}, "forest": {"density": 0.9}},
+            {
+                "lines_per_block": 70,
+                "environment": "forest",
+                "surfaces": {"area": "auto"},
+                "forest": {"density": 0.9},
+            },
             "test",
         ),
     ):
@@ -85,14 +94,23 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"support": {"zeta_s": -1}}, "support.zeta_s: found -1, expected: .*greater than or equal to 0"),
+        (
+            {"support": {"zeta_s": -1}},
+            "support.zeta_s: found -1, expected: .*greater than or equal to 0",
+        ),
         ({"support": {"zeta_p": float("nan")}}, "support.zeta_p"),
         ({"support": {"rho_c": 0}}, "support.rho_c: found 0, expected: .*greater than 0"),
-        ({"support": {"rounding": "up"}}, "support.rounding: found 'up', expected: .*'ceil' or 'floor'"),
+        (
+            {"support": {"rounding": "up"}},
+            "support.rounding: found 'up', expected: .*'ceil' or 'floor'",
+        ),
         ({"background": {"alpha": 0.5}}, "background.alpha: found 0.5, expected: .*less than 0.5"),
         ({"background": {"d_c": 0}}, "background.d_c: found 0"),
         ({"components": {"min_votes": 0}}, "components.min_votes: found 0"),
-        ({"surfaces": {"area": 0}}, 'surfaces.area: expected: a positive number of pixels or "auto", found 0'),
+        (
+            {"surfaces": {"area": 0}},
+            'surfaces.area: expected: a positive number of pixels or "auto", found 0',
+        ),
         ({"surfaces": {"area": "large"}}, "surfaces.area: .* found 'large'"),
         ({"surfaces": {"area": True}}, "surfaces.area: .* found True"),
         ({"surfaces": {"area": float("inf")}}, "surfaces.area: .* found inf"),
@@ -106,7 +124,9 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
         ({"support": {"zeta": 1}}, "unknown key 'support.zeta'; did you mean 'zeta_"),
     ],
 )
-def test_parameters_out_of_bounds_name_key_found_and_expected(table: dict[str, object], message: str) -> None:
+def test_parameters_out_of_bounds_name_key_found_and_expected(
+    table: dict[str, object], message: str
+) -> None:
     with pytest.raises(ConfigError, match=message):
         build(PrcParams, table, "drive.toml")
 
@@ -129,7 +149,9 @@ def test_they_say_what_any_thresholds_support(m: int, rho_c: float, rounding: st
         for zeta_p, zeta_s in rng.choice([0.125, 0.2, 0.25, 0.3, 1.0, 1e9], (4, 2)):
             params = SupportParams(zeta_p=zeta_p, zeta_s=zeta_s, rho_c=rho_c, rounding=rounding)
             found = critical_zetas(window, m, params)
-            below = (found.in_line_m.astype(float) < zeta_p) & (found.adjacent_m.astype(float) < zeta_s)
+            below = (found.in_line_m.astype(float) < zeta_p) & (
+                found.adjacent_m.astype(float) < zeta_s
+            )
             np.testing.assert_array_equal(below, support(window, m, params))
             reach = window_reach(m)
             missing = np.isnan(window[reach : len(window) - reach]).reshape(below.shape)
@@ -138,13 +160,17 @@ def test_they_say_what_any_thresholds_support(m: int, rho_c: float, rounding: st
 
 
 def test_too_few_neighbours_never_support() -> None:
-    window = stream_window(np.full(6, np.nan, np.float32), np.array([[5, 5, 5, np.nan, 5]], np.float32), None)
+    window = stream_window(
+        np.full(6, np.nan, np.float32), np.array([[5, 5, 5, np.nan, 5]], np.float32), None
+    )
     found = critical_zetas(window, 5, SupportParams())
     assert found.in_line_m[0].tolist()[:3] == [0.0, 0.0, 0.0]
     assert np.isinf(found.adjacent_m[0, [0, 1, 2, 4]]).all()
 
 
-needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="millions of shots")
+needs_compiler = pytest.mark.skipif(
+    bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="millions of shots"
+)
 
 
 def uniform_window(n_lines: int, width: int, seed: int = 2019) -> F32:
@@ -171,7 +197,9 @@ def test_random_ranges_support_each_other_as_seldom_as_printed() -> None:
     window = uniform_window(2000, 2000)
 
     def share(min_in_slice: int, min_adjacent: int) -> float:
-        return float(kernels.support_mask(window, 2000, 2000, 1.0, 1.0, min_in_slice, min_adjacent).mean())
+        return float(
+            kernels.support_mask(window, 2000, 2000, 1.0, 1.0, min_in_slice, min_adjacent).mean()
+        )
 
     assert share(0, 2) == pytest.approx(0.0040, abs=2e-4)
     assert share(2, 0) == pytest.approx(0.0072, abs=2e-4)

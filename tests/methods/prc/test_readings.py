@@ -19,8 +19,22 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
-from prc_cli.methods.prc.surfaces import Surfaces, SurfacesParams, area_threshold, find_small, surfaces
-from prc_cli.methods.prc.urban import ForestParams, Totals, UrbanParams, count_smooth, find_ground, forest, urban
+from prc_cli.methods.prc.surfaces import (
+    Surfaces,
+    SurfacesParams,
+    area_threshold,
+    find_small,
+    surfaces,
+)
+from prc_cli.methods.prc.urban import (
+    ForestParams,
+    Totals,
+    UrbanParams,
+    count_smooth,
+    find_ground,
+    forest,
+    urban,
+)
 from tests.methods.prc.streams import run_blocks, segments_of, trace_block
 
 nan = np.nan
@@ -52,7 +66,9 @@ def h_of(image: list[list[int]], ids: list[int] | None = None, next_id: int = 0)
     return Components(array, pixels, given, first_new_id=next_id, next_id=next_id)
 
 
-def components(supported: Mask, holes: Mask, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
+def components(
+    supported: Mask, holes: Mask, last_line: I64, next_id: int, params: ComponentsParams
+) -> Components:
     return identify(join(supported, holes), last_line, next_id, params)
 
 
@@ -82,14 +98,18 @@ def wall(n_lines: int = 5, width: int = 20, far: float = 20.0) -> F32:
 class TestReading1Counts:
     """Counts compare as real numbers: 3 of 8 in the line and 2 of 6 beside it; floor gives 2 and 2."""
 
-    @pytest.mark.parametrize(("agreeing", "rounding", "expected"), [(3, "ceil", 1), (2, "ceil", 0), (2, "floor", 1)])
+    @pytest.mark.parametrize(
+        ("agreeing", "rounding", "expected"), [(3, "ceil", 1), (2, "ceil", 0), (2, "floor", 1)]
+    )
     def test_in_slice(self, agreeing: int, rounding: str, expected: int) -> None:
         image = wall()
         image[2, 6:15] = 50, 60, 70, 80, 20, 90, 100, 110, 120
         image[2, 6 : 6 + agreeing] = 20
         assert support_of(image, rounding=rounding)[2, 10] == expected
 
-    @pytest.mark.parametrize(("agreeing", "rounding", "expected"), [(2, "ceil", 1), (1, "ceil", 0), (1, "floor", 0)])
+    @pytest.mark.parametrize(
+        ("agreeing", "rounding", "expected"), [(2, "ceil", 1), (1, "ceil", 0), (1, "floor", 0)]
+    )
     def test_adjacent(self, agreeing: int, rounding: str, expected: int) -> None:
         image = wall()
         image[1, 9:12] = image[3, 9:12] = 50
@@ -102,7 +122,9 @@ class TestReading2Strictness:
 
     def test_difference_of_exactly_zeta_does_not_agree(self) -> None:
         stripes = wall()
-        stripes[:, ::2] += 1.0  # every other shot agrees in the line: 4; beside it only those at the same column: 2
+        stripes[:, ::2] += (
+            1.0  # every other shot agrees in the line: 4; beside it only those at the same column: 2
+        )
         assert support_of(stripes, zeta_s=1.0, zeta_p=1.0)[2, 10]
         stripes[[1, 3], 10] = 20.0  # now none beside it is nearer than 1.0
         assert not support_of(stripes, zeta_s=1.0, zeta_p=1.0)[2, 10]
@@ -161,7 +183,9 @@ class TestReading5Missing:
     def test_missing_shots_do_not_support_each_other(self) -> None:
         image = np.full((5, 20), nan, dtype=np.float32)
         assert not support_of(image).any()
-        assert not support_of(image, rho_c=0.1, rounding="floor").any()  # even where no neighbour is needed
+        assert not support_of(
+            image, rho_c=0.1, rounding="floor"
+        ).any()  # even where no neighbour is needed
 
     def test_missing_shots_do_not_support_others(self) -> None:
         image = np.full((5, 20), nan, dtype=np.float32)
@@ -291,7 +315,9 @@ class TestReading10Votes:
     @staticmethod
     def carry(first: list[int], last: list[int], min_votes: int = 3) -> list[int]:
         n = max(first)
-        taken = kernels.carry_labels(np.array(first, np.int32), np.array(last, np.int64), n, min_votes)
+        taken = kernels.carry_labels(
+            np.array(first, np.int32), np.array(last, np.int64), n, min_votes
+        )
         return taken[1:].tolist()  # type: ignore[no-any-return]
 
     def test_three_votes_are_enough_and_two_are_not(self) -> None:
@@ -316,14 +342,18 @@ class TestReading10Votes:
     def test_joined_segment_takes_one_label_and_history_stays(self) -> None:
         stream = wall(6, 21)
         stream[:3, 10] = nan
-        traces = run_blocks(stream, build(PrcParams, {"lines_per_block": 3, "surfaces": {"area": "auto"}}, "test"))
+        traces = run_blocks(
+            stream, build(PrcParams, {"lines_per_block": 3, "surfaces": {"area": "auto"}}, "test")
+        )
         assert np.unique(segments_of(traces[0][0])).tolist() == [0, 1, 2]
         assert np.unique(segments_of(traces[1][0])).tolist() == [1]
 
     def test_only_smooth_labels_vote(self) -> None:
         stream = wall(4, 30)
         stream[:, 12] = nan  # 12 columns are too small for area 30, 17 are not
-        params = build(PrcParams, {"lines_per_block": 2, "surfaces": {"area": 30, "gamma": 0}}, "test")
+        params = build(
+            PrcParams, {"lines_per_block": 2, "surfaces": {"area": 30, "gamma": 0}}, "test"
+        )
         (first, after), (second, _) = run_blocks(stream, params)
         assert after.link.last_line.tolist() == [0] * 13 + [2] * 17
         assert np.unique(segments_of(first)[:, :12]).tolist() == [3]
@@ -411,9 +441,13 @@ class TestReading16Ground:
     """The ground is the smooth segment with most shots over the blocks seen; a variant looks at one block."""
 
     @staticmethod
-    def label(ids: list[int], image: list[list[int]], totals: Totals, ground: str) -> tuple[list[int], Totals]:
+    def label(
+        ids: list[int], image: list[list[int]], totals: Totals, ground: str
+    ) -> tuple[list[int], Totals]:
         h = h_of(image, ids=ids)
-        labels, after = label_urban(split(h, area=1), totals, UrbanParams.model_validate({"ground": ground}))
+        labels, after = label_urban(
+            split(h, area=1), totals, UrbanParams.model_validate({"ground": ground})
+        )
         return labels[0].tolist(), after
 
     def test_running_total_outweighs_a_large_facade(self) -> None:
@@ -441,7 +475,9 @@ class TestReading16Ground:
         assert (after.ids.tolist(), after.counts.tolist()) == ([6], [2])
 
     def test_pieces_of_a_fork_are_ground_together(self) -> None:
-        labels, _ = self.label([0, 5, 6, 5], [[1, 2, 2, 2, 3, 3, 3]], Totals.none(), "running-total")
+        labels, _ = self.label(
+            [0, 5, 6, 5], [[1, 2, 2, 2, 3, 3, 3]], Totals.none(), "running-total"
+        )
         assert labels == [Label.GROUND] + [Label.BUILDING] * 3 + [Label.GROUND] * 3
 
     def test_without_smooth_shots_there_is_no_ground(self) -> None:
@@ -480,7 +516,9 @@ class TestReading17ForestGround:
         mask = np.ones((3, 23), dtype=bool)
         mask[:, 10] = False
         labels = label_forest(~mask, mask, mask, ForestParams())
-        assert (labels == Label.GROUND).all(axis=0).tolist() == [True] * 10 + [False] * 10 + [True] * 3
+        assert (labels == Label.GROUND).all(axis=0).tolist() == [True] * 10 + [False] * 10 + [
+            True
+        ] * 3
 
     def test_missing_stays_missing(self) -> None:
         image = wall(9, 20)
@@ -502,11 +540,17 @@ class TestReading19LastBlock:
     """A block cut short by the end of the stream asks for an area in proportion."""
 
     def test_threshold_is_a_real_number(self) -> None:
-        assert area_threshold(SurfacesParams(area=30), 10, 99, 2154) == pytest.approx(3.0303, abs=1e-4)
+        assert area_threshold(SurfacesParams(area=30), 10, 99, 2154) == pytest.approx(
+            3.0303, abs=1e-4
+        )
 
-    @pytest.mark.parametrize(("lines_per_block", "expected"), [(6, Label.VEGETATION), (20, Label.GROUND)])
+    @pytest.mark.parametrize(
+        ("lines_per_block", "expected"), [(6, Label.VEGETATION), (20, Label.GROUND)]
+    )
     def test_small_segment_in_a_short_block(self, lines_per_block: int, expected: Label) -> None:
-        params = build(PrcParams, {"lines_per_block": lines_per_block, "surfaces": {"area": 100}}, "test")
+        params = build(
+            PrcParams, {"lines_per_block": lines_per_block, "surfaces": {"area": 100}}, "test"
+        )
         labels = trace_block(wall(6, 10), None, initial_state(10), params)[0].labels
         assert (labels == expected).all()  # 60 pixels against 100, or against 100 * 6 / 20 = 30
 

@@ -26,13 +26,19 @@ AZIMUTH: F64 = 2 * np.pi * np.arange(N_LINES) / N_LINES
 PARAMS = RingsParams()
 
 
-def scene(seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf) -> tuple[F32, F32, U8]:
+def scene(
+    seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf
+) -> tuple[F32, F32, U8]:
     """Ranges, coordinates and the body of every shot: 1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling."""
     random = np.random.default_rng(seed)
-    own = np.stack([
-        np.cos(ELEVATION) * np.cos(AZIMUTH)[:, None], np.cos(ELEVATION) * np.sin(AZIMUTH)[:, None],
-        np.sin(ELEVATION) + 0 * AZIMUTH[:, None],
-    ], axis=-1)  # fmt: skip
+    own = np.stack(
+        [
+            np.cos(ELEVATION) * np.cos(AZIMUTH)[:, None],
+            np.cos(ELEVATION) * np.sin(AZIMUTH)[:, None],
+            np.sin(ELEVATION) + 0 * AZIMUTH[:, None],
+        ],
+        axis=-1,
+    )
     x, y, z = np.moveaxis(own if mount is None else own @ mount.T, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ranges = np.where(z < 0, -HEIGHT_M / z, np.inf)
@@ -55,23 +61,35 @@ def scene(seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf) ->
 def _box(x: F64, y: F64, z: F64, *sides: tuple[float, float]) -> F64:
     """Distance of an upright box, sides in metres, heights above the ground."""
     near, far = np.full(x.shape, 0.0), np.full(x.shape, np.inf)
-    for way, (low, high) in zip((x, y, z), (*sides[:2], tuple(h - HEIGHT_M for h in sides[2])), strict=True):
+    for way, (low, high) in zip(
+        (x, y, z), (*sides[:2], tuple(h - HEIGHT_M for h in sides[2])), strict=True
+    ):
         one, two = low / way, high / way
         near, far = np.maximum(near, np.minimum(one, two)), np.minimum(far, np.maximum(one, two))
     return np.where(near < far, near, np.inf)
 
 
 def labelled(
-    ranges: F32, xyz: F32, *, chunk: int = 300, threads: int = 1, beam: F64 = BEAM, params: RingsParams = PARAMS,
+    ranges: F32,
+    xyz: F32,
+    *,
+    chunk: int = 300,
+    threads: int = 1,
+    beam: F64 = BEAM,
+    params: RingsParams = PARAMS,
     **changes: Any,
-) -> U8:  # fmt: skip
+) -> U8:
     blocks = (
         ScanBlock(
-            a, ranges[a : a + chunk], xyz_m=xyz[a : a + chunk], beam_rad=beam, is_last=a + chunk >= len(ranges),
+            a,
+            ranges[a : a + chunk],
+            xyz_m=xyz[a : a + chunk],
+            beam_rad=beam,
+            is_last=a + chunk >= len(ranges),
             **changes,
         )
         for a in range(0, len(ranges), chunk)
-    )  # fmt: skip
+    )
     return np.concatenate([item.labels for item in label_blocks(blocks, params, threads=threads)])
 
 
@@ -130,9 +148,13 @@ def test_a_scanner_may_lean(lean: tuple[float, float]) -> None:
         assert not seen.any() or (found[seen] == label).mean() > 0.9
 
 
-def test_shots_are_labelled_in_the_frame_of_the_scanner(made: tuple[F32, F32, U8], labels: U8) -> None:
+def test_shots_are_labelled_in_the_frame_of_the_scanner(
+    made: tuple[F32, F32, U8], labels: U8
+) -> None:
     frame = SensorFrame(tuple(map(tuple, turning(np.deg2rad([5.0, -8.0, 0.0])))), (0.8, -0.3, 1.7))  # type: ignore[arg-type]
-    elsewhere = (made[1].astype(np.float64) @ np.array(frame.turn) + frame.apex_m).astype(np.float32)
+    elsewhere = (made[1].astype(np.float64) @ np.array(frame.turn) + frame.apex_m).astype(
+        np.float32
+    )
     ranges = np.sqrt((elsewhere**2).sum(axis=2))
     assert (labelled(ranges, elsewhere, frame=frame) == labels).mean() > 0.999
     assert (labelled(ranges, elsewhere) == labels).mean() < 0.985
@@ -148,7 +170,9 @@ def test_z_is_up_where_a_floor_and_a_ceiling_are_level() -> None:
     assert (down[body == 6] == Label.GROUND).mean() > 0.8
 
 
-def test_a_short_block_takes_the_ground_of_those_before(made: tuple[F32, F32, U8], labels: U8) -> None:
+def test_a_short_block_takes_the_ground_of_those_before(
+    made: tuple[F32, F32, U8], labels: U8
+) -> None:
     ranges, xyz = (np.concatenate([each, each[:12]]) for each in made[:2])
     found = labelled(ranges[: 1024 + 12], xyz[: 1024 + 12])
     np.testing.assert_array_equal(found[:1024], labels[:1024])
@@ -160,8 +184,12 @@ def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
     ranges, xyz, body = made
     random = np.random.default_rng(3)
     flake = (random.random(ranges.shape) < 0.02) & (body > 0)
-    near = np.minimum(random.exponential(4.0, ranges.shape) + 1.0, 0.7 * np.nan_to_num(ranges, nan=1.0))
-    light = (np.where(flake, 60.0, 10.0) * random.normal(1.0, 0.02, ranges.shape)).astype(np.float32)
+    near = np.minimum(
+        random.exponential(4.0, ranges.shape) + 1.0, 0.7 * np.nan_to_num(ranges, nan=1.0)
+    )
+    light = (np.where(flake, 60.0, 10.0) * random.normal(1.0, 0.02, ranges.shape)).astype(
+        np.float32
+    )
     new = np.where(flake, near, ranges).astype(np.float32)
     return new, (xyz * (new / ranges)[..., None]).astype(np.float32), light, flake
 
@@ -169,19 +197,28 @@ def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
 @pytest.mark.parametrize("is_lit", [True, False])
 def test_snow_is_noise(made: tuple[F32, F32, U8], is_lit: bool) -> None:
     ranges, xyz, light, flake = snowy(made)
-    block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=light if is_lit else None)
-    found = np.concatenate([item.labels for item in label_blocks(iter([block]), PARAMS)]) == Label.NOISE
+    block = ScanBlock(
+        0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=light if is_lit else None
+    )
+    found = (
+        np.concatenate([item.labels for item in label_blocks(iter([block]), PARAMS)]) == Label.NOISE
+    )
     assert (found & flake).sum() / flake.sum() > (0.85 if is_lit else 0.7)
     assert (found & flake).sum() / found.sum() > (0.9 if is_lit else 0.8)
 
 
 @pytest.mark.parametrize("light", [255.0, 0.0, np.nan, "steps"])
-def test_intensities_that_tell_nothing_count_as_none(made: tuple[F32, F32, U8], light: float | str) -> None:
+def test_intensities_that_tell_nothing_count_as_none(
+    made: tuple[F32, F32, U8], light: float | str
+) -> None:
     ranges, xyz, lit, _ = snowy(made)
-    given = np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
+    given = (
+        np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
+    )
     blocks = [
-        ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=one) for one in (None, given)
-    ]  # fmt: skip
+        ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=one)
+        for one in (None, given)
+    ]
     none, some = (next(iter(label_blocks(iter([block]), PARAMS))).labels for block in blocks)
     np.testing.assert_array_equal(some, none)
 
@@ -197,7 +234,9 @@ def test_mirror_images_below_the_ground_are_noise(made: tuple[F32, F32, U8]) -> 
     assert (found[road] == Label.GROUND).mean() > 0.95
 
 
-def test_few_rings_are_known_before_any_label(made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path) -> None:
+def test_few_rings_are_known_before_any_label(
+    made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path
+) -> None:
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz)
     result = prc("info", tmp_path / "scan.npz")
@@ -226,27 +265,40 @@ def test_reasons_measures_and_further_returns(made: tuple[F32, F32, U8]) -> None
 @pytest.mark.parametrize("value", [np.nan, 5.0, 300.0])
 def test_small_and_dull_images_are_labelled(shape: tuple[int, int], value: float) -> None:
     beam = np.deg2rad(np.linspace(70, 100, shape[1]))
-    found = classify_ranges(np.full(shape, value), load_config(preset="rings"), beam_rad=beam).labels
+    found = classify_ranges(
+        np.full(shape, value), load_config(preset="rings"), beam_rad=beam
+    ).labels
     assert ((found == 0) == np.isnan(value)).all()
 
 
 @pytest.mark.parametrize(
     ("first_deg", "last_deg", "n", "expected"),
     [
-        (65, 92, 64, True), (67.5, 112.5, 16, True), (64.9, 125.0, 64, False), (0, 180, 64, False),
-        (-150, 150, 64, False), (-20, 20, 64, False), (90, 90, 1, False),
+        (65, 92, 64, True),
+        (67.5, 112.5, 16, True),
+        (64.9, 125.0, 64, False),
+        (0, 180, 64, False),
+        (-150, 150, 64, False),
+        (-20, 20, 64, False),
+        (90, 90, 1, False),
     ],
-)  # fmt: skip
-def test_narrow_level_beams_are_a_fan(first_deg: float, last_deg: float, n: int, expected: bool) -> None:
+)
+def test_narrow_level_beams_are_a_fan(
+    first_deg: float, last_deg: float, n: int, expected: bool
+) -> None:
     assert is_fan(np.deg2rad(np.linspace(first_deg, last_deg, n))) is expected
 
 
-def test_rings_are_chosen_without_a_name(made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path) -> None:
+def test_rings_are_chosen_without_a_name(
+    made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path
+) -> None:
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
     result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy")
     assert result.code == 4, result.err
-    assert "method: rings (--preset rings): columns are the rings of a spinning scanner" in result.err
+    assert (
+        "method: rings (--preset rings): columns are the rings of a spinning scanner" in result.err
+    )
     assert "few-rings: 32 rings, expected at least 48" in result.err
 
 
@@ -266,8 +318,12 @@ def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     assert result.code == 0, result.err
     codes = np.load(output)
     known = reference > 1
-    for code, names, least in ((2, (40, 44, 48, 49, 60, 72), 0.97), (6, (50, 51, 52), 0.84), (5, (70, 71), 0.82),
-                               (65, (10, 13, 16, 18, 20, 252), 0.75)):  # fmt: skip
+    for code, names, least in (
+        (2, (40, 44, 48, 49, 60, 72), 0.97),
+        (6, (50, 51, 52), 0.84),
+        (5, (70, 71), 0.82),
+        (65, (10, 13, 16, 18, 20, 252), 0.75),
+    ):
         true, found = np.isin(reference, names), (codes == code) & known
         assert 2 * (true & found).sum() / (true.sum() + found.sum()) > least, code
     shots = np.fromfile(frame, np.float32).reshape(-1, 4)
@@ -279,14 +335,18 @@ def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.data
-def test_a_sweep_of_two_scanners_in_a_feather_file(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+def test_a_sweep_of_two_scanners_in_a_feather_file(
+    prc: Prc, real_data: Path, tmp_path: Path
+) -> None:
     """One hangs upside down; the file is in the frame of the vehicle."""
     feather = pytest.importorskip("pyarrow.feather")
     sweep, output = real_data / "av2" / "315966265259836000.feather", tmp_path / "labels.npy"
     result = prc("classify", sweep, output, "--range", "origin:1.35,0,1.585")
     assert result.code == 0, result.err
     found = np.load(output).ravel() == 2
-    ground = feather.read_table(sweep.with_name(f"{sweep.stem}_labels.feather"))["is_ground"].to_numpy()
+    ground = feather.read_table(sweep.with_name(f"{sweep.stem}_labels.feather"))[
+        "is_ground"
+    ].to_numpy()
     laser = feather.read_table(sweep)["laser_number"].to_numpy()
     for scanner in (laser < 32, laser >= 32):
         both = (found & ground)[scanner].sum()

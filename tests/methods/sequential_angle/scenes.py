@@ -36,29 +36,39 @@ class Scene:
     def rows(self, first: int, end: int) -> Scene:
         at = slice(first, end)
         lines = VerticalLines(
-            self.lines.range_m[at], self.lines.xyz_m[at], self.lines.horizontal_m[at], self.lines.n_beams[at],
+            self.lines.range_m[at],
+            self.lines.xyz_m[at],
+            self.lines.horizontal_m[at],
+            self.lines.n_beams[at],
             self.lines.beam_rad,
-        )  # fmt: skip
+        )
         return Scene(lines, self.surface[at], self.signed[at], self.phihat[at], self.ahead[at])
 
 
-def street(curb_m: float = 0.15, slope_deg: float = 0.0, car: bool = False, wall: bool = True) -> list[Segment]:
+def street(
+    curb_m: float = 0.15, slope_deg: float = 0.0, car: bool = False, wall: bool = True
+) -> list[Segment]:
     """Road, curb at 6 m, pavement, wall at 10 m; a car with a gap of 0.25 m under it at 3 m."""
     rise = float(np.tan(np.deg2rad(slope_deg)))
 
     def z(x: float) -> float:
         return ROAD_Z + rise * x
 
-    parts: list[Segment] = [(0.0, z(0), 6.0, z(6), H), (6.0, z(6) + curb_m, 10.0, z(10) + curb_m, H)]
+    parts: list[Segment] = [
+        (0.0, z(0), 6.0, z(6), H),
+        (6.0, z(6) + curb_m, 10.0, z(10) + curb_m, H),
+    ]
     if curb_m:
         parts.append((6.0, z(6), 6.0, z(6) + curb_m, V))
     if wall:
         parts.append((10.0, z(10) + curb_m, 10.0, 6.0, V))
     if car:
         parts += [
-            (3.0, z(3) + 0.25, 3.0, -1.0, V), (3.0, -1.0, 3.6, -0.95, H), (3.6, -0.95, 3.9, -0.5, V),
+            (3.0, z(3) + 0.25, 3.0, -1.0, V),
+            (3.0, -1.0, 3.6, -0.95, H),
+            (3.6, -0.95, 3.9, -0.5, V),
             (3.9, -0.5, 4.9, -0.5, H),
-        ]  # fmt: skip
+        ]
     return parts
 
 
@@ -94,7 +104,9 @@ def scan(
     xyz = np.stack([ranges * east * side, 0 * ranges, ranges * down], axis=-1).astype(np.float32)
     beam_rad = np.tile(angle, (n_sides, 1))
     n_beams = np.full(n_rows, n, np.int32)
-    lines = VerticalLines(ranges.astype(np.float32), xyz, np.hypot(xyz[..., 0], xyz[..., 1]), n_beams, beam_rad)
+    lines = VerticalLines(
+        ranges.astype(np.float32), xyz, np.hypot(xyz[..., 0], xyz[..., 1]), n_beams, beam_rad
+    )
     signed, phihat, ahead = angles(lines, surface)
     return Scene(lines, surface, signed, phihat, ahead)
 
@@ -141,7 +153,9 @@ def lines_through(points: Any) -> VerticalLines:
     xyz = np.stack([xz[..., 0], 0 * xz[..., 0], xz[..., 1]], axis=-1).astype(np.float32)
     n_rows, n = xz.shape[:2]
     ranges = np.linalg.norm(xyz, axis=-1).astype(np.float32)
-    return VerticalLines(ranges, xyz, xyz[..., 0].copy(), np.full(n_rows, n, np.int32), np.linspace(0.1, 3, n)[None])
+    return VerticalLines(
+        ranges, xyz, xyz[..., 0].copy(), np.full(n_rows, n, np.int32), np.linspace(0.1, 3, n)[None]
+    )
 
 
 def street_lines(
@@ -173,9 +187,16 @@ def street_lines(
     def floor(line: int, z: float, near: float, far: float) -> None:
         with np.errstate(divide="ignore"):
             distance = z / up
-        hit(line, distance, (distance * across >= near) & (distance * across < far), Surface.HORIZONTAL)
+        hit(
+            line,
+            distance,
+            (distance * across >= near) & (distance * across < far),
+            Surface.HORIZONTAL,
+        )
 
-    def foliage(line: int, centre: tuple[float, float], radii: tuple[float, float], free_path: float) -> None:
+    def foliage(
+        line: int, centre: tuple[float, float], radii: tuple[float, float], free_path: float
+    ) -> None:
         # the way of a beam through an ellipse, and how far it gets along it before it meets a leaf
         a = (across / radii[0]) ** 2 + (up / radii[1]) ** 2
         b = centre[0] * across / radii[0] ** 2 + centre[1] * up / radii[1] ** 2
@@ -219,7 +240,11 @@ class Piece:
 
     @property
     def code(self) -> int:
-        return VERTICAL if abs(self.to_m[1] - self.from_m[1]) > abs(self.to_m[0] - self.from_m[0]) else HORIZONTAL
+        return (
+            VERTICAL
+            if abs(self.to_m[1] - self.from_m[1]) > abs(self.to_m[0] - self.from_m[0])
+            else HORIZONTAL
+        )
 
 
 def polyline(name: str, corners: list[tuple[float, float]], *, seen: bool = True) -> list[Piece]:
@@ -237,7 +262,9 @@ def curb(at_m: float, height_m: float = 0.15, depth_m: float = 20.0) -> list[Pie
     ]
 
 
-def wall(at_m: float, foot_m: float = 0.0, top_m: float = 8.0, *, windows: bool = False) -> list[Piece]:
+def wall(
+    at_m: float, foot_m: float = 0.0, top_m: float = 8.0, *, windows: bool = False
+) -> list[Piece]:
     edges = [foot_m, 1.0, 2.2, 4.0, 5.2, top_m] if windows else [foot_m, top_m]
     parts = pairwise(edges)
     return [Piece("wall", (at_m, a), (at_m, b), i % 2 == 0) for i, (a, b) in enumerate(parts)]
@@ -253,7 +280,11 @@ def car(at_m: float, *, glass: bool = True, tyre: bool = False) -> list[Piece]:
     arc = np.deg2rad(np.arange(270, 89, -10))
     wheel = at + np.array([0.32, 0.32]) + 0.32 * np.stack([np.cos(arc), np.sin(arc)], axis=1)
     return [
-        *part([(0.06, 0.2), (0.0, 0.5), (0.05, 0.9)] if not tyre else [(0.3, 0.6), (0.05, 0.65), (0.05, 0.9)]),
+        *part(
+            [(0.06, 0.2), (0.0, 0.5), (0.05, 0.9)]
+            if not tyre
+            else [(0.3, 0.6), (0.05, 0.65), (0.05, 0.9)]
+        ),
         *part([(0.05, 0.9), (0.3, 1.35)], seen=not glass),
         *part([(0.3, 1.35), (0.5, 1.45), (1.3, 1.45), (1.5, 1.35)]),
         *part([(1.5, 1.35), (1.75, 0.9)], seen=not glass),
@@ -277,7 +308,10 @@ class Seen:
 
     def where(self, name: str) -> I32:
         """Beams with a return of an object, in row 0."""
-        return np.array([k for k, found in enumerate(self.names[0]) if found == name and self.surface[0, k]], np.int32)
+        return np.array(
+            [k for k, found in enumerate(self.names[0]) if found == name and self.surface[0, k]],
+            np.int32,
+        )
 
 
 def see(
@@ -305,10 +339,14 @@ def make_lines(range_m: F32, beam_rad: F64) -> VerticalLines:
     h, z = range_m * np.sin(beam_rad), -range_m * np.cos(beam_rad)
     xyz = np.stack([h, 0 * h, z], axis=-1).astype(np.float32)
     n_beams = np.full(len(range_m), len(beam_rad), np.int32)
-    return VerticalLines(range_m.astype(np.float32), xyz, np.hypot(xyz[..., 0], xyz[..., 1]), n_beams, beam_rad[None])
+    return VerticalLines(
+        range_m.astype(np.float32), xyz, np.hypot(xyz[..., 0], xyz[..., 1]), n_beams, beam_rad[None]
+    )
 
 
-def _row(pieces: list[Piece], beam: F64, scanner_m: float, rng: Generator) -> tuple[F64, list[int], list[str]]:
+def _row(
+    pieces: list[Piece], beam: F64, scanner_m: float, rng: Generator
+) -> tuple[F64, list[int], list[str]]:
     direction = np.stack([np.sin(beam), -np.cos(beam)], axis=1)
     start = np.array([[p.from_m[0], p.from_m[1] - scanner_m] for p in pieces])
     along = np.array([p.to_m for p in pieces]) - np.array([p.from_m for p in pieces])
@@ -325,7 +363,11 @@ def _row(pieces: list[Piece], beam: F64, scanner_m: float, rng: Generator) -> tu
     leaves = np.array(names) == "bush"
     found = found + rng.normal(0, NOISE_M, len(beam)) + leaves * rng.exponential(0.3, len(beam))
     codes = np.where(leaves, DENSE, np.array([p.code for p in pieces])[nearest])
-    return np.where(seen, found, np.nan), [int(code) for code in np.where(seen, codes, MISSING)], names
+    return (
+        np.where(seen, found, np.nan),
+        [int(code) for code in np.where(seen, codes, MISSING)],
+        names,
+    )
 
 
 def signed_angles(lines: VerticalLines, chord_m: float = 4 * NOISE_M) -> F32:
@@ -351,7 +393,9 @@ TupleT = TypeVar("TupleT", bound=tuple[Any, ...])
 
 def made(kind: type[TupleT], **values: Any) -> TupleT:
     defaults: Any = kind()
-    found: TupleT = defaults._replace(**{name: _like(getattr(defaults, name), values[name]) for name in values})
+    found: TupleT = defaults._replace(
+        **{name: _like(getattr(defaults, name), values[name]) for name in values}
+    )
     return found
 
 

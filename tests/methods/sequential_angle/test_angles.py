@@ -43,7 +43,17 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
     points = [(4, -2), gap, gap, (4.5, -2), (4.51, -2), (4.519, -2), gap, (4.52, -2), (4.6, -1.9)]
     found = signed_angles(lines_through(points), plain())
     assert found.ahead[0].tolist() == [3, -1, -1, 8, 8, 8, -1, 8, -1]
-    assert np.isnan(found.signed_deg[0]).tolist() == [False, True, True, False, False, False, True, False, True]
+    assert np.isnan(found.signed_deg[0]).tolist() == [
+        False,
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
     # a chord is as long as the shortest allowed or longer
     whole = plain(range_noise_m=0.0625, chord_depth_sigmas=0)
     found = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
@@ -94,9 +104,13 @@ def label(
 ) -> list[int]:
     xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
     beams = np.arctan2(x, -z)[None]
-    lines = VerticalLines(np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0].copy(), np.array([len(x)], np.int32), beams)
+    lines = VerticalLines(
+        np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0].copy(), np.array([len(x)], np.int32), beams
+    )
     surface: U8 = np.array([codes], np.uint8)
-    return without_windows(surface, lines, (params or WindowThresholds()).at_noise(noise_m))[0].tolist()
+    return without_windows(surface, lines, (params or WindowThresholds()).at_noise(noise_m))[
+        0
+    ].tolist()
 
 
 @pytest.mark.parametrize("noise_m", [0.001, 0.005])
@@ -107,7 +121,11 @@ def test_panes_and_rooms_are_vertical_and_leaves_are_not(noise_m: float) -> None
     leaves = 9.0 + rng.exponential(1.4, 60)
     hedge = 9.0 + rng.exponential(0.17, 60)
     assert label(window, z, [T] * 60, noise_m=noise_m) == [V] * 60
-    assert label(leaves, z, [T] * 60, noise_m=noise_m) == label(hedge, z, [T] * 60, noise_m=noise_m) == [T] * 60
+    assert (
+        label(leaves, z, [T] * 60, noise_m=noise_m)
+        == label(hedge, z, [T] * 60, noise_m=noise_m)
+        == [T] * 60
+    )
     assert label(window, z, [T] * 60, made(WindowThresholds, share=1.0), noise_m) == [T] * 60
     assert label(window[:7], z[:7], [T] * 7) == [T] * 7
 
@@ -121,7 +139,9 @@ def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_t
     assert label(over, z, [V] * 20 + [T] * 20) == [V] * 20 + [T] * 20
 
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sequential_angle.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sequential_angle.md").read_text(
+    encoding="utf-8"
+)
 VALUES = dict(flatten(SequentialAngleParams().model_dump()))
 
 

@@ -28,7 +28,12 @@ from tests.methods.sequential_angle.scenes import (
 def find(found: Seen, params: CarThresholds | None = None) -> Mask:
     signed = signed_angles(found.lines)
     return cars(
-        found.lines, found.surface, found.surface, signed, found.z_g, (params or CarThresholds()).at_noise(NOISE_M)
+        found.lines,
+        found.surface,
+        found.surface,
+        signed,
+        found.z_g,
+        (params or CarThresholds()).at_noise(NOISE_M),
     ).car
 
 
@@ -43,19 +48,38 @@ def test_recall_and_precision_on_lines_of_a_street() -> None:
         vehicle = car(at, glass=bool(rng.random() < 0.7), tyre=bool(rng.random() < 0.3))
         parked = vehicle if rng.random() < 0.6 else []
         tree = bush(kerb + 0.4) if rng.random() < 0.3 else []
-        scenes.append([*road(), *parked, *curb(kerb), *tree, *wall(house, 0.15, windows=bool(rng.random() < 0.5))])
+        scenes.append(
+            [
+                *road(),
+                *parked,
+                *curb(kerb),
+                *tree,
+                *wall(house, 0.15, windows=bool(rng.random() < 0.5)),
+            ]
+        )
     found = see(scenes, rng, scanner_m=2.2)
     marked = find(found)
-    truth = np.array([[name == "car" for name in names] for names in found.names]) & (found.surface > 0)
+    truth = np.array([[name == "car" for name in names] for names in found.names]) & (
+        found.surface > 0
+    )
     both = (marked & truth).sum()
     assert both / truth.sum() > 0.9
     assert both / marked.sum() > 0.9
 
 
 PLAIN = {
-    "return_points": 0, "from_start": False, "flat_step_m": 0.0, "flat_above_m": 1000.0, "tall_m": 0.0, "glass_m": 0.0,
-    "vertical_top_m": 0.0, "vertical_open": False, "straight_extent_m": 0.0, "lean_sigmas": 0.0, "relief_m": 0.0,
-}  # fmt: skip
+    "return_points": 0,
+    "from_start": False,
+    "flat_step_m": 0.0,
+    "flat_above_m": 1000.0,
+    "tall_m": 0.0,
+    "glass_m": 0.0,
+    "vertical_top_m": 0.0,
+    "vertical_open": False,
+    "straight_extent_m": 0.0,
+    "lean_sigmas": 0.0,
+    "relief_m": 0.0,
+}
 """Without the readings that are ours, so that every rule is tested by itself."""
 
 
@@ -72,14 +96,20 @@ def find_intervals(
     triggers = np.full(len(found.surface), trigger, np.int32)
     literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0
     signed = signed_angles(found.lines) if literal else np.full_like(found.lines.range_m, np.nan)
-    return dividers(found.lines, found.surface, signed, triggers, found.z_g, params.at_noise(noise_m)).pieces
+    return dividers(
+        found.lines, found.surface, signed, triggers, found.z_g, params.at_noise(noise_m)
+    ).pieces
 
 
-def share_of_lines(pieces: list[Piece], params: DividerThresholds, at_m: float, **how: Any) -> float:
+def share_of_lines(
+    pieces: list[Piece], params: DividerThresholds, at_m: float, **how: Any
+) -> float:
     """Share of 100 lines with an interval that begins within 40 cm of a distance."""
     found = see([pieces] * 100, np.random.default_rng(4), **how)
     rows = [
-        row for row, first, _ in find_intervals(found, params) if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4
+        row
+        for row, first, _ in find_intervals(found, params)
+        if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4
     ]
     return len(set(rows)) / 100
 
@@ -91,7 +121,9 @@ ALL_SUDDEN = plain(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=10
 @pytest.mark.slow
 @pytest.mark.parametrize("distance", [4.0, 7.0, 12.0])
 @pytest.mark.parametrize("step_deg", [0.06, 0.115, 0.2])
-def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(distance: float, step_deg: float) -> None:
+def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(
+    distance: float, step_deg: float
+) -> None:
     how = {"step_deg": step_deg, "high_deg": 95.0}
     assert share_of_lines([*road(), *car(distance)], ALL_SUDDEN, distance, **how) == 1
     assert share_of_lines([*road(), *wall(distance)], ALL_SUDDEN, distance, **how) == 0
@@ -101,8 +133,15 @@ def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(dist
 def test_walls_curbs_and_poles_give_no_interval() -> None:
     rng = np.random.default_rng(9)
     pole = [Piece("pole", (5.0, 0.0), (5.0, 1.1))]
-    scenes = [[*road()], [*road(), *wall(9)], [*road(), *curb(9), *wall(12, 0.15, windows=True)], [*road(), *pole]]
+    scenes = [
+        [*road()],
+        [*road(), *wall(9)],
+        [*road(), *curb(9), *wall(12, 0.15, windows=True)],
+        [*road(), *pole],
+    ]
     found = see(scenes * 25, rng)
     sudden = plain(sudden_from_deg=-60, sudden_to_deg=60)
     assert len(find_intervals(found, sudden)) == 0
-    assert len(set(find_intervals(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"
+    assert len(set(find_intervals(found)[:, 0].tolist())) <= 8, (
+        "some of a hundred changes look gradual"
+    )

@@ -37,7 +37,9 @@ def f1(found: Mask, truth: Mask) -> float:
 
 
 def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: CoarseThresholds) -> U8:
-    angles = made(ChordThresholds, range_noise_m=noise_m, min_chord_sigmas=sigmas, least_chord_m=0.0).at_noise()
+    angles = made(
+        ChordThresholds, range_noise_m=noise_m, min_chord_sigmas=sigmas, least_chord_m=0.0
+    ).at_noise()
     return coarse(signed_angles(lines, angles).signed_deg, lines, params)
 
 
@@ -54,7 +56,9 @@ def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: Coar
         (0.115, 0.005, SCRIPT, 0.90),
     ],
 )
-def test_street(rng: Generator, step_deg: float, noise_m: float, model: MarkovThresholds, least: float) -> None:
+def test_street(
+    rng: Generator, step_deg: float, noise_m: float, model: MarkovThresholds, least: float
+) -> None:
     lines, truth = street_lines(rng, 30, step_deg, noise_m)
     found = classified(lines, noise_m, 4, made(CoarseThresholds, vegetation=model))
     np.testing.assert_array_equal(found == M, np.isnan(lines.range_m))
@@ -93,7 +97,9 @@ def whole(rows: F32) -> I32:
     return np.array([(row, 0, rows.shape[1] - 1) for row in range(len(rows))], np.int32)
 
 
-@pytest.mark.parametrize(("n", "share"), [(32, 0.92), (64, 0.85), (128, 0.65), (256, 0.20), (512, 0.0)])
+@pytest.mark.parametrize(
+    ("n", "share"), [(32, 0.92), (64, 0.85), (128, 0.65), (256, 0.20), (512, 0.0)]
+)
 def test_share_of_foliage_that_is_told(n: int, share: float) -> None:
     rows = foliage(np.random.default_rng(n), 600, n)
     told = 1 - fourier(rows, whole(rows), WHOLE).mean()
@@ -142,7 +148,9 @@ def test_equals_page_on_a_mixture(foliage_rng: Generator) -> None:
     for _ in range(200):
         share = np.repeat(foliage_rng.choice([0.05, 0.3, 0.5, 0.8], 6), 60)
         jump = foliage_rng.random(360) < share
-        values = np.where(jump, foliage_rng.choice([-150.0, 150.0], 360), 0) + foliage_rng.normal(0, 30, 360)
+        values = np.where(jump, foliage_rng.choice([-150.0, 150.0], 360), 0) + foliage_rng.normal(
+            0, 30, 360
+        )
         values = values.astype(np.float32)
         found = dense_vegetation(values[None], FOLIAGE)[0]
         np.testing.assert_array_equal(found, closed_form(values.astype(np.float64)))

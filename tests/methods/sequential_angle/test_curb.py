@@ -31,15 +31,22 @@ def possible(scene: Scene, params: CurbThresholds = PARAMS) -> I32:
     )
     state = initial_ground(potential.height_m, GroundThresholds())
     found, z_g, _ = ground(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, potential, state,
+        scene.lines,
+        scene.surface,
+        scene.phihat,
+        scene.ahead,
+        potential,
+        state,
         GroundThresholds().at_noise(NOISE_M),
-    )  # fmt: skip
+    )
     return possible_curbs(scene.lines, scene.surface, found, z_g, params)
 
 
 def find(scene: Scene, params: CurbThresholds = PARAMS) -> Mask:
     start = CurbState.start(scene.lines.n_sides, scene.surface.shape[1], params)
-    curb, _ = curbs(scene.lines, scene.surface, scene.signed, possible(scene), start, params, last=True)
+    curb, _ = curbs(
+        scene.lines, scene.surface, scene.signed, possible(scene), start, params, last=True
+    )
     return curb
 
 
@@ -63,13 +70,21 @@ def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8,
     xyz = np.stack(np.broadcast_arrays(x, y, np.float64(-1.7)), axis=-1).astype(np.float32)
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
     lines = VerticalLines(
-        np.linalg.norm(xyz, axis=-1), xyz, horizontal, np.full(rows, n, np.int32), np.linspace(0.2, 2, n)[None]
+        np.linalg.norm(xyz, axis=-1),
+        xyz,
+        horizontal,
+        np.full(rows, n, np.int32),
+        np.linspace(0.2, 2, n)[None],
     )
     return lines, surface, np.zeros((rows, n), np.float32)
 
 
 def label(
-    lines: VerticalLines, surface: U8, signed: F32, possible: Sequence[int], params: CurbThresholds = PARAMS
+    lines: VerticalLines,
+    surface: U8,
+    signed: F32,
+    possible: Sequence[int],
+    params: CurbThresholds = PARAMS,
 ) -> Mask:
     start = CurbState.start(1, surface.shape[1], params)
     return curbs(lines, surface, signed, np.array(possible, np.int32), start, params, last=True)[0]
@@ -77,13 +92,27 @@ def label(
 
 def test_sides_never_connect() -> None:
     lines, surface, signed = drawn(["#", "#", "#", "#"])
-    two = VerticalLines(lines.range_m, lines.xyz_m, lines.horizontal_m, lines.n_beams, np.tile(lines.beam_rad, (2, 1)))
+    two = VerticalLines(
+        lines.range_m,
+        lines.xyz_m,
+        lines.horizontal_m,
+        lines.n_beams,
+        np.tile(lines.beam_rad, (2, 1)),
+    )
     at = np.array([0, -1, -1, -1], np.int32)
     params = plain(min_lines=3)
     curb, _ = curbs(two, surface, signed, at, CurbState.start(2, 1, params), params, last=True)
     assert not curb.any()  # two lines a side, one of them without a possible point
     assert label(lines, surface, signed, [0, -1, -1, -1]).all()
-    curb, _ = curbs(two, surface, signed, at, CurbState.start(2, 1, plain(min_lines=2)), plain(min_lines=2), last=True)  # fmt: skip  # noqa: E501
+    curb, _ = curbs(
+        two,
+        surface,
+        signed,
+        at,
+        CurbState.start(2, 1, plain(min_lines=2)),
+        plain(min_lines=2),
+        last=True,
+    )  # noqa: E501
     assert curb[:, 0].tolist() == [True, False, True, False]
 
 
@@ -105,7 +134,11 @@ def random_scene(rng: Generator, n_lines: int, n_sides: int, n: int) -> Scene:
     xyz = np.stack([5 + np.arange(n) * 0.1 + 0 * z, 0 * z, z], axis=-1).astype(np.float32)
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
     lines = VerticalLines(
-        np.linalg.norm(xyz, axis=-1), xyz, horizontal, np.full(len(z), n, np.int32), np.zeros((n_sides, n))
+        np.linalg.norm(xyz, axis=-1),
+        xyz,
+        horizontal,
+        np.full(len(z), n, np.int32),
+        np.zeros((n_sides, n)),
     )
     signed = rng.choice([0.0, 15.0, 30.0], shape).astype(np.float32)
     return Scene(lines, surface, signed, signed, surface.astype(np.int32))
@@ -129,13 +162,17 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
             state, parts = start, []
             for first, end in pairwise(edges):
                 part = scene.rows(first, end)
-                found, state = curbs(part.lines, part.surface, part.signed, at[first:end], state, params, last=False)
+                found, state = curbs(
+                    part.lines, part.surface, part.signed, at[first:end], state, params, last=False
+                )
                 assert len(found) % n_sides == 0
                 assert state.n_waiting < max_lines
                 assert len(state.regions.labels) <= max(max_lines, 1) * n_sides
                 parts.append(found)
             rest = scene.rows(0, 0)
-            found, state = curbs(rest.lines, rest.surface, rest.signed, at[:0], state, params, last=True)
+            found, state = curbs(
+                rest.lines, rest.surface, rest.signed, at[:0], state, params, last=True
+            )
             np.testing.assert_array_equal(np.concatenate([*parts, found]), whole)
             assert state.n_waiting == 0
     assert shown > 0
@@ -145,4 +182,7 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
 @pytest.mark.parametrize("n_new", [0, 1, 2, 3, 4, 9])
 def test_the_last_rows_stay(n: int, n_new: int) -> None:
     before, new = np.arange(n, dtype=np.float32), 10 + np.arange(n_new, dtype=np.float32)
-    assert _tail(before, new).tolist() == np.concatenate([before, new])[len(before) + n_new - n :].tolist()
+    assert (
+        _tail(before, new).tolist()
+        == np.concatenate([before, new])[len(before) + n_new - n :].tolist()
+    )

@@ -12,7 +12,17 @@ from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds
-from tests.methods.sequential_angle.scenes import NOISE_M, ROAD_Z, H, Scene, Segment, V, made, scan, street
+from tests.methods.sequential_angle.scenes import (
+    NOISE_M,
+    ROAD_Z,
+    H,
+    Scene,
+    Segment,
+    V,
+    made,
+    scan,
+    street,
+)
 
 
 def limits(**values: Any) -> GroundThresholds:
@@ -23,7 +33,12 @@ PARAMS = limits()
 
 
 def follow(
-    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundThresholds
+    lines: VerticalLines,
+    surface: U8,
+    phihat: F32,
+    ahead: I32,
+    state: GroundState,
+    params: GroundThresholds,
 ) -> tuple[Mask, F32, GroundState]:
     """Both parts of the algorithm."""
     potential = potential_ground(lines, surface, phihat, ahead, params)
@@ -33,11 +48,17 @@ def follow(
 def find(scene: Scene, params: GroundThresholds = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
     found = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params)
     state = initial_ground(found.height_m, params)
-    return found.height_m, *follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
+    return found.height_m, *follow(
+        scene.lines, scene.surface, scene.phihat, scene.ahead, state, params
+    )
 
 
 def road(scene: Scene) -> Mask:
-    mask: Mask = (scene.surface == H) & (scene.lines.horizontal_m < 5.99) & (scene.lines.xyz_m[..., 2] < -1.2)
+    mask: Mask = (
+        (scene.surface == H)
+        & (scene.lines.horizontal_m < 5.99)
+        & (scene.lines.xyz_m[..., 2] < -1.2)
+    )
     return mask
 
 
@@ -61,11 +82,15 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
     scene = scan([street()] * 3, n=1000, noise_m=0.0)
     step = int(np.flatnonzero(scene.surface[0] == V)[0])
     flat = np.where(scene.surface == V, np.uint8(0), scene.surface)  # curb and wall missing
-    phihat = np.where(flat == H, np.float32(90.0), np.float32(np.nan))  # which does not see the step
+    phihat = np.where(
+        flat == H, np.float32(90.0), np.float32(np.nan)
+    )  # which does not see the step
     state = initial_ground(np.full(3, ROAD_Z), PARAMS)
 
     def climbed(**values: float) -> bool:
-        params = made(GroundThresholds, **{"resume": False, "bandwidth_sigmas": 0, **values}).at_noise(NOISE_M)
+        params = made(
+            GroundThresholds, **{"resume": False, "bandwidth_sigmas": 0, **values}
+        ).at_noise(NOISE_M)
         found, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
         assert found[:, : step - 5].any(axis=1).all()
         return bool(found[:, step:].any())
@@ -108,7 +133,9 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         parts = []
         for first, end in pairwise(edges):
             part = scene.rows(first, end)
-            found, z_g, state = follow(part.lines, part.surface, part.phihat, part.ahead, state, params)
+            found, z_g, state = follow(
+                part.lines, part.surface, part.phihat, part.ahead, state, params
+            )
             parts.append((found, z_g))
         np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
         np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)

@@ -18,7 +18,13 @@ from prc_cli.methods.keys import table_of
 from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
 from prc_cli.methods.sequential_angle.car import suspicious
 from prc_cli.methods.sequential_angle.coarse import hmm_cusum
-from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row, SuspiciousThresholds
+from prc_cli.methods.sequential_angle.thresholds import (
+    UNIFORM,
+    MarkovThresholds,
+    Matrix,
+    Row,
+    SuspiciousThresholds,
+)
 from tests.methods.sequential_angle.scenes import made
 
 HELPERS: Any = kernel_module
@@ -44,7 +50,9 @@ def rng() -> Generator:
 
 def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     """Logarithm of the ratio of likelihoods after every value, from the recursion that the test runs on."""
-    means, sigmas, h0, h1 = (np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1))
+    means, sigmas, h0, h1 = (
+        np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1)
+    )
     found, in_states, power = np.empty(n := len(values)), np.empty((3, n)), np.empty(n, np.int64)
     HELPERS._densities.py_func(
         values, n, means, 0.5 / sigmas**2, np.log(sigmas), in_states, power, np.empty(n, np.int64)
@@ -53,9 +61,13 @@ def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     for t in range(n):
         density = densities[t]
         if t == 0:
-            one, zero = (tuple(initial * density) for initial in (params.initial_h1, params.initial_h0))
+            one, zero = (
+                tuple(initial * density) for initial in (params.initial_h1, params.initial_h0)
+            )
         else:
-            one, zero = (HELPERS._forward.py_func(s, h, density) for s, h in ((one, h1), (zero, h0)))
+            one, zero = (
+                HELPERS._forward.py_func(s, h, density) for s, h in ((one, h1), (zero, h0))
+            )
         found[t] = np.log(sum(one)) - np.log(sum(zero))
     return found
 
@@ -127,7 +139,10 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"h0": [[0.9, 0.1, 0.1], [0.1, 0.9, 0.0], [0.0, 0.0, 1.0]]}, "h0.*add up to 1, found a sum of 1.1"),
+        (
+            {"h0": [[0.9, 0.1, 0.1], [0.1, 0.9, 0.0], [0.0, 0.0, 1.0]]},
+            "h0.*add up to 1, found a sum of 1.1",
+        ),
         ({"initial_h0": [0.5, 0.5, 0.5]}, "initial_h0.*add up to 1"),
         ({"h1": [[1.0, 0.0], [0.5, 0.5]]}, "h1"),
         ({"sigmas_deg": [30, 0, 30]}, "greater than 0"),
@@ -169,7 +184,10 @@ def test_sum_is_the_largest_log_likelihood_ratio_of_any_end_of_the_chain() -> No
         numbers = ["HVM".index(state) for state in states]
         steps = list(pairwise(numbers))
         best = [
-            max(np.prod([h1[s] for s in steps[j:k]]) / np.prod([h0[s] for s in steps[j:k]]) for j in range(k))
+            max(
+                np.prod([h1[s] for s in steps[j:k]]) / np.prod([h0[s] for s in steps[j:k]])
+                for j in range(k)
+            )
             for k in range(1, len(numbers))
         ]
         above = [k for k, ratio in enumerate(best, start=1) if ratio > np.e]

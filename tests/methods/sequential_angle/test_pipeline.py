@@ -35,12 +35,16 @@ from tests.simulated import static_arrays
 PARAMS = SequentialAngleThresholds().at_noise()
 
 
-def scan(elevation_step: float = 0.5, azimuth_step: float = 1.5, seed: int = 3) -> tuple[ScanBlock, U8]:
+def scan(
+    elevation_step: float = 0.5, azimuth_step: float = 1.5, seed: int = 3
+) -> tuple[ScanBlock, U8]:
     """A simulated static scan as one block, and its reference labels."""
     return static_arrays(elevation_step, azimuth_step, seed)
 
 
-def cuts(block: ScanBlock, rng: np.random.Generator | None = None, lines: int = 1) -> Iterator[ScanBlock]:
+def cuts(
+    block: ScanBlock, rng: np.random.Generator | None = None, lines: int = 1
+) -> Iterator[ScanBlock]:
     """The same lines in blocks of some or of random numbers of lines."""
     start = 0
     while start < block.n_lines:
@@ -49,7 +53,9 @@ def cuts(block: ScanBlock, rng: np.random.Generator | None = None, lines: int = 
         start = stop
 
 
-def run(blocks: Iterator[ScanBlock], params: SequentialAngleThresholds, n_lines: int) -> tuple[list[np.ndarray], int]:
+def run(
+    blocks: Iterator[ScanBlock], params: SequentialAngleThresholds, n_lines: int
+) -> tuple[list[np.ndarray], int]:
     """Feed blocks to the classifier; return all that it says, and the most lines that ever waited."""
     turn: OneByOne[SequentialAngleState] | None = None
     parts: list[list[np.ndarray]] = []
@@ -59,7 +65,9 @@ def run(blocks: Iterator[ScanBlock], params: SequentialAngleThresholds, n_lines:
         scanner = method.scanner(block)
         turn = turn or OneByOne(method.initial_state(scanner))
         n_in += block.n_lines
-        found = classify_block(block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines, stages=True)
+        found = classify_block(
+            block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines, stages=True
+        )
         n_out += len(found.labels)
         stages = stages_in_columns(found.rows, found.labels, scanner)
         parts.append([found.labels, *(getattr(stages, one.name) for one in fields(stages))])
@@ -88,7 +96,9 @@ def test_labels_do_not_depend_on_how_the_stream_is_cut(two_sides: bool) -> None:
     block = both_sides(block) if two_sides else block
     rng = np.random.default_rng(12)
     expected, _ = run(iter([block]), PARAMS, block.n_lines)
-    assert {Label.GROUND, Label.CAR, Label.VEGETATION, Label.VERTICAL} <= {Label(one) for one in np.unique(expected[0])}
+    assert {Label.GROUND, Label.CAR, Label.VEGETATION, Label.VERTICAL} <= {
+        Label(one) for one in np.unique(expected[0])
+    }
     for blocks in (cuts(block), cuts(block, rng), cuts(block, rng), cuts(block, lines=49)):
         found, _ = run(blocks, PARAMS, block.n_lines)
         for one, other in zip(found, expected, strict=True):
@@ -147,7 +157,9 @@ def test_further_returns_are_labelled_from_their_own_line() -> None:
     extra = ExtraReturns(line, column, ranges, np.arange(len(line)))
     far = ExtraReturns(line[:1], column[:1], ranges[:1] + 50, np.zeros(1, np.int64))
     for given, lone in ((extra, False), (far, True)):
-        items: list[LabelledBlock] = list(label_blocks(iter([replace(block, extra=given)]), config().classifier))
+        items: list[LabelledBlock] = list(
+            label_blocks(iter([replace(block, extra=given)]), config().classifier)
+        )
         labels = np.concatenate([item.labels for item in items])
         found = np.concatenate([item.extra_labels for item in items])
         expected = np.full(1, Label.UNCLASSIFIED) if lone else labels[line, column]
@@ -160,9 +172,12 @@ def test_threads_change_nothing(threads: int) -> None:
     whole, _ = run(iter([block]), PARAMS, block.n_lines)
     for shots in (1, 3000, 100_000):
         found = run_blocks(
-            cuts(block, np.random.default_rng(5)), SequentialAngle(PARAMS), threads=threads, shots_at_once=shots,
+            cuts(block, np.random.default_rng(5)),
+            SequentialAngle(PARAMS),
+            threads=threads,
+            shots_at_once=shots,
             wanted=Wanted(stages=True),
-        )  # fmt: skip
+        )
         parts = list(found)
         np.testing.assert_array_equal(np.concatenate([item.labels for item in parts]), whole[0])
         surfaces = [item.stages.surface for item in parts if item.stages is not None]

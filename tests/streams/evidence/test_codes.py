@@ -13,8 +13,13 @@ def seen(range_m: np.ndarray) -> Seen:
     windows = [Window(0, range_m.astype(np.float32))]
     info = StreamInfo("a", "array", range_m.shape[1], None, None)
     return Seen(
-        info=info, scanner=0, windows=windows, n_lines=len(range_m), n_shots=range_m.size, n_missing=0
-    )  # fmt: skip
+        info=info,
+        scanner=0,
+        windows=windows,
+        n_lines=len(range_m),
+        n_shots=range_m.size,
+        n_missing=0,
+    )
 
 
 def test_millimetres_of_error_codes_are_doubted_with_the_least_range() -> None:

@@ -21,7 +21,9 @@ def ring_shots(width_deg: float) -> F64:
     elevation = np.deg2rad(np.linspace(-25.0, 5.0, N_RINGS))
     range_m = np.random.default_rng(5).uniform(4.0, 30.0, (N_LINES, N_RINGS))
     flat = range_m * np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=-1)
+    return np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=-1
+    )
 
 
 def asked(xyz_m: F64, *, has_rings: bool = True) -> Finding | None:
@@ -29,7 +31,11 @@ def asked(xyz_m: F64, *, has_rings: bool = True) -> Finding | None:
     sample = ConeSample()
     for first in range(0, N_LINES, 90):
         part = slice(first, first + 90)
-        sample.add(ScanBlock(first, range_m[part], xyz_m=xyz_m[part].astype(np.float32), has_rings=has_rings))
+        sample.add(
+            ScanBlock(
+                first, range_m[part], xyz_m=xyz_m[part].astype(np.float32), has_rings=has_rings
+            )
+        )
     info = StreamInfo("a.bag", "bag", N_RINGS, None, None)
     return check_cones(Seen(info, 0, (), has_rings=has_rings, cone_spread_rad=sample.spread_rad()))
 
@@ -39,7 +45,11 @@ def test_a_sector_on_other_axes_is_a_doubt(width_deg: float) -> None:
     own = ring_shots(width_deg)
     pitched = own @ turning(np.deg2rad([0.0, 6.0, 0.0]))
     lifted = own + np.array([0.0, 0.0, 1.7])
-    for xyz_m, expected in ((own, Verdict.FINE), (pitched, Verdict.DOUBTFUL), (lifted, Verdict.DOUBTFUL)):
+    for xyz_m, expected in (
+        (own, Verdict.FINE),
+        (pitched, Verdict.DOUBTFUL),
+        (lifted, Verdict.DOUBTFUL),
+    ):
         finding = asked(xyz_m)
         assert finding is not None
         assert finding.verdict is expected

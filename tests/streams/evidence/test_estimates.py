@@ -32,7 +32,11 @@ from tests.methods.fused.street_lines import BEAM, street_lines
 def street(m: int, n_lines: int, seed: int = 0) -> np.ndarray:
     """Lines of a rough profile that changes slowly along the way, 15 % missing at random."""
     rng = np.random.default_rng(seed)
-    profile = 8 + 3 * np.sin(np.linspace(0, 2 * np.pi, m)) + np.cumsum(rng.normal(scale=0.3, size=m)).clip(-4, 4)
+    profile = (
+        8
+        + 3 * np.sin(np.linspace(0, 2 * np.pi, m))
+        + np.cumsum(rng.normal(scale=0.3, size=m)).clip(-4, 4)
+    )
     drift = np.cumsum(rng.normal(scale=0.02, size=(n_lines, 1)), axis=0)
     image = profile + drift + rng.normal(scale=0.02, size=(n_lines, m))
     image[rng.random(image.shape) < 0.15] = np.nan
@@ -53,12 +57,17 @@ def test_period_of_a_street(m: int, n_lines: int) -> None:
 @pytest.mark.parametrize(("number", "m"), [(1, 229), (2, 226), (3, 240)])
 def test_oakland(real_data: Path, number: int, m: int) -> None:
     with gzip.open(real_data / "oakland" / f"oakland_{number}.csv.gz", "rt") as handle:
-        ranges = np.array([float(row["range_m"] or "nan") for row in csv.DictReader(handle)], np.float32)
+        ranges = np.array(
+            [float(row["range_m"] or "nan") for row in csv.DictReader(handle)], np.float32
+        )
     estimate = estimate_points_per_line(ranges)
     assert estimate.points_per_line == m
     assert estimate.strength > 1.5
     assert estimate_points_per_line(ranges[np.isfinite(ranges)]).points_per_line is None
-    assert estimate_points_per_line(np.random.default_rng(0).permutation(ranges)).points_per_line is None
+    assert (
+        estimate_points_per_line(np.random.default_rng(0).permutation(ranges)).points_per_line
+        is None
+    )
 
 
 @pytest.mark.data
@@ -120,7 +129,9 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
     """Lines and columns come back as they were; a guess of 48 lines a second makes shots collide."""
     time, line, column = drive(54.0, 2154, 40)
     angle = 2 * np.pi * column / 2154 - 0.6 * np.pi + np.pi
-    range_m = np.minimum(2.0 / np.maximum(np.cos(angle), 0.05), 9.0 / np.maximum(np.abs(np.sin(angle)), 0.05))
+    range_m = np.minimum(
+        2.0 / np.maximum(np.cos(angle), 0.05), 9.0 / np.maximum(np.abs(np.sin(angle)), 0.05)
+    )
     xyz = np.stack([5 * time, range_m * np.sin(angle), 2 - range_m * np.cos(angle)], axis=1)
     path, track = tmp_path / "a.laz", tmp_path / "t.csv"
     las_of_times(path, time, xyz)
@@ -130,12 +141,16 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
     assert found.problem == "the file has no ranges"
     assert "--range trajectory:FILE" in found.hint
     rules = {"range": f"trajectory:{track}"}
-    block = join(list(open_input(path, load_config(options={"input": rules}).config.input).blocks()))
+    block = join(
+        list(open_input(path, load_config(options={"input": rules}).config.input).blocks())
+    )
     assert block.tally.n_collisions == block.tally.n_unplaced == 0
     record = np.asarray(block.record)
     at_line, at_column = np.nonzero(record >= 0)
     shot = line * 2154 + column
-    np.testing.assert_array_equal(np.diff(at_line * 2154 + at_column), np.diff(shot[record[record >= 0]]))
+    np.testing.assert_array_equal(
+        np.diff(at_line * 2154 + at_column), np.diff(shot[record[record >= 0]])
+    )
     guess = rules | {"lines": "time:48", "columns": f"time:{48 * 2154}"}
     guessed = inspect(path, load_config(options={"input": guess}))
     assert any("the times show 116316" in note for note in guessed.notes)
@@ -147,7 +162,9 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
 def test_the_real_profiler(real_data: Path) -> None:
     """Four lines, times rounded to four shots: 0.98374 us a shot, 5.0161 ms a line."""
     las = laspy.read(real_data / "profiler" / "jakarto_0.02s.las")
-    found = measure_rates(np.sort(np.asarray(las.gps_time)), np.asarray(las.z)[np.argsort(las.gps_time)])
+    found = measure_rates(
+        np.sort(np.asarray(las.gps_time)), np.asarray(las.z)[np.argsort(las.gps_time)]
+    )
     assert found is not None
     assert 1e6 / found.shot_hz == pytest.approx(0.98374, rel=5e-4)
     assert 1e3 / found.line_hz == pytest.approx(5.0161, rel=1e-4)
@@ -184,17 +201,36 @@ def misread_street() -> F32:
         ("<f4", 1, 2, "--set layout.header_bytes=2"),
         ("<f4", 1, 128, "--set layout.header_bytes=128"),
         ("<f8", 1, 0, """--set 'layout.fields=[{name="range",type="f8",missing=0}]'"""),
-        ("<u2", 1000, 0, """--set 'layout.fields=[{name="range",type="u2",scale=0.001,missing=0}]'"""),
-        ("<u2", 100, 0, """--set 'layout.fields=[{name="range",type="u2",scale=0.01,missing=0}]'"""),
         (
-            ">u4", 1000, 3,
+            "<u2",
+            1000,
+            0,
+            """--set 'layout.fields=[{name="range",type="u2",scale=0.001,missing=0}]'""",
+        ),
+        (
+            "<u2",
+            100,
+            0,
+            """--set 'layout.fields=[{name="range",type="u2",scale=0.01,missing=0}]'""",
+        ),
+        (
+            ">u4",
+            1000,
+            3,
             """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' --set layout.endian=big """
             "--set layout.header_bytes=3",
         ),
-        ("<f4", 1000, 0, """--set 'layout.fields=[{name="range",type="f4",scale=0.001,missing=0}]'"""),
+        (
+            "<f4",
+            1000,
+            0,
+            """--set 'layout.fields=[{name="range",type="f4",scale=0.001,missing=0}]'""",
+        ),
     ],
-)  # fmt: skip
-def test_the_right_reading_is_found(tmp_path: Path, stored: str, scale: float, header: int, options: str) -> None:
+)
+def test_the_right_reading_is_found(
+    tmp_path: Path, stored: str, scale: float, header: int, options: str
+) -> None:
     """Whatever type, byte order, unit and header."""
     dump = tmp_path / "scan.bin"
     dump.write_bytes(bytes(range(header)) + (misread_street() * scale).astype(stored).tobytes())
@@ -216,13 +252,18 @@ def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
         assert other_reading(dump) is None
 
 
-def test_the_refusal_names_the_options_that_mend_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_refusal_names_the_options_that_mend_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What is named can be typed, and labels the scan."""
     dump, labels = tmp_path / "scan.bin", tmp_path / "labels.npy"
     misread_street().astype(">f4").tofile(dump)
     command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
     assert run(command) == 1
-    assert "; its bytes are ranges of a scan with --set layout.endian=big, or insist" in capsys.readouterr().err
+    assert (
+        "; its bytes are ranges of a scan with --set layout.endian=big, or insist"
+        in capsys.readouterr().err
+    )
     assert run(["info", str(dump), "-M", str(M)]) == 0
     assert f"-M {M} --set layout.endian=big\n" in capsys.readouterr().out
     assert run([*command, "--set", "layout.endian=big"]) == 0
@@ -303,7 +344,9 @@ def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
 def test_where_the_first_lines_leave_it_open_more_are_looked_at(cut: int) -> None:
     lines = np.concatenate([forest_lines(24), street_lines(MOST_LINES)[0]])
     first = place_of(lines[:SAMPLE_LINES], BEAM)
-    blocks = (ScanBlock(at, lines[at : at + cut], beam_rad=BEAM) for at in range(0, len(lines), cut))
+    blocks = (
+        ScanBlock(at, lines[at : at + cut], beam_rad=BEAM) for at in range(0, len(lines), cut)
+    )
     found = place_of_blocks(blocks)
     assert (first.kind, found.kind) == ("forest", "street")
     assert found == place_of(lines[:MOST_LINES], BEAM)
@@ -319,7 +362,12 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
     for first in range(0, n_lines, chunk):
         stop = min(first + chunk, n_lines)
         sample.add(
-            ScanBlock(first, np.broadcast_to(np.arange(first, stop, dtype=np.float32)[:, None], (stop - first, m)))
+            ScanBlock(
+                first,
+                np.broadcast_to(
+                    np.arange(first, stop, dtype=np.float32)[:, None], (stop - first, m)
+                ),
+            )
         )
         n_full.append(sample.n_full)
     stride = 1
@@ -337,7 +385,11 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
 
 
 def slow_correlation(signal: F64, valid: F64, lag: int) -> float:
-    pairs = [(a, b) for a, b, u, v in zip(signal, signal[lag:], valid, valid[lag:], strict=False) if u and v]
+    pairs = [
+        (a, b)
+        for a, b, u, v in zip(signal, signal[lag:], valid, valid[lag:], strict=False)
+        if u and v
+    ]
     energy = (sum(a * a for a, _ in pairs) * sum(b * b for _, b in pairs)) ** 0.5
     whole = sum(a * a for a, u in zip(signal, valid, strict=True) if u)
     return sum(a * b for a, b in pairs) / energy if energy > 1e-6 * whole else 0.0
@@ -348,7 +400,9 @@ def test_autocorrelation_equals_a_plain_one() -> None:
     valid = (rng.random(90) < 0.7).astype(np.float64)
     signal = np.where(valid, rng.normal(size=90), 0.0)
     found = estimates._autocorrelation(signal, 60, valid)
-    np.testing.assert_allclose(found, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9)
+    np.testing.assert_allclose(
+        found, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9
+    )
     assert found.shape == (61,)
 
 
@@ -357,7 +411,11 @@ def rough(n_lines: int, m: int, seed: int = 3, gone: float = 0.1) -> F32:
     rng = np.random.default_rng(seed)
     profile = 2.0 + np.cumsum(rng.normal(0.0, 0.02, m))
     profile[m // 3 : m // 2] = 2.5
-    image = profile + np.cumsum(rng.normal(0.0, 0.01, (n_lines, 1)), axis=0) + rng.normal(0.0, 0.002, (n_lines, m))
+    image = (
+        profile
+        + np.cumsum(rng.normal(0.0, 0.01, (n_lines, 1)), axis=0)
+        + rng.normal(0.0, 0.002, (n_lines, m))
+    )
     image[rng.random(image.shape) < gone] = np.nan
     return np.exp(image).astype(np.float32)
 
@@ -383,11 +441,15 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
         return slow_middle([slow_quantile(pairs_of(rows), share) for rows in logs])
 
     def apart(lag: int):  # type: ignore[no-untyped-def]
-        return lambda rows: list(zip(rows.ravel()[:-lag].tolist(), rows.ravel()[lag:].tolist(), strict=True))
+        return lambda rows: list(
+            zip(rows.ravel()[:-lag].tolist(), rows.ravel()[lag:].tolist(), strict=True)
+        )
 
     def columns(lag: int):  # type: ignore[no-untyped-def]
         return lambda rows: [
-            (a, b) for i in range(len(rows) - lag) for a, b in zip(rows[i], rows[i + lag], strict=True)
+            (a, b)
+            for i in range(len(rows) - lag)
+            for a, b in zip(rows[i], rows[i + lag], strict=True)
         ]
 
     def amid(rows: F32) -> list[tuple[float, float]]:
@@ -395,16 +457,25 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
 
     assert found.shot == pytest.approx((of(apart(1)), of(apart(2))))
     assert found.line == pytest.approx(tuple(of(columns(lag)) for lag in (1, 2, 3, 4)))
-    turned_round = of(lambda rows: [(a, b) for x, y in pairwise(rows) for a, b in zip(x, y[::-1], strict=True)])
+    turned_round = of(
+        lambda rows: [(a, b) for x, y in pairwise(rows) for a, b in zip(x, y[::-1], strict=True)]
+    )
     assert found.reversed_line == pytest.approx(turned_round)
     assert found.roughness == pytest.approx(of(amid))
     # the first and the third, the second and the last
-    far = [[(a, b) for a, b in zip(logs[i].ravel(), logs[i + 2].ravel(), strict=True)] for i in (0, 1)]
+    far = [
+        [(a, b) for a, b in zip(logs[i].ravel(), logs[i + 2].ravel(), strict=True)] for i in (0, 1)
+    ]
     moved = of(columns(1), 0.9), float(np.median([slow_quantile(pairs, 0.9) for pairs in far]))
     assert found.moved == pytest.approx(moved)
     noise = [slow_quantile(amid(np.asarray(window.range_m)), 0.05) for window in windows]
     assert found.noise_m == pytest.approx(np.median(noise) / (0.0627 * 1.5**0.5))
-    assert 0.5 < found.random / of(lambda rows: [(a, b) for a in rows.ravel()[::7] for b in rows.ravel()[::11]]) < 2.0
+    assert (
+        0.5
+        < found.random
+        / of(lambda rows: [(a, b) for a in rows.ravel()[::7] for b in rows.ravel()[::11]])
+        < 2.0
+    )
     n, lonely = 0, 0
     for row in (row for rows in logs for row in rows):
         for k in range(2, m - 2):

@@ -17,7 +17,12 @@ from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import AngleStep
 from prc_cli.streams.down import DownGuess
 from prc_cli.streams.evidence import geometry, lines
-from prc_cli.streams.evidence.checks import check_collisions, check_missing_code, check_returns, check_unplaced
+from prc_cli.streams.evidence.checks import (
+    check_collisions,
+    check_missing_code,
+    check_returns,
+    check_unplaced,
+)
 from prc_cli.streams.evidence.figures import Figures, Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import check_line_length, check_line_order, check_shot_order
@@ -25,9 +30,17 @@ from prc_cli.streams.evidence.periods import PeriodEstimate
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 USUAL = Figures(
-    random=2.0, shot=(0.02, 0.04), line=(0.02, 0.03, 0.04, 0.05), reversed_line=1.5,
-    moved=(0.1, 0.5), noise_m=0.004, roughness=0.001, again=0.3, lonely_missing=0.01, n_between=1000,
-)  # fmt: skip
+    random=2.0,
+    shot=(0.02, 0.04),
+    line=(0.02, 0.03, 0.04, 0.05),
+    reversed_line=1.5,
+    moved=(0.1, 0.5),
+    noise_m=0.004,
+    roughness=0.001,
+    again=0.3,
+    lonely_missing=0.01,
+    n_between=1000,
+)
 M = 100
 LENGTHS = range(M - 4, M + 5)
 
@@ -67,11 +80,17 @@ def folds(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
     """How alike lines far apart are with every length that is tried; no other may be."""
     found = dict.fromkeys(LENGTHS, 0.6)
     monkeypatch.setattr(lines, "fold", lambda _, points_per_line: found.get(points_per_line, 0.6))
-    monkeypatch.setattr(lines, "estimate_points_per_line", lambda range_m: PeriodEstimate(None, 0.0, range_m.size, ""))
+    monkeypatch.setattr(
+        lines,
+        "estimate_points_per_line",
+        lambda range_m: PeriodEstimate(None, 0.0, range_m.size, ""),
+    )
     return found
 
 
-LIKE = "line-length: neighbouring lines differ {} times as much as random shots, expected below 0.12"
+LIKE = (
+    "line-length: neighbouring lines differ {} times as much as random shots, expected below 0.12"
+)
 CHECK_M = "; check -M and --lines, and whether lines and columns are exchanged"
 
 
@@ -85,13 +104,17 @@ CHECK_M = "; check -M and --lines, and whether lines and columns are exchanged"
         (0.8, "0.4", AGAINST),
     ],
 )
-def test_lines_that_are_alike(folds: dict[int, float], line: float, ratio: str, verdict: Verdict) -> None:
+def test_lines_that_are_alike(
+    folds: dict[int, float], line: float, ratio: str, verdict: Verdict
+) -> None:
     assert len(folds) == 9
     # lines farther on are more alike, but not by half
     figures = replace(USUAL, line=(line, line / 2, line / 2, line / 2))
     assert told(check_line_length(seen(), figures, None)) == (
-        verdict, LIKE.format(ratio) + (CHECK_M if verdict else ""), "",
-    )  # fmt: skip
+        verdict,
+        LIKE.format(ratio) + (CHECK_M if verdict else ""),
+        "",
+    )
 
 
 @pytest.mark.parametrize(
@@ -146,12 +169,14 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
 @pytest.mark.parametrize(
     ("roughness", "far", "n_lines", "name", "verdict"),
     [
-        (0.0201, 0.3, 200, "standing", DOUBTFUL), (0.0201, 0.3, 199, "standing", FINE),
+        (0.0201, 0.3, 200, "standing", DOUBTFUL),
+        (0.0201, 0.3, 199, "standing", FINE),
         (0.0201, 0.48, 200, "standing", FINE),
-        (0.0199, 0.3, 200, "line-order", AGAINST), (nan, 0.3, 200, "standing", DOUBTFUL),
+        (0.0199, 0.3, 200, "line-order", AGAINST),
+        (nan, 0.3, 200, "standing", DOUBTFUL),
         (inf, 0.3, 200, "standing", DOUBTFUL),
     ],
-)  # fmt: skip
+)
 def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict: Verdict) -> None:
     found = check_line_order(seen(n_lines), replace(USUAL, moved=(0.3, far), roughness=roughness))
     assert found is not None
@@ -176,7 +201,13 @@ def verdict_of_counts(found: Finding | None) -> tuple[Verdict, str]:
 
 @pytest.mark.parametrize(
     ("n", "verdict", "share"),
-    [(0, FINE, "0.0%"), (10, FINE, "1.0%"), (11, DOUBTFUL, "1.1%"), (200, DOUBTFUL, "20.0%"), (201, AGAINST, "20.1%")],
+    [
+        (0, FINE, "0.0%"),
+        (10, FINE, "1.0%"),
+        (11, DOUBTFUL, "1.1%"),
+        (200, DOUBTFUL, "20.0%"),
+        (201, AGAINST, "20.1%"),
+    ],
 )
 def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     one = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
@@ -211,7 +242,8 @@ def test_returns(n_shots: int, n_missing: int, verdict: Verdict, share: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("n", "usual_m", "verdict"), [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)]
+    ("n", "usual_m", "verdict"),
+    [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)],
 )
 def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
     found = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
@@ -240,8 +272,12 @@ def verdict_of_shots(found: Finding | None) -> tuple[Verdict, str]:
     return found.verdict, found.sentence()
 
 
-def deg(degrees: float, rival: float | None = None, ratio: float = math.inf, depth_m: float = 2.0) -> DownGuess:
-    return DownGuess(math.radians(degrees), depth_m, None if rival is None else math.radians(rival), ratio)
+def deg(
+    degrees: float, rival: float | None = None, ratio: float = math.inf, depth_m: float = 2.0
+) -> DownGuess:
+    return DownGuess(
+        math.radians(degrees), depth_m, None if rival is None else math.radians(rival), ratio
+    )
 
 
 @pytest.fixture
@@ -252,7 +288,11 @@ def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
     def guess(beam_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
         assert beam_rad.shape == range_m.shape[1:]
         # scaled to 2 m
-        assert 1.9 < np.nanmin(range_m * np.cos(beam_rad)[None] if beam_rad is not BEAM else range_m) < 2.1
+        assert (
+            1.9
+            < np.nanmin(range_m * np.cos(beam_rad)[None] if beam_rad is not BEAM else range_m)
+            < 2.1
+        )
         assert len(range_m) in ((16,) if is_coarse else (20, 60, 64))
         return found.pop(0)
 
@@ -272,7 +312,9 @@ def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
         (352.0, FINE),
     ],
 )
-def test_down_is_judged_by_the_angle(guesses: list[DownGuess | None], off_deg: float, verdict: Verdict) -> None:
+def test_down_is_judged_by_the_angle(
+    guesses: list[DownGuess | None], off_deg: float, verdict: Verdict
+) -> None:
     guesses.append(deg(off_deg, 95.4, 3.14))
     off = min(abs(off_deg), 360 - abs(off_deg))
     # the scan angle of straight down is 1 rad, 57.3 deg
@@ -281,21 +323,34 @@ def test_down_is_judged_by_the_angle(guesses: list[DownGuess | None], off_deg: f
         verdict,
         f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 times weaker), expected "
         "within 11 deg of the direction in use"
-        + (f"; give input.nadir, or where the ground is right --set input.nadir={nadir}" if verdict else ""),
+        + (
+            f"; give input.nadir, or where the ground is right --set input.nadir={nadir}"
+            if verdict
+            else ""
+        ),
     )
 
 
 @pytest.mark.parametrize(
     ("factor", "off", "verdict"),
     [
-        (1.0, 0.005, FINE), (1.079, 0.005, FINE), (0.921, 0.005, FINE),
-        (1.081, 0.005, DOUBTFUL), (0.919, 0.005, DOUBTFUL),
+        (1.0, 0.005, FINE),
+        (1.079, 0.005, FINE),
+        (0.921, 0.005, FINE),
+        (1.081, 0.005, DOUBTFUL),
+        (0.919, 0.005, DOUBTFUL),
         # three times the uncertainty
-        (1.149, 0.05, FINE), (1.151, 0.05, DOUBTFUL),
-        (1.59, 0.05, DOUBTFUL), (1.61, 0.05, AGAINST), (0.63, 0.05, DOUBTFUL), (0.62, 0.05, AGAINST),
+        (1.149, 0.05, FINE),
+        (1.151, 0.05, DOUBTFUL),
+        (1.59, 0.05, DOUBTFUL),
+        (1.61, 0.05, AGAINST),
+        (0.63, 0.05, DOUBTFUL),
+        (0.62, 0.05, AGAINST),
     ],
-)  # fmt: skip
-def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, verdict: Verdict) -> None:
+)
+def test_angle_step(
+    monkeypatch: pytest.MonkeyPatch, factor: float, off: float, verdict: Verdict
+) -> None:
     step = AngleStep(math.radians(factor), off, 100)
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)
     said = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use ({factor:.4g} deg, known to "
@@ -316,12 +371,24 @@ def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, 
 
 @pytest.mark.parametrize(
     ("depth_m", "verdict"),
-    [(0.099, AGAINST), (0.1, DOUBTFUL), (0.399, DOUBTFUL), (0.4, FINE), (5.0, FINE), (5.01, DOUBTFUL),
-     (50.0, DOUBTFUL), (50.1, AGAINST)],
-)  # fmt: skip
+    [
+        (0.099, AGAINST),
+        (0.1, DOUBTFUL),
+        (0.399, DOUBTFUL),
+        (0.4, FINE),
+        (5.0, FINE),
+        (5.01, DOUBTFUL),
+        (50.0, DOUBTFUL),
+        (50.1, AGAINST),
+    ],
+)
 @pytest.mark.parametrize("is_blind", [False, True])
 def test_height(
-    guesses: list[DownGuess | None], monkeypatch: pytest.MonkeyPatch, depth_m: float, verdict: Verdict, is_blind: bool
+    guesses: list[DownGuess | None],
+    monkeypatch: pytest.MonkeyPatch,
+    depth_m: float,
+    verdict: Verdict,
+    is_blind: bool,
 ) -> None:
     monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
     # half of it remains below a plane that leans by 60 deg

@@ -35,7 +35,9 @@ class Arrays:
     def blocks(self):  # type: ignore[no-untyped-def]
         for first in range(0, len(self.ranges), self.lines):
             tally = self.tally if first == 0 else ReadTally()
-            yield ScanBlock(first, np.ascontiguousarray(self.ranges[first : first + self.lines]), tally=tally)
+            yield ScanBlock(
+                first, np.ascontiguousarray(self.ranges[first : first + self.lines]), tally=tally
+            )
 
 
 def asked(ranges: F32, lines: int = 100, tally: ReadTally | None = None) -> dict[str, Finding]:
@@ -104,14 +106,20 @@ def test_a_scan_that_is_read_rightly_is_fine() -> None:
     for seed in (11, 12):
         found = asked(scan(seed))
         assert not told(scan(seed))
-        assert {"ranges", "shot-order", "line-length", "line-order", "dropouts", "returns"} <= set(found)
+        assert {"ranges", "shot-order", "line-length", "line-order", "dropouts", "returns"} <= set(
+            found
+        )
         assert list(found) == sorted(found, key=CHECK_NAMES.index)
 
 
 @pytest.mark.parametrize(
     ("misread", "check", "words"),
     [
-        (lambda ranges: rng().permutation(ranges.ravel()).reshape(-1, M), "shot-order", "check the layout"),
+        (
+            lambda ranges: rng().permutation(ranges.ravel()).reshape(-1, M),
+            "shot-order",
+            "check the layout",
+        ),
         (shot_by_shot, "shot-order", "every second shot"),
         (swapped_bytes, "ranges", "byte order"),
         (lambda ranges: ranges / 1000, "ranges", "median range"),
@@ -125,7 +133,11 @@ def test_a_scan_that_is_read_rightly_is_fine() -> None:
         (buffer_lost, "columns-along", "all columns shift"),
         (lambda ranges: ranges * np.float32(100), "units", "above the ground"),
         (two_scanners, "line-length", "--scanner"),
-        (lambda ranges: rng().permutation(ranges), "line-order", "order in which they were scanned"),
+        (
+            lambda ranges: rng().permutation(ranges),
+            "line-order",
+            "order in which they were scanned",
+        ),
     ],
 )
 def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, words: str) -> None:
@@ -193,8 +205,12 @@ def test_of_several_scanners_the_worst_is_told() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["kitti_train_3", "kitti_train_5", "nuscenes_train_18", "nuscenes_train_23"])
-def test_a_frame_that_looks_another_way_at_every_line_has_its_length(real_data: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["kitti_train_3", "kitti_train_5", "nuscenes_train_18", "nuscenes_train_23"]
+)
+def test_a_frame_that_looks_another_way_at_every_line_has_its_length(
+    real_data: Path, name: str
+) -> None:
     with np.load(real_data / "rangeviews" / f"{name}.npz") as arrays:
         ranges = np.ascontiguousarray(arrays["range_m"].T)
     found = asked(ranges)["line-length"]

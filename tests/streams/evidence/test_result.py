@@ -18,13 +18,20 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock, cut
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.result import MAX_SCANNERS, ResultWatch, _percent, _Sample, check_labels
+from prc_cli.streams.evidence.result import (
+    MAX_SCANNERS,
+    ResultWatch,
+    _percent,
+    _Sample,
+    check_labels,
+)
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import drive_arrays
 
 NO_EXTRA = np.empty(0, np.uint8)
 LABEL_OF_KIND = np.array(
-    [0, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.NOISE, Label.UNCLASSIFIED, 0], np.uint8
+    [0, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.NOISE, Label.UNCLASSIFIED, 0],
+    np.uint8,
 )
 NAMES = set(LABEL_CHECKS)
 
@@ -46,7 +53,11 @@ ANGLE = BEAM[::5]
 
 
 def asked(
-    range_m: F32, labels: U8, beam_rad: F64 | None = ANGLE, usual: UsualLabels = STREET, angle_rad: F64 | None = ANGLE
+    range_m: F32,
+    labels: U8,
+    beam_rad: F64 | None = ANGLE,
+    usual: UsualLabels = STREET,
+    angle_rad: F64 | None = ANGLE,
 ) -> dict[str, Finding]:
     watch = ResultWatch(usual)
     block = ScanBlock(0, range_m, beam_rad=beam_rad, angle_rad=angle_rad)
@@ -67,8 +78,12 @@ def test_a_street_is_fine_in_all_checks() -> None:
 
 
 @pytest.mark.parametrize("preset", ["fused", "street-scan"])
-@pytest.mark.parametrize(("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)])
-def test_a_scanner_that_sees_nothing_below_it(columns: tuple[int, int], is_fine: bool, preset: str) -> None:
+@pytest.mark.parametrize(
+    ("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)]
+)
+def test_a_scanner_that_sees_nothing_below_it(
+    columns: tuple[int, int], is_fine: bool, preset: str
+) -> None:
     """Of all around, a tenth must be ground that is lower than the scanner."""
     range_m = np.full((64, 100), 8.0, np.float32)
     labels = np.full(range_m.shape, Label.BUILDING, np.uint8)
@@ -94,7 +109,9 @@ def test_a_scanner_that_sees_nothing_below_it(columns: tuple[int, int], is_fine:
     ],
 )
 def test_noise_of_every_method(preset: str, share: float, verdict: Verdict) -> None:
-    labels = np.where(np.random.default_rng(1).random((64, 100)) < share, Label.NOISE, Label.GROUND).astype(np.uint8)
+    labels = np.where(
+        np.random.default_rng(1).random((64, 100)) < share, Label.NOISE, Label.GROUND
+    ).astype(np.uint8)
     found = asked(np.full(labels.shape, 3.0, np.float32), labels, None, usual_of(preset))
     assert found["noise-share"].verdict is verdict
 
@@ -108,7 +125,9 @@ def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool
     found = asked(range_m, labels, usual=usual_of(preset))
     assert ("classes-along" not in doubted(found)) == is_fine
     if not is_fine:
-        first, last = (int(one) for one in found["classes-along"].found.split("lines ")[1].split(" to "))
+        first, last = (
+            int(one) for one in found["classes-along"].found.split("lines ")[1].split(" to ")
+        )
         assert abs(first - lines[0]) <= 32
         assert abs(last - lines[1]) <= 32
         assert f"--only-lines {first}:" in found["classes-along"].hint
@@ -131,7 +150,9 @@ def test_findings_do_not_depend_on_the_blocks(cuts: set[int], off_deg: float) ->
     for start, stop in pairwise([0, *sorted(cuts), len(labels)]):
         many.see(LabelledBlock(cut(whole, start, stop), labels[start:stop], NO_EXTRA))
     assert many.findings() == one.findings()
-    assert doubted({found.check: found for found in one.findings()}) == ({"ground-lean"} if off_deg else set())
+    assert doubted({found.check: found for found in one.findings()}) == (
+        {"ground-lean"} if off_deg else set()
+    )
 
 
 def _many() -> tuple[F32, U8]:
@@ -155,7 +176,9 @@ def test_the_worst_of_several_scanners_stands() -> None:
     assert found["ground-below"].found.startswith("scanner 0: ")
 
 
-@pytest.mark.parametrize(("off_deg", "is_fine"), [(0.0, True), (15.0, False), (45.0, False), (180.0, False)])
+@pytest.mark.parametrize(
+    ("off_deg", "is_fine"), [(0.0, True), (15.0, False), (45.0, False), (180.0, False)]
+)
 def test_a_simulated_street_with_down_told_wrong(off_deg: float, is_fine: bool) -> None:
     params = load_config(preset="fused").config.classifier
     block, _ = drive_arrays(160, 600, 5)
@@ -170,26 +193,42 @@ def test_a_simulated_street_with_down_told_wrong(off_deg: float, is_fine: bool) 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 USUAL = UsualLabels(0.25, 0.5, 0.25, (Label.GROUND,), 0.5, 0.5, 0.25, 5.0, 0.25)
 G, B, N, U, C, V = (
-    int(one) for one in (Label.GROUND, Label.BUILDING, Label.NOISE, Label.UNCLASSIFIED, Label.CURB, Label.VEGETATION)
+    int(one)
+    for one in (
+        Label.GROUND,
+        Label.BUILDING,
+        Label.NOISE,
+        Label.UNCLASSIFIED,
+        Label.CURB,
+        Label.VEGETATION,
+    )
 )
 EVEN_BEAMS: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
 
 
-def sample(range_m: F32, labels: U8, beam: F64 | None = EVEN_BEAMS, angle: F64 | None = EVEN_BEAMS) -> _Sample:
+def sample(
+    range_m: F32, labels: U8, beam: F64 | None = EVEN_BEAMS, angle: F64 | None = EVEN_BEAMS
+) -> _Sample:
     return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle)
 
 
 def verdicts(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
-    return {finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)}
+    return {
+        finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)
+    }
 
 
 def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
     """Answer shot by shot: what is found, without what is expected."""
     assert one.beam_rad is not None
-    n = dict.fromkeys(("there", "noise", "without", "below", "level", "near", "under", "solid", "far"), 0)
+    n = dict.fromkeys(
+        ("there", "noise", "without", "below", "level", "near", "under", "solid", "far"), 0
+    )
     leans = []
     stretches = np.zeros((len(one.labels) // 16, 4))
-    for row, (ranges, labels) in enumerate(zip(one.range_m.tolist(), one.labels.tolist(), strict=True)):
+    for row, (ranges, labels) in enumerate(
+        zip(one.range_m.tolist(), one.labels.tolist(), strict=True)
+    ):
         ground: list[tuple[float, float]] = []
         sides: dict[bool, list[tuple[bool, float]]] = {True: [], False: []}
         counts = np.zeros(4)
@@ -203,7 +242,12 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
             n["far"] += is_solid and range_m > usual.reach_m
             n["below"] += is_solid and is_down
             n["level"] += is_solid and is_down and label in usual.level
-            counts += is_solid and is_down and label in usual.level, is_solid and is_down, is_noise, is_there
+            counts += (
+                is_solid and is_down and label in usual.level,
+                is_solid and is_down,
+                is_noise,
+                is_there,
+            )
             if is_solid and is_down and range_m < 20.0:
                 is_ground, up = label in (G, C), -range_m * math.cos(beam)
                 sides[beam < 0].append((is_ground, up))
@@ -226,12 +270,21 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     if without > usual.unclassified_share and noise <= usual.noise_share:
         found["noise-share"] = DOUBTFUL, f"{_percent(without)} of the returns have no class"
     else:
-        verdict = AGAINST if noise > usual.garbage_share else DOUBTFUL if noise > usual.noise_share else FINE
+        verdict = (
+            AGAINST
+            if noise > usual.garbage_share
+            else DOUBTFUL
+            if noise > usual.noise_share
+            else FINE
+        )
         found["noise-share"] = verdict, f"{_percent(noise)} of the returns are noise"
     if usual.reach_m > 0:
         share = n["far"] / n["solid"]
         verdict = DOUBTFUL if share < 0.01 else FINE
-        found["indoors"] = verdict, f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
+        found["indoors"] = (
+            verdict,
+            f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m",
+        )
     share = n["level"] / n["below"]
     found["ground-below"] = (
         DOUBTFUL if share < usual.level_share else FINE,
@@ -240,8 +293,9 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     if len(leans) >= 32:
         lean = abs(math.degrees(math.atan(np.median(leans))))
         found["ground-lean"] = (
-            DOUBTFUL if lean > usual.lean_deg else FINE, f"the ground leans by {lean:.2f} deg across the lines",
-        )  # fmt: skip
+            DOUBTFUL if lean > usual.lean_deg else FINE,
+            f"the ground leans by {lean:.2f} deg across the lines",
+        )
     share = n["under"] / n["near"]
     found["below-ground"] = (
         DOUBTFUL if share > usual.below_share else FINE,
@@ -251,10 +305,15 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     known = pooled[:, 1] >= 375
     ground_shares = [a / b for a, b in pooled[known, :2]]
     usually = float(np.quantile(ground_shares, 0.75)) if ground_shares else 0.0
-    gone = [bool(k) and a / b < usual.vanished_share * usually for (a, b, _, _), k in zip(pooled, known, strict=True)]
+    gone = [
+        bool(k) and a / b < usual.vanished_share * usually
+        for (a, b, _, _), k in zip(pooled, known, strict=True)
+    ]
     noisy = [d >= 375 and c / d > usual.noise_share for _, _, c, d in pooled]
     solid = [d - c for _, _, c, d in pooled]
-    least = 0.8 * float(np.median([n for n, bad in zip(solid, noisy, strict=True) if not bad] or [np.inf]))
+    least = 0.8 * float(
+        np.median([n for n, bad in zip(solid, noisy, strict=True) if not bad] or [np.inf])
+    )
     bare = [bad and n < least for n, bad in zip(solid, noisy, strict=True)]
     found["classes-along"] = FINE, "ground and noise are even along the stream"
     for bad, said, verdict in (
@@ -262,7 +321,9 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
         (bare, "much noise", DOUBTFUL),
         (noisy, "much noise between whole surfaces", FINE),
     ):
-        runs = [(i, j) for i in range(len(bad)) for j in range(i + 1, len(bad) + 1) if all(bad[i:j])]
+        runs = [
+            (i, j) for i in range(len(bad)) for j in range(i + 1, len(bad) + 1) if all(bad[i:j])
+        ]
         first, last = max(runs, key=lambda run: (run[1] - run[0], -run[0]), default=(0, 0))
         if 0 < last - first < len(bad):
             start, stop = one.line[first * 16], one.line[(last + 2) * 16 - 1] + 1
@@ -278,17 +339,25 @@ def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
     usual = (
         USUAL
         if preset == "usual"
-        else UsualLabels(0.4, 0.9, 0.1, (Label.GROUND, Label.CURB), 0.9, 0.1, 0.02, 1.0, 0.6, 4.0 + seed)
+        else UsualLabels(
+            0.4, 0.9, 0.1, (Label.GROUND, Label.CURB), 0.9, 0.1, 0.02, 1.0, 0.6, 4.0 + seed
+        )
     )
     shape = (192 + 5 * seed, 50)
     lean = np.tan(np.deg2rad(rng.uniform(-12, 12)))
-    range_m = 4.0 / np.maximum(np.cos(EVEN_BEAMS) + lean * np.sin(EVEN_BEAMS), 0.1) * rng.normal(1.0, 0.02, shape)
+    range_m = (
+        4.0
+        / np.maximum(np.cos(EVEN_BEAMS) + lean * np.sin(EVEN_BEAMS), 0.1)
+        * rng.normal(1.0, 0.02, shape)
+    )
     range_m *= np.where(rng.random(shape) < 0.2, rng.uniform(0.5, 3.0, shape), 1.0)
     chances = np.array([0.1, 0.5, 0.15, 0.05 + 0.012 * seed, 0.05, 0.05, 0.0])
     chances[-1] = 1 - chances.sum()
     labels = rng.choice(np.array([0, G, B, N, U, C, V], np.uint8), shape, p=chances)
     stretch = slice(20 * (seed % 4), 20 * (seed % 4) + 90)
-    labels[stretch] = np.where(labels[stretch] == (G if seed % 2 else B), N if seed in (2, 6) else V, labels[stretch])
+    labels[stretch] = np.where(
+        labels[stretch] == (G if seed % 2 else B), N if seed in (2, 6) else V, labels[stretch]
+    )
     # few lines show the ground, or few returns
     labels[::7, 5:] = np.where(labels[::7, 5:] == G, B, labels[::7, 5:])
     labels[100:150, 12 + seed :] = 0

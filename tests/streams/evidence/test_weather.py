@@ -27,8 +27,18 @@ def flaky(range_m: F32, share: float) -> F32:
 
 def told(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
     info = StreamInfo("a.npz", "array", N_RINGS, None, len(range_m), facts=SourceFacts())
-    windows = tuple(Window(first, range_m[first : first + 900]) for first in range(0, len(range_m), 900))
-    seen = Seen(info, 0, windows, len(range_m), range_m.size, int(np.isnan(range_m).sum()), has_rings=has_rings)
+    windows = tuple(
+        Window(first, range_m[first : first + 900]) for first in range(0, len(range_m), 900)
+    )
+    seen = Seen(
+        info,
+        0,
+        windows,
+        len(range_m),
+        range_m.size,
+        int(np.isnan(range_m).sum()),
+        has_rings=has_rings,
+    )
     return {one.check: one.verdict for one in ask_all(seen)}
 
 

@@ -27,13 +27,23 @@ class Cloud:
 
     def part(self, keep: slice | F64 | I64) -> Cloud:
         """Return some of the points."""
-        return Cloud(self.time_s[keep], self.xyz_m[keep], self.line[keep], self.column[keep], self.range_m[keep])
+        return Cloud(
+            self.time_s[keep],
+            self.xyz_m[keep],
+            self.line[keep],
+            self.column[keep],
+            self.range_m[keep],
+        )
 
 
 def station(time_s: F64) -> F64:
     """Return where the scanner is at times (n,), (n, 3) [m]."""
     return np.stack(
-        [7.0 * time_s + 0.2 * np.sin(3.0 * time_s), 0.3 * np.sin(1.3 * time_s), HEIGHT_M + 0.04 * np.sin(6.0 * time_s)],
+        [
+            7.0 * time_s + 0.2 * np.sin(3.0 * time_s),
+            0.3 * np.sin(1.3 * time_s),
+            HEIGHT_M + 0.04 * np.sin(6.0 * time_s),
+        ],
         axis=1,
     )
 
@@ -56,7 +66,9 @@ def _yawed(vector: F64, yaw: F64) -> F64:
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, vector[:, 2]], axis=1)
 
 
-def canyon(duration_s: float = 1.5, *, start_s: float = 0.0, noise_m: float = 0.0, step_m: float = 0.0) -> Cloud:
+def canyon(
+    duration_s: float = 1.5, *, start_s: float = 0.0, noise_m: float = 0.0, step_m: float = 0.0
+) -> Cloud:
     """Scan a street between two walls, open above; ledges and posts along it tell where one is.
 
     Parameters

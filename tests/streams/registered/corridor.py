@@ -33,9 +33,9 @@ class Corridor:
 def stations(time_s: F64) -> F64:
     """True positions of the scanner, (n, 3) [m]: its speed changes, and it sways."""
     along = 6.0 * time_s + 0.8 * np.sin(1.7 * time_s)
-    return np.stack([along, 0.3 * np.sin(0.9 * time_s), HEIGHT_M + 0.02 * np.sin(5.0 * time_s)], axis=1) + np.array(
-        CORNER_M
-    )
+    return np.stack(
+        [along, 0.3 * np.sin(0.9 * time_s), HEIGHT_M + 0.02 * np.sin(5.0 * time_s)], axis=1
+    ) + np.array(CORNER_M)
 
 
 def make_corridor(*, begin_s: float = 100.0, gap_s: float = 0.0) -> Corridor:
@@ -62,7 +62,9 @@ def make_corridor(*, begin_s: float = 100.0, gap_s: float = 0.0) -> Corridor:
     return Corridor((since + later + begin_s)[seen], xyz[seen], path_s + begin_s, stations(path_s))
 
 
-def write_cloud(path: Path, cloud: Corridor, *, epsg: int | None = None, metres: float = 1.0) -> Path:
+def write_cloud(
+    path: Path, cloud: Corridor, *, epsg: int | None = None, metres: float = 1.0
+) -> Path:
     """Write coordinates and times alone, in the order of x; in units of some metres."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.001] * 3, np.floor(cloud.xyz_m.min(axis=0) / metres)

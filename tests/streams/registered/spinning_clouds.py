@@ -13,9 +13,27 @@ FIRING_HZ = 3000.0
 DUTY = 0.6
 """Share of a firing in which the rings fire, one after the other."""
 WALLS_M = (30.0, 14.0)
-PILLARS = np.array([[x, y, 0.4 + 0.05 * i] for i, (x, y) in enumerate(
-    [(-22, 7), (-15, -9), (-9, 5), (-4, -6), (3, 8), (9, -8), (14, 6), (20, -5), (26, 9), (6, 4), (-18, -4), (17, -10)]
-)])  # fmt: skip
+PILLARS = np.array(
+    [
+        [x, y, 0.4 + 0.05 * i]
+        for i, (x, y) in enumerate(
+            [
+                (-22, 7),
+                (-15, -9),
+                (-9, 5),
+                (-4, -6),
+                (3, 8),
+                (9, -8),
+                (14, 6),
+                (20, -5),
+                (26, 9),
+                (6, 4),
+                (-18, -4),
+                (17, -10),
+            ]
+        )
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -30,25 +48,42 @@ class Cloud:
 
     def part(self, keep: slice | F64) -> Cloud:
         """Return some of the points."""
-        return Cloud(self.time_s[keep], self.xyz_m[keep], self.ring[keep], self.line[keep], self.range_m[keep])
+        return Cloud(
+            self.time_s[keep],
+            self.xyz_m[keep],
+            self.ring[keep],
+            self.line[keep],
+            self.range_m[keep],
+        )
 
 
 def station(time_s: F64) -> F64:
     """Return where the head is at times (n,), (n, 3) [m]."""
-    return np.stack([-4.0 + 8.0 * time_s, 0.3 * np.sin(2.0 * time_s), 1.9 + 0.03 * np.sin(5.0 * time_s)], axis=1)
+    return np.stack(
+        [-4.0 + 8.0 * time_s, 0.3 * np.sin(2.0 * time_s), 1.9 + 0.03 * np.sin(5.0 * time_s)], axis=1
+    )
 
 
 def frame(time_s: F64, tilt_rad: float) -> F64:
     """Return the axes of the head at times (n,), (n, 3, 3), columns forward, left, up."""
     yaw, pitch = np.arctan2(0.6 * np.cos(2.0 * time_s), 8.0), tilt_rad + 0.01 * np.sin(4.0 * time_s)
     zero, one = np.zeros_like(yaw), np.ones_like(yaw)
-    turn = np.stack([np.cos(yaw), -np.sin(yaw), zero, np.sin(yaw), np.cos(yaw), zero, zero, zero, one], axis=1)
-    nod = np.stack([np.cos(pitch), zero, np.sin(pitch), zero, one, zero, -np.sin(pitch), zero, np.cos(pitch)], axis=1)
+    turn = np.stack(
+        [np.cos(yaw), -np.sin(yaw), zero, np.sin(yaw), np.cos(yaw), zero, zero, zero, one], axis=1
+    )
+    nod = np.stack(
+        [np.cos(pitch), zero, np.sin(pitch), zero, one, zero, -np.sin(pitch), zero, np.cos(pitch)],
+        axis=1,
+    )
     return turn.reshape(-1, 3, 3) @ nod.reshape(-1, 3, 3)
 
 
 def spinning_cloud(
-    elevation_deg: F64, ahead_deg: F64, duration_s: float = 1.0, tilt_deg: float = 0.0, sense: float = 1.0
+    elevation_deg: F64,
+    ahead_deg: F64,
+    duration_s: float = 1.0,
+    tilt_deg: float = 0.0,
+    sense: float = 1.0,
 ) -> Cloud:
     """Scan the yard.
 
@@ -70,7 +105,12 @@ def spinning_cloud(
     azimuth = sense * (2.0 * np.pi * TURN_HZ * time_s + np.radians(ahead_deg)[ring])
     elevation = np.radians(elevation_deg)[ring]
     beam = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=1,
     )
     direction = (frame(time_s, np.radians(tilt_deg)) @ beam[:, :, None])[:, :, 0]
     origin = station(time_s)
@@ -94,7 +134,9 @@ def _nearest(origin: F64, direction: F64) -> F64:
             along = direction[:, 0] * (origin[:, 0] - x) + direction[:, 1] * (origin[:, 1] - y)
             apart = (origin[:, 0] - x) ** 2 + (origin[:, 1] - y) ** 2 - radius**2
             to_pillar = (-along - np.sqrt(along**2 - level * apart)) / level
-            candidates.append(_below_top(np.where(to_pillar > 0, to_pillar, np.inf), origin, direction))
+            candidates.append(
+                _below_top(np.where(to_pillar > 0, to_pillar, np.inf), origin, direction)
+            )
     return np.nanmin(np.stack(candidates), axis=0)
 
 

@@ -40,7 +40,12 @@ class Cloud:
 def drive(speed_m_s: float = 8.0) -> Cloud:
     """A drive down a street, in the order of the shots."""
     scanner = {"points_per_line": POINTS_PER_LINE, "line_hz": LINE_HZ}
-    options = {"seed": SEED, "lines": N_LINES, "scanner": scanner, "trajectory": {"speed_m_s": speed_m_s}}
+    options = {
+        "seed": SEED,
+        "lines": N_LINES,
+        "scanner": scanner,
+        "trajectory": {"speed_m_s": speed_m_s},
+    }
     settings = load_settings("street", options=options)
     items = list(open_simulation("street", settings, threads=1, with_world=True).scan.simulated())
     blocks = [item.labelled.block for item in items]
@@ -49,7 +54,13 @@ def drive(speed_m_s: float = 8.0) -> Cloud:
     time_s = np.concatenate([block.time_s for block in blocks if block.time_s is not None])
     line, column = np.nonzero(np.isfinite(range_m))
     xyz_m = np.round(world_m[line, column] + PLACE_M, 3)
-    return Cloud(xyz_m, time_s[line, column] + CLOCK_S, line, column, range_m[line, column].astype(np.float64))
+    return Cloud(
+        xyz_m,
+        time_s[line, column] + CLOCK_S,
+        line,
+        column,
+        range_m[line, column].astype(np.float64),
+    )
 
 
 def shuffled(cloud: Cloud) -> Cloud:
@@ -167,11 +178,15 @@ def times_of_rows(cloud: Cloud) -> Cloud:
     return replace(part, time_s=CLOCK_S + np.arange(len(part.time_s)) * 1e-5)
 
 
-SLOW = [pytest.param(spoil, marks=pytest.mark.slow) for spoil in (times_of_rows, one_plane, centimetres)]
+SLOW = [
+    pytest.param(spoil, marks=pytest.mark.slow) for spoil in (times_of_rows, one_plane, centimetres)
+]
 
 
 @pytest.mark.parametrize("spoil", [anywhere, coarse_times, *SLOW])
-def test_what_cannot_be_right_is_refused_or_doubted(tmp_path: Path, spoil: Callable[[Cloud], Cloud]) -> None:
+def test_what_cannot_be_right_is_refused_or_doubted(
+    tmp_path: Path, spoil: Callable[[Cloud], Cloud]
+) -> None:
     path = write(tmp_path / "cloud.laz", spoil(drive()))
     with pytest.raises(PrcError):
         placed(path, from_points(), len(drive().time_s))

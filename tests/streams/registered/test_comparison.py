@@ -23,7 +23,10 @@ def drive(time_s: F64, *, even: bool = False) -> tuple[F64, F64]:
         heading = 0.02 * time_s + 0.5 * np.sin(0.1 * time_s)
         fine = np.arange(time_s[0], time_s[-1] + 0.001, 0.001)
         turn, speed = 0.02 * fine + 0.5 * np.sin(0.1 * fine), 8.0 + 2.0 * np.sin(0.3 * fine)
-        x, y = (np.interp(time_s, fine, np.cumsum(speed * part) * 0.001) for part in (np.cos(turn), np.sin(turn)))
+        x, y = (
+            np.interp(time_s, fine, np.cumsum(speed * part) * 0.001)
+            for part in (np.cos(turn), np.sin(turn))
+        )
     zero, one = 0.0 * time_s, 1.0 + 0.0 * time_s
     forward = np.stack([np.cos(heading), np.sin(heading), zero], axis=1)
     left = np.stack([-np.sin(heading), np.cos(heading), zero], axis=1)
@@ -40,13 +43,23 @@ def tile_and_drive(*, arm: F64 = ARM, even: bool = False) -> tuple[FoundPath, Po
     noise = np.random.default_rng(1).normal(0.0, 0.002, (1000, 3))
     scanner = place[part] + np.einsum("nij,j->ni", frame[part], arm) + noise
     path = FoundPath(
-        0, time_s[part], scanner, np.full((1000, 3), 0.002), frame[part], frame[part][:, :, 0], np.zeros(1000, np.int64)
+        0,
+        time_s[part],
+        scanner,
+        np.full((1000, 3), 0.002),
+        frame[part],
+        frame[part][:, :, 0],
+        np.zeros(1000, np.int64),
     )
     return path, Positions(time_s, place)
 
 
-def moved(trajectory: Positions, *, clock_s: float = 0.0, by_m: tuple[float, ...] = (0, 0, 0)) -> Positions:
-    return replace(trajectory, time_s=trajectory.time_s + clock_s, xyz_m=trajectory.xyz_m + np.array(by_m))
+def moved(
+    trajectory: Positions, *, clock_s: float = 0.0, by_m: tuple[float, ...] = (0, 0, 0)
+) -> Positions:
+    return replace(
+        trajectory, time_s=trajectory.time_s + clock_s, xyz_m=trajectory.xyz_m + np.array(by_m)
+    )
 
 
 @pytest.mark.parametrize("clock_s", [0.0012, -0.25, 17.3, -604_800.4])
@@ -91,13 +104,21 @@ def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle() -> None:
         (lambda one: replace(one, xyz_m=one.xyz_m[:, [1, 0, 2]]), "x and y are swapped"),
         (lambda one: replace(one, xyz_m=one.xyz_m / 0.3048), "unit is feet"),
         (lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0)), "moved by x 300,000.*throughout"),
-        (lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0), clock_s=20.0), "same shape.*x 300,000"),
+        (
+            lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0), clock_s=20.0),
+            "same shape.*x 300,000",
+        ),
         (lambda one: moved(one, by_m=(0.0, 0.0, 18.5)), "heights differ by -17.4"),
         (lambda one: Positions(one.time_s, one.xyz_m * 1e-5), "degrees"),
-        (lambda one: Positions(one.time_s, 90.0 * np.sin(np.outer(one.time_s, [0.3, 0.41, 0])) + 400.0), "another d"),
+        (
+            lambda one: Positions(
+                one.time_s, 90.0 * np.sin(np.outer(one.time_s, [0.3, 0.41, 0])) + 400.0
+            ),
+            "another d",
+        ),
         (lambda one: Positions(one.time_s[:300], one.xyz_m[:300]), "less than half"),
     ],
-)  # fmt: skip
+)
 def test_other_coordinates_and_other_drives_are_named(change: object, words: str) -> None:
     path, trajectory = tile_and_drive()
     found: Comparison = compare(path, change(trajectory))  # type: ignore[operator]
@@ -109,6 +130,7 @@ def test_a_street_that_is_passed_twice_is_matched_with_its_own_pass() -> None:
     again = trajectory.xyz_m[4000:9000] + np.random.default_rng(2).normal(0.0, 0.3, 3)
     slower = np.arange(len(again)) * 0.0125
     both = Positions(
-        np.concatenate([trajectory.time_s, 200.0 + slower]), np.concatenate([trajectory.xyz_m, again])
-    )  # fmt: skip
+        np.concatenate([trajectory.time_s, 200.0 + slower]),
+        np.concatenate([trajectory.xyz_m, again]),
+    )
     assert compare(path, moved(both, clock_s=-3.0)).clock_s == pytest.approx(3.0, abs=1e-3)

@@ -30,7 +30,9 @@ def test_a_line_of_a_standing_scanner_tells_its_station_exactly() -> None:
     best = min(fits, key=lambda fit: fit.residual_m[0] / fit.in_front[0])
     np.testing.assert_allclose(best.position_m[0], place, atol=1e-6)
     assert best.in_front[0] == 1.0
-    np.testing.assert_allclose(best.frame[0][:, 0], tilt @ [np.cos(turn), np.sin(turn), 0.0], atol=1e-6)
+    np.testing.assert_allclose(
+        best.frame[0][:, 0], tilt @ [np.cos(turn), np.sin(turn), 0.0], atol=1e-6
+    )
 
 
 def test_the_rate_is_that_of_the_beam() -> None:
@@ -50,15 +52,21 @@ def test_what_no_beam_measured_has_no_rotation(kind: str) -> None:
     rng = np.random.default_rng(3)
     points = {
         "noise": rng.uniform(-20, 20, cloud.xyz_m.shape),
-        "plane": np.column_stack([rng.uniform(-20, 20, (len(cloud.time_s), 2)), np.zeros(len(cloud.time_s))]),
+        "plane": np.column_stack(
+            [rng.uniform(-20, 20, (len(cloud.time_s), 2)), np.zeros(len(cloud.time_s))]
+        ),
         "shuffled": rng.permutation(cloud.xyz_m),
     }[kind]
     turns = rotation.find_rotation(cloud.time_s, points, n_pieces=12)
     assert turns is None or not turns.is_possible
 
 
-@pytest.mark.parametrize(("noise_m", "step_m", "most_m"), [(0.0, 0.0, 2e-3), (0.005, 0.001, 6e-3), (0.02, 0.01, 2e-2)])
-def test_the_path_is_found_between_and_along_lines(noise_m: float, step_m: float, most_m: float) -> None:
+@pytest.mark.parametrize(
+    ("noise_m", "step_m", "most_m"), [(0.0, 0.0, 2e-3), (0.005, 0.001, 6e-3), (0.02, 0.01, 2e-2)]
+)
+def test_the_path_is_found_between_and_along_lines(
+    noise_m: float, step_m: float, most_m: float
+) -> None:
     cloud = canyon(1.5, noise_m=noise_m, step_m=step_m)
     turning = rotation.Turning(LINE_HZ * (1 + 2e-5), LINE_HZ * (1 + 2e-5), float(cloud.time_s[0]))
     track = fit_track(lambda: iter([(cloud.time_s, cloud.xyz_m)]), turning, 1.5)
@@ -107,7 +115,9 @@ def test_every_shot_finds_its_cell_and_range() -> None:
     clock = read_clock(cloud.time_s)
     assert clock is not None
     assert clock.distinct_hz == pytest.approx(SHOT_HZ, rel=1e-6)
-    scan = make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False)
+    scan = make_scan(
+        track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False
+    )
     assert scan.points_per_line == SHOTS
     assert np.degrees(np.arccos(scan.cos_tilt)) == pytest.approx(20.0, abs=0.3)
     cells = scan.cells(cloud.time_s, cloud.xyz_m)
@@ -151,12 +161,16 @@ def test_selected_inversion_is_the_inverse() -> None:
     inverse = np.linalg.inv(full)
     blocks = path.inverse_blocks(banded)
     for k in range(n):
-        np.testing.assert_allclose(blocks[k], inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], atol=1e-10)
+        np.testing.assert_allclose(
+            blocks[k], inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], atol=1e-10
+        )
 
 
 def test_rotation_vectors_and_matrices_are_inverse() -> None:
     vectors = np.random.default_rng(0).normal(0.0, 0.5, (20, 3))
-    np.testing.assert_allclose(path.rotation_vectors(path.rotation_matrices(vectors)), vectors, atol=1e-12)
+    np.testing.assert_allclose(
+        path.rotation_vectors(path.rotation_matrices(vectors)), vectors, atol=1e-12
+    )
 
 
 def test_normal_equations_are_those_of_the_residuals() -> None:
@@ -164,7 +178,9 @@ def test_normal_equations_are_those_of_the_residuals() -> None:
     cloud = canyon(0.2, noise_m=0.01)
     times = np.arange(0.0, 0.2, 0.02)
     knots = path.Knots(
-        times, station(times) + 0.01, frame(times) @ path.rotation_matrices(np.full((len(times), 3), 0.004))
+        times,
+        station(times) + 0.01,
+        frame(times) @ path.rotation_matrices(np.full((len(times), 3), 0.004)),
     )
     bearing = 2.0 * np.pi * LINE_HZ * cloud.time_s + np.pi
     observed = path.observe(times, cloud.time_s, cloud.xyz_m, bearing, 40)
@@ -184,7 +200,9 @@ def test_normal_equations_are_those_of_the_residuals() -> None:
                 position[knot, axis] += sign * step
                 numeric.append(cost(path.Knots(times, position, knots.frame)))
             slope_of_cost = (numeric[0] - numeric[1]) / (2 * step)
-            assert system.gradient[knot, 3 + axis] == pytest.approx(slope_of_cost, rel=2e-2, abs=2e-3)
+            assert system.gradient[knot, 3 + axis] == pytest.approx(
+                slope_of_cost, rel=2e-2, abs=2e-3
+            )
 
 
 def test_points_of_one_time_are_returns_of_one_shot() -> None:

@@ -25,7 +25,9 @@ from prc_cli.streams.registered.turning import cut_windows, fit_linear, turned
 from tests.streams.registered.spinning_clouds import TURN_HZ, Cloud, frame, spinning_cloud, station
 
 EVEN = np.arange(-15.0, 16.0, 2.0)
-STAGGERED = np.concatenate([np.arange(-25.0, -5.0, 2.5), np.arange(-5.0, 5.0, 0.5), np.arange(5.0, 16.0, 3.0)])
+STAGGERED = np.concatenate(
+    [np.arange(-25.0, -5.0, 2.5), np.arange(-5.0, 5.0, 0.5), np.arange(5.0, 16.0, 3.0)]
+)
 AHEAD = np.array([1.2, -1.2, 3.6, -1.2, 1.2, -3.6] * 6)[: len(STAGGERED)]
 HEADS = {
     "even rings": (EVEN, np.zeros(16), 0.0, 1.0),
@@ -138,7 +140,9 @@ def test_few_points_are_refused_with_their_number() -> None:
 
 def test_random_points_are_no_spinning_head() -> None:
     rng = np.random.default_rng(2)
-    assert isinstance(find_head(np.sort(rng.random(20_000)), rng.normal(0.0, 10.0, (20_000, 3))), NoScan)
+    assert isinstance(
+        find_head(np.sort(rng.random(20_000)), rng.normal(0.0, 10.0, (20_000, 3))), NoScan
+    )
 
 
 def test_a_window_is_fitted_in_closed_form() -> None:

@@ -22,7 +22,14 @@ def write(points: Cloud, path: Path) -> None:
     """Write times and coordinates, in the order of x."""
     order = np.argsort(points.xyz_m[:, 0])
     table = np.column_stack([points.time_s, points.xyz_m])[order]
-    np.savetxt(path, table, fmt=["%.9f", "%.3f", "%.3f", "%.3f"], delimiter=",", header="time,x,y,z", comments="")
+    np.savetxt(
+        path,
+        table,
+        fmt=["%.9f", "%.3f", "%.3f", "%.3f"],
+        delimiter=",",
+        header="time,x,y,z",
+        comments="",
+    )
 
 
 def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path: Path) -> None:
@@ -43,7 +50,10 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     drive = drive_of(stream)
     assert drive is not None
     (path,) = found_paths(drive)
-    assert path.time_s[[0, -1]].tolist() == [points.time_s.min().round(9), points.time_s.max().round(9)]
+    assert path.time_s[[0, -1]].tolist() == [
+        points.time_s.min().round(9),
+        points.time_s.max().round(9),
+    ]
     off_m = np.abs(path.xyz_m - station(path.time_s))
     assert np.median(off_m) < 0.02, off_m
     assert off_m.max() < 0.2, off_m
@@ -51,7 +61,15 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
 
 
 def test_points_of_one_shot_are_its_returns_from_near_to_far() -> None:
-    rows = np.zeros(5, [("scan_line", "i4"), ("column", "i4"), ("return_number", "u1"), ("number_of_returns", "u1")])
+    rows = np.zeros(
+        5,
+        [
+            ("scan_line", "i4"),
+            ("column", "i4"),
+            ("return_number", "u1"),
+            ("number_of_returns", "u1"),
+        ],
+    )
     rows["scan_line"] = [0, 0, 0, 1, 1]
     rows["column"] = [-1, -1, 3, 3, 3]
     found = with_returns(rows)
