@@ -139,7 +139,8 @@ def print_steps(
         f"| without | {' | '.join(whole)} | most lost by a class |\n|---|{'---:|' * len(whole)}---|"
     )
     for name, found in rows.items():
-        cells, lost = [], []
+        cells = []
+        lost = []
         for group, before in whole.items():
             if group not in found:
                 cells.append("")

@@ -158,7 +158,8 @@ def classified(scan: Scan, *told: str) -> tuple[Verdict | None, str]:
     """Classify ranges and M, with what else is told; return the verdict and the names of the doubts."""
     n, m = scan.range_m.shape
     with tempfile.TemporaryDirectory() as name:
-        dump, labels = Path(name) / "ranges.bin", Path(name) / "labels.npy"
+        dump = Path(name) / "ranges.bin"
+        labels = Path(name) / "labels.npy"
         scan.range_m.astype("<f4").tofile(dump)
         options = [part for one in told for part in ("--set", f"input.{one}")]
         code, said = in_process(["classify", str(dump), str(labels), "-M", str(m), "-q", *options])
@@ -265,7 +266,9 @@ def told_steps() -> None:
 
 def conditions() -> None:
     """Print tables of noise, M and the number of lines."""
-    street, broom, forest = STREETS[0], PUSH_BROOMS[0], FORESTS[0]
+    street = STREETS[0]
+    broom = PUSH_BROOMS[0]
+    forest = FORESTS[0]
     noisy = [
         (
             f"{spec.name}, {1000 * noise:g} mm",
@@ -292,8 +295,13 @@ def picture() -> str:
     """Draw u over the columns of a line with the windows that a quadratic fits, and what all lines say, as SVG."""
     scan = made(STREETS[0])
     inverse = 1.0 / scan.range_m.astype(np.float64)
-    line, step, window = inverse[len(inverse) // 2], step_of(scan.angle_rad), 79
-    per_column, per_u, base, parts = 360 / len(line), 320, 220, []
+    line = inverse[len(inverse) // 2]
+    step = step_of(scan.angle_rad)
+    window = 79
+    per_column = 360 / len(line)
+    per_u = 320
+    base = 220
+    parts = []
 
     def places(first: int, values: F64) -> list[str]:
         return [

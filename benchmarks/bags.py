@@ -134,11 +134,9 @@ def main() -> None:
         small = write_inputs(Path(folder), given.seconds)
         large = write_inputs(Path(folder), 10 * given.seconds) if given.large else small
         for path, ten in zip(small, large, strict=True):
-            shots, own_s, other = (
-                read(path),
-                least_s(lambda path=path: read(path)),
-                read_elsewhere(path),
-            )
+            shots = read(path)
+            own_s = least_s(lambda path=path: read(path))
+            other = read_elsewhere(path)
             other_s = least_s(lambda path=path: read_elsewhere(path)) if other else float("nan")
             beside = f"{other / other_s / 1e6:.2f}" if other else "-"
             more = f"{peak_mib(ten):.0f} MiB" if given.large else "-"

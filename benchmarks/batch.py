@@ -116,9 +116,11 @@ class Way:
 
     def measure(self, source: Path, out: Path) -> None:
         out.mkdir()
-        before, begin = os.times(), time.perf_counter()
+        before = os.times()
+        begin = time.perf_counter()
         self.run(source, out)
-        seconds, after = time.perf_counter() - begin, os.times()
+        seconds = time.perf_counter() - begin
+        after = os.times()
         self.times.append((seconds, cpu_of(before, after)))
         self.found = {
             path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".laz"
@@ -126,7 +128,8 @@ class Way:
         shutil.rmtree(out)
 
     def print(self) -> None:
-        wall, cpu = min(wall for wall, _ in self.times), min(cpu for _, cpu in self.times)
+        wall = min(wall for wall, _ in self.times)
+        cpu = min(cpu for _, cpu in self.times)
         print(
             f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | {len(self.found)} |",
             flush=True,

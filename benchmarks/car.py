@@ -35,10 +35,15 @@ from prc_cli.core.types import F64, I64, Mask
 
 OAKLAND = "## Oakland's registered points"
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "figures" / "car.md"
-ERROR_M, THINNED_M, TILE_M = 0.02, 0.05, 40.0
+ERROR_M = 0.02
+THINNED_M = 0.05
+TILE_M = 40.0
 LONELY_M = 0.25
 NEIGHBOURS = 16
-GROUND, VEGETATION, BUILDING, NOISE = 2, 5, 6, 7
+GROUND = 2
+VEGETATION = 5
+BUILDING = 6
+NOISE = 7
 LENGTH_M = 120.0
 SCORES = ("recall", "precision", "f1")
 
@@ -85,14 +90,13 @@ def is_lonely(xyz: F64) -> Mask:
 def car_classes(xyz: F64) -> I64:
     """Classify registered points: cloth simulation, then the shape of the neighbourhood."""
     cloth = import_module("CSF").CSF()
-    cloth.params.bSloopSmooth, cloth.params.cloth_resolution, cloth.params.class_threshold = (
-        False,
-        0.5,
-        0.2,
-    )
+    cloth.params.bSloopSmooth = False
+    cloth.params.cloth_resolution = 0.5
+    cloth.params.class_threshold = 0.2
     cloth.setPointCloud(np.ascontiguousarray(xyz))
     module = import_module("CSF")
-    ground, other = module.VecInt(), module.VecInt()
+    ground = module.VecInt()
+    other = module.VecInt()
     cloth.do_filtering(ground, other, False)
     codes = np.full(len(xyz), VEGETATION)
     codes[np.array(ground, np.int64)] = GROUND
@@ -129,7 +133,8 @@ def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float
         1:
     ]
     las = laspy.read(drive)
-    xyz, codes = registered(las), np.asarray(las.classification).astype(np.int64)
+    xyz = registered(las)
+    codes = np.asarray(las.classification).astype(np.int64)
     kept = delivered(xyz, codes != NOISE)
     write_tiles(folder / "truth", xyz[kept], codes[kept])
     start = time.perf_counter()
@@ -224,7 +229,8 @@ def page(folder: Path, length: float, seed: int) -> str:
         )
         for name in ("ground", "building", "vegetation", "noise")
     ]
-    truth, estimate = noise_of(exact), noise_of(noise)
+    truth = noise_of(exact)
+    estimate = noise_of(noise)
     parts = [
         f"# Figures of PRC and CAR\n\nWritten by `python -m benchmarks.car --length {length:g}`: {n:,} shots.",
         "Times are wall times on a machine shared with other work; peak memory is of the command",
@@ -273,10 +279,12 @@ def oakland_section(folder: Path) -> str:
     seconds: list[tuple[str, ...]] = []
     for strip in (1, 2, 3):
         scan = DATA / "oakland" / f"oakland_{strip}.csv.gz"
-        labels, car = folder / f"prc_{strip}.npy", folder / f"car_{strip}.npy"
+        labels = folder / f"prc_{strip}.npy"
+        car = folder / f"car_{strip}.npy"
         used = prc("classify", scan, labels, "--preset", "fused", "-q")
         points = np.genfromtxt(scan, delimiter=",", skip_header=1)[:, 4:7]
-        there, start = np.isfinite(points).all(axis=1), time.perf_counter()
+        there = np.isfinite(points).all(axis=1)
+        start = time.perf_counter()
         codes = np.zeros(len(points), np.uint8)
         codes[there] = car_classes(points[there])
         seconds.append(
@@ -339,7 +347,8 @@ def large(n: int, folder: Path) -> str:
                 m = min(1 << 20, n - first)
                 points = laspy.ScaleAwarePointRecord.zeros(m, header=header)
                 points.x = first / 4000 + random.uniform(0, m / 4000, m)
-                points.y, points.z = random.uniform(0, 20, m), random.normal(0, 0.005, m)
+                points.y = random.uniform(0, 20, m)
+                points.z = random.normal(0, 0.005, m)
                 points.classification[:] = GROUND
                 writer.write_points(points)
     found, seconds, peak = prc(

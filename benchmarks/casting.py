@@ -83,13 +83,15 @@ def _triangles(bodies: Bodies) -> Iterator[F64]:
         across /= np.linalg.norm(across)
         along = np.cross(axis / np.linalg.norm(axis), across)
         ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * along
-        low, high = one[:3] + one[6] * ring, one[3:6] + one[7] * ring
+        low = one[:3] + one[6] * ring
+        high = one[3:6] + one[7] * ring
         yield np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0)], axis=1)
         yield np.stack([low, np.roll(high, -1, 0), high], axis=1)
     for shape, unit in ((Shape.BOX, unit_box()), (Shape.ELLIPSOID, unit_sphere())):
         for one in bodies.numbers[bodies.shape == shape]:
             x, y, z = np.moveaxis(unit * one[3:6], -1, 0)
-            cos, sin = np.cos(one[6]), np.sin(one[6])
+            cos = np.cos(one[6])
+            sin = np.sin(one[6])
             yield np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1) + one[:3]
 
 
@@ -137,7 +139,8 @@ def main() -> None:
         if found is None:
             print(f"| {name} | embreex: not installed | | |")
             continue
-        version, row = metadata.version("embreex"), f"{name}, {len(triangles):,} triangles"
+        version = metadata.version("embreex")
+        row = f"{name}, {len(triangles):,} triangles"
         print(
             f"| {row} | embreex {version} | {n_rays / found[1] / 1e6:.2f} | {1e3 * found[0]:.0f} |"
         )

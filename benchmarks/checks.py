@@ -51,7 +51,8 @@ def jobs_of(path: Path) -> dict[str, Callable[[], object]]:
     for _ in watch.blocks():
         pass
     (seen,) = watch.seen()
-    figures, turned = figures_of(seen.windows), most_turned(seen.windows)
+    figures = figures_of(seen.windows)
+    turned = most_turned(seen.windows)
     config = load_config(preset="urban").config
     labelled: list[LabelledBlock] = list(label_blocks(iter(blocks), config.classifier))
 

@@ -33,7 +33,8 @@ ACCEPTED = ("line-order", "repeated-lines", "line-length", "columns-along", "sta
 def repeated(target: Path, times: int) -> int:
     """Write the sample several times, one drive after the other; returns the number of points."""
     source = data_folder() / "riegl" / "sample_riegl_18_01.ply"
-    header, data = read_ply_header(source), source.read_bytes()
+    header = read_ply_header(source)
+    data = source.read_bytes()
     rows = np.frombuffer(data[header.n_bytes :], header.vertex.dtype(">")).copy()
     span = float(rows["GPS_time"][-1] - rows["GPS_time"][0]) + 0.001
     with target.open("wb") as handle:
@@ -90,7 +91,8 @@ def main() -> None:
     )
     copies = parser.parse_args().copies
     with tempfile.TemporaryDirectory() as folder:
-        large, small = Path(folder) / "large.ply", Path(folder) / "small.ply"
+        large = Path(folder) / "large.ply"
+        small = Path(folder) / "small.ply"
         n = repeated(large, copies)
         repeated(small, max(copies // 10, 1))
         for name, job in (

@@ -44,7 +44,9 @@ from prc_cli.methods.fused.confidence import (
 )
 
 ENVIRONMENTS: tuple[Environment, ...] = ("urban", "forest")
-CALIBRATION, CHECK, HELD_OUT = 2601, 2701, 2901
+CALIBRATION = 2601
+CHECK = 2701
+HELD_OUT = 2901
 """First seeds."""
 ROUNDS = {CALIBRATION: 4, CHECK: 1, HELD_OUT: 2}
 """How often every drive is simulated, through other streets."""
@@ -132,10 +134,8 @@ def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
     if scan.mapping not in names:
         return codes == scan.codes, there
     mapping = load_mapping(names[scan.mapping])
-    rows, columns = (
-        np.array([*mapping.names("reference"), ""]),
-        np.array([*mapping.names("predicted"), "-"]),
-    )
+    rows = np.array([*mapping.names("reference"), ""])
+    columns = np.array([*mapping.names("predicted"), "-"])
     reference = mapping.class_indices(
         np.where(there, scan.codes, scan.codes[there][0]), "reference"
     )
@@ -156,19 +156,22 @@ def table_of(
         ]
         if not sum(len(cells) for cells, _, _ in own):
             continue
-        n, right = np.zeros(N_CELLS), np.zeros(N_CELLS)
+        n = np.zeros(N_CELLS)
+        right = np.zeros(N_CELLS)
         for cells, is_right, weight in own:
             n += weight * np.bincount(cells, minlength=N_CELLS)
             right += weight * np.bincount(cells, is_right, minlength=N_CELLS)
         shape = (4,) * len(questions)
-        n, right = n.reshape(shape), right.reshape(shape)
+        n = n.reshape(shape)
+        right = right.reshape(shape)
         for name in set(dropped) & set(questions):
             axis = questions.index(name)
             n, right = (np.broadcast_to(x.sum(axis, keepdims=True), shape) for x in (n, right))
         share = right.sum() / n.sum()
         for k in range(1, len(questions) + 1):
             rest = tuple(range(k, len(questions)))
-            there, good = n.sum(rest, keepdims=True), right.sum(rest, keepdims=True)
+            there = n.sum(rest, keepdims=True)
+            good = right.sum(rest, keepdims=True)
             share = (good + PRIOR_SHOTS * share) / (there + PRIOR_SHOTS)
         # 0 is for what is not known
         table[label] = np.maximum(np.rint(100.0 * share).ravel(), 1)
@@ -263,7 +266,8 @@ def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     """Print what every measure is worth: calibrated anew without its answers, on the streets for choosing."""
     for environment in environments:
-        judged, others = judged_of(environment, CALIBRATION), judged_of(environment, CHECK)
+        judged = judged_of(environment, CALIBRATION)
+        others = judged_of(environment, CHECK)
         asked = dict.fromkeys(name for names in QUESTIONS[environment].values() for name in names)
         print(f"\n## What every measure is worth: {NAMES[environment]}\n\n{ABLATION}\n\n{HEAD}")
         print(row("all", with_table(others, table_of(judged, environment, ()))))
@@ -298,10 +302,8 @@ def reliability(judged: Sequence[Judged]) -> list[tuple[str, float, float, float
         if inside.any():
             w = weight[inside]
             name = f"{low}" if end == low + 1 else f"{low}-{end - 1}"
-            mean, share = (
-                np.average(shots[inside], weights=w),
-                100 * np.average(right[inside], weights=w),
-            )
+            mean = np.average(shots[inside], weights=w)
+            share = 100 * np.average(right[inside], weights=w)
             rows.append((name, float(mean), float(share), float(w.sum() / weight.sum())))
     return rows
 
@@ -318,11 +320,13 @@ def print_reliability(judged: Sequence[Judged]) -> None:
     )
     for label in np.unique(labels).tolist():
         own = labels == label
-        w, sure = weight[own], shots[own] >= 95
+        w = weight[own]
+        sure = shots[own] >= 95
         of_these = (
             f"{100 * np.average(right[own][sure], weights=w[sure]):.1f}" if sure.any() else ""
         )
-        mean, share = np.average(shots[own], weights=w), 100 * np.average(right[own], weights=w)
+        mean = np.average(shots[own], weights=w)
+        share = 100 * np.average(right[own], weights=w)
         name = Label(label).name.lower()
         cells = (
             name,
@@ -336,7 +340,9 @@ def print_reliability(judged: Sequence[Judged]) -> None:
 
 def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
     """Return the reliability curves as a picture, .svg: confidence across, share of right labels up."""
-    side, edge, colours = 360, 50, ("#0072b2", "#d55e00", "#009e73")
+    side = 360
+    edge = 50
+    colours = ("#0072b2", "#d55e00", "#009e73")
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{side + 2 * edge}" height="{side + 2 * edge}" '
         'font-family="sans-serif" font-size="12">',
@@ -447,14 +453,10 @@ class CodesOf:
                 expected[np.isin(reference, own)] = code
             return np.where(codes == 66, 2, codes) == expected, expected > 0
         mapping = load_mapping(self.mapping)
-        rows, columns = (
-            mapping.class_indices(reference, "reference"),
-            mapping.class_indices(codes, "predicted"),
-        )
-        names, others = (
-            np.array([*mapping.names("reference"), ""]),
-            np.array([*mapping.names("predicted"), "-"]),
-        )
+        rows = mapping.class_indices(reference, "reference")
+        columns = mapping.class_indices(codes, "predicted")
+        names = np.array([*mapping.names("reference"), ""])
+        others = np.array([*mapping.names("predicted"), "-"])
         return names[rows] == others[columns], (rows >= 0) & (columns >= 0)
 
 

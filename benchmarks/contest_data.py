@@ -35,7 +35,9 @@ DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 
 LINES_AT_ONCE = 256
 """Lines per block for the classifiers."""
-STRAY_SHARE, STRAY_M, FARTHEST_M = 0.25, 0.3, 100.0
+STRAY_SHARE = 0.25
+STRAY_M = 0.3
+FARTHEST_M = 100.0
 """Background light of pulsed scanners, missing in the simulator: this share lies around its surface with this standard
 deviation [m], the rest anywhere up to a distance [m]."""
 
@@ -254,7 +256,8 @@ def _with_background(
 
     Background replaces random shots, including those without return.
     """
-    block, labels = item.labelled.block, item.labelled.labels
+    block = item.labelled.block
+    labels = item.labelled.labels
     shots = aim(scan.platform, scan.scanner, block.first_line, block.n_lines)
     origin_m = shots.origin[:, shots.origin.shape[1] // 2]
     if spec.scanner not in PULSED or not spec.noise or item.world_m is None:
@@ -597,7 +600,9 @@ def view_paths(kind: str) -> list[Path]:
 def view(path: Path) -> Scan:
     """Read a range view, an image of rings by azimuth, as vertical lines, by the median elevation of its rings."""
     with np.load(path) as arrays:
-        xyz, ranges, codes = arrays["xyz"].astype(np.float64), arrays["range_m"], arrays["label"]
+        xyz = arrays["xyz"].astype(np.float64)
+        ranges = arrays["range_m"]
+        codes = arrays["label"]
     elevation = np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))
     rings = np.nanmedian(np.where(np.isfinite(ranges), elevation, np.nan), axis=1)
     order = np.argsort(rings)
@@ -622,7 +627,8 @@ def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
     heights gives its height, a line fit of positions over the sideways distance the rest.
     """
     places = np.full((len(range_m), 3), np.nan)
-    aside, below = range_m * np.sin(angle_rad), range_m * np.cos(angle_rad)
+    aside = range_m * np.sin(angle_rad)
+    below = range_m * np.cos(angle_rad)
     for k in range(len(range_m)):
         good = ~np.isnan(range_m[k])
         if np.count_nonzero(good) < FEWEST_RETURNS:
@@ -638,9 +644,11 @@ def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
 def park() -> Scan:
     """Return the park scan, without reference."""
     with np.load(DATA / "forest" / "tls_park.npz") as arrays:
-        ranges, zenith = arrays["range_m"], arrays["zenith_deg"]
+        ranges = arrays["range_m"]
+        zenith = arrays["zenith_deg"]
     if zenith[0] < zenith[-1]:
-        ranges, zenith = ranges[:, ::-1], zenith[::-1]
+        ranges = ranges[:, ::-1]
+        zenith = zenith[::-1]
     ranges = np.ascontiguousarray(ranges, dtype=np.float32)
     return Scan(
         "park",

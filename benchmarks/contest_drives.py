@@ -42,9 +42,11 @@ def print_drives() -> None:
     twice stay unclassified and are left out of the shares. The pictures are of <code>prc render IN OUT.png --labels
     labels.npy</code>.""")
     names = ClassCodes().names()
-    rows, pictures = [], []
+    rows = []
+    pictures = []
     for number, drive in enumerate(drive for drive in DRIVES if (DATA / drive.path).exists()):
-        path, picture = DATA / drive.path, IMAGES / f"drive_{number + 1:02}.png"
+        path = DATA / drive.path
+        picture = IMAGES / f"drive_{number + 1:02}.png"
         with tempfile.TemporaryDirectory() as name:
             output = Path(name) / "labels.npy"
             code, said = in_process(["classify", str(path), str(output), "-q"])

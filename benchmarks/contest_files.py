@@ -65,7 +65,8 @@ def write(scan: Scan, folder: Path) -> ScanFile:
     values: dict[str, NDArray[np.generic]] = {"range_m": scan.range_m}
     if scan.is_upright:
         # of a spinning scanner the elevations of the rings are known
-        values["zenith_deg"], nadir = 180.0 - np.rad2deg(scan.angle_rad), ()
+        values["zenith_deg"] = 180.0 - np.rad2deg(scan.angle_rad)
+        nadir = ()
     else:
         values["angle_deg"] = angle_deg
     if scan.time_s is not None:
@@ -97,7 +98,8 @@ def _write_records(scan: Scan, angle_deg: F64, nadir: tuple[str, ...], folder: P
     records["angle"] = angle_deg[records["column"]]
     records["return_number"] = np.arange(len(order)) - np.repeat(first, size) + 1
     records["number_of_returns"] = np.repeat(size, size)
-    path, layout = folder / "scan.dat", folder / "scan.layout.toml"
+    path = folder / "scan.dat"
+    layout = folder / "scan.layout.toml"
     records.tofile(path)
     fields = "".join(f'    {{ name = "{name}", type = "{kind}" }},\n' for name, kind in _FIELDS)
     layout.write_text(f"points_per_line = {m}\nfields = [\n{fields}]\n", encoding="utf-8")

@@ -167,7 +167,8 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     counts = GroupedCounts(mapping, "blocks")
     rows = mapping.class_indices(reference, "reference")
     counts.add((line // per_block).astype(np.int64), cells_of(mapping, predicted, rows))
-    rows, columns = mapping.names("reference"), mapping.names("predicted")
+    rows = mapping.names("reference")
+    columns = mapping.names("predicted")
     index = mapping.class_indices(predicted, "predicted")
     others = {}
     for name, listed in OTHERS[scan.mapping].items():
@@ -194,20 +195,25 @@ def judge_things(scan: Scan, codes: NDArray[np.integer]) -> dict[str, list[float
         precision.
     """
     there = ~np.isnan(scan.range_m) & ~np.isin(scan.codes, UNKNOWN.get(scan.mapping, [0]))
-    predicted, reference = codes[there], scan.codes[there]
-    own, found = ClassCodes(), {}
+    predicted = codes[there]
+    reference = scan.codes[there]
+    own = ClassCodes()
+    found = {}
     for name, listed in THINGS.get(scan.mapping, {}).items():
-        said, true = predicted == own.code(Label[name.upper()]), np.isin(reference, listed)
+        said = predicted == own.code(Label[name.upper()])
+        true = np.isin(reference, listed)
         found[name] = [float((said & true).sum()), float(said.sum()), float(true.sum())]
     if scan.world_m is not None and scan.mapping == "street":
-        place, curb = scan.world_m[there], own.code(Label.CURB)
+        place = scan.world_m[there]
+        curb = own.code(Label.CURB)
         found[CURB] = curbs(place[predicted == curb], place[reference == curb])
     return found
 
 
 def curbs(ours: F64, theirs: F64) -> list[float]:
     """Return the three counts of curbs by their places, (n, 3) and (m, 3) [m]."""
-    agree, right = _near(theirs, ours), _near(ours, theirs)
+    agree = _near(theirs, ours)
+    right = _near(ours, theirs)
     return [float(agree), len(ours) * agree / max(right, 1), float(len(theirs))]
 
 

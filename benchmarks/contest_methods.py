@@ -152,9 +152,11 @@ def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Label
     load_classifier(config)
     lookup = ClassCodes().lookup()
     threads = default_threads() if threads is None else threads
-    start, busy = time.perf_counter(), time.process_time()
+    start = time.perf_counter()
+    busy = time.process_time()
     items = list(label_blocks(scan.blocks(), config.config.classifier, threads=threads))
-    wall_s, cpu_s = time.perf_counter() - start, time.process_time() - busy
+    wall_s = time.perf_counter() - start
+    cpu_s = time.process_time() - busy
     labels: NDArray[np.uint8] = np.concatenate([item.labels for item in items])
     extra = np.concatenate([item.extra_labels for item in items])
     assert labels.shape == scan.range_m.shape
@@ -184,9 +186,11 @@ def label_scan(scan: Scan, method: Method) -> Labelled:
                 *nadir,
                 "-q",
             ]
-            start, busy = time.perf_counter(), time.process_time()
+            start = time.perf_counter()
+            busy = time.process_time()
             code, stderr = in_process(command)
-            wall_s, cpu_s = time.perf_counter() - start, time.process_time() - busy
+            wall_s = time.perf_counter() - start
+            cpu_s = time.process_time() - busy
             said += [
                 f"{code}: {line.replace(f'{name}/', '')}"
                 for line in stderr.splitlines()

@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 from prc_cli.core.types import F64, I32, Mask
 
-NOISE, OTHER, GROUND = 7, 1, 2
+NOISE = 7
+OTHER = 1
+GROUND = 2
 """Default codes of this program."""
 PACKAGES = {
     "csf": "cloth-simulation-filter",
@@ -40,7 +42,10 @@ class Points:
     """All returns of a scan."""
 
     def __init__(self, xyz_m: F64, line: I32, scanner_m: F64, height_m: float) -> None:
-        self.xyz_m, self.line, self.scanner_m, self.height_m = xyz_m, line, scanner_m, height_m
+        self.xyz_m = xyz_m
+        self.line = line
+        self.scanner_m = scanner_m
+        self.height_m = height_m
 
     def some(self, which: Mask) -> Points:
         """Return some of the points."""
@@ -90,7 +95,8 @@ def csf(
     cloth.params.class_threshold = threshold_m
     cloth.params.rigidness = rigidness
     cloth.setPointCloud(points.xyz_m)
-    ground, rest = module.VecInt(), module.VecInt()
+    ground = module.VecInt()
+    rest = module.VecInt()
     cloth.do_filtering(ground, rest, False)
     found = np.zeros(len(points.xyz_m), dtype=bool)
     found[np.array(ground, dtype=np.int64)] = True
@@ -112,8 +118,10 @@ def patchwork(
     params.enable_RNR = (
         False  # it finds reflections below the ground by intensities of the scanner of that paper
     )
-    params.min_range, params.max_range = 0.0, reach_m
-    params.th_dist, params.uprightness_thr = distance_m, upright
+    params.min_range = 0.0
+    params.max_range = reach_m
+    params.th_dist = distance_m
+    params.uprightness_thr = upright
     filtered = module.patchworkpp(params)
     way_m = np.concatenate(
         [[0.0], np.cumsum(np.hypot(*np.diff(points.scanner_m[:, :2], axis=0).T))]
@@ -179,7 +187,8 @@ def _filled(surface: F64) -> F64:
     known = ~np.isnan(surface)
     if known.all():
         return surface
-    at, wanted = np.argwhere(known), np.argwhere(~known)
+    at = np.argwhere(known)
+    wanted = np.argwhere(~known)
     result = surface.copy()
     values = interpolate.LinearNDInterpolator(at, surface[known])(wanted)
     beyond = np.isnan(values)
@@ -240,14 +249,14 @@ def main() -> None:
                 step["filter"], "open3d"
             )
         )
-    before, spent_s, peak_mib = None, 0.0, 0.0
+    before = None
+    spent_s = 0.0
+    peak_mib = 0.0
     if arguments.after is not None:
         with np.load(arguments.after) as arrays:
-            before, spent_s, peak_mib = (
-                arrays["codes"],
-                float(arrays["cpu_s"]),
-                float(arrays["peak_mib"]),
-            )
+            before = arrays["codes"]
+            spent_s = float(arrays["cpu_s"])
+            peak_mib = float(arrays["peak_mib"])
     codes, cpu_s = run(points, arguments.steps, before)
     np.savez(
         arguments.output, codes=codes, cpu_s=spent_s + cpu_s, peak_mib=max(peak_mib, _peak_mib())

@@ -21,7 +21,8 @@ from prc_cli.imaging.pictures import (
 )
 from prc_cli.imaging.sheet import Axis, Panel, draw_sheet, zoom_for
 
-MOST_LINES, MOST_COLUMNS = 520, 1100
+MOST_LINES = 520
+MOST_COLUMNS = 1100
 """Lines of a picture; columns are thinned to at most so many."""
 NAMES = ("noise", "ground", "building", "vegetation", "stem", "other")
 _LABELS = (
@@ -71,9 +72,11 @@ def failures(scan: Scan, codes: U8, method: str, path: Path) -> None:
     }
     if scan.is_upright:
         pictures = {name: np.rot90(picture) for name, picture in pictures.items()}
-    x, y = Axis("shot", 0, scan.range_m.shape[1]), Axis("line", 0, ranges.shape[0])
+    x = Axis("shot", 0, scan.range_m.shape[1])
+    y = Axis("line", 0, ranges.shape[0])
     if scan.is_upright:
-        x, y = y, Axis("ring", scan.range_m.shape[1], 0)
+        x = y
+        y = Axis("ring", scan.range_m.shape[1], 0)
     zoom = zoom_for(*next(iter(pictures.values())).shape[1::-1], least=(700, 120), most=1100)
     panels = [
         Panel(

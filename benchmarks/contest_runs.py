@@ -51,18 +51,17 @@ def _simulated(spec: Simulated, group: str, *, with_peers: bool = False) -> Data
     return DataSet(spec.name, group, partial(data.simulated, spec), repr(spec), with_peers)
 
 
-PHOTON, SICK_GROUP, PROFILER = (
-    "streets, photon-80",
-    "streets, sick-push-broom",
-    "streets, profiler-1mhz",
-)
-OAKLAND, OAKLAND_NOISY, OAKLAND_TRAIN = (
-    "Oakland 2, 3",
-    "Oakland 2, 3, background added",
-    "Oakland 1 (tuned on)",
-)
-KITTI, FOREST, FOREST_CYLINDERS = "KITTI frame", "forests", "forests, reference of cylinders"
-FOREST_NOISY, SLOW = "forests, 3 cm of noise", "slow drives"
+PHOTON = "streets, photon-80"
+SICK_GROUP = "streets, sick-push-broom"
+PROFILER = "streets, profiler-1mhz"
+OAKLAND = "Oakland 2, 3"
+OAKLAND_NOISY = "Oakland 2, 3, background added"
+OAKLAND_TRAIN = "Oakland 1 (tuned on)"
+KITTI = "KITTI frame"
+FOREST = "forests"
+FOREST_CYLINDERS = "forests, reference of cylinders"
+FOREST_NOISY = "forests, 3 cm of noise"
+SLOW = "slow drives"
 VIEWS = {"kitti": "KITTI views", "nuscenes": "nuScenes views", "vlp32": "VLP-32 views"}
 """By kind; those with odd numbers, the even ones chose parameters of rings. VLP-32 views chose none."""
 SLOW_DRIVES = ("normal", "1/4", "1/16", "stop and go")
@@ -81,7 +80,8 @@ def data_sets() -> tuple[DataSet, ...]:
     found += _slow_drives()
     if (data.DATA / "oakland").exists():
         for n in (2, 3):
-            name, path = f"Oakland strip {n}", data.DATA / "oakland" / f"oakland_{n}.csv.gz"
+            name = f"Oakland strip {n}"
+            path = data.DATA / "oakland" / f"oakland_{n}.csv.gz"
             found.append(
                 DataSet(name, OAKLAND, partial(data.oakland, n), f"oakland {n}", True, path)
             )
@@ -249,11 +249,9 @@ class Store:
                     self.told(f"{item.name}: {name}")
                     self.n_new += 1
                     with np.load(_run_chain(Path(folder), chains[name])) as arrays:
-                        codes, cpu_s, peak_mib = (
-                            arrays["codes"],
-                            float(arrays["cpu_s"]),
-                            float(arrays["peak_mib"]),
-                        )
+                        codes = arrays["codes"]
+                        cpu_s = float(arrays["cpu_s"])
+                        peak_mib = float(arrays["peak_mib"])
                     verdict = judge(scan, *as_image(scan, codes))
                     self._keep(paths[name], json.dumps(_table(verdict, scan, cpu_s, peak_mib)))
 
@@ -299,7 +297,8 @@ def as_image(scan: Scan, codes: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], N
 
 def _run_chain(folder: Path, steps: list[dict[str, Any]]) -> Path:
     """Run a chain of filters in a separate process, unless cached; start from its cached first steps if any."""
-    output, before = _output_of(folder, steps), _output_of(folder, steps[:-1])
+    output = _output_of(folder, steps)
+    before = _output_of(folder, steps[:-1])
     if output.exists():
         return output
     command = [sys.executable, "-m", "benchmarks.contest_peers", str(folder / POINTS), str(output)]

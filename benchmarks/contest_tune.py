@@ -74,7 +74,8 @@ def main() -> None:
                 flush=True,
             )
             if judged == "noise" and np.mean(found) > best:
-                best, noisy = float(np.mean(found)), codes
+                best = float(np.mean(found))
+                noisy = codes
         before = noisy
 
 

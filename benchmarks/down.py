@@ -20,7 +20,8 @@ from prc_cli.core.types import F32, F64
 from prc_cli.streams.down import MOST_LINES, guess_down, spread_rows
 
 RIGHT_RAD = math.radians(15.0)
-SPREAD_LINES, EVERY = 640, 64
+SPREAD_LINES = 640
+EVERY = 64
 """Lines that a guess is spread over, and lines between two starting points."""
 SCENES = ("residential", "terraces", "suburb", "boulevard", "mixed")
 MOUNTS: tuple[tuple[str, str, dict[str, float]], ...] = (

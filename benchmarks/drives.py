@@ -37,7 +37,8 @@ def write_csv(path: Path, raw: Path) -> None:
 def write_drive(path: Path, ranges: Path, point_format: int) -> None:
     """Write the returns of a raw dump as LAS or LAZ, by suffix."""
     header = laspy.LasHeader(point_format=point_format, version="1.4")
-    header.scales, header.offsets = np.full(3, 0.001), np.array([650_000.0, 6_860_000.0, 0.0])
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.array([650_000.0, 6_860_000.0, 0.0])
     for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     rng = np.random.default_rng(0)
@@ -55,15 +56,15 @@ def drive_points(
     """Records of some scan lines at 100 lines per second and 5 cm between lines."""
     line, column = np.indices(image.shape).reshape(2, -1)
     found = np.isfinite(image.ravel()) & (image.ravel() > 0)
-    line, column, range_m = line[found] + first, column[found], image.ravel()[found]
+    line = line[found] + first
+    column = column[found]
+    range_m = image.ravel()[found]
     turn = 2 * np.pi * column / POINTS_PER_LINE
     points = laspy.ScaleAwarePointRecord.zeros(len(range_m), header=header)
     across = range_m * np.cos(turn) * np.sqrt(0.5)
-    points.x, points.y, points.z = (
-        650_100 + across + 0.05 * line,
-        6_860_100 + across,
-        2 + range_m * np.sin(turn),
-    )
+    points.x = 650_100 + across + 0.05 * line
+    points.y = 6_860_100 + across
+    points.z = 2 + range_m * np.sin(turn)
     points.intensity = rng.normal(2000, 150, len(range_m)).astype("u2")
     points.return_number = points.number_of_returns = np.ones(len(range_m), "u1")
     points.gps_time = 3e8 + line / 100 + column / (100 * POINTS_PER_LINE)
@@ -72,5 +73,7 @@ def drive_points(
     points[name] = np.rint(np.rad2deg(turn - np.pi) / 2 / step_deg).astype(
         "i2" if step_deg < 1 else "i1"
     )
-    points["range"], points["scan_line"], points["column"] = range_m, line, column
+    points["range"] = range_m
+    points["scan_line"] = line
+    points["column"] = column
     return points

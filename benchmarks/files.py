@@ -124,7 +124,8 @@ def main() -> None:
             for job, (source, run) in jobs.items():
                 if arguments.cold:
                     forget(source)
-                start, start_cpu = time.perf_counter(), time.process_time()
+                start = time.perf_counter()
+                start_cpu = time.process_time()
                 run()
                 this = time.perf_counter() - start, time.process_time() - start_cpu
                 best = took.get(job, this)
@@ -138,7 +139,8 @@ def main() -> None:
     )
     print("|---|---|---|---|---|---|---|---|")
     for work, beside, goal in ROWS:
-        (wall, cpu), (wall_beside, cpu_beside) = took[work], took[beside]
+        (wall, cpu) = took[work]
+        (wall_beside, cpu_beside) = took[beside]
         rate = shots[work.split()[0]] / wall / 1e6
         print(
             f"| {work} | {wall:.3f} ({cpu:.3f}) | {rate:.0f} | {beside} | {wall_beside:.3f} ({cpu_beside:.3f}) "

@@ -56,7 +56,8 @@ def scans(seeds: list[int], only: str) -> Iterator[tuple[str, str, Making]]:
     """Yield the group, the name and the making of every scan whose group begins with ``only``."""
     groups: dict[str, list[tuple[str, Making]]] = {}
     for seed in seeds:
-        scene, wood = SCENES[seed % len(SCENES)], WOODS[seed % len(WOODS)]
+        scene = SCENES[seed % len(SCENES)]
+        wood = WOODS[seed % len(WOODS)]
         for group, spec in STREETS.items():
             own = replace(spec, seed=seed, scene=scene, noise=spec.noise or 0.0)
             groups.setdefault(group, []).append((f"{scene} {seed}", partial(data.simulated, own)))

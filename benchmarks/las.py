@@ -64,11 +64,9 @@ def copy_and_patch(source: Path, output: Path, *, flush: bool) -> None:
     """Copy a LAS file and set the classes through a memory map."""
     shutil.copyfile(source, output)
     with laspy.open(source) as reader:
-        start, n, length = (
-            reader.header.offset_to_point_data,
-            reader.header.point_count,
-            reader.header.point_format.size,
-        )
+        start = reader.header.offset_to_point_data
+        n = reader.header.point_count
+        length = reader.header.point_format.size
         point_format = reader.header.point_format.id
     points = np.memmap(output, np.uint8, "r+", offset=start, shape=(n, length))
     set_classes(points, point_format, np.full(n, 2, np.uint8))
@@ -103,7 +101,8 @@ def measure(
             if cold:
                 forget(source)
             output = folder / f"out{number}{source.suffix}"
-            start, start_cpu = time.perf_counter(), time.process_time()
+            start = time.perf_counter()
+            start_cpu = time.process_time()
             job(source, output)
             took = time.perf_counter() - start, time.process_time() - start_cpu
             before = least.get(name, took)
@@ -164,7 +163,9 @@ def main() -> None:
     load_classifier(config)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        raw, laz, las = folder / "street.bin", folder / "drive.laz", folder / "drive.las"
+        raw = folder / "street.bin"
+        laz = folder / "drive.laz"
+        las = folder / "drive.las"
         write_raw(raw, arguments.lines)
         for path in (laz, las):
             write_drive(path, raw, arguments.format)
@@ -178,7 +179,8 @@ def main() -> None:
     print("| work | s (of all cores) | beside | s (of all cores) | ratio | processor time | goal |")
     print("|---|---|---|---|---|---|---|")
     for work, beside, goal in ROWS:
-        (wall, cpu), (wall_beside, cpu_beside) = took[work], took[beside]
+        (wall, cpu) = took[work]
+        (wall_beside, cpu_beside) = took[beside]
         ratios = f"{wall / wall_beside:.2f} | {cpu / cpu_beside:.2f}"
         print(
             f"| {work} | {wall:.2f} ({cpu:.2f}) | {beside} | {wall_beside:.2f} ({cpu_beside:.2f}) | {ratios} | {goal} |"

@@ -50,7 +50,8 @@ def waits(ranges: F32, preset: str, block: int) -> list[float]:
         process.stdin.write(ranges[:2].tobytes())
         for first in range(2, n_lines - block + 1, block):
             process.stdin.write(ranges[first : first + block].tobytes())
-            start, missing = time.perf_counter(), block * width
+            start = time.perf_counter()
+            missing = block * width
             while missing:
                 missing -= len(os.read(process.stdout.fileno(), missing))
             found.append(time.perf_counter() - start)

@@ -46,10 +46,8 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
     write_raw(raw, n_lines)
     for path in (las, laz):
         write_drive(path, raw, 6)
-    n_shots, n_returns = (
-        n_lines * POINTS_PER_LINE,
-        int(np.count_nonzero(np.fromfile(raw, "<f4") > 0)),
-    )
+    n_shots = n_lines * POINTS_PER_LINE
+    n_returns = int(np.count_nonzero(np.fromfile(raw, "<f4") > 0))
     urban = configured("urban")
     jobs: dict[str, tuple[Path, str, LoadedConfig, int]] = {
         "raw ranges to labels, urban": (raw, "labels.npy", urban, n_shots),
@@ -72,7 +70,8 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
 
         seconds = least_cpu_s(job, runs)
         hours = BILLION / n * seconds / 3600
-        read, written = source.stat().st_size / n, target.stat().st_size / n
+        read = source.stat().st_size / n
+        written = target.stat().st_size / n
         yield f"| {name} | {n / seconds / 1e6:.1f} | {hours:.3f} | {read:.1f} | {written:.1f} |"
         target.unlink()
 

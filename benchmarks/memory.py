@@ -40,7 +40,9 @@ def classify(source: Path, output: Path, preset: str = "urban") -> float:
 
 def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     """Yield every job and its peak [MiB]; inputs are removed again."""
-    raw, array, text = folder / "street.bin", folder / "street.npz", folder / "street.csv"
+    raw = folder / "street.bin"
+    array = folder / "street.npz"
+    text = folder / "street.csv"
     write_raw(raw, n_lines)
     yield "raw → npy", classify(raw, folder / "labels.npy")
     yield "raw → npy, fused", classify(raw, folder / "labels.npy", "fused")

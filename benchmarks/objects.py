@@ -123,7 +123,8 @@ def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
         inside = tree.query(listed.base[:, :2])[0] < ring
         near: Mask = (tree.query(told[:, :2])[0] < ring) if len(told) else np.empty(0, np.bool_)
         found = np.isin(np.arange(len(listed.base)), of[right])
-        n_seen, n_near = int(np.count_nonzero(seen & inside)), int(np.count_nonzero(near))
+        n_seen = int(np.count_nonzero(seen & inside))
+        n_near = int(np.count_nonzero(near))
         recall = np.count_nonzero(found & seen & inside) / n_seen if n_seen else float("nan")
         precision = np.count_nonzero(said & near) / n_near if n_near else float("nan")
         n_found = len(np.unique(of[right & near]))
@@ -183,7 +184,8 @@ def main() -> None:
 
 
 def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
-    scan, stems = folder / "scan.laz", folder / "stems.csv"
+    scan = folder / "scan.laz"
+    stems = folder / "stems.csv"
     simulate(
         kind,
         scan,
@@ -194,7 +196,8 @@ def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
     config = load_config(preset=preset, options={"input": {"accept_doubts": list(CHECK_NAMES)}})
     find_objects(scan, None, config, each=things.append)
     las = laspy.read(scan)
-    xyz, codes = np.asarray(las.xyz), np.asarray(las.classification)
+    xyz = np.asarray(las.xyz)
+    codes = np.asarray(las.classification)
     with (folder / "way.csv").open(encoding="utf-8") as handle:
         way = np.array([[float(row["x"]), float(row["y"])] for row in csv.DictReader(handle)])
     lists = (

@@ -36,12 +36,15 @@ from prc_cli.simulation.settings import Kind, load_settings
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = DOCS / "figures" / "odometry.md"
 PICTURE = DOCS / "images" / "odometry_paths.png"
-SEEDS, N_FRAMES = (71, 72, 73), 30
-STEP_DEG, TURNS_HZ = 0.4, 10.0
+SEEDS = (71, 72, 73)
+N_FRAMES = 30
+STEP_DEG = 0.4
+TURNS_HZ = 10.0
 CODE = {
     label.name.lower(): ClassCodes().code(label) for label in Label if label is not Label.MISSING
 }
-NOISE, STATIC = (CODE["noise"],), ("ground", "building", "pole")
+NOISE = (CODE["noise"],)
+STATIC = ("ground", "building", "pole")
 KEPT = tuple(CODE[name] for name in STATIC)
 TRUE_KEPT = (*KEPT, CODE["stem"], CODE["curb"])
 """The simulator's classes that are ground, buildings and poles to the method of rings."""
@@ -95,7 +98,8 @@ def read_frames(folder: Path) -> list[F64]:
 
 def labelled(folder: Path) -> list[I64]:
     """Return the classes that prc gives the frames of a folder."""
-    found, loaded = [], load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
+    found = []
+    loaded = load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         for path in sorted(folder.glob("*.bin")):
@@ -189,7 +193,8 @@ def in_one(other: Frames) -> Frames:
     return lambda drive: ((points, np.zeros(len(points), np.int64)) for points, _ in other(drive))
 
 
-GREENLESS, STILL = but("noise", "vegetation"), but("noise", "car")
+GREENLESS = but("noise", "vegetation")
+STILL = but("noise", "car")
 ARMS: dict[str, Frames] = {
     "all points": but(),
     "− noise": but("noise"),
@@ -382,7 +387,8 @@ def main() -> None:
 
 def smoke(folder: Path) -> None:
     """Print how far every library says that frames without truth went."""
-    points, found = read_frames(folder), labelled(folder)
+    points = read_frames(folder)
+    found = labelled(folder)
     drive = Drive(points, found, found, np.tile(np.eye(4), (len(points), 1, 1)))
     for arm in ("all points", "− noise", "ground, building, pole"):
         for library in LIBRARIES:

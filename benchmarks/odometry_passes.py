@@ -38,15 +38,22 @@ from prc_cli.simulation.settings import Kind, load_settings
 
 PAGE = DOCS / "figures" / "odometry_passes.md"
 SEEDS = (81, 82, 83)
-STRIP_M, STREET_M, WALK_M = 20.0, 40.0, 10.0
-ACCELERATION, TURN_DEG = (0.02, 0.02, 0.005), 0.05
+STRIP_M = 20.0
+STREET_M = 40.0
+WALK_M = 10.0
+ACCELERATION = (0.02, 0.02, 0.005)
+TURN_DEG = 0.05
 """Standard deviations of the drift: acceleration [m/s²], turn rate [deg/s]."""
-START_M, START_DEG = 1.0, 5.0
+START_M = 1.0
+START_DEG = 5.0
 """Forests: how far off the second pass begins, on x and y, and its heading."""
-DOWN_M, NEAR_M = 0.2, 1.5
+DOWN_M = 0.2
+NEAR_M = 1.5
 STATIC = tuple(CODE[name] for name in ("ground", "building", "pole", "curb"))
 MOVABLE = tuple(CODE[name] for name in ("noise", "vegetation", "car"))
-BUDDIES, CLOSE_M, MOST_M = 4, 0.4, 1.0
+BUDDIES = 4
+CLOSE_M = 0.4
+MOST_M = 1.0
 """Stems: neighbours that make the pattern of distances, how well two have to agree, residual of RANSAC [m]."""
 
 
@@ -68,7 +75,8 @@ class Pass:
 
 def drive(kind: Kind, options: dict[str, Any], folder: Path, name: str) -> Pass:
     """Simulate a pass and label it."""
-    path, way = folder / f"{name}.laz", folder / f"{name}.csv"
+    path = folder / f"{name}.laz"
+    way = folder / f"{name}.csv"
     simulate(
         kind, path, load_settings(kind, options=options), beside=Beside(trajectory=way), threads=1
     )
@@ -108,17 +116,17 @@ class Drift:
 
     def __init__(self, one: Pass, seed: int, start_m: float = 0.0, start_deg: float = 0.0) -> None:
         random = np.random.default_rng(seed)
-        self._one, self._from_s = one, float(one.way_s[0])
-        self._acceleration, self._turn = (
-            random.normal(0.0, ACCELERATION),
-            np.deg2rad(random.normal(0.0, TURN_DEG)),
-        )
+        self._one = one
+        self._from_s = float(one.way_s[0])
+        self._acceleration = random.normal(0.0, ACCELERATION)
+        self._turn = np.deg2rad(random.normal(0.0, TURN_DEG))
         self._start_m = np.array([*random.uniform(-start_m, start_m, 2), 0.0])
         self._start = np.deg2rad(random.uniform(-start_deg, start_deg))
 
     def __call__(self, xyz_m: F64, time_s: F64) -> F64:
         """Return where points come to lie, (n, 3)."""
-        one, after = self._one, time_s - self._from_s
+        one = self._one
+        after = time_s - self._from_s
         place = np.stack(
             [np.interp(time_s, one.way_s, one.way_m[:, axis]) for axis in range(3)], axis=1
         )
@@ -138,7 +146,8 @@ def icp(target_m: F64, source_m: F64) -> F64:
         max_correspondence_distance=NEAR_M,
         max_iterations=50,
     )
-    back, matrix = np.eye(4), np.array(found.T_target_source)
+    back = np.eye(4)
+    matrix = np.array(found.T_target_source)
     back[:3, 3] = middle
     return back @ matrix @ np.linalg.inv(back)
 
@@ -260,7 +269,8 @@ def matched(ours_m: F64, theirs_m: F64) -> F64 | None:
     if model is None or inliers is None or inliers.sum() < 4:
         return None
     found = np.eye(4)
-    found[:2, :2], found[:2, 3] = model.params[:2, :2], model.params[:2, 2]
+    found[:2, :2] = model.params[:2, :2]
+    found[:2, 3] = model.params[:2, 2]
     return found
 
 
@@ -272,9 +282,11 @@ def forest(seed: int, length_m: float) -> dict[str, float]:
             drive("forest", {**common, "trajectory": {"speed_m_s": speed}}, Path(folder), name)
             for name, speed in (("a", 1.4), ("b", 1.7))
         )
-        ours, (theirs, times) = stems_of(first, Path(folder))[0], stems_of(second, Path(folder))
+        ours = stems_of(first, Path(folder))[0]
+        (theirs, times) = stems_of(second, Path(folder))
     drift = Drift(second, seed, START_M, START_DEG)
-    way, drifted = drift(second.way_m, second.way_s), drift(second.xyz_m, second.time_s)
+    way = drift(second.way_m, second.way_s)
+    drifted = drift(second.xyz_m, second.time_s)
 
     def apart(matrix: F64) -> float:
         # stems tell nothing of the height

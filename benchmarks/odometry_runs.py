@@ -29,9 +29,12 @@ FAILED_SHARE = 0.05
 """The same as a share of the way; the greater counts."""
 PARTS_M = (5.0, 10.0, 20.0, 40.0)
 """Lengths of the parts of KITTI's t_rel and r_rel; KITTI's own, 100 to 800 m, are longer than the drives."""
-DOWN_M, VOXEL_M = 0.25, 1.0
+DOWN_M = 0.25
+VOXEL_M = 1.0
 """small_gicp: as its example of odometry, points one in 0.25 m, voxels of the map 1 m."""
-NEAR_M, N_KEPT, N_TURNS = 1.0, 10, 15
+NEAR_M = 1.0
+N_KEPT = 10
+N_TURNS = 15
 """Class to class: largest distance of a pair [m], frames of the map, iterations."""
 
 Step = Callable[[F64, I64], F64]
@@ -41,8 +44,10 @@ Step = Callable[[F64, I64], F64]
 def kiss() -> Step:
     """Return KISS-ICP with its own configuration."""
     config = kiss_config(None)
-    config.data.deskew, config.registration.max_num_threads = False, 1
-    odometry, no_times = KissICP(config), np.empty(0)
+    config.data.deskew = False
+    config.registration.max_num_threads = 1
+    odometry = KissICP(config)
+    no_times = np.empty(0)
 
     def step(points: F64, _: I64) -> F64:
         odometry.register_frame(points, no_times)
@@ -55,7 +60,8 @@ def genz() -> Step:
     """Return GenZ-ICP with its own configuration."""
     config = genz_config(None)
     config.registration.max_num_threads = 1
-    odometry, no_times = GenZICP(config), np.empty(0)
+    odometry = GenZICP(config)
+    no_times = np.empty(0)
 
     def step(points: F64, _: I64) -> F64:
         odometry.register_frame(points, no_times)
@@ -69,7 +75,9 @@ class Small:
 
     def __init__(self) -> None:
         self.map = small_gicp.GaussianVoxelMap(VOXEL_M)
-        self.pose, self.delta, self.is_first = np.eye(4), np.eye(4), True
+        self.pose = np.eye(4)
+        self.delta = np.eye(4)
+        self.is_first = True
 
     def __call__(self, points: F64, _: I64) -> F64:
         cloud, _tree = small_gicp.preprocess_points(points, downsampling_resolution=DOWN_M)
@@ -86,7 +94,8 @@ class ClassToClass:
     """Points to planes of the ten frames before, pairs within a class; trees and normals are small_gicp's."""
 
     def __init__(self) -> None:
-        self.pose, self.delta = np.eye(4), np.eye(4)
+        self.pose = np.eye(4)
+        self.delta = np.eye(4)
         self.kept: deque[dict[int, tuple[F64, F64]]] = deque(maxlen=N_KEPT)
 
     def __call__(self, points: F64, classes: I64) -> F64:
@@ -97,9 +106,11 @@ class ClassToClass:
                 cloud, _ = small_gicp.preprocess_points(mine, downsampling_resolution=DOWN_M)
                 own[one] = np.array(cloud.points()[:, :3]), np.array(cloud.normals()[:, :3])
         if self.kept:
-            before, self.pose = self.pose, self._aligned(own, self.pose @ self.delta)
+            before = self.pose
+            self.pose = self._aligned(own, self.pose @ self.delta)
             self.delta = np.linalg.inv(before) @ self.pose
-        turn, shift = self.pose[:3, :3], self.pose[:3, 3]
+        turn = self.pose[:3, :3]
+        shift = self.pose[:3, 3]
         self.kept.append(
             {one: (xyz @ turn.T + shift, normal @ turn.T) for one, (xyz, normal) in own.items()}
         )
@@ -114,15 +125,19 @@ class ClassToClass:
                 xyz, normal = (np.concatenate(each) for each in zip(*there, strict=True))
                 sides.append((points, xyz, normal, small_gicp.KdTree(xyz)))
         for _ in range(N_TURNS):
-            lines, apart = [], []
+            lines = []
+            apart = []
             for points, xyz, normal, tree in sides:
                 moved = points @ pose[:3, :3].T + pose[:3, 3]
                 which, squares = map(np.asarray, tree.batch_nearest_neighbor_search(moved))
                 near = squares < NEAR_M**2
-                moved, at, up = moved[near], xyz[which[near]], normal[which[near]]
+                moved = moved[near]
+                at = xyz[which[near]]
+                up = normal[which[near]]
                 lines.append(np.hstack([np.cross(moved - pose[:3, 3], up), up]))
                 apart.append(((moved - at) * up).sum(axis=1))
-            rows, off = np.concatenate(lines), np.concatenate(apart)
+            rows = np.concatenate(lines)
+            off = np.concatenate(apart)
             weight = 1.0 / (1.0 + (off / 0.1) ** 2)
             step = -np.linalg.lstsq(
                 rows.T @ (rows * weight[:, None]), rows.T @ (off * weight), rcond=None
@@ -171,7 +186,10 @@ class Run:
 
 def run(name: str, frames: Iterable[tuple[F64, I64]], truth: F64) -> Run:
     """Run a library over frames and their classes; truth is (n, 4, 4), from the first pose."""
-    step, poses, n_points, spent = _ALL[name](), [np.eye(4)], 0, 0.0
+    step = _ALL[name]()
+    poses = [np.eye(4)]
+    n_points = 0
+    spent = 0.0
     delta = np.eye(4)
     for k, (points, classes) in enumerate(frames):
         ready = straightened(points, delta)
@@ -189,7 +207,8 @@ def run(name: str, frames: Iterable[tuple[F64, I64]], truth: F64) -> Run:
             poses.append(pose)
     found = np.array(poses)
     n = len(found)
-    ms, mean = 1e3 * spent / n, n_points / n
+    ms = 1e3 * spent / n
+    mean = n_points / n
     away = np.linalg.norm(found[:, :3, 3] - truth[:n, :3, 3], axis=1)
     way_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
     is_failed = n < len(truth) or bool(away.max() > max(FAILED_M, FAILED_SHARE * way_m))
@@ -214,7 +233,8 @@ def _evo(truth: F64, found: F64) -> tuple[float, float]:
 def _rigid(pose: F64) -> F64:
     """Return a pose whose rotation is one in all digits, (4, 4)."""
     found = np.eye(4)
-    found[:3, :3], found[:3, 3] = Rotation.from_matrix(pose[:3, :3]).as_matrix(), pose[:3, 3]
+    found[:3, :3] = Rotation.from_matrix(pose[:3, :3]).as_matrix()
+    found[:3, 3] = pose[:3, 3]
     return found
 
 
@@ -223,7 +243,8 @@ def _kitti(truth: F64, found: F64) -> tuple[float, float]:
     way_m = np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))]
     )
-    shift, turn = [], []
+    shift = []
+    turn = []
     for length_m in PARTS_M:
         for first in range(len(truth)):
             last = int(np.searchsorted(way_m, way_m[first] + length_m))

@@ -44,7 +44,8 @@ def optional(name: str) -> Any:
 
 def labellers() -> dict[str, Job]:
     """Ways to number 4-connected components."""
-    measure, ndimage = import_module("skimage.measure"), import_module("scipy.ndimage")
+    measure = import_module("skimage.measure")
+    ndimage = import_module("scipy.ndimage")
     jobs: dict[str, Job] = {
         "prc (numba)": kernels.label_components,
         "scikit-image": lambda image: measure.label(image, connectivity=1),

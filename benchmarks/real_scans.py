@@ -94,7 +94,8 @@ def profiler(folder: Path) -> None:
     )
     steps = steps_apart(line, column, recovered)
     print("## Profiler sample\n\n```console")
-    lines, columns = inputs["lines"], inputs["columns"]
+    lines = inputs["lines"]
+    columns = inputs["columns"]
     print(f"$ prc classify jakarto_0.02s.las out.las --lines {lines} --columns {columns} \\")
     print(f"      --range trajectory:drive.csv -M {inputs['points_per_line']}\n```\n")
     print("| | |\n|---|---|")

@@ -51,7 +51,9 @@ FEWEST = 500
 """Records that a class needs in the reference to be in the average."""
 WHOLE_LOSS = 0.1
 """Part of a cloud that loses more beside the whole raw stream must be doubted."""
-CURB, STEM, NOISE = 66, 64, 7
+CURB = 66
+STEM = 64
+NOISE = 7
 SECONDS_AT_MOST = 900
 
 Options: TypeAlias = tuple[str, ...]
@@ -177,7 +179,8 @@ def write_cloud(path: Path, cloud: Cloud) -> Path:
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
     las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    las.header.scales, las.header.offsets = np.full(3, 0.001), np.floor(cloud.xyz_m.min(axis=0))
+    las.header.scales = np.full(3, 0.001)
+    las.header.offsets = np.floor(cloud.xyz_m.min(axis=0))
     las.x, las.y, las.z = cloud.xyz_m.T
     las.gps_time = cloud.time_s
     las.intensity = np.clip(cloud.intensity, 0, 65_535).astype(np.uint16)
@@ -201,7 +204,8 @@ class Drive:
 
     def cloud(self, work: Path) -> Cloud:
         """Simulate the drive, unless the folder has it, and register its points."""
-        raw, path = work / f"{self.name}.laz", work / f"{self.name}_path.csv"
+        raw = work / f"{self.name}.laz"
+        path = work / f"{self.name}_path.csv"
         if not path.exists():
             own = work / f"{self.name}_own.csv"
             settings = ("--scanner", self.scanner, "--duration", self.seconds, "--seed", self.seed)
@@ -274,7 +278,8 @@ class Reference:
 
     def labels(self) -> tuple[U8, Run]:
         """Classify the raw stream, unless this was done before; accept all doubts."""
-        output, record = self.raw.with_suffix(".labels.npy"), self.raw.with_suffix(".run.json")
+        output = self.raw.with_suffix(".labels.npy")
+        record = self.raw.with_suffix(".run.json")
         if output.exists() and record.exists():
             return np.load(output).ravel(), Run(**json.loads(record.read_text(encoding="utf-8")))
         options = self.options
@@ -344,11 +349,13 @@ def masked(points: Path, cloud: Cloud, name: str, *, options: Options = POINTS) 
 
 def scores(codes: U8, truth: U8) -> dict[str, float]:
     """Return F1 of every class and the macro average; curbs are ground, without stems they are vegetation."""
-    codes, truth = _merged(codes, truth), _merged(truth, truth)
+    codes = _merged(codes, truth)
+    truth = _merged(truth, truth)
     f1 = {}
     in_average = []
     for name, code in KINDS.items():
-        n_truth, n_codes = np.count_nonzero(truth == code), np.count_nonzero(codes == code)
+        n_truth = np.count_nonzero(truth == code)
+        n_codes = np.count_nonzero(codes == code)
         if not n_truth:
             continue
         both = np.count_nonzero((truth == code) & (codes == code))
@@ -380,7 +387,8 @@ class PathError:
 
 def path_error(found: Path, true: Path) -> PathError:
     """Compare two paths at the times of the first one."""
-    rows, truth = read_path(found), read_path(true)
+    rows = read_path(found)
+    truth = read_path(true)
     inside = (rows[:, 0] >= truth[0, 0]) & (rows[:, 0] <= truth[-1, 0])
     rows = rows[inside]
     if not len(rows):
@@ -726,7 +734,9 @@ def joined(
     )
     both = replace(clouds[0], **merged, record=np.arange(len(number)))
     index = np.arange(len(number)) if order is None else order(both)
-    both, number, record = both.take(index), number[index], record[index]
+    both = both.take(index)
+    number = number[index]
+    record = record[index]
     references = tuple(Reference(part_of(cloud.raw, cloud.record, word)) for cloud in clouds)
     rows = tuple(np.where(number == k, record, -1) for k in range(len(clouds)))
     return [Part(write_cloud(points, both), both.truth, references, rows)]
@@ -805,11 +815,9 @@ def sharp_turn(work: Path) -> list[Part]:
         world = np.concatenate([item.world_m for item in items if item.world_m is not None])
         np.savez(extra, truth=truth, world=world, time_s=time_s)
     with np.load(extra) as arrays:
-        world, time_s, truth = (
-            arrays["world"].reshape(-1, 3),
-            arrays["time_s"].ravel(),
-            arrays["truth"].ravel(),
-        )
+        world = arrays["world"].reshape(-1, 3)
+        time_s = arrays["time_s"].ravel()
+        truth = arrays["truth"].ravel()
     there = np.flatnonzero(np.isfinite(world[:, 0]))
     one = np.ones(len(there), np.int64)
     codes = truth[there].astype(np.uint8)
@@ -845,7 +853,8 @@ def riegl(work: Path) -> list[Part]:
 
     Without amplitudes nothing tells the strongest return of a shot: both take the first one.
     """
-    points, labels = work / "riegl_points.laz", work / "riegl_labels"
+    points = work / "riegl_points.laz"
+    labels = work / "riegl_labels"
     rows = np.concatenate([_ply_rows(DATA / name) for name in RIEGL])
     if not labels.exists():
         _must("classify", *(DATA / name for name in RIEGL), labels, "--return", "first")
@@ -903,7 +912,8 @@ def jakarto_path(points: Path, found: Path) -> str:
     las = laspy.read(points)
     with np.load(DATA / "profiler" / "jakarto_0.02s_recovered.npz") as arrays:
         range_m = arrays["range_m"].astype(np.float64)
-    path, time_s = read_path(found), np.asarray(las.gps_time)
+    path = read_path(found)
+    time_s = np.asarray(las.gps_time)
     station = np.stack([np.interp(time_s, path[:, 0], path[:, k]) for k in (1, 2, 3)], axis=1)
     apart = np.linalg.norm(np.stack([las.x, las.y, las.z], axis=1) - station, axis=1) - range_m
     return f"ranges off by {np.median(np.abs(apart)):.4f} m, 95 % {np.quantile(np.abs(apart), 0.95):.4f} m"

@@ -26,7 +26,8 @@ from benchmarks.contest_data import DATA, view_paths
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
 
-IGNORED, OTHER = 255, 1
+IGNORED = 255
+OTHER = 1
 """Reference codes of what is not judged, and of classes that no figure is of: people, cycles, signs."""
 GROUND, BUILDING, VEGETATION, CAR, POLE, NOISE = (
     ClassCodes().code(one)
@@ -142,11 +143,9 @@ def _coded(codes: I64, kind: str) -> U8:
 def _view(path: Path, kind: str, folder: Path) -> Frame:
     """Write a range view as lines of rings, from low to high."""
     with np.load(path) as arrays:
-        ranges, xyz, codes = (
-            arrays["range_m"],
-            arrays["xyz"].astype(np.float32),
-            arrays["label"].astype(np.int64),
-        )
+        ranges = arrays["range_m"]
+        xyz = arrays["xyz"].astype(np.float32)
+        codes = arrays["label"].astype(np.int64)
     xyz[np.isnan(ranges)] = np.nan
     elevation = _medians(np.rad2deg(np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))))
     order = np.argsort(elevation)[: np.count_nonzero(np.isfinite(elevation))]
@@ -172,15 +171,14 @@ def _snow(name: str, folder: Path) -> Frame:
     stored = np.fromfile(DATA / "snow" / f"{name}.bin", np.float32).reshape(64, -1, 4)
     labels = np.fromfile(DATA / "snow" / f"{name}.label", np.uint32).reshape(64, -1)
     n_lines = stored.shape[1]
-    image, codes = (
-        np.full((n_lines, 64, 4), np.nan, np.float32),
-        np.full((n_lines, 64), IGNORED, np.uint8),
-    )
+    image = np.full((n_lines, 64, 4), np.nan, np.float32)
+    codes = np.full((n_lines, 64), IGNORED, np.uint8)
     ring, at = np.nonzero((stored != -1).any(axis=-1))
     shots = stored[ring, at]
     azimuth = np.pi - np.arctan2(shots[:, 1], shots[:, 0])
     line = (azimuth / (2 * np.pi) * n_lines).astype(np.int64) % n_lines
-    image[line, ring], codes[line, ring] = shots, np.where(labels[ring, at] == 1, NOISE, OTHER)
+    image[line, ring] = shots
+    codes[line, ring] = np.where(labels[ring, at] == 1, NOISE, OTHER)
     seen = np.isfinite(image[..., 0]).any(axis=0)
     xyz = np.ascontiguousarray(image[:, seen][:, ::-1, :3])
     ranges = np.sqrt((xyz**2).sum(axis=-1))
@@ -213,7 +211,8 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
     vehicle_m = np.stack([sweep[axis].to_numpy().astype(np.float64) for axis in "xyz"], axis=1)
     laser = sweep["laser_number"].to_numpy()
     for k, name in enumerate(("up", "down")):
-        pose, own = poses[f"{name}_lidar"], laser // 32 == k
+        pose = poses[f"{name}_lidar"]
+        own = laser // 32 == k
         turn = rotation.from_quat([pose[key] for key in ("qx", "qy", "qz", "qw")])
         xyz = (
             turn.inv()
@@ -230,7 +229,8 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
         ]
         rows = np.zeros(len(xyz), kinds)
         rows["x"], rows["y"], rows["z"] = xyz.T
-        rows["intensity"], rows["ring"] = sweep["intensity"].to_numpy()[own], laser[own] % 32
+        rows["intensity"] = sweep["intensity"].to_numpy()[own]
+        rows["ring"] = laser[own] % 32
         rows["time"] = sweep["offset_ns"].to_numpy()[own] * 1e-9
         file = folder / f"av2_{name}.ply"
         types = {"<f4": "float", "<u2": "ushort", "<f8": "double"}
@@ -280,7 +280,8 @@ def patchwork(frame: Frame) -> Mask | None:
     except ImportError:
         return None
     params = module.Parameters()
-    params.verbose, params.sensor_height = False, SCANNER_M[frame.group.removesuffix("_views")]
+    params.verbose = False
+    params.sensor_height = SCANNER_M[frame.group.removesuffix("_views")]
     with quiet():
         filtered = module.patchworkpp(params)
     there = np.flatnonzero(np.isfinite(frame.xyz_m[:, 0]))
@@ -314,7 +315,8 @@ class Score:
 
 def ground_scores(frame: Frame, is_ground: Mask) -> dict[str, Score]:
     """Judge the ground in the ways that the data set allows."""
-    reference, there = frame.codes, np.isfinite(frame.xyz_m[:, 0]) & (frame.codes != IGNORED)
+    reference = frame.codes
+    there = np.isfinite(frame.xyz_m[:, 0]) & (frame.codes != IGNORED)
     own = there & (reference != VEGETATION)
     found = {"ground": Score.of(is_ground[own], reference[own] == GROUND)}
     if frame.group.startswith("kitti"):
@@ -356,7 +358,8 @@ def main() -> None:
             if wanted and not frame.name.startswith(wanted):
                 continue
             codes, doubts = label(frame)
-            own, mask = scores(frame, codes), None if frame.group == "snow" else patchwork(frame)
+            own = scores(frame, codes)
+            mask = None if frame.group == "snow" else patchwork(frame)
             other = {} if mask is None else ground_scores(frame, mask)
             means.setdefault((frame.group, frame.is_tuned), []).append((own, other))
             for name, score in own.items():

@@ -19,7 +19,9 @@ from prc_cli.core.types import F32, Mask
 from prc_cli.kernels import load_kernels
 from prc_cli.methods.prc.pipeline import PrcParams
 
-LINES, WIDTH, K = 594, 2154, 99
+LINES = 594
+WIDTH = 2154
+K = 99
 ROUNDS = 8
 Points = list[tuple[float, float]]
 
@@ -61,7 +63,11 @@ def checkerboard(n_lines: int, n_columns: int) -> Mask:
 def spiral(n_lines: int, n_columns: int, width: int, gap: int) -> Mask:
     """One long spiral component, whose parts are joined late."""
     image = np.zeros((n_lines, n_columns), dtype=bool)
-    top, left, bottom, right, step = 0, 0, n_lines, n_columns, width + gap
+    top = 0
+    left = 0
+    bottom = n_lines
+    right = n_columns
+    step = width + gap
     start = 0
     while bottom - top > 2 * step and right - left > 2 * step:
         image[top : top + width, start:right] = True
@@ -69,7 +75,10 @@ def spiral(n_lines: int, n_columns: int, width: int, gap: int) -> Mask:
         image[bottom - width : bottom, left:right] = True
         image[top + step : bottom, left : left + width] = True
         start = left
-        top, left, bottom, right = top + step, left + step, bottom - step, right - step
+        top = top + step
+        left = left + step
+        bottom = bottom - step
+        right = right - step
     return image
 
 
@@ -92,7 +101,8 @@ def worst_cases() -> dict[str, F32]:
 
 def measure() -> tuple[dict[str, Points], dict[str, float]]:
     """Measure the curves and the worst cases."""
-    base, usual = street(LINES, WIDTH), parameters()
+    base = street(LINES, WIDTH)
+    usual = parameters()
     cases: dict[str, list[tuple[float, F32, PrcParams]]] = {
         "shots in the stream [million]": [
             (n * base.size / 1e6, np.tile(base, (n, 1)), usual) for n in (1, 2, 4, 8, 16, 32)
@@ -123,7 +133,10 @@ def measure() -> tuple[dict[str, Points], dict[str, float]]:
 
 def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
     """Draw the curves and the worst cases side by side as SVG."""
-    width, height, left, base = 250, 190, 40, 150
+    width = 250
+    height = 190
+    left = 40
+    base = 150
     top = 1.15 * max([y for points in curves.values() for _, y in points] + list(worst.values()))
     parts = []
     for panel, (title, points) in enumerate(curves.items()):

@@ -161,7 +161,8 @@ def street_scan(
 
 def write_scan(folder: Path, seed: int, *options: dict[str, Any]) -> tuple[Path, Path]:
     """Simulate a static scan into a file, and the class codes of its reference."""
-    source, reference = folder / "scan.npz", folder / "reference.npy"
+    source = folder / "scan.npz"
+    reference = folder / "reference.npy"
     settings = load_settings("street-scan", options=merged({"seed": seed}, *options))
     simulate("street-scan", source, settings, beside=Beside(labels=reference), overwrite=True)
     return source, reference
@@ -453,7 +454,8 @@ KITTI_GROUND: dict[str, tuple[int, ...]] = {
 
 def kitti(folder: Path) -> None:
     """The labelled frame of a scanner with 64 rings."""
-    source, labels = DATA / "kitti" / "000000.bin", folder / "kitti.npy"
+    source = DATA / "kitti" / "000000.bin"
+    labels = folder / "kitti.npy"
     # the scanner's data sheet says 2 cm
     classify(source, labels, street_scan(KITTI, range_noise_m=0.02), overwrite=True)
     print("## KITTI frame\n\n```console")
@@ -538,7 +540,8 @@ def oakland(folder: Path) -> None:
         "$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format markdown\n```\n"
     )
     for strip in (1, 2, 3):
-        source, labels = DATA / "oakland" / f"oakland_{strip}.csv.gz", folder / "oakland.npy"
+        source = DATA / "oakland" / f"oakland_{strip}.csv.gz"
+        labels = folder / "oakland.npy"
         rows = {}
         for title, config in runs.items():
             classify(source, labels, config, overwrite=True)
@@ -604,7 +607,8 @@ def rate(job: Callable[[], object], runs: int = 3) -> float:
 def speed(folder: Path) -> None:
     """Rates of every stage on one core, of all in memory with one and two threads, and of the whole command."""
     whole, _ = scan_of(3)
-    n_lines, n_shots = whole.n_lines, whole.range_m.size
+    n_lines = whole.n_lines
+    n_shots = whole.range_m.size
     config = street_scan()
     times = dict(stage_times(whole))
 
@@ -679,7 +683,9 @@ def blocks(block: ScanBlock, lines: int = 64) -> Iterator[ScanBlock]:
 
 def stage_times(block: ScanBlock) -> dict[str, float]:
     """Time of every stage [s] on the results of the stages before, for the whole scan at once."""
-    ranges, xyz, beam = block.range_m, block.xyz_m, beams(block)
+    ranges = block.range_m
+    xyz = block.xyz_m
+    beam = beams(block)
     sides = split_sides(beam)
     times: dict[str, float] = {}
 

@@ -67,10 +67,13 @@ TABLE_I = {
     ),
 }
 """Lehtola et al. (2019), Table I: zeta_p to recall values, reference in rows."""
-AREAS, GAMMAS = (10, 30, 100), (0, 2, 20)
-STREETS, STREET_M = 5, 150.0
+AREAS = (10, 30, 100)
+GAMMAS = (0, 2, 20)
+STREETS = 5
+STREET_M = 150.0
 CHARACTERS = ("residential", "terraces", "suburb", "boulevard")
-MORE_STREETS, MORE_M = 3, 100.0
+MORE_STREETS = 3
+MORE_M = 100.0
 SET_BACK_M = (0.0, 6.0, 12.0, 18.0)
 
 FOREST_NAMES = ("noise", "ground", "stem")
@@ -91,7 +94,8 @@ SCAN_NAMES = ("vegetation", "vertical", "car", "horizontal")
 STAMOS = ((0.900, 0.789), (0.851, 0.980), (0.867, 0.962), (0.976, 0.631))
 """Recall and precision, Stamos et al. (2012), Table 1; the overall accuracy follows from its counts."""
 STAMOS_ALL = 0.876
-STATIONS, FINE_STATIONS = 11, 2
+STATIONS = 11
+FINE_STATIONS = 2
 COARSE_DEG = 0.46
 """Every fourth line: as many different streets in a quarter of the time."""
 
@@ -155,7 +159,8 @@ def recall_table(
     """Shares of reference rows over all parts, smallest and largest of the parts in brackets."""
     each = np.stack([shares_of(part, rows, columns) for part in parts])
     whole = shares_of(pooled(parts), rows, columns)
-    low, high = np.nanmin(each, axis=0), np.nanmax(each, axis=0)
+    low = np.nanmin(each, axis=0)
+    high = np.nanmax(each, axis=0)
     spread = len(parts) > 1
     return [
         [
@@ -526,7 +531,8 @@ def spread_scores(parts: list[ConfusionMatrix]) -> list[str]:
         ] + [found.accuracy]
 
     each = np.array([row(part) for part in parts])
-    low, high = np.nanmin(each, axis=0), np.nanmax(each, axis=0)
+    low = np.nanmin(each, axis=0)
+    high = np.nanmax(each, axis=0)
     return [
         f"{a:.3f} ({b:.2f}–{c:.2f})" for a, b, c in zip(row(pooled(parts)), low, high, strict=True)
     ]
@@ -590,14 +596,16 @@ def median(numbers: NDArray[np.floating[Any]]) -> float:
 
 def oakland_strip(strip: int, folder: Path, config: LoadedConfig) -> Strip:
     """Return a real strip over the angles that all have."""
-    path, labels = DATA / "oakland" / f"oakland_{strip}.csv.gz", folder / "labels.npy"
+    path = DATA / "oakland" / f"oakland_{strip}.csv.gz"
+    labels = folder / "labels.npy"
     table: F64 = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 2, 3, 7))
     line, angles, ranges, codes = table.T
     n_lines = len(np.unique(line))
     angle = angles.reshape(n_lines, -1)[0]
     inside = (angle >= OAKLAND_DEG[0]) & (angle <= OAKLAND_DEG[1])
     classify(path, labels, config, overwrite=True)
-    predicted, reference = np.load(labels).astype(np.int64), np.nan_to_num(codes).astype(np.int64)
+    predicted = np.load(labels).astype(np.int64)
+    reference = np.nan_to_num(codes).astype(np.int64)
     shape = n_lines, -1
     return Strip(
         ranges.astype(np.float32).reshape(shape)[:, inside],
@@ -624,7 +632,8 @@ def push_broom(folder: Path, scene: dict[str, Any], config: LoadedConfig) -> Str
     angle = np.rad2deg(SCANNERS["sick-push-broom"].angle_rad())
     inside = (angle >= OAKLAND_DEG[0]) & (angle <= OAKLAND_DEG[1])
     with np.load(source) as arrays:
-        ranges, reference = arrays["range_m"], arrays["class"].astype(np.int64)
+        ranges = arrays["range_m"]
+        reference = arrays["class"].astype(np.int64)
     predicted = np.load(labels).reshape(ranges.shape).astype(np.int64)
     return Strip(ranges[:, inside], predicted[:, inside], reference[:, inside])
 
@@ -670,11 +679,14 @@ PARK_HEIGHT_M = 1.3
 def park(folder: Path) -> None:
     """A tripod in simulated forests beside the park scan."""
     with np.load(DATA / "forest" / "tls_park.npz") as arrays:
-        real, zenith = arrays["range_m"][:, ::-1], arrays["zenith_deg"][::-1]
+        real = arrays["range_m"][:, ::-1]
+        zenith = arrays["zenith_deg"][::-1]
     if zenith[0] < zenith[-1]:
-        real, zenith = real[:, ::-1], zenith[::-1]
+        real = real[:, ::-1]
+        zenith = zenith[::-1]
     columns = {"park": park_numbers(folder, np.ascontiguousarray(real, dtype=np.float32))}
-    m, n_lines = real.shape[1], real.shape[0]
+    m = real.shape[1]
+    n_lines = real.shape[0]
     angles = 180.0 - zenith  # from down
     scanner = SCANNERS["scanstation2"].changed(
         points_per_line=m,
@@ -760,7 +772,8 @@ def quickest(job: Callable[[], object], runs: int = 2) -> tuple[float, float]:
     job()
     found = []
     for _ in range(runs):
-        start, busy = time.perf_counter(), time.process_time()
+        start = time.perf_counter()
+        busy = time.process_time()
         job()
         found.append((time.perf_counter() - start, time.process_time() - busy))
     return min(wall for wall, _ in found), min(cpu for _, cpu in found)

@@ -51,11 +51,13 @@ def slowed(scan: Scan, places: F64, seed: int) -> Scan:
     # edges of things come together, leaves one by one
     groups = np.arange(scan.range_m.shape[1]) // EDGE_COLUMNS
     turn = np.where(scan.codes == LEAVES, turn, rng.random((len(turn), groups[-1] + 1))[:, groups])
-    ranges, codes = [], []
+    ranges = []
+    codes = []
     for place, line in zip(places, before, strict=True):
         takes_next = turn[line] < place - line
         other = min(line + 1, last)
-        one, two = scan.range_m[line], scan.range_m[other]
+        one = scan.range_m[line]
+        two = scan.range_m[other]
         rows = np.where(takes_next, two, one)
         # surfaces go on evenly
         is_even = (

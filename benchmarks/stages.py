@@ -62,7 +62,8 @@ def best_times(
     cores: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(rounds):
         for name, (job, _) in jobs.items():
-            wall, core = time.perf_counter(), time.process_time()
+            wall = time.perf_counter()
+            core = time.process_time()
             job()
             walls[name].append(time.perf_counter() - wall)
             cores[name].append(time.process_time() - core)

@@ -53,11 +53,13 @@ def run(arguments: list[str], cache: Path) -> tuple[float, float]:
         "PYTHONPYCACHEPREFIX": str(cache.parent / "bytecode"),
     }
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    before, begin = os.times(), time.perf_counter()
+    before = os.times()
+    begin = time.perf_counter()
     subprocess.run(
         [sys.executable, *arguments], env=environment, check=True, stdout=subprocess.DEVNULL
     )
-    seconds, after = time.perf_counter() - begin, os.times()
+    seconds = time.perf_counter() - begin
+    after = os.times()
     cpu = (
         after.children_user + after.children_system - before.children_user - before.children_system
     )

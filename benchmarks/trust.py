@@ -60,9 +60,11 @@ NEAR = 0.02
 """Macro F1 by which labels may be worse than those of the right way where the options that were named are typed."""
 LOST = 0.10
 """Loss of macro F1 from which a result is wrong."""
-WINDOWS, QUICK_WINDOWS = 12, 2
+WINDOWS = 12
+QUICK_WINDOWS = 2
 """Windows along a scan that are told rightly."""
-CASES, QUICK_CASES = 2, 1
+CASES = 2
+QUICK_CASES = 1
 """Windows of a scan at which a row is run."""
 Outcome: TypeAlias = Literal["silent", "doubted", "refused", "harmless"]
 OUTCOMES: tuple[Outcome, ...] = ("silent", "doubted", "refused", "harmless")

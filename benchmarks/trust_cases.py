@@ -255,11 +255,14 @@ def las(window: Window, context: Context) -> Told:
     shots = shots_of(window, returns_only=True)
     path = context.folder / "scan.las"
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = np.full(3, 0.001), np.array(PLACE_M)
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.array(PLACE_M)
     for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     points = laspy.ScaleAwarePointRecord.zeros(len(shots["range"]), header=header)
-    points.x, points.y, points.z = shots["x"], shots["y"], shots["z"]
+    points.x = shots["x"]
+    points.y = shots["y"]
+    points.z = shots["z"]
     points.gps_time = 3e8 + shots["time"]
     turned = (shots["angle"] + 180.0) % 360.0 - 180.0
     points["scan_angle"] = np.clip(np.rint(turned / 0.006), -30_000, 30_000).astype("i2")
@@ -291,13 +294,15 @@ def seam_elsewhere(window: Window, context: Context) -> Made:
     """Begin the file amid a line: columns in another rotation."""
     lost = int(context.random.integers(1, window.points_per_line))
     cells = slice(lost, lost - window.points_per_line)
-    m, shape = window.points_per_line, (window.n_lines - 1, window.points_per_line)
+    m = window.points_per_line
+    shape = (window.n_lines - 1, window.points_per_line)
     whole = abs(window.step_deg) * m > 359.0
     angle = np.roll(window.angle_deg(), -lost)
     if whole:
         angle[m - lost :] += 360.0 * np.sign(window.step_deg)
     path = context.folder / "scan.npz"
-    ranges, codes = window.range_m.ravel()[cells], window.codes.ravel()[cells]
+    ranges = window.range_m.ravel()[cells]
+    codes = window.codes.ravel()[cells]
     np.savez(path, range_m=ranges.reshape(shape), angle_deg=angle)
     return Told(path, aim(window, context, angles=False), codes)
 
@@ -339,9 +344,11 @@ def trajectory_late(window: Window, context: Context) -> Made:
     if window.world_m is None or window.scanner_m is None:
         return None
     shots = shots_of(window, returns_only=True)
-    path, drive = context.folder / "scan.dat", context.folder / "drive.csv"
+    path = context.folder / "scan.dat"
+    drive = context.folder / "drive.csv"
     layout = dump(path, shots, ("x", "y", "z", "time", "angle", "scan_line", "column"))
-    time_s, places = window.time_s.mean(axis=1), window.scanner_m + PLACE_M
+    time_s = window.time_s.mean(axis=1)
+    places = window.scanner_m + PLACE_M
     ends = np.array([-TRAJECTORY_ENDS_S, TRAJECTORY_ENDS_S])
     speed = (places[-1] - places[0]) / (time_s[-1] - time_s[0])
     time_s = np.concatenate([time_s[:1] + ends[:1], time_s, time_s[-1:] + ends[1:]])
@@ -728,7 +735,8 @@ def noise_of_sky(window: Window, context: Context) -> Made:
     """Nothing wrong: half of the empty shots of a sixth of the lines return noise."""
     if window.world_m is None or window.mapping not in ("street", "forest"):
         return None
-    ranges, codes = window.range_m.copy(), window.codes.copy()
+    ranges = window.range_m.copy()
+    codes = window.codes.copy()
     lines = slice(window.n_lines // 3, window.n_lines // 2)
     struck = np.isnan(ranges[lines]) & (context.random.random(ranges[lines].shape) < 0.5)
     ranges[lines][struck] = context.random.uniform(2.0, 70.0, int(struck.sum()))

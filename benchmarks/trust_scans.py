@@ -221,10 +221,8 @@ def riegl() -> Scan:
     rows = np.concatenate(parts)
     time_s = rows["time"].astype(np.float64)
     # further returns of a shot have its time
-    rows, time_s = (
-        rows[np.diff(time_s, prepend=-np.inf) > 0],
-        time_s[np.diff(time_s, prepend=-np.inf) > 0],
-    )
+    rows = rows[np.diff(time_s, prepend=-np.inf) > 0]
+    time_s = time_s[np.diff(time_s, prepend=-np.inf) > 0]
     step = 2.0 * np.pi / RIEGL_COLUMNS
     turned = np.unwrap(rows["theta"].astype(np.float64)) + np.pi
     place = np.rint(turned / step).astype(np.int64)

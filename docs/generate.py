@@ -97,7 +97,8 @@ def configuration_page() -> str:
 
 
 def _tables(model: type[Params], prefix: str) -> Iterator[str]:
-    rows, inner = [], []
+    rows = []
+    inner = []
     for name, info in model.model_fields.items():
         key = info.alias or name
         nested = model_in(info.annotation)
@@ -302,7 +303,8 @@ def tables(page: Path, section: str) -> tuple[Table, ...]:
     LookupError
         When there is no such heading.
     """
-    level, heading = 0, ""
+    level = 0
+    heading = ""
     blocks: list[tuple[str, list[str]]] = [("", [])]
     for line in page.read_text(encoding="utf-8").splitlines():
         if line.startswith("#"):
@@ -342,7 +344,8 @@ def _cells(row: str) -> list[str]:
 
 def _columns(cells: list[str]) -> list[str]:
     """Return names of columns; those after "car recall" that say no class are of the car too."""
-    names, of = [], ""
+    names = []
+    of = ""
     for cell in cells:
         if cell.endswith(" recall"):
             of = cell.removesuffix("recall")

@@ -501,7 +501,8 @@ def options_of(loaded: LoadedConfig) -> list[str]:
     >>> options_of(load_config(options={"method": "prc", "input": {"points_per_line": 2154, "lines": "fixed"}}))
     ['--method', 'prc', '--set', 'input.points_per_line=2154', '--set', 'input.lines=fixed']
     """
-    values, words = dict(flatten(loaded.config.to_table())), list[str]()
+    values = dict(flatten(loaded.config.to_table()))
+    words = list[str]()
     layered = set(loaded.sources.values())
     # a layout is laid into the options: no value has the name of its file
     has_layout = any(

@@ -126,7 +126,8 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
             continue
         start = begins[node.lineno - 1] + node.col_offset
         stop = begins[node.end_lineno - 1] + node.end_col_offset
-        file, before = str(path.relative_to(ROOT)), raw[start:stop].decode()
+        file = str(path.relative_to(ROOT))
+        before = raw[start:stop].decode()
         yield Mutant(file, node.lineno, start, stop, before, changed, reach, in_body)
 
 
@@ -229,7 +230,8 @@ def _context(name: str) -> None:
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """What a test runs is counted for its function."""
-    name, begun = item.nodeid.partition("[")[0], time.monotonic()
+    name = item.nodeid.partition("[")[0]
+    begun = time.monotonic()
     _context(name)
     try:
         return (yield)
@@ -300,13 +302,12 @@ def measure_golden(data: Path) -> None:
     from tests.golden import run as golden
     from tests.golden.cases import all_cases
 
-    cases, place = all_cases(), data.with_suffix(".golden")
+    cases = all_cases()
+    place = data.with_suffix(".golden")
     place.mkdir()
     _lay(place)
-    depth, seconds = (
-        golden.needed(cases, list(cases)),
-        json.loads(data.with_suffix(".json").read_text("utf-8")),
-    )
+    depth = golden.needed(cases, list(cases))
+    seconds = json.loads(data.with_suffix(".json").read_text("utf-8"))
     for name in sorted(depth, key=depth.__getitem__):
         _context(f"{GOLDEN}{name}")
         seconds[f"{GOLDEN}{name}"] = golden.run_case(name, cases[name], str(place))[2]
@@ -385,9 +386,11 @@ class Reached:
 
 def _distance(file: str, test: str) -> int:
     """Return 0 for a module's doctests and the test file of its name, 1 for its folder, 2 for its room, 3 else."""
-    own, other = Path(file), Path(test.partition("::")[0])
+    own = Path(file)
+    other = Path(test.partition("::")[0])
     stem = own.parent.name if own.stem == "__init__" else own.stem
-    inside, tested = own.parent.parts[1:], other.parent.parts[1:]
+    inside = own.parent.parts[1:]
+    tested = other.parent.parts[1:]
     if own == other or (other.stem == f"test_{stem}" and tested[:1] == inside[:1]):
         return 0
     return 1 if tested == inside else 2 if tested[:1] == inside[:1] else 3
@@ -457,7 +460,8 @@ def _check_golden(cases: list[str], kept: Path) -> int:
     from tests.golden import run as golden
     from tests.golden.cases import all_cases
 
-    expected, printed = json.loads(golden.GOLDEN.read_text(encoding="utf-8")), os.dup(1)
+    expected = json.loads(golden.GOLDEN.read_text(encoding="utf-8"))
+    printed = os.dup(1)
     for name in cases:
         with tempfile.TemporaryDirectory(prefix="prc-golden-") as folder:
             place = Path(folder)
@@ -496,7 +500,9 @@ def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, 
             finally:
                 sys.stdout.flush()
                 os._exit(code)
-        end, done, status = time.monotonic() + TIMEOUT_S, 0, 0
+        end = time.monotonic() + TIMEOUT_S
+        done = 0
+        status = 0
         while not done and time.monotonic() < end:
             done, status = os.waitpid(child, os.WNOHANG)
             time.sleep(0.05)
@@ -513,13 +519,15 @@ def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, 
 
 def _put_in(mutant: Mutant) -> None:
     """Put a fault into the functions of a module that was imported, or let this process import it so."""
-    path, sound = str(ROOT / mutant.file), SourceFileLoader.get_code
+    path = str(ROOT / mutant.file)
+    sound = SourceFileLoader.get_code
     raw = Path(path).read_bytes()
     # lines behind it keep their numbers
     after = mutant.after[:-1] + "\n" * mutant.before.count("\n") + mutant.after[-1]
     faulty = compile(raw[: mutant.start] + after.encode() + raw[mutant.stop :], path, "exec")
     if any(getattr(module, "__file__", None) == path for module in list(sys.modules.values())):
-        codes, functions = dict(_codes(faulty)), gc.get_objects()
+        codes = dict(_codes(faulty))
+        functions = gc.get_objects()
         for one in functions:
             if type(one) is FunctionType and one.__code__.co_filename == path:
                 one.__code__ = codes.get(
@@ -608,7 +616,8 @@ def main() -> None:
         return
     if not chosen.coverage.exists():
         measure(chosen.coverage)
-    reached, golden = Reached(chosen.coverage), chosen.coverage.with_suffix(".golden").absolute()
+    reached = Reached(chosen.coverage)
+    golden = chosen.coverage.with_suffix(".golden").absolute()
     found: dict[Mutant, tuple[bool, str]] = {}
     # what is calculated on import is changed before it is imported, the body of a function when all is
     for number, mutant in sorted(numbered, key=lambda item: item[1].in_body):

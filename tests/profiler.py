@@ -30,7 +30,8 @@ def scanner_positions(las: laspy.LasData, recovered: dict[str, np.ndarray]) -> F
     rows = []
     for line in range(4):
         chosen = recovered["line"] == line
-        points, ranges = xyz[chosen] - middle, recovered["range_m"][chosen].astype(np.float64)
+        points = xyz[chosen] - middle
+        ranges = recovered["range_m"][chosen].astype(np.float64)
         # |p - c|² = r²  becomes linear in c and |c|²; in a plane, the part across it comes from the coordinates' normal
         squares = (points**2).sum(axis=1) - ranges**2
         normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
@@ -62,14 +63,16 @@ def jakarto_input(trajectory: Path) -> dict[str, Any]:
 
 def placed(source: Path, loaded: LoadedConfig, n_records: int) -> tuple[I64, I64, F64, int]:
     """Return line, column and range [m] of every record of a file as the reader places them, and the cells read."""
-    line, column = np.full(n_records, -1, np.int64), np.full(n_records, -1, np.int64)
+    line = np.full(n_records, -1, np.int64)
+    column = np.full(n_records, -1, np.int64)
     range_m = np.full(n_records, np.nan)
     n_cells = 0
     for block in open_stream(source, loaded).blocks():
         records = block.records()
         where = np.argwhere(records >= 0)
         record = records[records >= 0]
-        line[record], column[record] = where[:, 0] + block.first_line, where[:, 1]
+        line[record] = where[:, 0] + block.first_line
+        column[record] = where[:, 1]
         range_m[record] = block.range_m[records >= 0]
         n_cells += block.range_m.size
     return line, column, range_m, n_cells

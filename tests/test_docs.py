@@ -69,7 +69,8 @@ def check_command(words: list[str], line: str) -> None:
     context = click.Context(cli)
     command = cli.get_command(context, words[0])
     while isinstance(command, click.Group) and len(words) > 1 and words[1] in command.commands:
-        command, words = command.commands[words[1]], words[1:]
+        command = command.commands[words[1]]
+        words = words[1:]
     assert command is not None
     known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     for word in words[1:]:

@@ -167,7 +167,8 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("threads", ["1", "2"])
 def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) -> None:
-    source, out = write_endless(tmp_path / "drive.bin"), tmp_path / "out"
+    source = write_endless(tmp_path / "drive.bin")
+    out = tmp_path / "out"
     out.mkdir()
     command = [
         sys.executable,

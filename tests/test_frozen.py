@@ -124,7 +124,8 @@ def _paths(found: Any, prefix: str = "") -> Iterator[str]:
 
 @pytest.mark.slow
 def test_what_was_promised_is_there() -> None:
-    promised, found = set(FROZEN.read_text(encoding="utf-8").splitlines()), set(names())
+    promised = set(FROZEN.read_text(encoding="utf-8").splitlines())
+    found = set(names())
     assert not promised - found, "gone"
     assert not found - promised, "new: python -m tests.test_frozen"
 

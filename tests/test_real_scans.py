@@ -87,7 +87,8 @@ def origin_above(las: laspy.LasData, height_m: float) -> str:
 
 
 def assert_only_classes_differ(before: Path, after: Path) -> None:
-    old, new = laspy.read(before), laspy.read(after)
+    old = laspy.read(before)
+    new = laspy.read(after)
     assert old.header.point_format == new.header.point_format
     assert np.array_equal(old.header.scales, new.header.scales)
     assert np.array_equal(old.header.offsets, new.header.offsets)

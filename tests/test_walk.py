@@ -132,7 +132,8 @@ def test_text_in_millimetres_with_decimal_commas(here: Path) -> None:
     walk.type("prc classify drive.csv labels.csv")
     assert "decimals stand behind a comma" in walk.said
     assert "range in mm" in walk.said
-    draw, compare = walk.told("draw it"), walk.told("compare it")
+    draw = walk.told("draw it")
+    compare = walk.told("compare it")
     walk.type(compare.replace("REFERENCE", "truth.csv"))
     accuracy = re.search(r"accuracy ([0-9.]+)", walk.said)
     assert accuracy
@@ -149,7 +150,8 @@ def test_kitti_frame(here: Path, real_data: Path) -> None:
     walk = Walk()
     walk.type("prc classify 000000.bin labels.npy")
     assert "look like x, y, z and intensity of a frame" in walk.said
-    draw, compare = walk.told("draw it"), walk.told("compare it")
+    draw = walk.told("draw it")
+    compare = walk.told("compare it")
     assert compare == "prc evaluate labels.npy 000000.label"
     walk.type(compare)
     assert "mapping: street_kitti" in walk.said
@@ -188,12 +190,12 @@ def write_registered(sources: list[Path], output: Path, positions: Path) -> None
     order = order[np.r_[True, np.any(np.diff(key) != 0, axis=0)]]
     table = {name: values[order] for name, values in table.items()}
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = (
-        [0.001] * 3,
-        [float(np.floor(table[axis].min())) for axis in "xyz"],
-    )
+    header.scales = [0.001] * 3
+    header.offsets = [float(np.floor(table[axis].min())) for axis in "xyz"]
     cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = table["x"], table["y"], table["z"]
+    cloud.x = table["x"]
+    cloud.y = table["y"]
+    cloud.z = table["z"]
     cloud.gps_time = table["time"]
     cloud.return_number = table["return_number"].astype(np.uint8)
     cloud.number_of_returns = table["number_of_returns"].astype(np.uint8)

@@ -189,7 +189,8 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         sys.stdout.flush()
     except PrcError as error:
         failure = error
-        message, code = printable(str(error)), error.exit_code
+        message = printable(str(error))
+        code = error.exit_code
     except click.ClickException as error:
         if (
             type(error).__name__ == "NoArgsIsHelpError"
@@ -210,23 +211,27 @@ def _run(arguments: list[str], *, debug: bool) -> int:
                 error.param, click.Argument
             ):
                 said += f", expected {' '.join(context.command.collect_usage_pieces(context)[1:])}"
-        message, code = printable(said), error.exit_code
+        message = printable(said)
+        code = error.exit_code
     except MemoryError as error:
         failure = error
-        message, code = f"not enough memory for this input and these parameters; {left_words()}", 1
+        message = f"not enough memory for this input and these parameters; {left_words()}"
+        code = 1
     except ImportError as error:
         failure = error
-        message, code = (
-            printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"),
-            1,
+        message = printable(
+            f"a package cannot be loaded ({error}); prc doctor checks the installation"
         )
+        code = 1
     except (click.Abort, KeyboardInterrupt) as error:
         failure = error
         take_back()
-        message, code = printable(f"interrupted; {left_words()}"), INTERRUPTED
+        message = printable(f"interrupted; {left_words()}")
+        code = INTERRUPTED
     except OSError as error:
         failure = error
-        message, code = printable(_system_problem(error)), 1
+        message = printable(_system_problem(error))
+        code = 1
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
     else:
         return code if isinstance(code, int) else 0
@@ -278,7 +283,8 @@ _heard: dict[int, float] = {}
 
 def _hear(number: int, error: BaseException) -> None:
     """Raise for a signal, once for two of a kind at a time: systemd sends one, and the guard passes its own on."""
-    now, before = time.monotonic(), _heard.get(number, -math.inf)
+    now = time.monotonic()
+    before = _heard.get(number, -math.inf)
     if now - before > REPEATED_S:
         _heard[number] = now
         raise_or_hold(error)

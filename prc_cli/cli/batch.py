@@ -301,7 +301,9 @@ def status(out: Path, as_json: bool, verify: bool) -> None:
     from prc_cli.jobs.batch.outputs import own_folder, verify_outputs
 
     folder = own_folder(out)
-    entries, runs, owners = read_entries(folder), read_runs(folder), holders(folder)
+    entries = read_entries(folder)
+    runs = read_runs(folder)
+    owners = holders(folder)
     verified = tuple(verify_outputs(out)) if verify else ()
     if as_json:
         more = {"verified": [asdict(item) for item in verified]} if verify else {}
@@ -466,7 +468,8 @@ def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | 
         return None
     from prc_cli.jobs.batch.dask_engine import DaskEngine
 
-    jobs, threads = options["jobs"], options["threads"] or 1
+    jobs = options["jobs"]
+    threads = options["threads"] or 1
     return DaskEngine(options["scheduler"], notice=notice, jobs=jobs, threads=threads)
 
 
@@ -488,7 +491,8 @@ def _run_and_tell(
     from prc_cli.cli.batch_report import Final, JsonLog, Teller, print_end, say
     from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
-    quiet, on_terminal = options["quiet"], sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    quiet = options["quiet"]
+    on_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     shows_bar = on_terminal and not quiet and not options["time_stamps"]
     log = None if options["log_json"] is None else JsonLog(options["log_json"])
     if log is not None:
@@ -502,7 +506,8 @@ def _run_and_tell(
 
     _end_with_terminal()
     summary: BatchSummary | None = None
-    code, problem = 1, ""
+    code = 1
+    problem = ""
     try:
         with contextlib.ExitStack() as stack:
             show = Teller(
@@ -518,7 +523,8 @@ def _run_and_tell(
             summary = run_batch(settings, engine, final)
         code = summary.exit_code
     except PrcError as error:
-        code, problem = error.exit_code, str(error)
+        code = error.exit_code
+        problem = str(error)
         raise
     except (KeyboardInterrupt, SystemExit) as stop:
         code = 130 if isinstance(stop, KeyboardInterrupt) else int(stop.code or 0)
@@ -566,7 +572,8 @@ def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
     hint = "give the whole command with --only-failed instead"
     try:
         table = json.loads(read_own(path, _MAX_COMMAND))
-        folder, typed = Path(table["folder"]), [str(word) for word in table["arguments"]]
+        folder = Path(table["folder"])
+        typed = [str(word) for word in table["arguments"]]
         begin_command("batch")  # its options are those of the last run
         context = batch.make_context("prc batch", list(typed))
         if (

@@ -71,7 +71,8 @@ def _say_all(rows: Sequence[str]) -> None:
 
 def failed_words(event: Failed | Compared) -> str:
     """Return why a file failed; its name stands once, as it is in the archive."""
-    name, problem = event.name, event.problem
+    name = event.name
+    problem = event.problem
     assert problem is not None
     before, found, rest = problem.where.partition(name)
     if found and (not before or before.endswith(("/", "\\"))):
@@ -138,7 +139,8 @@ class Final:
 
     def __call__(self, event: RunEvent) -> None:
         """Hear an event."""
-        held, self._held = self._held, None
+        held = self._held
+        self._held = None
         if held is not None and not (isinstance(event, Again) and event.name == held.name):
             self._tell(held)
         if isinstance(event, Failed):
@@ -165,7 +167,9 @@ class Teller:
     def __init__(self, *, quiet: bool, verbose: bool, stamps: bool, bar: bool) -> None:
         from tqdm import tqdm
 
-        self._quiet, self._verbose, self._stamps = quiet, verbose, stamps
+        self._quiet = quiet
+        self._verbose = verbose
+        self._stamps = stamps
         # empty files count a byte, so that an archive of them has an end
         self._bar = tqdm(
             unit="B", unit_scale=True, leave=False, dynamic_ncols=True, disable=not bar
@@ -344,7 +348,8 @@ class JsonLog:
                     handle.write(line.encode("ascii"))
         except (OSError, ValueError) as error:  # a pipe that nobody reads, a stream that was closed
             if not self._told:
-                name, why = self._path or "stdout", getattr(error, "strerror", None) or error
+                name = self._path or "stdout"
+                why = getattr(error, "strerror", None) or error
                 say(f"warning: {name}: the log cannot be written ({why}); the run goes on")
             self._told = True
             if self._path is None:
@@ -518,7 +523,8 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     """Print what a run would do, on stdout."""
     shown = plan.todo if verbose else plan.todo[:SHOWN]
     for item in shown:
-        name, output = item.task.name, item.task.output.name
+        name = item.task.name
+        output = item.task.output.name
         tell(
             f"{item.reason:<15} {name}"
             + ("" if name.rpartition("/")[2] == output else f" -> {output}")

@@ -108,7 +108,8 @@ def classify(
             yield
         loading_s += time.perf_counter() - start
 
-    threads, wants_profile = threads_of(engine, options.pop("threads")), options.pop("profile")
+    threads = threads_of(engine, options.pop("threads"))
+    wants_profile = options.pop("profile")
     loaded = config_from(options)
     source = sources[0]
     with profiling() if wants_profile else nullcontext() as profile:
@@ -117,7 +118,8 @@ def classify(
         ):  # otherwise refuse it without waiting for the compiler
             with loading():
                 load_classifier(loaded, engine)
-        start, loading_s = time.perf_counter(), 0.0
+        start = time.perf_counter()
+        loading_s = 0.0
         with line_progress(source.name, quiet=quiet) as progress:
             common: dict[str, Any] = {
                 "overwrite": overwrite,

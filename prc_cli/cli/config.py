@@ -59,7 +59,8 @@ def check(file: Path) -> None:
 
     overrides = read_toml(file).get("override")
     if overrides is None:
-        loaded, more = load_config(file), ""
+        loaded = load_config(file)
+        more = ""
     else:
         from prc_cli.jobs.batch.plan import BatchConfig
         from prc_cli.jobs.batch.types import ConfigLayers

@@ -282,7 +282,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     form = form_of(options)
     how = _how(options)
     left, right = zip((predicted, reference), *options["pairs"], strict=True)
-    name, why = options["mapping"], ""
+    name = options["mapping"]
+    why = ""
     if not name:
         name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
     mapping = load_mapping(name)

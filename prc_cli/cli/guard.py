@@ -31,7 +31,8 @@ LAST_PRINTED = 300
 """How much is shown of what a library printed before it ended the process [bytes]."""
 MOST_NAMED = 2
 """Most files named in the message."""
-PATIENCE_S, BATCH_PATIENCE_S = 5.0, 30.0
+PATIENCE_S = 5.0
+BATCH_PATIENCE_S = 30.0
 """A child that a signal has not ended after so long is killed; ``prc batch`` ends its workers first [s]."""
 REPEATED_S = 0.3
 """Two signals of a kind within so long are one: systemd and ``timeout`` send two [s]."""
@@ -59,7 +60,8 @@ def begin(arguments: list[str], commands: frozenset[str]) -> bool:
     if sys.platform != "linux" or os.environ.get(SWITCH) == "0" or threading.active_count() > 1:
         return False
     try:
-        printed, notes = os.memfd_create("prc-printed"), os.memfd_create("prc-notes")
+        printed = os.memfd_create("prc-printed")
+        notes = os.memfd_create("prc-notes")
     except OSError:  # an old kernel
         return False
     # what is ignored, as by nohup, stays ignored
@@ -70,11 +72,13 @@ def begin(arguments: list[str], commands: frozenset[str]) -> bool:
     }
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*passed, signal.SIGCHLD})
-    parent, watched = os.getpid(), True
+    parent = os.getpid()
+    watched = True
     try:
         child = os.fork()
     except OSError:  # no more processes: better without a guard than not at all
-        child, watched = 0, False
+        child = 0
+        watched = False
         parent = os.getppid()
     if child == 0:
         _end_with(parent)

@@ -218,7 +218,8 @@ FLAGS = (
     "edge_of_flight_line",
 )
 """Dimensions of every LAS file that tell nothing of a scan."""
-MOST_NAME, LEAST_WIDTH = 24, 40
+MOST_NAME = 24
+LEAST_WIDTH = 40
 """Columns of the screen for the name of a fact, at most, and for the fact, at least."""
 LIST_THEM = " (--checks lists them)"
 
@@ -386,7 +387,9 @@ def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, 
 
 
 def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    facts, period, rates = inspection.facts, inspection.period, inspection.rates
+    facts = inspection.facts
+    period = inspection.period
+    rates = inspection.rates
     if facts is not None:
         rate = "" if facts.line_hz is None else f", {facts.line_hz:.6g} lines a second"
         missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({_share(facts.n_missing, facts.n_shots)})"

@@ -56,7 +56,8 @@ def _keys_of(model: Any, prefix: str) -> Any:
     from prc_cli.core.config import model_in
 
     for name, field in model.model_fields.items():
-        key, kind = f"{prefix}{field.alias or name}", field.annotation
+        key = f"{prefix}{field.alias or name}"
+        kind = field.annotation
         inner = model_in(kind)
         if inner is None:
             yield key, kind
@@ -461,7 +462,8 @@ def config_from(options: Mapping[str, Any]) -> LoadedConfig:
 
 def layers_from(options: Mapping[str, Any]) -> Layers:
     """Read the values of :data:`stream_options` as separate layers, without merging them."""
-    sort_by_time, trust_order = options.get("sort_by_time", False), options["trust_order"]
+    sort_by_time = options.get("sort_by_time", False)
+    trust_order = options["trust_order"]
     if sort_by_time and trust_order:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
@@ -469,7 +471,8 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     table: dict[str, Any] = {}
     if layout_file is not None:
         table = layout_in(layout_file := or_sample(layout_file))
-    method, preset = options.get("method"), options.get("preset")
+    method = options.get("method")
+    preset = options.get("preset")
     if (
         method is not None
         and preset is not None

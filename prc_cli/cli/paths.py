@@ -87,5 +87,7 @@ class WriteText(click.types.StringParamType):
         return text
 
 
-READ, WRITTEN = ReadPath(), WritePath()
-READ_TEXT, WRITTEN_TEXT = ReadText(), WriteText()
+READ = ReadPath()
+WRITTEN = WritePath()
+READ_TEXT = ReadText()
+WRITTEN_TEXT = WriteText()

@@ -188,7 +188,8 @@ _AS_GIVEN = (
 def _render_options(options: dict[str, Any]) -> RenderOptions:
     """Build what is drawn from the options of the command."""
     azimuth_deg, elevation_deg = (None, 30.0) if options["eye"] is None else _eye(options["eye"])
-    steps, lines = options["steps"], options["only_lines"]
+    steps = options["steps"]
+    lines = options["only_lines"]
     return RenderOptions(
         steps=None if steps is None else _names(steps),
         hide=_names(options["hide"] or ""),

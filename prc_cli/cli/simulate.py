@@ -299,7 +299,8 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
     settings = load_settings(
         kind, options["config_file"], table_from(options["assignments"], options, _KEYS)
     )
-    output, quiet = options["output"], options["quiet"]
+    output = options["output"]
+    quiet = options["quiet"]
     beside = Beside(
         options.get("trajectory"), options["labels"], options.get("stems"), options.get("frames")
     )
@@ -325,7 +326,8 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
 
 
 def _print_summary(summary: SimulationSummary, seconds: float, *, verbose: bool) -> None:
-    counts, record = summary.counts, summary.record
+    counts = summary.counts
+    record = summary.record
     total = int(counts.labels.sum())
     if verbose:
         found = ((label.name.lower(), int(counts.labels[label])) for label in Label)

@@ -124,7 +124,9 @@ class _Reporter:
     """Prints the rate every few seconds."""
 
     def __init__(self, every_s: float, line_hz: float | None, *, as_json: bool) -> None:
-        self._every_s, self._line_hz, self._as_json = every_s, line_hz, as_json
+        self._every_s = every_s
+        self._line_hz = line_hz
+        self._as_json = as_json
         self._next = time.perf_counter() + every_s
 
     def __call__(self, rate: Rate) -> None:

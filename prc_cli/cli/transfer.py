@@ -144,7 +144,8 @@ def transfer(
 
 
 def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -> None:
-    counts, record = summary.counts, summary.record
+    counts = summary.counts
+    record = summary.record
     rows = [
         (item.name, str(item.code), f"{item.count:,}", f"{item.count / counts.n_points:.1%}")
         for item in record.classes

@@ -96,7 +96,8 @@ class Reason(IntEnum):
     THIN_PLACE = 4 << 4 | Label.POLE
 
 
-FURTHER_RETURN, VOTED = 14 << 4, 15 << 4
+FURTHER_RETURN = 14 << 4
+VOTED = 15 << 4
 """Reasons of any label: ``label | VOTED`` took the label of most shots around, ``label | FURTHER_RETURN`` that of a
 shot around that is as far."""
 

@@ -142,7 +142,8 @@ def _is_own_group(group: int) -> bool:
     if group == 0:
         return True
     try:
-        found, name = grp.getgrgid(group), pwd.getpwuid(os.getuid()).pw_name
+        found = grp.getgrgid(group)
+        name = pwd.getpwuid(os.getuid()).pw_name
     except KeyError:  # an account without a name, as in containers
         return False
     return found.gr_name == name and not set(found.gr_mem) - {name}

@@ -62,7 +62,8 @@ LABEL_CHECKS = (
 """Checks that need the labels; methods that know no angles answer only some of them."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")
 """Checks that ``--trust-order`` accepts."""
-_DOUBT, _ACCEPTED = "doubt ", "accepted doubt "
+_DOUBT = "doubt "
+_ACCEPTED = "accepted doubt "
 
 
 class Verdict(IntEnum):

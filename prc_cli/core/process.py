@@ -80,7 +80,8 @@ def no_collecting() -> Iterator[None]:
 
 STEP_CPU_S = 60
 """Most processor time of a step, of all threads [s]."""
-SPARE_BYTES, BYTES_PER_BYTE = 1 << 30, 64
+SPARE_BYTES = 1 << 30
+BYTES_PER_BYTE = 64
 """A step may take so much memory, and so many times the size of its file [bytes]."""
 
 
@@ -129,9 +130,13 @@ def bounded(path: Path, parts: Iterator[_T]) -> Iterator[_T]:
         yield part  # type: ignore[misc]
 
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
 """From glibc's ``malloc.h``."""
-_SMALL, _LARGE, _KEPT = 1 << 17, (1 << 25) - (1 << 16), 1 << 26
+_SMALL = 1 << 17
+_LARGE = (1 << 25) - (1 << 16)
+_KEPT = 1 << 26
 """Bytes: what glibc maps by itself at the start, the most that it may be told to, and the most that it keeps."""
 
 
@@ -189,7 +194,8 @@ def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
         finally:
             _STATE.depth -= 1
             if not _STATE.depth and _STATE.pending is not None:
-                error, _STATE.pending = _STATE.pending, None
+                error = _STATE.pending
+                _STATE.pending = None
                 raise error
         return result
 

@@ -64,11 +64,13 @@ class Profile:
         """Add the time of the ``with`` block to a stage."""
         stack: list[list[float]] = self._inside.__dict__.setdefault("stack", [])
         stack.append([0.0, 0.0])
-        wall, cpu = time.perf_counter(), time.thread_time()
+        wall = time.perf_counter()
+        cpu = time.thread_time()
         try:
             yield
         finally:
-            wall, cpu = time.perf_counter() - wall, time.thread_time() - cpu
+            wall = time.perf_counter() - wall
+            cpu = time.thread_time() - cpu
             within = stack.pop()
             if stack:
                 stack[-1][0] += wall
@@ -95,7 +97,8 @@ class _Active:
 @contextmanager
 def profiling() -> Iterator[Profile]:
     """Time the stages that run inside the ``with`` block, in all threads."""
-    before, _Active.profile = _Active.profile, Profile()
+    before = _Active.profile
+    _Active.profile = Profile()
     try:
         yield _Active.profile
     finally:

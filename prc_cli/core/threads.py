@@ -91,7 +91,8 @@ def _in_threads(
                 except StopIteration:
                     more = False
                 except Exception as raised:  # the results before it come first
-                    more, error = False, raised
+                    more = False
+                    error = raised
                 else:
                     pending.append(pool.submit(function, item))
                     del item
@@ -138,7 +139,8 @@ class Relay(Generic[_A]):
             self.give_up(turn)
             raise
         with self._changed:
-            self._value, self._turn = value, turn + 1
+            self._value = value
+            self._turn = turn + 1
             self._changed.notify_all()
         return result, value
 
@@ -181,7 +183,8 @@ class _Channel(Generic[_A]):
     def end(self, error: BaseException | None = None) -> None:
         """End the queue: no more items come. ``error`` is raised in the receiver."""
         with self._changed:
-            self._ended, self._error = True, error
+            self._ended = True
+            self._error = error
             self._changed.notify_all()
 
     def cancel(self) -> None:
@@ -268,7 +271,8 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
         self._channel.end()
         self._join()
         if self._error is not None:
-            error, self._error = self._error, None
+            error = self._error
+            self._error = None
             raise error
 
     def abort(self) -> None:

@@ -31,7 +31,8 @@ class ConfusionMatrix(Brief):
     @classmethod
     def empty(cls, mapping: ClassMapping) -> ConfusionMatrix:
         """Return the matrix of a mapping before the first record."""
-        rows, columns = mapping.names("reference"), mapping.names("predicted")
+        rows = mapping.names("reference")
+        columns = mapping.names("predicted")
         return cls(rows, columns, np.zeros((len(rows), len(columns)), dtype=np.int64))
 
     @property
@@ -57,10 +58,8 @@ class ConfusionMatrix(Brief):
 
     def __add__(self, other: ConfusionMatrix) -> ConfusionMatrix:
         """Add the counts of two matrices of the same classes."""
-        names, others = (
-            (self.reference_names, self.predicted_names),
-            (other.reference_names, other.predicted_names),
-        )
+        names = (self.reference_names, self.predicted_names)
+        others = (other.reference_names, other.predicted_names)
         if names != others:
             problem = f"found the classes {others}, expected {names}"
             where = "confusion matrix"
@@ -101,7 +100,8 @@ def accumulate(
     mapping: ClassMapping,
 ) -> ConfusionMatrix:
     """Return the matrix with one more chunk of records."""
-    predicted, reference = np.ravel(predicted_codes), np.ravel(reference_codes)
+    predicted = np.ravel(predicted_codes)
+    reference = np.ravel(reference_codes)
     refuse_poor_match(predicted.size, reference.size)
     n_cells = state.counts.size
     cells = cells_of(mapping, predicted, mapping.class_indices(reference, "reference"))
@@ -147,7 +147,8 @@ UNKNOWN = -1
 """Group of pairs whose range, line or scanner is unknown."""
 MAX_BYTES = 64 << 20
 """Most counts in all groups together."""
-_MAX_FILES, _MAX_INDEX = 1 << 20, 1 << 40
+_MAX_FILES = 1 << 20
+_MAX_INDEX = 1 << 40
 
 
 class GroupedCounts:
@@ -169,7 +170,8 @@ class GroupedCounts:
         if not len(groups):
             return
         n_cells = self._counts.shape[1]
-        low, span = int(groups.min()), int(groups.max()) - int(groups.min()) + 1
+        low = int(groups.min())
+        span = int(groups.max()) - int(groups.min()) + 1
         if span * n_cells <= 4 * len(groups) + (1 << 16):
             found = np.bincount((groups - low) * n_cells + cells, minlength=span * n_cells).reshape(
                 span, n_cells
@@ -233,7 +235,8 @@ class GroupedCounts:
 def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -> I64:
     """Return the cell of the confusion matrix that every pair falls in, by predicted code and reference class."""
     column = mapping.class_indices(predicted, "predicted")
-    n_rows, n_columns = len(mapping.names("reference")), len(mapping.names("predicted"))
+    n_rows = len(mapping.names("reference"))
+    n_columns = len(mapping.names("predicted"))
     return np.where((rows >= 0) & (column >= 0), rows * n_columns + column, n_rows * n_columns)
 
 

@@ -51,8 +51,14 @@ _MORE_COLOURS = (
 """Colours of other classes (Paul Tol's muted scheme)."""
 _OTHER_COLOUR = (108, 108, 108)
 
-_WIDTH, _LEFT, _RIGHT, _TOP = 560, 40, 12, 12
-_PLOT_HEIGHT, _BAR_HEIGHT, _GAP, _LABEL_HEIGHT = 210, 34, 10, 40
+_WIDTH = 560
+_LEFT = 40
+_RIGHT = 12
+_TOP = 12
+_PLOT_HEIGHT = 210
+_BAR_HEIGHT = 34
+_GAP = 10
+_LABEL_HEIGHT = 40
 _HEIGHT = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT + _LABEL_HEIGHT
 _LETTER = 6.4
 """Width of a letter of the labels [units of the drawing]."""
@@ -148,7 +154,8 @@ def _grid() -> list[str]:
 
 
 def _bars(names: Sequence[str], counts: Sequence[int]) -> list[str]:
-    n, most = len(counts), max([*counts, 1])
+    n = len(counts)
+    most = max([*counts, 1])
     base = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT
     step = (_WIDTH - _LEFT - _RIGHT) / max(n, 1)
     width = max(step * 0.86, 0.5)
@@ -164,7 +171,8 @@ def _bars(names: Sequence[str], counts: Sequence[int]) -> list[str]:
 
 
 def _tick_labels(ticks: Sequence[str], axis: str) -> list[str]:
-    n, y = len(ticks), _HEIGHT - _LABEL_HEIGHT + 15
+    n = len(ticks)
+    y = _HEIGHT - _LABEL_HEIGHT + 15
     step = (_WIDTH - _LEFT - _RIGHT) / max(n, 1)
     widest = max((len(tick) for tick in ticks), default=1) * _LETTER + 8
     every = max(1, math.ceil(widest / step))

@@ -91,7 +91,8 @@ def _row_shares(shown: ConfusionMatrix) -> str:
 def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
     intervals = NO_INTERVALS if evaluation is None else evaluation.intervals
     found = scores(shown)
-    n_scored, n_ignored = _count(found.n_scored), _count(found.n_ignored)
+    n_scored = _count(found.n_scored)
+    n_ignored = _count(found.n_ignored)
     caption = f"Scores of {n_scored} records ({n_ignored} not scored): {overall_line(found, intervals, '--')}."
     if evaluation is not None and intervals:
         caption += f" Intervals: {escape(evaluation.interval_method)}."

@@ -203,7 +203,9 @@ class ClassMapping(Params):
         return spans
 
 
-TRAINING, LAST_TRAINING_ID, LEAST_TRAINING_IDS = "street_kitti_training", 19, 5
+TRAINING = "street_kitti_training"
+LAST_TRAINING_ID = 19
+LEAST_TRAINING_IDS = 5
 """Mapping of SemanticKITTI's training ids, the largest, and how many of them a frame has at least."""
 
 
@@ -239,7 +241,8 @@ class UnlistedError(InputError):
         ):
             hint = f"if they are the training ids of SemanticKITTI: --mapping {TRAINING}; or {hint}"
         error = cls(f"{side} codes", problem, hint)
-        error.mapping, error.side = mapping, side
+        error.mapping = mapping
+        error.side = side
         return error
 
 
@@ -283,7 +286,8 @@ def _span(code: int | str) -> tuple[int, int]:
         if not (dash and first.strip().isdecimal() and last.strip().isdecimal()):
             problem = f"codes as integers or ranges such as '1200-1206', found {code!r}"
             raise ValueError(problem)
-        low, high = int(first), int(last)
+        low = int(first)
+        high = int(last)
     if not 0 <= low <= high <= MAX_CODE:
         problem = f"codes from 0 to {MAX_CODE}, ranges from low to high, found {code!r}"
         raise ValueError(problem)

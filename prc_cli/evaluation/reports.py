@@ -352,10 +352,8 @@ def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a Markdown table, first column left-aligned, numbers right-aligned, padded for reading as plain text."""
-    header, rows = (
-        [_plain(cell) for cell in header],
-        [[_plain(cell) for cell in row] for row in rows],
-    )
+    header = [_plain(cell) for cell in header]
+    rows = [[_plain(cell) for cell in row] for row in rows]
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]
     pad = [(cell_width, "<" if i == 0 else ">") for i, cell_width in enumerate(widths)]
     lines = [

@@ -195,14 +195,19 @@ def all_scores(
 ) -> dict[str, F64]:
     """Compute every score of many confusion matrices at once; see :func:`prc_cli.evaluation.scores.scores`."""
     # float64: the product of two sums of 1e10 does not fit 64 bits
-    rows, columns = counts.sum(axis=2, dtype=np.float64), counts.sum(axis=1, dtype=np.float64)
+    rows = counts.sum(axis=2, dtype=np.float64)
+    columns = counts.sum(axis=1, dtype=np.float64)
     total = rows.sum(axis=1)
     found: dict[str, F64] = {}
-    agreed, expected = np.zeros(len(counts)), np.zeros(len(counts))
+    agreed = np.zeros(len(counts))
+    expected = np.zeros(len(counts))
     recalls = []
     for name in scored_names(reference_names, predicted_names):
-        i, j = reference_names.index(name), predicted_names.index(name)
-        true, row, column = counts[:, i, j].astype(np.float64), rows[:, i], columns[:, j]
+        i = reference_names.index(name)
+        j = predicted_names.index(name)
+        true = counts[:, i, j].astype(np.float64)
+        row = rows[:, i]
+        column = columns[:, j]
         either = row + column - true
         found[f"recall.{name}"] = _shares(true, row)
         found[f"precision.{name}"] = _shares(true, column)
@@ -212,7 +217,8 @@ def all_scores(
         recalls.append(found[f"recall.{name}"])
         agreed += true
         expected += row * column
-    observed, chance = _shares(agreed, total), _shares(expected, total * total)
+    observed = _shares(agreed, total)
+    chance = _shares(expected, total * total)
     known = ~np.isnan(np.stack(recalls))
     sums = np.where(known, np.stack(recalls), 0.0).sum(axis=0)
     found["accuracy"] = observed
@@ -366,7 +372,8 @@ STATES = (
 )
 """What two labellings of a shot can be beside the reference."""
 NO_STATE = len(STATES)
-NOISE, LOST = "noise", -2
+NOISE = "noise"
+LOST = -2
 """Code of a shot that the third labelling lacks, where that makes it noise."""
 TABLE_SCORES = ("recall", "precision", "f1")
 
@@ -406,7 +413,8 @@ class ThreeWay(Brief):
 
     def sentences(self) -> tuple[str, ...]:
         """Return how often either is right, and where both agree and are wrong."""
-        n, states = max(int(self.counts.sum()), 1), self.states()
+        n = max(int(self.counts.sum()), 1)
+        states = self.states()
         shares = ", ".join(f"{name} {count:,} ({count / n:.1%})" for name, count in states.items())
         errors = [
             f"{count:,} of {name} called {other}" for count, name, other in self.largest_errors()
@@ -465,7 +473,8 @@ class ThreeCounts:
     """Counts of a :class:`ThreeWay`, filled chunk by chunk; the third is read with the codes of a reference."""
 
     def __init__(self, mapping: ClassMapping, third: ClassMapping) -> None:
-        self._mapping, self._third = mapping, third
+        self._mapping = mapping
+        self._third = third
         self._names = (
             mapping.names("reference"),
             mapping.names("predicted"),

@@ -25,7 +25,8 @@ def scan_file(path: Path) -> Path:
     from prc_cli.formats.echopulse import count_file
 
     found = count_file(path)
-    parts, bags = parts_of(path / METADATA), _files_with(path, _BAG_PARTS)
+    parts = parts_of(path / METADATA)
+    bags = _files_with(path, _BAG_PARTS)
     if found is None and len(parts) > 1 and set(parts) <= set(bags):  # some may be missing here
         found = path / METADATA
     elif found is None and len(parts) == len(bags) == 1 and (path / METADATA).is_file():
@@ -72,7 +73,8 @@ def check_input(path: Path) -> str:
     return suffix
 
 
-HOLLOW_BYTES, HOLLOW_RATIO = 1 << 32, 256
+HOLLOW_BYTES = 1 << 32
+HOLLOW_RATIO = 256
 """A file of so many bytes that takes less than one of so many on the disk was reserved and never written."""
 
 

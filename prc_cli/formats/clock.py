@@ -40,7 +40,8 @@ def unit_of(time: F64) -> str:
     known = time[np.isfinite(time)]
     if len(known) < 2:
         return "s"
-    size, step = float(np.median(np.abs(known))), _mean_step(known)
+    size = float(np.median(np.abs(known)))
+    step = _mean_step(known)
     if size <= LATEST_S and step <= SLOWEST_SHOT_S:
         return "s"
     for unit in _UNITS:
@@ -109,7 +110,8 @@ class Unwrapped:
         """Return the period that a jump from one border to the other adds or takes back [s]; 0 for any other jump."""
         for period_s, name in PERIODS_S.items():
             if period_s - NEAR_S < before_s <= period_s and 0 <= after_s < NEAR_S:
-                self.n, self.name = self.n + 1, name
+                self.n = self.n + 1
+                self.name = name
                 return period_s
             # neighbours that were swapped at the border
             if self.n and period_s - NEAR_S < after_s <= period_s and 0 <= before_s < NEAR_S:
@@ -130,7 +132,8 @@ class ClockSource(DerivedSource):
     @property
     def facts(self) -> SourceFacts:
         """What the file says of itself, and what was done to its times."""
-        facts, notes = self.source.facts, []
+        facts = self.source.facts
+        notes = []
         if self.unit != "s":
             notes.append(f"the times are in {self.unit} (input.time_unit)")
         if any(one.n for one in self._seen):

@@ -112,7 +112,8 @@ class EchoPulseSource(FieldSource):
                 f"expected a name such as pulse-uint8-{COUNT}.bin",
                 "name the file that counts",
             )
-        self._count, folder = count, path.parent
+        self._count = count
+        folder = path.parent
         self._arrays = {
             each.name: each for each in map(_Array.of, sorted(folder.iterdir())) if each is not None
         }
@@ -164,7 +165,8 @@ class EchoPulseSource(FieldSource):
             }
             first_record = first = 0
             for count in self._counts():
-                n_echoes, n_rows = int(count.sum()), np.maximum(count, 1)
+                n_echoes = int(count.sum())
+                n_rows = np.maximum(count, 1)
                 shot = np.repeat(np.arange(len(count)), n_rows)
                 values: dict[str, NDArray[Any]] = {
                     "pulse": first + shot,
@@ -179,7 +181,8 @@ class EchoPulseSource(FieldSource):
                     found = array.read(handles[key], n_echoes if array.is_echo else len(count))
                     values[key] = _spread(found, count[shot] > 0) if array.is_echo else found[shot]
                 yield first_record, values, len(shot)
-                first_record, first = first_record + len(shot), first + len(count)
+                first_record = first_record + len(shot)
+                first = first + len(count)
 
     def _counts(self) -> Iterator[I64]:
         """Yield the number of returns of consecutive shots."""

@@ -174,7 +174,8 @@ def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
     Tiles of a drive are not in the order of their times (``in_order``): only their contents are compared.
     """
     for number in range(1, len(joined.parts)):
-        before, after = joined.parts[number - 1], joined.parts[number]
+        before = joined.parts[number - 1]
+        after = joined.parts[number]
         why = ""
         if (before.format, before.dimensions) != (after.format, after.dimensions):
             why = "it has other dimensions than the file before"

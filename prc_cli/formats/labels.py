@@ -102,7 +102,8 @@ class CodeSource:
 
 def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     """Open the class codes of a file."""
-    suffix, known = suffix_of(path), by_suffix("codes")
+    suffix = suffix_of(path)
+    known = by_suffix("codes")
     if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
         raise InputError(
@@ -209,7 +210,8 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
         for chunk in source.chunks((name, "record") if numbered else (name,)):
             if numbered:
                 # label files whose rows were sorted or filtered are refused: they are matched by order
-                first, record = chunk.first_record, np.asarray(chunk.values["record"], np.float64)
+                first = chunk.first_record
+                record = np.asarray(chunk.values["record"], np.float64)
                 if (wrong := record != np.arange(first, first + len(record))).any():
                     at = int(np.argmax(wrong))
                     problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}"
@@ -235,7 +237,8 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
     damaged = "copy it from the archive again"
     try:
         with parquet.ParquetFile(path) as file:
-            schema, n = file.schema_arrow, file.metadata.num_rows
+            schema = file.schema_arrow
+            n = file.metadata.num_rows
     except (pa.ArrowException, *_DAMAGED) as error:
         raise InputError(
             str(path), f"no whole Parquet file ({' '.join(str(error).split())[:160]})", damaged

@@ -19,7 +19,8 @@ MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
 
 
-LEAST_RATE_HZ, MOST_RATE_HZ = 1e-6, 1e12
+LEAST_RATE_HZ = 1e-6
+MOST_RATE_HZ = 1e12
 """Allowed line frequencies and shot rates, well beyond those of real scanners [Hz]."""
 
 

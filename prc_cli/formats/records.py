@@ -225,7 +225,8 @@ CLASS_NAMES = ("classification", "class", "label")
 """Dimensions that hold class codes; the first that is there counts."""
 MOST_KINDS = 256
 """More different codes, returns or sources are not told one by one."""
-REGISTERED_SPAN_M, REGISTERED_FAR_M = 300.0, 2000.0
+REGISTERED_SPAN_M = 300.0
+REGISTERED_FAR_M = 2000.0
 """Coordinates that span more, or lie farther from zero, are not relative to one scanner."""
 
 

@@ -167,7 +167,8 @@ def is_cloud(path: Path) -> bool:
 
 def keeps_points(source: Path, output: Path) -> bool:
     """Whether a classified output has the very points of its input."""
-    one, other = format_of(source, "labels"), format_of(output, "labels")
+    one = format_of(source, "labels")
+    other = format_of(output, "labels")
     return (
         one is not None
         and other is not None

@@ -15,9 +15,11 @@ import numpy as np
 from prc_cli.core.frame import SensorFrame, turning
 from prc_cli.core.types import F32, F64, I64
 
-MOST_SHOTS, FEW_SHOTS = 12_000, 3_000
+MOST_SHOTS = 12_000
+FEW_SHOTS = 3_000
 """Shots that are fitted, and that are fitted to compare ways to cut a frame into rings."""
-FEWEST_SHOTS, FEWEST_RINGS = 500, 4
+FEWEST_SHOTS = 500
+FEWEST_RINGS = 4
 WIDEST_GAP = 0.75
 """Share of a turn: a sector that is narrower than the rest of it does not tell an axis from an apex."""
 NARROW_RAD = math.radians(0.1)
@@ -32,9 +34,11 @@ MOST_LEAN_RAD = math.radians(60.0)
 """Axes that lean more are not told apart from other surfaces [rad]."""
 FARTHEST_M = 5.0
 """A scanner is not farther from the point that coordinates are counted from, unless they are those of a map [m]."""
-ROUNDS, CLOSE = 30, 3e-5
+ROUNDS = 30
+CLOSE = 3e-5
 """Most steps of a fit; smaller ones end it [rad, m]."""
-UPRIGHT_ROUNDS, MILD_ROUNDS = 3, 9
+UPRIGHT_ROUNDS = 3
+MILD_ROUNDS = 9
 """The first steps turn the axis alone, and those up to here leave out little."""
 TUKEY = 3.0
 """What is off by so many times the spread has no weight."""
@@ -42,7 +46,8 @@ MOST = 80.0
 """Per cent of the shots that a spread is of: most shots may see level ground, all around at one range."""
 DEVIATION = 1.4826
 """Standard deviation in median absolute deviations."""
-DECIMALS_RAD, DECIMALS_M = 6, 3
+DECIMALS_RAD = 6
+DECIMALS_M = 3
 """Decimals of a frame: the last bits of a fit differ between machines."""
 MOST_IN_ORDER = 0.9
 """Share of the rings that lie above the one before."""
@@ -165,8 +170,11 @@ class _Fit:
     n_rings: int
 
     def __init__(self, xyz_m: F64, ring: I64) -> None:
-        self.xyz_m, self.ring, self.n_rings = xyz_m, ring, int(ring.max()) + 1
-        self.turn, self.apex_m = np.eye(3), np.zeros(3)
+        self.xyz_m = xyz_m
+        self.ring = ring
+        self.n_rings = int(ring.max()) + 1
+        self.turn = np.eye(3)
+        self.apex_m = np.zeros(3)
 
     def run(self) -> bool:
         """Fit; return whether it came to an end."""
@@ -215,7 +223,8 @@ class _Fit:
             )
             share = off / max(TUKEY * scale, 1e-5)
             weight = np.where(np.abs(share) < 1, (1 - share * share) ** 2, 0.0)
-        rise, flat = np.sin(elevation) / distance, np.cos(elevation) / distance
+        rise = np.sin(elevation) / distance
+        flat = np.cos(elevation) / distance
         slopes = [np.sin(azimuth), -np.cos(azimuth)]
         if with_apex:
             slopes += [rise * np.cos(azimuth), rise * np.sin(azimuth), -flat]
@@ -226,7 +235,8 @@ class _Fit:
             apart: F64 = values - middle[self.ring]
             return apart
 
-        matrix, missing = np.stack([centred(one) for one in slopes], axis=1), centred(elevation)
+        matrix = np.stack([centred(one) for one in slopes], axis=1)
+        missing = centred(elevation)
         weighted = matrix * weight[:, None]
         normal = weighted.T @ matrix + 1e-9 * len(off) * np.eye(len(slopes))
         step = np.linalg.solve(normal, -(weighted.T @ missing))

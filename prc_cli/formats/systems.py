@@ -83,7 +83,8 @@ def units_of_system(crs: str | None) -> SystemUnits | None:
     units = _UNIT.findall(horizontal)
     if not units:
         return None
-    name, metres = units[-1][0], float(units[-1][1])
+    name = units[-1][0]
+    metres = float(units[-1][1])
     heights = _UNIT.findall(vertical[0]) if vertical else []
     z_m = float(heights[-1][1]) if heights else metres
     return SystemUnits(shown, name, metres, z_m) if metres > 0 and z_m > 0 else None
@@ -164,7 +165,8 @@ class _InMetres(DerivedSource):
     @property
     def facts(self) -> SourceFacts:
         """Metadata of the source, with a note on the conversion."""
-        facts, units = self.source.facts, self.units
+        facts = self.source.facts
+        units = self.units
         heights = "" if units.z_m == units.xy_m else f", heights of {units.z_m:g} m"
         told = f"x, y, z are in {units.unit} of {units.xy_m:.6g} m{heights} ({units.name}): converted to metres"
         return replace(facts, notes=(*facts.notes, told))

@@ -61,7 +61,9 @@ def check_damage(
     seed: int = 0,
 ) -> int:
     """Read damaged copies in another process: each is read, or refused in one line; return how many were."""
-    context, first, n_refused = get_context("spawn"), 0, 0
+    context = get_context("spawn")
+    first = 0
+    n_refused = 0
     while first < n_cases:
         receiver, sender = context.Pipe(duplex=False)
         child = context.Process(
@@ -74,13 +76,15 @@ def check_damage(
             while True:
                 case, fault, is_refused = receiver.recv()
                 assert not fault, f"case {case} of seed {seed}: {fault}"
-                first, n_refused = case + 1, n_refused + is_refused
+                first = case + 1
+                n_refused = n_refused + is_refused
         child.join()
         if first < n_cases:
             assert (child.exitcode or 0) < 0, (
                 f"case {first} of seed {seed}: exit code {child.exitcode}"
             )
-            first, n_refused = first + 1, n_refused + 1
+            first = first + 1
+            n_refused = n_refused + 1
     return n_refused
 
 
@@ -95,7 +99,9 @@ def _read_damaged(
     """Send number, fault and whether it was refused, of every case."""
     seed, first, stop = cases
     for case in range(first, stop):
-        path, fault, is_refused = folder / f"damaged{suffix_of(sample)}", "", False
+        path = folder / f"damaged{suffix_of(sample)}"
+        fault = ""
+        is_refused = False
         path.write_bytes(damaged(sample.read_bytes(), np.random.default_rng([seed, case])))
         try:
             if form.records:
@@ -182,8 +188,10 @@ def example(
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     """Return a damaged copy: cut, bits flipped, a piece overwritten, left out or twice, most often near the start."""
-    out, near = bytearray(data), len(data) if rng.random() < 0.5 else min(len(data), 400)
-    at, n = int(rng.integers(near)), int(rng.choice((1, 4, 30, 300)))
+    out = bytearray(data)
+    near = len(data) if rng.random() < 0.5 else min(len(data), 400)
+    at = int(rng.integers(near))
+    n = int(rng.choice((1, 4, 30, 300)))
     way = int(rng.integers(5))
     if way == 0:
         return bytes(out[: at + 1])

@@ -33,7 +33,8 @@ _NAMES = {
     "z": ("z", "height", "altitude", "alt", "h"),
 }
 _TURNS = {"roll": ("roll", "roll_deg"), "pitch": ("pitch", "pitch_deg")}
-_YAW, _HEADING = ("yaw", "yaw_deg"), ("heading", "heading_deg")
+_YAW = ("yaw", "yaw_deg")
+_HEADING = ("heading", "heading_deg")
 _BATCH = 100_000
 """Rows or records read at a time."""
 _MAX_ROW = 65_536
@@ -58,7 +59,8 @@ def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
             left = chain(start, rows)
             if _has_decimal_commas([first, *(text for _, text in start)], delimiter):
                 left = ((place, text.replace(",", ".")) for place, text in left)
-                first, cells = first.replace(",", "."), [cell.replace(",", ".") for cell in cells]
+                first = first.replace(",", ".")
+                cells = [cell.replace(",", ".") for cell in cells]
         is_bare = (
             names is _NAMES
             and len(cells) == len(names)
@@ -86,7 +88,8 @@ def read_turns(path: Path, target: str | None) -> F64:
 
     if path.suffix.lower() in SBET_SUFFIXES:
         values = _sbet_records(path, path.stat().st_size)
-        roll, pitch = np.degrees(values[:, 7]), -np.degrees(values[:, 8])
+        roll = np.degrees(values[:, 7])
+        pitch = -np.degrees(values[:, 8])
         heading = np.degrees(values[:, 9] - values[:, 10]) - convergence(values[:, 1:3], target)
         yaw = 90.0 - heading
     else:
@@ -94,7 +97,8 @@ def read_turns(path: Path, target: str | None) -> F64:
         by_heading = "heading" in head
         roll, pitch, yaw = _columns(path, {**_TURNS, "yaw": _HEADING if by_heading else _YAW}).T
         if by_heading:
-            pitch, yaw = -pitch, 90.0 - yaw
+            pitch = -pitch
+            yaw = 90.0 - yaw
     quaternion: F64 = Rotation.from_euler(
         "ZYX", np.stack([yaw, pitch, roll], axis=1), degrees=True
     ).as_quat()
@@ -300,7 +304,8 @@ def turned(quaternion: F64, arm_m: F64) -> F64:
     >>> turned(np.array([[0.0, 0.0, half, half]]), np.array([1.0, 1.0, 2.0])).round(9)
     array([[-1.,  1.,  2.]])
     """
-    axis, w = quaternion[:, :3], quaternion[:, 3:]
+    axis = quaternion[:, :3]
+    w = quaternion[:, 3:]
     twice = 2.0 * np.cross(axis, arm_m)
     result: F64 = arm_m + w * twice + np.cross(axis, twice)
     return result

@@ -45,8 +45,11 @@ class Sample:
 
     def __init__(self, width: int, most: int = 2 * SAMPLE) -> None:
         self._rows: list[F64] = []
-        self._width, self._most = width, most
-        self._step, self._seen, self._n = 1, 0, 0
+        self._width = width
+        self._most = most
+        self._step = 1
+        self._seen = 0
+        self._n = 0
 
     def add(self, rows: F64) -> None:
         """Add rows, (n, width) float64."""
@@ -56,7 +59,9 @@ class Sample:
         self._n += len(taken)
         while self._n > self._most:
             thinned = np.concatenate(self._rows)[::2]
-            self._rows, self._n, self._step = [thinned], len(thinned), self._step * 2
+            self._rows = [thinned]
+            self._n = len(thinned)
+            self._step = self._step * 2
 
     @property
     def n_seen(self) -> int:
@@ -124,7 +129,8 @@ class FromAbove:
     def around(cls, sample: F64, width: int, height: int) -> FromAbove:
         """Return the view that holds nearly all points of a sample, (n, 3) float64 [m]."""
         low, high = bounds(sample)
-        middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.05) * (1 + 2 * MARGIN)
+        middle = (low + high) / 2
+        half = np.maximum((high - low) / 2, 0.05) * (1 + 2 * MARGIN)
         half[:2] = np.maximum(half[:2], NARROWEST * half[1::-1])
         metres = float(max(2 * half[0] / width, 2 * half[1] / height))
         # a round pixel size is convenient, but the view should fill the picture
@@ -132,7 +138,8 @@ class FromAbove:
             max(1, math.ceil(2 * half[0] / metres - 1e-9)),
             max(1, math.ceil(2 * half[1] / metres - 1e-9)),
         )
-        left, top = middle[0] - size[0] * metres / 2, middle[1] + size[1] * metres / 2
+        left = middle[0] - size[0] * metres / 2
+        top = middle[1] + size[1] * metres / 2
         return cls(float(left), float(top), float(sample[:, 2].max()) + 1.0, metres, size)
 
     def project(self, xyz: F64) -> tuple[F64, F64, F64]:
@@ -167,7 +174,8 @@ class Perspective:
         inside = sample[((sample >= low) & (sample <= high)).all(axis=1)]
         inside = inside if len(inside) else sample
         target = (inside.min(axis=0) + inside.max(axis=0)) / 2
-        azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+        azimuth = math.radians(azimuth_deg)
+        elevation = math.radians(elevation_deg)
         out = np.array(
             [
                 math.sin(azimuth) * math.cos(elevation),
@@ -215,7 +223,8 @@ class DepthBuffer:
     """A picture of points with depth test."""
 
     def __init__(self, camera: Camera, splat: int = 1) -> None:
-        self._camera, self._splat = camera, splat
+        self._camera = camera
+        self._splat = splat
         self._size = camera.size
         self._keys = np.full(self._size[0] * self._size[1], EMPTY, np.uint64)
         self.n_inside = 0
@@ -227,7 +236,8 @@ class DepthBuffer:
         with np.errstate(invalid="ignore"):
             inside = (right >= 0) & (right < width) & (down >= 0) & (down < height) & (depth > 0)
         self.n_inside += int(np.count_nonzero(inside))
-        column, row = right[inside].astype(np.int64), down[inside].astype(np.int64)
+        column = right[inside].astype(np.int64)
+        row = down[inside].astype(np.int64)
         # positive floats sort like their bit patterns
         bits = depth[inside].astype(np.float32).view(np.uint32).astype(np.uint64)
         chosen = colours[inside].astype(np.uint64)
@@ -240,7 +250,8 @@ class DepthBuffer:
         first = -((self._splat - 1) // 2)
         for across in range(first, first + self._splat):
             for along in range(first, first + self._splat):
-                x, y = column + across, row + along
+                x = column + across
+                y = row + along
                 kept = (x >= 0) & (x < width) & (y >= 0) & (y < height)
                 np.minimum.at(self._keys, (y * width + x)[kept], keys[kept])
 

@@ -151,7 +151,8 @@ def colour_map() -> U8:
     lightness = 0.22 + 0.74 * place
     hue = np.deg2rad(285.0 - 178.0 * place)
     chroma = 0.11 + 0.05 * place
-    a, b = chroma * np.cos(hue), chroma * np.sin(hue)
+    a = chroma * np.cos(hue)
+    b = chroma * np.sin(hue)
     cones = np.stack(
         [
             lightness + 0.3963377774 * a + 0.2158037573 * b,
@@ -243,7 +244,8 @@ def trigger_picture(packed: U8) -> U8:
     >>> (trigger_picture(packed)[0, :, 0] == TRIGGER_COLOUR[0]).astype(int)
     array([0, 0, 0, 1, 1, 1, 1, 1, 0])
     """
-    classes, side = packed % len(Label), packed // len(Label)
+    classes = packed % len(Label)
+    side = packed // len(Label)
     colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
     picture: U8 = np.rint(colours[classes] * (1.0 - PALE) + 255 * PALE).astype(np.uint8)
     begun = side >= TriggerSide.AT

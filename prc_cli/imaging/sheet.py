@@ -23,14 +23,22 @@ Colour: TypeAlias = tuple[int, int, int]
 Key: TypeAlias = tuple[tuple[str, Colour], ...]
 """Texts and colours of a key."""
 
-MARGIN, LEFT, RIGHT = 18, 96, 126
+MARGIN = 18
+LEFT = 96
+RIGHT = 126
 """Margins of a picture [pixels]: on all sides, left for the axis numbers, right for the colour bar."""
-TITLE_HEIGHT, AXIS_HEIGHT, KEY_HEIGHT, HEAD_HEIGHT = 40, 34, 36, 52
+TITLE_HEIGHT = 40
+AXIS_HEIGHT = 34
+KEY_HEIGHT = 36
+HEAD_HEIGHT = 52
 FRAME_HEIGHT = TITLE_HEIGHT + AXIS_HEIGHT
 """Height of a panel in addition to its picture [pixels]."""
-INK, PALE_INK = (20, 20, 20), (110, 110, 110)
+INK = (20, 20, 20)
+PALE_INK = (110, 110, 110)
 _TICK = 6
-_TITLE, _SMALL, _KEY = 24, 18, 21
+_TITLE = 24
+_SMALL = 18
+_KEY = 21
 """Sizes of letters [pixels]."""
 
 
@@ -185,7 +193,8 @@ def _draw_key(
 
 
 def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, height: int) -> None:
-    bottom, small = top + height, font(_SMALL)
+    bottom = top + height
+    small = font(_SMALL)
     room = width - math.ceil(draw.textlength(panel.x.name, font=small)) - 60
     for place, text in panel.x.ticks(width, 120):
         draw.line((LEFT + place, bottom + 1, LEFT + place, bottom + _TICK), fill=PALE_INK)
@@ -217,7 +226,8 @@ def _draw_bar(
     canvas: Image.Image, draw: ImageDraw.ImageDraw, bar: Bar, left: int, top: int, height: int
 ) -> None:
     """Draw a colour bar with its numbers, the first colour at the bottom."""
-    small, wide = font(_SMALL), 18
+    small = font(_SMALL)
+    wide = 18
     foot = 26
     length = max(40, min(height - foot, 520))
     rows = np.rint(np.linspace(len(bar.colours) - 1, 0, length)).astype(np.intp)

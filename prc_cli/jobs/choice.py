@@ -36,7 +36,8 @@ def decided_by(choice: MethodChoice, loaded: LoadedConfig) -> LoadedConfig:
     >>> decided_by(MethodChoice("fused-forest", "as an example"), load_config()).config.fused.environment
     'forest'
     """
-    config, sources = loaded.config, {**loaded.sources, "method": "chosen"}
+    config = loaded.config
+    sources = {**loaded.sources, "method": "chosen"}
     changes: dict[str, object] = {"method": choice.method}
     if choice.preset == "fused-forest":
         changes["fused"] = config.fused.model_copy(update={"environment": "forest"})
@@ -132,10 +133,8 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
         every = stream.info.facts.scanners
         lacks = f"{scanner}: {refusal.problem}" if scanner in every else refusal.problem
-        give, others = (
-            refusal.hint,
-            ",".join(name.partition(" (")[0] for name in every if name != scanner),
-        )
+        give = refusal.hint
+        others = ",".join(name.partition(" (")[0] for name in every if name != scanner)
         if scanner in every and others:
             give += (
                 f", and --topic {scanner.partition(' (')[0]}; or try the others: --topic {others}"

@@ -86,7 +86,8 @@ class Counts(Brief):
         """Return the counts with one more block; ``only_records`` leaves out cells and lines without a record."""
         block = item.block if isinstance(item, LabelledBlock) else item
         where: Any = block.records() >= 0 if only_records else ...
-        ranges, extra = block.range_m[where], block.extra.record >= 0 if only_records else ...
+        ranges = block.range_m[where]
+        extra = block.extra.record >= 0 if only_records else ...
         if isinstance(item, LabelledBlock):
             labels = (
                 count_bytes(item.labels[where])[: len(Label)]
@@ -406,7 +407,8 @@ class Judge:
     """Checks the labels of a watched stream while they pass."""
 
     def __init__(self, stream: EvidenceStream, config: RunConfig) -> None:
-        self._stream, self._params = stream, config.classifier
+        self._stream = stream
+        self._params = config.classifier
         self._result = ResultWatch(usual_labels(config, stream.info), stream.info.facts)
 
     def label(
@@ -436,7 +438,8 @@ def write_labels(
     progress: Progress | None,
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
     """Read, classify and write in parallel, until all threads have ended; return counts, findings and notices."""
-    counts, judge = Counts.none(), Judge(stream, config)
+    counts = Counts.none()
+    judge = Judge(stream, config)
 
     def write(item: LabelledBlock) -> None:
         nonlocal counts
@@ -583,7 +586,8 @@ def classify_ranges(
         config = loaded.config
         needs = config.classifier.method().needs
         stream = watched(_InMemory(block), config.input, needs=needs, others=loaded.findings)
-        judge, is_judged = Judge(stream, config), block.range_m.size >= LEAST_SHOTS
+        judge = Judge(stream, config)
+        is_judged = block.range_m.size >= LEAST_SHOTS
         blocks = iter(list(stream.blocks()) if is_judged else [block])
         labelled = list(
             judge.label(
@@ -611,7 +615,8 @@ class _InMemory:
     @property
     def info(self) -> StreamInfo:
         n_lines, points_per_line = self.block.range_m.shape
-        n_records, angle = n_lines * points_per_line, self.block.angle_rad
+        n_records = n_lines * points_per_line
+        angle = self.block.angle_rad
         return StreamInfo("range_m", "array", points_per_line, n_records, n_lines, angle)
 
     def blocks(self) -> Iterator[ScanBlock]:
@@ -720,7 +725,8 @@ def run_record(
     info: StreamInfo, counts: Counts, loaded: LoadedConfig, input_print: Fingerprint | None = None
 ) -> RunRecord:
     """Return the provenance of a finished run; reads the input again if its hash is not given."""
-    config, trajectory = loaded.config, loaded.trajectory
+    config = loaded.config
+    trajectory = loaded.trajectory
     is_whole = config.input.window is None
     return RunRecord(
         config=config.of_run(),

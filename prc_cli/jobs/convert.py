@@ -115,7 +115,8 @@ def convert(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     loaded = with_layout_beside(Path(source), LoadedConfig.of(config))
-    source, output = Path(source), Path(output)
+    source = Path(source)
+    output = Path(output)
     prepare_output(source, output, loaded, overwrite=overwrite)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
         if loaded.config.input.window is None:
@@ -180,7 +181,8 @@ def prepare_output(
 
 def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
-    las, before = read_las(source), file_state(source)
+    las = read_las(source)
+    before = file_state(source)
     with atomic_outputs(output, record_path(output)) as (temporary, beside):
         told = copy_las(las, output, temporary)
         check_unchanged(source, before)
@@ -200,7 +202,8 @@ def _copy_window(
     source: Path, output: Path, loaded: LoadedConfig, progress: Progress | None
 ) -> ConversionSummary:
     """Copy the records of a window of a LAS or LAZ file, and nothing else changed."""
-    las, before = read_las(source), file_state(source)
+    las = read_las(source)
+    before = file_state(source)
     counts = Counts.none()
     with contextlib.ExitStack() as stack:
         temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
@@ -210,7 +213,8 @@ def _copy_window(
             loaded.config.input,
             refuses=False,
         )
-        stop, info = 0, stream.info
+        stop = 0
+        info = stream.info
         for block in stream.blocks():
             counts = counts.add(block)
             record = np.concatenate([block.records().ravel(), block.extra.record])
@@ -355,7 +359,8 @@ def _item(
         item = replace(item, registered_m=registered, extra_registered_m=further)
     if carried is None:
         return item
-    own, extra = carried.get(block.records()), carried.get(block.extra.record)
+    own = carried.get(block.records())
+    extra = carried.get(block.extra.record)
     names = own.dtype.names or ()
     if "code" in names:
         item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
@@ -381,7 +386,9 @@ def find_losses(
 
 
 def _losses(output: Path, opened: OpenedItems, counts: Counts) -> Iterator[str]:
-    shape, counts, form = opened.shape, counts, stream_format(output)
+    shape = opened.shape
+    counts = counts
+    form = stream_format(output)
     if stream_suffix(output) in LAS_SUFFIXES:
         yield from _las_losses(shape, counts)
     values: tuple[tuple[bool, Held, str], ...] = (
@@ -457,7 +464,8 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
 
 def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str, ...]:
     """Return the options needed to read the output as the same stream, unless its names suffice."""
-    form, shape = stream_format(output), opened.shape
+    form = stream_format(output)
+    shape = opened.shape
     told = []
     if format_of(output) is None:
         told.append(f"prc reads no stream from {stream_suffix(output)}; it is for other programs")

@@ -79,7 +79,8 @@ class PlacedSource:
         """Place all shots, then yield them in the order of the records; NaN where there is no return."""
         fill = (np.nan,) * (len(_NAMES) - 1) + (-1.0,)
         with DiskColumn(Path(tempfile.gettempdir()) / "placed", _KEPT, fill) as rows:
-            first, stop = 0, self.n_records or 0
+            first = 0
+            stop = self.n_records or 0
             for block in self.stream.blocks():
                 self._place(block, rows)
                 # the last shots may have no return
@@ -89,7 +90,8 @@ class PlacedSource:
                 first += len(values)
 
     def _place(self, block: ScanBlock, rows: DiskColumn) -> None:
-        extra, own = block.extra, block.records()
+        extra = block.extra
+        own = block.records()
         if block.time_s is None:
             hint = "give the file that has them"
             raise InputError(
@@ -130,7 +132,8 @@ class PlacedSource:
             self.arm_m
         )
         values["x"], values["y"], values["z"] = self.track.places(time_s[found], vector).T
-        values["time"], values["range"] = time_s[found], range_m[found]
+        values["time"] = time_s[found]
+        values["range"] = range_m[found]
         values["scan_line"] = block.first_line + line[found]
         rows.put(record[found], values)
 
@@ -155,7 +158,8 @@ class PlacedSource:
 
 
 XYZ = ("x", "y", "z")
-SPEED_M_S, WALK_M_S = 8.0, 1.2
+SPEED_M_S = 8.0
+WALK_M_S = 1.2
 """Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
 lines are."""
 _FIRST_LINES = 64
@@ -287,7 +291,8 @@ class Carried:
     """Values by record, read from the input as far as they are asked for."""
 
     def __init__(self, values: DiskColumn, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
-        self._values, self._rows = values, rows
+        self._values = values
+        self._rows = rows
         self.n_odd = 0
         """Number of invalid codes so far."""
 
@@ -300,7 +305,8 @@ class Carried:
 
     def place(self, block: ScanBlock) -> tuple[F64, F64]:
         """Return the coordinates of a block, (lines, M, 3), and of its further returns; NaN where there is no range."""
-        own, extra = self.get(block.records()), self.get(block.extra.record)
+        own = self.get(block.records())
+        extra = self.get(block.extra.record)
         registered = np.stack([own[name] for name in XYZ], axis=-1)
         registered[np.isnan(block.range_m)] = np.nan
         return registered, np.stack([extra[name] for name in XYZ], axis=-1)

@@ -129,11 +129,10 @@ def _run(
 ) -> DemoPart:
     """Simulate what is not there, classify into LAZ and labels, compare with the simulator's labels, draw."""
     more = folder / MORE
-    scan, shown = PARTS[part.scan_of] if part.scan_of else part, _folder_of(part, folder)
-    stream, reference = (
-        _folder_of(scan, folder) / f"{scan.stem}.npz",
-        more / f"{scan.stem}_reference.npy",
-    )
+    scan = PARTS[part.scan_of] if part.scan_of else part
+    shown = _folder_of(part, folder)
+    stream = _folder_of(scan, folder) / f"{scan.stem}.npz"
+    reference = more / f"{scan.stem}_reference.npy"
     labels = more / f"{part.stem}_labels.npy"
     config = load_config(preset=part.preset)
     path = more / f"{scan.stem}_path.csv"
@@ -188,7 +187,8 @@ def _write_text(path: Path, text: str) -> None:
 @contextmanager
 def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
     """Give the folder to fill; one that is not there yet gets its name when it is whole."""
-    taken, is_new = False, not os.path.lexists(folder)
+    taken = False
+    is_new = not os.path.lexists(folder)
     try:
         if is_new:
             folder.parent.mkdir(parents=True, exist_ok=True)

@@ -153,7 +153,8 @@ def _broken(name: str, error: Exception) -> Check:
 
 
 def _python() -> Iterator[Check]:
-    found, encoding = platform.python_version(), sys.getfilesystemencoding()
+    found = platform.python_version()
+    encoding = sys.getfilesystemencoding()
     details = {
         "version": found,
         "executable": sys.executable,
@@ -212,7 +213,8 @@ def _requirements() -> list[_Requirement]:
     found = []
     with contextlib.suppress(metadata.PackageNotFoundError):
         for text in metadata.requires(DISTRIBUTION) or []:
-            one, version = Requirement(text), ""
+            one = Requirement(text)
+            version = ""
             extra = re.search(r"extra == \"([^\"]+)", str(one.marker or ""))
             with contextlib.suppress(metadata.PackageNotFoundError):
                 version = metadata.version(one.name)
@@ -263,7 +265,9 @@ def _broken_packages(names: Iterable[str]) -> dict[str, str]:
 
 def _extras() -> Iterator[Check]:
     """Report which optional parts are installed."""
-    told, details, old = [], {}, []
+    told = []
+    details = {}
+    old = []
     for extra, group in groupby(_requirements(), key=lambda item: item.extra):
         if not extra or extra in DEVELOPERS:
             continue
@@ -294,7 +298,8 @@ def _extras() -> Iterator[Check]:
 def _laz() -> Iterator[Check]:
     from prc_cli.formats.las.laz import check_laz
 
-    formats, version = check_laz(), metadata.version("lazrs")
+    formats = check_laz()
+    version = metadata.version("lazrs")
     yield Check(
         "LAZ", "ok", f"lazrs {version}, records of formats {formats} came back as they went in"
     )
@@ -306,7 +311,9 @@ def _processor() -> Iterator[Check]:
     load_compiler()
     from prc_cli.kernels.compiling import about
 
-    found, usable, all_cores = about(), default_threads(), os.cpu_count() or 1
+    found = about()
+    usable = default_threads()
+    all_cores = os.cpu_count() or 1
     features = ", ".join(found.features) or "no vector instructions"
     cores = f"{usable} of {all_cores} cores" if usable < all_cores else f"{usable} cores"
     details = {
@@ -344,7 +351,8 @@ def _cache() -> Iterator[Check]:
     from prc_cli.kernels.compiling import cache_state
 
     found = cache_state()
-    folder, temporary = found.folder, Path(tempfile.gettempdir()).resolve()
+    folder = found.folder
+    temporary = Path(tempfile.gettempdir()).resolve()
     details = {
         "folder": None if folder is None else str(folder),
         "bytes": found.n_bytes,
@@ -380,7 +388,8 @@ def _cache() -> Iterator[Check]:
 
 
 def _memory() -> Iterator[Check]:
-    free, cores = _free_memory(), default_threads()
+    free = _free_memory()
+    cores = default_threads()
     if free is None:
         return
     yield _judge(
@@ -414,7 +423,8 @@ def _free_memory() -> int | None:
 
 
 def _temporary() -> Iterator[Check]:
-    folder, given = Path(tempfile.gettempdir()), os.environ.get("TMPDIR")
+    folder = Path(tempfile.gettempdir())
+    given = os.environ.get("TMPDIR")
     free = shutil.disk_usage(folder).free
     with tempfile.TemporaryFile(dir=folder) as handle:
         handle.write(b"x")
@@ -455,7 +465,8 @@ def _output(out: Path) -> Iterator[Check]:
         yield Check(name, "bad", problem, "change its permissions, or choose another")
         return
     try:
-        free, kind = shutil.disk_usage(folder).free, file_system(folder)
+        free = shutil.disk_usage(folder).free
+        kind = file_system(folder)
         is_new = "" if folder == out else f" ({folder}; it is new)"
         yield _judge(
             "output disk",
@@ -504,7 +515,8 @@ def _locks(trial: Path) -> Check:
 
     before = time.time()
     (trial / "file").write_bytes(b"x")
-    clock_s, locks = (trial / "file").stat().st_mtime - before, has_locks(trial)
+    clock_s = (trial / "file").stat().st_mtime - before
+    locks = has_locks(trial)
     return _judge(
         "locks in it",
         "",
@@ -527,7 +539,8 @@ def _locks(trial: Path) -> Check:
 
 def _sqlite(trial: Path) -> Check:
     """Write like the journal, while a second connection reads."""
-    path, kind = trial / "journal.sqlite", file_system(trial)
+    path = trial / "journal.sqlite"
+    kind = file_system(trial)
     with contextlib.closing(sqlite3.connect(path, timeout=2.0, isolation_level=None)) as one:
         one.execute("PRAGMA synchronous=EXTRA")
         one.execute("CREATE TABLE trial (n INTEGER)")
@@ -552,7 +565,10 @@ def _sqlite(trial: Path) -> Check:
 
 def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
     """Return the type of a folder's file system, empty where the system does not report it."""
-    place, found, longest, lines = folder.resolve(), "", -1, list[str]()
+    place = folder.resolve()
+    found = ""
+    longest = -1
+    lines = list[str]()
     with contextlib.suppress(OSError):
         lines = mounts.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     for line in lines:
@@ -562,7 +578,8 @@ def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
         # blanks in names are octal escapes there; the last mount of a folder hides earlier ones
         point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), fields[1]))
         if len(point.parts) >= longest and place.is_relative_to(point):
-            longest, found = len(point.parts), fields[2]
+            longest = len(point.parts)
+            found = fields[2]
     return found
 
 
@@ -583,14 +600,16 @@ def _end_to_end() -> Iterator[Check]:
     load_classifier(config)
     loaded = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="prc-doctor-") as name:
-        scan, output = Path(name, "street.laz"), Path(name, "classified.laz")
+        scan = Path(name, "street.laz")
+        output = Path(name, "classified.laz")
         options = {"lines": LINES, "seed": 1, "scanner": {"points_per_line": 1000}}
         simulate("street", scan, load_settings("street", options=options))
         summary = classify(scan, output, config)
         found = scores(evaluate(output, scan))
         by_laspy = classes_by_laspy(output)
         values = {name: gate_value(found, name) for name in ("recall.ground", "precision.building")}
-    seconds, n_shots = time.perf_counter() - loaded, summary.counts.n_shots
+    seconds = time.perf_counter() - loaded
+    n_shots = summary.counts.n_shots
     written = {item.code: item.count for item in summary.record.classes}
     details = {
         "shots": n_shots,
@@ -632,7 +651,9 @@ def _engines() -> Iterator[Check]:
     from prc_cli.kernels import Engine
     from prc_cli.simulation.settings import load_settings, open_simulation
 
-    n_shots, n_other, seconds = 0, {}, 0.0
+    n_shots = 0
+    n_other = {}
+    seconds = 0.0
     for preset, (kind, options) in COMPARED.items():
         # labels are compared, not believed: the scans are coarse, and mostly noise with some presets
         config = load_config(preset=preset, options={"input": {"accept_doubts": CHECK_NAMES}})

@@ -93,7 +93,8 @@ def classify_drive(
         check_input(part)
     prepare_label_outputs(*outputs, overwrite=overwrite, inputs=(*parts, *config.files))
     summaries: list[RunSummary] = []
-    first, why = 0, ""
+    first = 0
+    why = ""
     with whole_set():
         while first < len(parts):
             loaded = with_layout_beside(parts[first], config)
@@ -115,10 +116,8 @@ def classify_drive(
                     engine=engine,
                     loading=loading,
                 )
-            first, why = (
-                stop,
-                "" if cut is None else f"a stream of its own begins with this file: {cut.why}",
-            )
+            first = stop
+            why = "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
     return summaries
 
 
@@ -219,13 +218,15 @@ class DividedWriter:
     def add(self, block: LabelledBlock) -> None:
         """Take the labels of a block."""
         scan = block.block
-        records, extra = scan.records(), scan.extra.record
+        records = scan.records()
+        extra = scan.extra.record
         known = np.concatenate([records[records >= 0], extra[extra >= 0]])
         if not len(known):
             return
         low, high = np.searchsorted(self._firsts, [known.min(), known.max()], side="right") - 1
         for number in range(low, min(high, len(self._writers) - 1) + 1):
-            start, stop = self._firsts[number], self._firsts[number + 1]
+            start = self._firsts[number]
+            stop = self._firsts[number + 1]
             own = replace(
                 block,
                 block=replace(

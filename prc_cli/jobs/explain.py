@@ -97,7 +97,8 @@ def explain(
         raise InputError(str(source), problem, "lines have as many shots: prc info")
     at = line - block.first_line, column
     assert item.reasons is not None
-    label, reason = Label(int(item.labels[at])), int(item.reasons[at])
+    label = Label(int(item.labels[at]))
+    reason = int(item.reasons[at])
     name, rule = rule_of(reason)
     measures = (
         {}
@@ -129,7 +130,8 @@ def _find(
     source: Path, loaded: LoadedConfig, line: int, scanner: int | None, progress: Progress | None
 ) -> LabelledBlock:
     """Classify up to the line of a scanner, by default the first that comes."""
-    last, seen = -1, set[int]()
+    last = -1
+    seen = set[int]()
     stream = open_stream(source, loaded)
     to_line = Window("--at", True, 0.0, line + 1.0)
     wanted = Wanted(stages=True, reasons=True, measures=True)

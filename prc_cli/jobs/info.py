@@ -446,7 +446,8 @@ def _describe(
     with_ranges: bool = True,
 ) -> Inspection:
     """Measure a stream; its order is always reported, and refused where ``prc classify`` would refuse it."""
-    facts, sample = None, None
+    facts = None
+    sample = None
     if stream is not None:
         try:
             facts, sample = _measure(stream, with_ranges=with_ranges)
@@ -502,7 +503,8 @@ def _verdict(
 def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32 | None]:
     """Read a stream to its end; return the counts and the ranges at its start."""
     n_lines = n_shots = n_missing = kept = 0
-    low, high = math.inf, -math.inf
+    low = math.inf
+    high = -math.inf
     scanners: set[int] = set()
     tally = ReadTally()
     sample: list[F32] = []
@@ -515,10 +517,8 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
         scanners.add(block.scanner)
         tally = tally + block.tally
         if not missing.all():
-            low, high = (
-                min(low, float(np.nanmin(block.range_m))),
-                max(high, float(np.nanmax(block.range_m))),
-            )
+            low = min(low, float(np.nanmin(block.range_m)))
+            high = max(high, float(np.nanmax(block.range_m)))
         if block.scanner == min(scanners) and kept < SAMPLE_SHOTS:
             sample.append(block.range_m.ravel()[: SAMPLE_SHOTS - kept])
             kept += sample[-1].size
@@ -543,7 +543,8 @@ def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | Non
     for chunk in watched_contents(source, contents):
         if "time" not in source.dimensions:
             continue
-        time_s, column = np.asarray(chunk.values["time"], np.float64), chunk.values.get("column")
+        time_s = np.asarray(chunk.values["time"], np.float64)
+        column = chunk.values.get("column")
         if watch is None:
             in_turns = column is not None and fire_in_turns(time_s, column)
             watch = RingOrderWatch(source, "trust") if in_turns else OrderWatch.of(source, "trust")

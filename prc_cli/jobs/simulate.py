@@ -160,7 +160,8 @@ def simulate(
     with whole_set(), contextlib.ExitStack() as stack:
         if wanted.trajectory is not None:
             temporary = stack.enter_context(atomic_output(wanted.trajectory))
-            platform, end_s = simulation.scan.platform, simulation.end_s
+            platform = simulation.scan.platform
+            end_s = simulation.end_s
             write_trajectory(
                 wanted.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary
             )
@@ -191,7 +192,9 @@ def _write(
     progress: Progress | None,
 ) -> tuple[RunRecord, Counts]:
     """Simulate and write the stream, and the codes beside it."""
-    scan, suffix, form = simulation.scan, stream_suffix(output), stream_format(output)
+    scan = simulation.scan
+    suffix = stream_suffix(output)
+    form = stream_format(output)
     lookup = simulation.settings.classes.lookup()
     counts = Counts.none()
     shape = StreamShape(
@@ -255,7 +258,8 @@ def _pose_of(simulation: Simulation, item: StreamItem) -> F64:
     assert time_s is not None
     pose = simulation.scan.platform.pose(np.array([(time_s[0].min() + time_s[-1].max()) / 2.0]))
     found = np.eye(4)
-    found[:3, :3], found[:3, 3] = pose.turn()[0], pose.position[0]
+    found[:3, :3] = pose.turn()[0]
+    found[:3, 3] = pose.position[0]
     return found
 
 
@@ -305,7 +309,8 @@ def codes_in_order(item: StreamItem, output: Path) -> U8:
 
 
 def _record(simulation: Simulation, counts: Counts) -> RunRecord:
-    settings, scan = simulation.settings, simulation.scan
+    settings = simulation.settings
+    scan = simulation.scan
     table = {"kind": simulation.kind, **settings.model_dump(mode="json", exclude_none=True)}
     text = json.dumps(table, sort_keys=True).encode()
     codes = settings.classes
@@ -346,7 +351,8 @@ def check_simulation(
     overwrite: bool = False,
 ) -> Beside:
     """Refuse outputs before any work is done."""
-    beside, form = beside or Beside(), stream_format(output)
+    beside = beside or Beside()
+    form = stream_format(output)
     # where no classes are held, or none that can be compared, they go to a file of their own
     has_codes = "codes" in form.holds and format_of(output, "codes") is not None
     if beside.labels is None and not has_codes:
@@ -396,7 +402,8 @@ def reference_path(output: Path) -> Path:
 
 def _stem_rows(simulation: Simulation) -> Iterator[str]:
     """Yield the trees beside the path, each once, as lines of CSV."""
-    scene, platform = simulation.scene, simulation.scan.platform
+    scene = simulation.scene
+    platform = simulation.scan.platform
     assert isinstance(scene, ForestScene)
     assert isinstance(platform, Trajectory)
     length_m = float(platform.progress(np.array([simulation.end_s]))[0][0])

@@ -136,7 +136,8 @@ def stream(
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
     named = config.is_decided
     loaded, opened = decide_stream(opened, loaded)
-    config, told = loaded.config, None if named else loaded.choice
+    config = loaded.config
+    told = None if named else loaded.choice
     if not named:
         load_classifier(loaded)
     classifier = config.classifier.method()
@@ -146,12 +147,10 @@ def stream(
     )
     blocks = _UntilError(watch)
     lookup = config.classes.lookup()
-    counts, latency, result, asks_at = (
-        Counts.none(),
-        0.0,
-        ResultWatch(classifier.usual, opened.info.facts),
-        RESULT_LINES,
-    )
+    counts = Counts.none()
+    latency = 0.0
+    result = ResultWatch(classifier.usual, opened.info.facts)
+    asks_at = RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         if told is not None:  # not of an input that is refused
             chosen(told)

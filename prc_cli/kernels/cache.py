@@ -35,8 +35,13 @@ _HELPER = {
 }
 _jit: Any = numba.njit  # typed by some versions of numba and not by others
 _types: Any = numba.types
-boolean, uint8, int32, int64 = _types.boolean, _types.uint8, _types.int32, _types.int64
-float32, float64, Tuple = _types.float32, _types.float64, _types.Tuple
+boolean = _types.boolean
+uint8 = _types.uint8
+int32 = _types.int32
+int64 = _types.int64
+float32 = _types.float32
+float64 = _types.float64
+Tuple = _types.Tuple
 
 
 def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
@@ -55,10 +60,8 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
         if (folder := writable_cache()) is None:
             return jit()
         config: Any = numba.config
-        before, config.CACHE_DIR = (
-            config.CACHE_DIR,
-            str(loops_folder(folder, Path(function.__code__.co_filename))),
-        )
+        before = config.CACHE_DIR
+        config.CACHE_DIR = str(loops_folder(folder, Path(function.__code__.co_filename)))
         try:
             return jit(cache=True)
         except NumbaError:
@@ -83,7 +86,8 @@ def _signature(function: Callable[..., Any]) -> Any:
 
 def numba_type(annotation: Any) -> Any:
     """Return the numba type of an annotation: a number, a contiguous array (``Annotated[F32, 2]``), a tuple."""
-    origin, inner = get_origin(annotation), get_args(annotation)
+    origin = get_origin(annotation)
+    inner = get_args(annotation)
     if origin is Annotated and get_origin(inner[0]) is np.ndarray:
         return _types.Array(
             numba.from_dtype(np.dtype(get_args(get_args(inner[0])[1])[0])), inner[1], "C"

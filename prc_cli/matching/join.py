@@ -228,7 +228,8 @@ def _decide(
         return
     found = match(one, other, slice(first, stop))
     chosen = (found.left >= first) & (found.left < stop)
-    at, to = found.left[chosen], found.right[chosen]
+    at = found.left[chosen]
+    to = found.right[chosen]
     for name, left in found.counts.items():
         setattr(
             tally,

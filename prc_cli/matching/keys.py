@@ -94,16 +94,20 @@ def pair_in_order(
         else left_group
     )
     right_code = group_of_right[right_group] if len(right_group) else right_group
-    left_at, right_at = np.flatnonzero(left_code >= 0), np.flatnonzero(right_code >= 0)
-    left_code, right_code = left_code[left_at], right_code[right_at]
+    left_at = np.flatnonzero(left_code >= 0)
+    right_at = np.flatnonzero(right_code >= 0)
+    left_code = left_code[left_at]
+    right_code = right_code[right_at]
     if same is not None:
         width = 1 + max(int(column.max(initial=0)) for column in same)
         left_code = left_code * width + same[0][left_at]
         right_code = right_code * width + same[1][right_at]
     order = np.argsort(left_code, kind="stable")
-    left_at, left_code = left_at[order], left_code[order]
+    left_at = left_at[order]
+    left_code = left_code[order]
     order = np.argsort(right_code, kind="stable")
-    right_at, right_code = right_at[order], right_code[order]
+    right_at = right_at[order]
+    right_code = right_code[order]
     codes, left_first, left_count = np.unique(left_code, return_index=True, return_counts=True)
     right_first = np.searchsorted(right_code, codes, side="left")
     right_count = np.searchsorted(right_code, codes, side="right") - right_first
@@ -136,11 +140,13 @@ def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask
     ) + np.arange(len(run))
     # one row a run and code: its first position and how often it is there
     order = np.lexsort((position, codes[position], run))
-    run, position = run[order], position[order]
+    run = run[order]
+    position = position[order]
     code = codes[position]
     new = np.flatnonzero(np.concatenate(([True], (run[1:] != run[:-1]) | (code[1:] != code[:-1]))))
     count = np.diff(new, append=len(run))
-    run, position = run[new], position[new]
+    run = run[new]
+    position = position[new]
     best = np.lexsort((position, -count, run))
     top = best[np.concatenate(([True], run[best][1:] != run[best][:-1]))]
     return position[top][group], (np.bincount(run, minlength=len(starts)) > 1)[group]
@@ -182,11 +188,14 @@ class MutualKeys:
 
     def __call__(self, left: Columns, right: Columns, decided: slice) -> Match:
         """Pair the records of a window."""
-        (left_first, left_group), (right_first, right_group) = runs(left[KEY]), runs(right[KEY])
-        left_value, right_value = left[KEY][left_first], right[KEY][right_first]
+        (left_first, left_group) = runs(left[KEY])
+        (right_first, right_group) = runs(right[KEY])
+        left_value = left[KEY][left_first]
+        right_value = right[KEY][right_first]
         partner = np.full(len(left_value), -1, np.int64)
         if len(left_value) and len(right_value):
-            to_right, to_left = _nearest(left_value, right_value), _nearest(right_value, left_value)
+            to_right = _nearest(left_value, right_value)
+            to_left = _nearest(right_value, left_value)
             near = np.abs(right_value[to_right] - left_value) <= self.tolerance
             partner = np.where(
                 near & (to_left[to_right] == np.arange(len(left_value))), to_right, -1
@@ -210,14 +219,17 @@ class NearestLabel:
 
     def __call__(self, left: Columns, right: Columns, decided: slice) -> Match:
         """Choose the labels of the decided points."""
-        key, same = left[KEY][decided], left[SAME][decided]
-        partner, distance = np.full(len(key), -1, np.int64), np.full(len(key), np.inf)
+        key = left[KEY][decided]
+        same = left[SAME][decided]
+        partner = np.full(len(key), -1, np.int64)
+        distance = np.full(len(key), np.inf)
         counts: dict[str, list[I64]] = {}
         used: list[I64] = []
         # mostly all records are first returns
         sames = np.unique(same) if same.min() != same.max() else same[:1]
         for value in sames.tolist():
-            points, labels = np.flatnonzero(same == value), np.flatnonzero(right[SAME] == value)
+            points = np.flatnonzero(same == value)
+            labels = np.flatnonzero(right[SAME] == value)
             if not len(labels):
                 continue
             distance[points], found = self._choose(
@@ -246,7 +258,8 @@ class NearestLabel:
         found = np.flatnonzero(distance <= self.tolerance)
         start, stop = (bound[found] for bound in _bounds(key))
         first, last = (bound[near[found]] for bound in _bounds(there))
-        size, ordinal = stop - start, found - start
+        size = stop - start
+        ordinal = found - start
         choice = first.copy()
         shared = np.flatnonzero(last - first > 1)
         counts = {"n_repeated": found[size > 1], "n_shared": found[shared]}

@@ -25,13 +25,18 @@ TILE_RECORDS = 1 << 18
 """Records of both sides in a tile, about: trees of more do not fit the processor's caches."""
 LEAST_M = 0.002
 """Least tolerance by default: registered clouds are rounded to a millimetre or two."""
-SPREADS, _LEAST_SPREADS = 3.0, 2.0
+SPREADS = 3.0
+_LEAST_SPREADS = 2.0
 """Bounds of the tolerance by default, in median distances of the clouds or of the points of the right one."""
-_WIDER, _FEW_MORE, _STEP, _MARGIN = 1.2, 0.03, 1.05, 1.07
+_WIDER = 1.2
+_FEW_MORE = 0.03
+_STEP = 1.05
+_MARGIN = 1.07
 """The tolerance ends where one this much wider would find a partner for less than this share of those without;
 then a margin for places that the sample has not."""
 _FARTHEST_M = 3.0
-_SAMPLED_TILES, _SAMPLED_RECORDS = 12, 20_000
+_SAMPLED_TILES = 12
+_SAMPLED_RECORDS = 20_000
 _TREE = {"balanced_tree": False, "compact_nodes": False}
 """Medians are slow where many points share a coordinate, as on a grid."""
 _TIES = 4
@@ -41,7 +46,8 @@ _READ_AT_ONCE = 1 << 20
 _MIDDLE = 1 << 30
 _FINE_M = 1.0
 """Edge of the squares within a cell by which its points are ordered [m]."""
-_SIDE, _HALF = 4, 1 << 26
+_SIDE = 4
+_HALF = 1 << 26
 """Bits of these squares along a cell, and half the cells along the plan."""
 SQUARE_M = 2.0
 """Edge of the squares in which points are counted [m]."""
@@ -85,7 +91,8 @@ def _nested_places(keys: I64) -> tuple[I64, I64]:
     >>> _nested_places(_nested_keys(np.array([-0.5]), np.array([33.0])))
     (array([-1]), array([33]))
     """
-    (column, row), last = np.divmod(keys >> 2 * _SIDE, 2 * _HALF), (1 << _SIDE) - 1
+    (column, row) = np.divmod(keys >> 2 * _SIDE, 2 * _HALF)
+    last = (1 << _SIDE) - 1
     return ((column - _HALF) << _SIDE) + (keys >> _SIDE & last), ((row - _HALF) << _SIDE) + (
         keys & last
     )
@@ -96,10 +103,12 @@ class Cloud:
 
     def __init__(self, chunks: Iterator[Columns], handle: BinaryIO) -> None:
         """Read all chunks; each has ``x``, ``y``, ``z`` (finite) and the same other columns."""
-        self._handle, self._lock = handle, threading.Lock()
+        self._handle = handle
+        self._lock = threading.Lock()
         self._dtype = np.dtype([(axis, np.float64) for axis in AXES])
         self.n = 0
-        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        self.low = np.full(3, np.inf)
+        self.high = np.full(3, -np.inf)
         self._squares: list[tuple[I64, I64]] = [(np.empty(0, np.int64), np.empty(0, np.int64))]
         parts = [
             self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))
@@ -107,7 +116,9 @@ class Cloud:
         parts.append((np.empty(0, np.int64),) * 3)
         cells, first, count = (np.concatenate(part) for part in zip(*parts, strict=True))
         order = np.argsort(cells, kind="stable")
-        self._cells, self._first, self._count = cells[order], first[order], count[order]
+        self._cells = cells[order]
+        self._first = first[order]
+        self._count = count[order]
 
     def _put(self, columns: Columns, n: int) -> tuple[I64, I64, I64]:
         """Write a chunk; return the cells of its segments, their first record and their length."""
@@ -156,12 +167,12 @@ class Cloud:
     def read(self, box: Box, margin: float = 0.0) -> Columns:
         """Return the points of a box and of a margin around it."""
         # a margin may be as wide as any number
-        (x_low, y_low, _), (x_high, y_high, _) = self.low - CELL_M, self.high + CELL_M
-        x0, y0 = max(box[0] - margin, min(x_low, box[0])), max(box[1] - margin, min(y_low, box[1]))
-        x1, y1 = (
-            min(box[2] + margin, max(x_high, box[2])),
-            min(box[3] + margin, max(y_high, box[3])),
-        )
+        (x_low, y_low, _) = self.low - CELL_M
+        (x_high, y_high, _) = self.high + CELL_M
+        x0 = max(box[0] - margin, min(x_low, box[0]))
+        y0 = max(box[1] - margin, min(y_low, box[1]))
+        x1 = min(box[2] + margin, max(x_high, box[2]))
+        y1 = min(box[3] + margin, max(y_high, box[3]))
         ends = cell_keys(np.array([x0, x1]), np.array([y0, y1]), CELL_M)
         (low, high), (bottom, top) = cell_places(ends)
         held = np.unique(self._cells >> 32)
@@ -173,7 +184,8 @@ class Cloud:
         chosen = chosen[np.argsort(self._first[chosen])]
         parts = [np.empty(0, self._dtype)]
         for records in self._segments(chosen):
-            x, y = records["x"], records["y"]
+            x = records["x"]
+            y = records["y"]
             inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
             parts.append(records if inside.all() else records[inside])
         records = np.concatenate(parts)
@@ -182,12 +194,14 @@ class Cloud:
         return {name: records[name][order] for name in self._dtype.names or ()}
 
     def _segments(self, chosen: I64) -> Iterator[NDArray[Any]]:
-        first, count = self._first[chosen], self._count[chosen]
+        first = self._first[chosen]
+        count = self._count[chosen]
         groups = np.cumsum(count) // _READ_AT_ONCE
         for group in np.unique(groups).tolist():
             here = np.flatnonzero(groups == group)
             records = np.empty(int(count[here].sum()), self._dtype)
-            whole, at = records.view(np.uint8).data, 0
+            whole = records.view(np.uint8).data
+            at = 0
             size = self._dtype.itemsize
             with scratch_errors("matching"), self._lock:
                 for start, n in zip(first[here].tolist(), count[here].tolist(), strict=True):
@@ -198,7 +212,8 @@ class Cloud:
 
 def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
     """Cut the plan into boxes with about as many points of both clouds, at most; none lies apart from the left one."""
-    mine, theirs = left.counts(), right.counts()
+    mine = left.counts()
+    theirs = right.counts()
     around = [mine[0] + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
     cells = np.union1d(mine[0], np.intersect1d(np.concatenate(around), theirs[0]))
     n = np.zeros(len(cells), np.int64)
@@ -223,7 +238,8 @@ def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
         total = int(n[members].sum())
         if total > most and size > 1:
             half = size // 2
-            east, north = column[members] >= x + half, row[members] >= y + half
+            east = column[members] >= x + half
+            north = row[members] >= y + half
             quarters = (
                 (~east & ~north, x, y),
                 (~east & north, x, y + half),
@@ -283,7 +299,8 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
     if not parts:
         return None
     apart, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
-    spread, step = float(np.median(apart)), float(np.median(spacing))
+    spread = float(np.median(apart))
+    step = float(np.median(spacing))
     if not math.isfinite(spread):  # most points have no other near them
         return None
     tolerance = _tolerance(np.sort(apart), spread, step)
@@ -359,12 +376,10 @@ def nearest_join(
         used = np.zeros(len(theirs["x"]), np.bool_)
         used[to[to >= 0]] = True
         n_used = int(np.count_nonzero(used & _inside(theirs, box)))
-        ours, to, distance, found = (
-            {n: v[core] for n, v in ours.items()},
-            to[core],
-            distance[core],
-            found[core],
-        )
+        ours = {n: v[core] for n, v in ours.items()}
+        to = to[core]
+        distance = distance[core]
+        found = found[core]
         sparse = np.zeros(len(to), np.bool_)
         lone = np.flatnonzero(np.isfinite(distance) & (to < 0))
         if len(lone):
@@ -408,6 +423,7 @@ def nearest_of(
 
 
 def _inside(columns: Columns, box: Box) -> Mask:
-    x, y = columns["x"], columns["y"]
+    x = columns["x"]
+    y = columns["y"]
     inside: Mask = (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])
     return inside

@@ -25,7 +25,8 @@ def pair_files(
                 problem,
                 "give two files or two folders, or match by time, dimension or nearest",
             )
-    left, right = _by_name(predicted), _by_name(reference)
+    left = _by_name(predicted)
+    right = _by_name(reference)
     if allow_missing and left.keys() & right.keys():
         return tuple((left[name], right[name]) for name in sorted(left.keys() & right.keys()))
     for folder, other, unpaired in (

@@ -22,8 +22,13 @@ LEAST_SHIFT_M = 0.05
 """Shifts below are what registered drives differ by."""
 _SURE = 4.0
 """A component of a shift is named from this multiple of its standard error on."""
-_BOXES, _PAIRS, _GROUPS, _ROUNDS = 8, 2_500, 8, 5
-_AROUND, _FLAT, _REACH_M = 16, 0.2, 1.0
+_BOXES = 8
+_PAIRS = 2_500
+_GROUPS = 8
+_ROUNDS = 5
+_AROUND = 16
+_FLAT = 0.2
+_REACH_M = 1.0
 """Neighbours of a plane, the most that they rise above it as a share of their second extent (both squared), and how far
 planes are looked for."""
 _GATE = 3.0
@@ -65,13 +70,16 @@ def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
             return None
         place, normal, off = (np.concatenate(part) for part in zip(*pairs, strict=True))
         kept = _within(normal, off)
-        place, normal, off = place[kept], normal[kept], off[kept]
+        place = place[kept]
+        normal = normal[kept]
+        off = off[kept]
         longer = int(np.argmax(np.ptp(place[:, :2], axis=0)))
         group = np.argsort(np.argsort(place[:, longer])) * _GROUPS // len(place)
         left = np.stack([normal[group == k].T @ normal[group == k] for k in range(_GROUPS)])
         right = np.stack([normal[group == k].T @ off[group == k] for k in range(_GROUPS)])
         shift = shift + np.linalg.lstsq(left.sum(axis=0), right.sum(axis=0))[0]
-    left, right = left.sum(axis=0) - left, right.sum(axis=0) - right
+    left = left.sum(axis=0) - left
+    right = right.sum(axis=0) - right
     without = np.array([np.linalg.lstsq(*sums)[0] for sums in zip(left, right, strict=True)])
     return shift, np.sqrt(
         (_GROUPS - 1) / _GROUPS * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
@@ -81,7 +89,8 @@ def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
 def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
     """Return points near a plane (n, 3), its normal (n, 3), and how far it lies from them along it (n,)."""
     distance, near = tree.query(points, distance_upper_bound=_REACH_M)
-    points, near = points[np.isfinite(distance)], near[np.isfinite(distance)]
+    points = points[np.isfinite(distance)]
+    near = near[np.isfinite(distance)]
     around = tree.data[tree.query(tree.data[near], k=_AROUND)[1]]
     middle = around.mean(axis=1)
     apart = around - middle[:, None]

@@ -59,7 +59,8 @@ class KeyedSource(DerivedSource):
         for values, *beside in in_step(streams, self._check_lengths):
             found = beside[0][_FOUND] if beside else np.asarray(values[self.code_dimension])
             if beside and not (keep := (found != MISSING) & (found != NO_CODE)).all():
-                found, values = found[keep], {name: column[keep] for name, column in values.items()}
+                found = found[keep]
+                values = {name: column[keep] for name, column in values.items()}
             record = values[RECORD]
             out = {name: values[name] for name in carried}
             out[CODE] = self._to_codes(found, record)
@@ -101,10 +102,8 @@ class KeyedSource(DerivedSource):
         key, right = exact_keys(stored)
         expected = "a whole number below 2^53"
         if rule.kind in ("time", "place"):
-            right, expected = (
-                np.isfinite(key),
-                f"a finite {'time' if rule.kind == 'time' else 'coordinate'}",
-            )
+            right = np.isfinite(key)
+            expected = f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
         if not right.all():
             at = int(np.argmin(right))
             problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
@@ -173,7 +172,10 @@ class Survey:
 def survey(source: KeyedSource) -> Survey:
     """Read all keys and codes once."""
     n = n_read = 0
-    low, high, last, in_order = np.inf, -np.inf, -np.inf, True
+    low = np.inf
+    high = -np.inf
+    last = -np.inf
+    in_order = True
     for chunk in source.chunks((KEY, SAME, CODE)):
         key = chunk.values[KEY]
         if not len(key):
@@ -183,13 +185,19 @@ def survey(source: KeyedSource) -> Survey:
         n_read = max(n_read, int(chunk.record[-1]) + 1)
         in_order = in_order and bool(key[0] >= last) and bool(np.all(key[1:] >= key[:-1]))
         last = float(key[-1])
-        low, high = min(low, float(key.min())), max(high, float(key.max()))
+        low = min(low, float(key.min()))
+        high = max(high, float(key.max()))
     return Survey(n, n_read, low if n else np.nan, high if n else np.nan, in_order)
 
 
-FILE, ROW = "file", "row"
+FILE = "file"
+ROW = "row"
 """Index of the file, index of the record in it: int64, every side has them and :data:`CODE`."""
-RANGE, LINE, SCANNER, SECONDS, CONFIDENCE = "range", "line", "scanner", "seconds", "confidence"
+RANGE = "range"
+LINE = "line"
+SCANNER = "scanner"
+SECONDS = "seconds"
+CONFIDENCE = "confidence"
 """What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent]; -1 (NaN for ranges and
 times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not known."""
 MAX_RETURN = 255
@@ -205,7 +213,8 @@ _NAMES = {
     CONFIDENCE: (CONFIDENCE,),
 }
 _INDEX = ""
-_LINE, _COLUMN = "scan_line", "column"
+_LINE = "scan_line"
+_COLUMN = "column"
 LONGEST_LINE = 1 << 22
 """A cell is one whole number: its line times this, and its column."""
 _CODES = "class codes"

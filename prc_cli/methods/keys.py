@@ -33,7 +33,8 @@ def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) 
 
     Fields without :func:`key` are constants. Descriptions are the docstrings of the fields.
     """
-    kind, fields = type(defaults), dict[str, Any]()
+    kind = type(defaults)
+    fields = dict[str, Any]()
     texts = _docs_of(kind.__module__)
     for field, annotation in get_type_hints(kind, include_extras=True).items():
         value = getattr(defaults, field)

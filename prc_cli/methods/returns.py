@@ -56,7 +56,9 @@ def label_extra_returns(
     cells_m[1:-1, BESIDE:-BESIDE] = range_m
     cells = cells_m.ravel()
     own = (line.astype(np.int64) + 1) * width + column + BESIDE
-    nearest, chosen = np.full(len(line), np.inf), np.full(len(line), -1)  # differences, cells
+    # differences, cells
+    nearest = np.full(len(line), np.inf)
+    chosen = np.full(len(line), -1)
     for around, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):
         nearest = np.minimum(np.where(chosen >= 0, nearest, np.inf), zeta)
         for lines_away, columns_away in around:

@@ -15,7 +15,9 @@ from prc_cli.core.types import F64, I32, I64
 from prc_cli.kernels.cache import Tuple, float64, helper, int32, int64, kernel, record
 from prc_cli.simulation.thresholds import CastBodies
 
-_TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
+_TRIANGLE = 0
+_CONE = 1
+_ELLIPSOID = 2
 _CELL_M = 0.25  # clumps of leaves [m]
 _FLAT = 1e-5  # smallest sine between two edges of a triangle, and between a shot and a triangle
 _EDGE = 1e-9  # share of an edge by which triangles overlap, so that no shot slips between them
@@ -23,17 +25,15 @@ _IS_READY = 13  # place of the mark that a body is prepared
 _FARTHEST_M = 1e9  # a shot that begins farther out is not cast
 
 # odd numbers, one for each purpose of random numbers from the same seed
-_BODY, _SHOT, _CAST = (
-    np.uint64(0x9E3779B97F4A7C15),
-    np.uint64(0xD1B54A32D192ED03),
-    np.uint64(0x8CB92BA72F3D8DD7),
-)
-_PATH, _LEAF, _ZERO = np.uint64(0xABC98388FB8FAC03), np.uint64(0x2545F4914F6CDD1D), np.uint64(0)
-_X, _Y, _Z = (
-    np.uint64(0xD6E8FEB86659FD93),
-    np.uint64(0xA0761D6478BD642F),
-    np.uint64(0xE7037ED1A0B428DB),
-)
+_BODY = np.uint64(0x9E3779B97F4A7C15)
+_SHOT = np.uint64(0xD1B54A32D192ED03)
+_CAST = np.uint64(0x8CB92BA72F3D8DD7)
+_PATH = np.uint64(0xABC98388FB8FAC03)
+_LEAF = np.uint64(0x2545F4914F6CDD1D)
+_ZERO = np.uint64(0)
+_X = np.uint64(0xD6E8FEB86659FD93)
+_Y = np.uint64(0xA0761D6478BD642F)
+_Z = np.uint64(0xE7037ED1A0B428DB)
 
 
 class _Frame(NamedTuple):
@@ -93,18 +93,20 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
         x = half * turn[0] if longest == 3 else -half * turn[1] if longest == 4 else 0.0
         y = half * turn[1] if longest == 3 else half * turn[0] if longest == 4 else 0.0
         z = half if longest == 5 else 0.0
-        hull[j, 0], hull[j, 1], hull[j, 2] = numbers[0] - x, numbers[1] - y, numbers[2] - z
-        hull[j, 3], hull[j, 4], hull[j, 5] = numbers[0] + x, numbers[1] + y, numbers[2] + z
+        hull[j, 0] = numbers[0] - x
+        hull[j, 1] = numbers[1] - y
+        hull[j, 2] = numbers[2] - z
+        hull[j, 3] = numbers[0] + x
+        hull[j, 4] = numbers[1] + y
+        hull[j, 5] = numbers[2] + z
     if shape != _TRIANGLE:
         for k in range(3):
             hull[j, 6 + k] = hull[j, 3 + k]
     farthest = 0.0
     for corner in range(3, 9, 3):
-        x, y, z = (
-            hull[j, corner] - hull[j, 0],
-            hull[j, corner + 1] - hull[j, 1],
-            hull[j, corner + 2] - hull[j, 2],
-        )
+        x = hull[j, corner] - hull[j, 0]
+        y = hull[j, corner + 1] - hull[j, 1]
+        z = hull[j, corner + 2] - hull[j, 2]
         farthest = max(farthest, x * x + y * y + z * z)
     hull[j, 10] = np.sqrt(farthest) + hull[j, 9]
 
@@ -115,22 +117,41 @@ def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
     for k in range(6):
         ready[k] = numbers[k]
     if shape == _TRIANGLE:
-        ax, ay, az = numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]
-        bx, by, bz = numbers[6] - numbers[0], numbers[7] - numbers[1], numbers[8] - numbers[2]
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        ready[3], ready[4], ready[5] = ax, ay, az
-        ready[6], ready[7], ready[8] = bx, by, bz
-        ready[9], ready[10], ready[11] = nx, ny, nz
+        ax = numbers[3] - numbers[0]
+        ay = numbers[4] - numbers[1]
+        az = numbers[5] - numbers[2]
+        bx = numbers[6] - numbers[0]
+        by = numbers[7] - numbers[1]
+        bz = numbers[8] - numbers[2]
+        nx = ay * bz - az * by
+        ny = az * bx - ax * bz
+        nz = ax * by - ay * bx
+        ready[3] = ax
+        ready[4] = ay
+        ready[5] = az
+        ready[6] = bx
+        ready[7] = by
+        ready[8] = bz
+        ready[9] = nx
+        ready[10] = ny
+        ready[11] = nz
         square = nx * nx + ny * ny + nz * nz
         edges = (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
         ready[12] = np.sqrt(square) if square > _FLAT * _FLAT * edges else np.inf
     elif shape == _CONE:
-        x, y, z = numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]
+        x = numbers[3] - numbers[0]
+        y = numbers[4] - numbers[1]
+        z = numbers[5] - numbers[2]
         length = np.sqrt(x * x + y * y + z * z)
-        ready[3], ready[4], ready[5] = x / length, y / length, z / length
-        ready[6], ready[7], ready[8] = length, numbers[6], (numbers[7] - numbers[6]) / length
+        ready[3] = x / length
+        ready[4] = y / length
+        ready[5] = z / length
+        ready[6] = length
+        ready[7] = numbers[6]
+        ready[8] = (numbers[7] - numbers[6]) / length
     else:
-        ready[6], ready[7] = turn[0], turn[1]
+        ready[6] = turn[0]
+        ready[7] = turn[1]
         for k in range(3):
             ready[8 + k] = 1.0 / numbers[3 + k]
     ready[_IS_READY] = 1.0
@@ -166,12 +187,16 @@ def _measure_line(rays: F64, angle: F64) -> _Frame:
     turns = 0.0
     before = 0.0
     for i in range(rays.shape[1]):
-        x, y, z = rays[0, i] - centre[0], rays[1, i] - centre[1], rays[2, i] - centre[2]
+        x = rays[0, i] - centre[0]
+        y = rays[1, i] - centre[1]
+        z = rays[2, i] - centre[2]
         square = x * x + y * y + z * z
         h = x * normal[0] + y * normal[1] + z * normal[2]
         stray = max(stray, square)
         out = max(out, abs(h))
-        dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
+        dx = rays[3, i]
+        dy = rays[4, i]
+        dz = rays[5, i]
         up = dx * normal[0] + dy * normal[1] + dz * normal[2]
         tilt = max(tilt, abs(up) / np.sqrt(dx * dx + dy * dy + dz * dz))
         here = _diamond(
@@ -202,17 +227,28 @@ def _lay_plane(
         nz += rays[3, i] * rays[4, k] - rays[4, i] * rays[3, k]
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     if not length > 1e-9:  # one direction, or all directions: any plane will do
-        nx, ny, nz, length = 0.0, 0.0, 1.0, 1.0
-    nx, ny, nz = nx / length, ny / length, nz / length
-    ux, uy, uz = rays[3, 0], rays[4, 0], rays[5, 0]
+        nx = 0.0
+        ny = 0.0
+        nz = 1.0
+        length = 1.0
+    nx = nx / length
+    ny = ny / length
+    nz = nz / length
+    ux = rays[3, 0]
+    uy = rays[4, 0]
+    uz = rays[5, 0]
     for _ in range(2):  # the second try, should the first shot go along the normal
         up = ux * nx + uy * ny + uz * nz
-        ux, uy, uz = ux - up * nx, uy - up * ny, uz - up * nz
+        ux = ux - up * nx
+        uy = uy - up * ny
+        uz = uz - up * nz
         length = np.sqrt(ux * ux + uy * uy + uz * uz)
         if length > 1e-3:
             break
         ux, uy, uz = (1.0, 0.0, 0.0) if abs(nx) < 0.7 else (0.0, 1.0, 0.0)
-    ux, uy, uz = ux / length, uy / length, uz / length
+    ux = ux / length
+    uy = uy / length
+    uz = uz / length
     return (nx, ny, nz), (ux, uy, uz), (ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux)
 
 
@@ -230,9 +266,11 @@ def _diamond(x: float, y: float) -> float:
 @helper
 def _tabulate(angle: F64, first: I64, last: I64) -> _Bins:
     """Write for every small step of angle the first column at or after it, and the last at or before it."""
-    m, n_bins = len(angle), len(first)
+    m = len(angle)
+    n_bins = len(first)
     middle, half = _middle(angle)
-    begin, end = middle - half - 1e-9, middle + half + 1e-9
+    begin = middle - half - 1e-9
+    end = middle + half + 1e-9
     bins = _Bins(begin, end, (n_bins - 1) / (end - begin))
     for k in range(n_bins):
         first[k] = m
@@ -257,14 +295,23 @@ def _look_around(
     hull: F64, velocity: F64, frame: _Frame, corners: F64, seen: I64, spans: F64
 ) -> int:
     """List the bodies that shots of a line can meet: number, first and last angle, nearest distance."""
-    normal, first, second, centre = frame.normal, frame.first, frame.second, frame.centre
+    normal = frame.normal
+    first = frame.first
+    second = frame.second
+    centre = frame.centre
     n_seen = 0
     for j in range(len(hull)):
-        vx, vy = velocity[j, 0], velocity[j, 1]
+        vx = velocity[j, 0]
+        vy = velocity[j, 1]
         moved = frame.half_time_s * np.sqrt(vx * vx + vy * vy)
-        around, reach = hull[j, 9] + moved, hull[j, 10] + moved
-        x, y, z = vx * frame.time_s - centre[0], vy * frame.time_s - centre[1], -centre[2]
-        p, q, r = hull[j, 0] + x, hull[j, 1] + y, hull[j, 2] + z
+        around = hull[j, 9] + moved
+        reach = hull[j, 10] + moved
+        x = vx * frame.time_s - centre[0]
+        y = vy * frame.time_s - centre[1]
+        z = -centre[2]
+        p = hull[j, 0] + x
+        q = hull[j, 1] + y
+        r = hull[j, 2] + z
         far = np.sqrt(p * p + q * q + r * r) + reach
         # how far off the plane of the line a shot can be there
         off = frame.stray_out_m + frame.tilt * (far + frame.stray_m) + 1e-5 + 1e-6 * far
@@ -272,7 +319,9 @@ def _look_around(
             continue
         above = below = True
         for k in range(3):
-            p, q, r = hull[j, 3 * k] + x, hull[j, 3 * k + 1] + y, hull[j, 3 * k + 2] + z
+            p = hull[j, 3 * k] + x
+            q = hull[j, 3 * k + 1] + y
+            r = hull[j, 3 * k + 2] + z
             h = p * normal[0] + q * normal[1] + r * normal[2]
             above = above and h > around + off
             below = below and h < -around - off
@@ -284,7 +333,9 @@ def _look_around(
         low, high, near = _span(corners, around + off, around + frame.stray_m + 1e-5 + 1e-6 * far)
         if low <= high:
             seen[n_seen] = j
-            spans[n_seen, 0], spans[n_seen, 1], spans[n_seen, 2] = low, high, near
+            spans[n_seen, 0] = low
+            spans[n_seen, 1] = high
+            spans[n_seen, 2] = near
             n_seen += 1
     return n_seen
 
@@ -295,14 +346,20 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
 
     ``corners`` (3, 3) float64.
     """
-    low, high, near, middle = np.inf, -np.inf, np.inf, np.nan
+    low = np.inf
+    high = -np.inf
+    near = np.inf
+    middle = np.nan
     # the part between the two heights is convex: its corners lie on the edges, its outermost angles at corners
     for corner in range(3):
         other = corner + 1 if corner < 2 else 0
-        h, rise = corners[corner, 0], corners[other, 0] - corners[corner, 0]
-        start, stop = 0.0, 1.0
+        h = corners[corner, 0]
+        rise = corners[other, 0] - corners[corner, 0]
+        start = 0.0
+        stop = 1.0
         if rise != 0.0:
-            one, two = (-top - h) / rise, (top - h) / rise
+            one = (-top - h) / rise
+            two = (top - h) / rise
             if one > two:
                 one, two = two, one
             start = one if one > start else start
@@ -349,7 +406,8 @@ def _list_windows(low: float, high: float, bins: _Bins, first: I64, last: I64, w
             windows[n - 1, 0] = min(windows[n - 1, 0], start)
             windows[n - 1, 1] = max(windows[n - 1, 1], stop)
             continue
-        windows[n, 0], windows[n, 1] = start, stop
+        windows[n, 0] = start
+        windows[n, 1] = stop
         n += 1
     return n
 
@@ -374,12 +432,22 @@ def _cast_triangle(
     rays: F64, start: int, stop: int, velocity: F64, ready: F64, b: int, t: F64, body: I32
 ) -> None:
     """Intersect a window of shots with a triangle (Möller and Trumbore 1997, with the normal prepared)."""
-    vx, vy = velocity[0], velocity[1]
-    px, py, pz, qx, qy, qz = ready[3], ready[4], ready[5], ready[6], ready[7], ready[8]
-    nx, ny, nz = ready[9], ready[10], ready[11]
+    vx = velocity[0]
+    vy = velocity[1]
+    px = ready[3]
+    py = ready[4]
+    pz = ready[5]
+    qx = ready[6]
+    qy = ready[7]
+    qz = ready[8]
+    nx = ready[9]
+    ny = ready[10]
+    nz = ready[11]
     flat = _FLAT * ready[12]
     for i in range(start, stop):
-        dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
+        dx = rays[3, i]
+        dy = rays[4, i]
+        dz = rays[5, i]
         slope = dx * nx + dy * ny + dz * nz
         if not abs(slope) > flat:
             continue
@@ -389,7 +457,9 @@ def _cast_triangle(
         here = (x * nx + y * ny + z * nz) / slope
         if not (here > rays[7, i] and (here < t[i] or (here == t[i] and b < body[i]))):
             continue
-        ax, ay, az = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        ax = y * dz - z * dy
+        ay = z * dx - x * dz
+        az = x * dy - y * dx
         u = (px * ax + py * ay + pz * az) / slope
         v = (qx * ax + qy * ay + qz * az) / slope
         # v is the share of the first edge, minus u that of the second
@@ -405,8 +475,10 @@ def _turned(
     """Return a shot in the coordinates of an ellipsoid or box: where it begins, and where it goes."""
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
-    cos, sin = ready[6], ready[7]
-    dx, dy = rays[3, i], rays[4, i]
+    cos = ready[6]
+    sin = ready[7]
+    dx = rays[3, i]
+    dy = rays[4, i]
     return (
         cos * x + sin * y,
         cos * y - sin * x,
@@ -424,7 +496,8 @@ def _roots(a: float, b: float, c: float) -> tuple[float, float]:
     if not square >= 0.0:
         return np.nan, np.nan
     q = -(b + np.sqrt(square)) if b > 0.0 else np.sqrt(square) - b
-    one, two = q / a, c / q
+    one = q / a
+    two = c / q
     if one < two:
         return one, two
     return two, one
@@ -438,10 +511,13 @@ def _along_cone(
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
     z = rays[2, i] - ready[2]
-    dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
+    dx = rays[3, i]
+    dy = rays[4, i]
+    dz = rays[5, i]
     along = x * ready[3] + y * ready[4] + z * ready[5]
     rise = dx * ready[3] + dy * ready[4] + dz * ready[5]
-    radius, growth = ready[7] + ready[8] * along, ready[8] * rise
+    radius = ready[7] + ready[8] * along
+    growth = ready[8] * rise
     a = dx * dx + dy * dy + dz * dz - rise * rise - growth * growth
     b = x * dx + y * dy + z * dz - along * rise - growth * radius
     c = x * x + y * y + z * z - along * along - radius * radius
@@ -452,8 +528,15 @@ def _along_cone(
 def _cut_ellipsoid(
     x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
 ) -> tuple[float, float]:
-    p, q, r = ready[8], ready[9], ready[10]
-    x, y, z, dx, dy, dz = x * p, y * q, z * r, dx * p, dy * q, dz * r
+    p = ready[8]
+    q = ready[9]
+    r = ready[10]
+    x = x * p
+    y = y * q
+    z = z * r
+    dx = dx * p
+    dy = dy * q
+    dz = dz * r
     a = dx * dx + dy * dy + dz * dz
     b = x * dx + y * dy + z * dz
     return _roots(a, b, x * x + y * y + z * z - 1.0)
@@ -463,7 +546,8 @@ def _cut_ellipsoid(
 def _through_slab(place: float, step: float, half: float) -> tuple[float, float]:
     if step == 0.0:
         return (np.inf, -np.inf) if abs(place) > half else (-np.inf, np.inf)
-    one, two = (-half - place) / step, (half - place) / step
+    one = (-half - place) / step
+    two = (half - place) / step
     return (one, two) if one < two else (two, one)
 
 
@@ -473,9 +557,11 @@ def _cut_box(
 ) -> tuple[float, float]:
     low, high = _through_slab(x, dx, ready[3])
     enter, leave = _through_slab(y, dy, ready[4])
-    low, high = enter if enter > low else low, leave if leave < high else high
+    low = enter if enter > low else low
+    high = leave if leave < high else high
     enter, leave = _through_slab(z, dz, ready[5])
-    low, high = enter if enter > low else low, leave if leave < high else high
+    low = enter if enter > low else low
+    high = leave if leave < high else high
     return (np.inf, np.inf) if low > high else (low, high)
 
 
@@ -492,7 +578,8 @@ def _cast_round(
     body: I32,
 ) -> None:
     """Intersect a window of shots with the surface of a cone, an ellipsoid or a box."""
-    vx, vy = velocity[0], velocity[1]
+    vx = velocity[0]
+    vy = velocity[1]
     for i in range(start, stop):
         if shape == _CONE:
             a, h, c, along, rise, _, _ = _along_cone(rays, i, vx, vy, ready)
@@ -548,7 +635,8 @@ def _facing(
     if shape == _TRIANGLE:
         slope = rays[3, i] * ready[9] + rays[4, i] * ready[10] + rays[5, i] * ready[11]
         return float(abs(slope) / ready[12])
-    vx, vy = velocity[0], velocity[1]
+    vx = velocity[0]
+    vy = velocity[1]
     if shape == _CONE:
         a, b, _, _, _, radius, growth = _along_cone(rays, i, vx, vy, ready)
         cosine = abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + ready[8] * ready[8]))
@@ -559,11 +647,20 @@ def _facing(
         return float(np.sqrt(_chance(key + _LEAF)))
     x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
     if shape == _ELLIPSOID:
-        p, q, r = ready[8], ready[9], ready[10]
-        x, y, z, dx, dy, dz = x * p, y * q, z * r, dx * p, dy * q, dz * r
+        p = ready[8]
+        q = ready[9]
+        r = ready[10]
+        x = x * p
+        y = y * q
+        z = z * r
+        dx = dx * p
+        dy = dy * q
+        dz = dz * r
         a = dx * dx + dy * dy + dz * dz
         b = x * dx + y * dy + z * dz
-        nx, ny, nz = (x + t * dx) * p, (y + t * dy) * q, (z + t * dz) * r
+        nx = (x + t * dx) * p
+        ny = (y + t * dy) * q
+        nz = (z + t * dz) * r
         cosine = abs(b + t * a) / np.sqrt(nx * nx + ny * ny + nz * nz)
         return cosine if cosine < 1.0 else 1.0
     # the face that lies at that range: of entry, or else of exit
@@ -571,7 +668,8 @@ def _facing(
     y_low, y_high = _through_slab(y, dy, ready[4])
     z_low, _ = _through_slab(z, dz, ready[5])
     if max(x_low, y_low, z_low) != t:
-        x_low, y_low = x_high, y_high
+        x_low = x_high
+        y_low = y_high
     cosine = abs(dx) if x_low == t else abs(dy) if y_low == t else abs(dz)
     return cosine if cosine < 1.0 else 1.0
 
@@ -591,7 +689,8 @@ def _cast_leaves(
     body: I32,
 ) -> None:
     """Send a window of shots through a body that is filled with leaves."""
-    vx, vy = velocity[0], velocity[1]
+    vx = velocity[0]
+    vy = velocity[1]
     number, rate, first_shot = leaves
     key = _mix(np.uint64(np.int64(number)) + _BODY)
     for i in range(start, stop):
@@ -631,11 +730,9 @@ def _walk(
 ) -> float:
     """Go from cell to cell of the lattice of a body until the leaves on the way are enough; inf = never."""
     # the next side of the cell, by how much it moves from cell to cell, and what that does to the mark of the cell
-    p, q, r = (
-        np.floor((x + now * dx) / _CELL_M),
-        np.floor((y + now * dy) / _CELL_M),
-        np.floor((z + now * dz) / _CELL_M),
-    )
+    p = np.floor((x + now * dx) / _CELL_M)
+    q = np.floor((y + now * dy) / _CELL_M)
+    r = np.floor((z + now * dz) / _CELL_M)
     mark = np.uint64(np.int64(p)) * _X + np.uint64(np.int64(q)) * _Y + np.uint64(np.int64(r)) * _Z
     one_x, mark_x = (1.0, _X) if dx > 0.0 else (-1.0, _ZERO - _X)
     one_y, mark_y = (1.0, _Y) if dy > 0.0 else (-1.0, _ZERO - _Y)
@@ -643,7 +740,9 @@ def _walk(
     p = p + 1.0 if dx > 0.0 else p
     q = q + 1.0 if dy > 0.0 else q
     r = r + 1.0 if dz > 0.0 else r
-    fast_x, fast_y, fast_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
+    fast_x = 1.0 / dx
+    fast_y = 1.0 / dy
+    fast_z = 1.0 / dz
     u = (p * _CELL_M - x) * fast_x if dx != 0.0 else np.inf
     v = (q * _CELL_M - y) * fast_y if dy != 0.0 else np.inf
     w = (r * _CELL_M - z) * fast_z if dz != 0.0 else np.inf
@@ -716,16 +815,21 @@ def cast_shots(
     facing = np.empty((n_lines, n_columns))
     if time_s.size == 0:
         return t, body, facing
-    hull, ready = np.empty((n, 11)), np.empty((n, _IS_READY + 1))
+    hull = np.empty((n, 11))
+    ready = np.empty((n, _IS_READY + 1))
     for b in range(n):
         ready[b, _IS_READY] = 0.0
         _wrap(shape[b], numbers[b], turn[b], hull, b)
     rays = np.empty(
         (8, n_columns)
     )  # one row per number, so that a window of columns is read in one go
-    angle, corners = np.empty(n_columns), np.empty((3, 3))
-    first, last = np.empty(2 * n_columns, np.int64), np.empty(2 * n_columns, np.int64)
-    seen, rows, spans = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3))
+    angle = np.empty(n_columns)
+    corners = np.empty((3, 3))
+    first = np.empty(2 * n_columns, np.int64)
+    last = np.empty(2 * n_columns, np.int64)
+    seen = np.empty(n, np.int64)
+    rows = np.empty(n, np.int64)
+    spans = np.empty((n, 3))
     windows = np.empty((4, 2), np.int64)
     for line in range(n_lines):
         shot = first_shot + line * n_columns
@@ -742,14 +846,17 @@ def cast_shots(
             if ready[b, _IS_READY] == 0.0:
                 _prepare(shape[b], numbers[b], turn[b], ready[b])
         _sort(spans, rows, n_seen)
-        near, near_body = t[line], body[line]
+        near = t[line]
+        near_body = body[line]
         for i in range(n_columns):
-            near[i], near_body[i] = np.inf, -1
+            near[i] = np.inf
+            near_body[i] = -1
         for row in range(n_seen):
             k = rows[row]
             b = seen[k]
             for w in range(_list_windows(spans[k, 0], spans[k, 1], bins, first, last, windows)):
-                start, stop = windows[w, 0], windows[w, 1]
+                start = windows[w, 0]
+                stop = windows[w, 1]
                 if shape[b] == _TRIANGLE:
                     _cast_triangle(rays, start, stop, velocity[b], ready[b], b, near, near_body)
                 elif shape[b] == _CONE or not density[b] > 0.0:
@@ -789,7 +896,8 @@ def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
     ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64; ``columns`` (M, 3) float64;
     returns ``origin`` (lines, M, 3) float64, ``direction`` (lines, M, 3) float64.
     """
-    n_lines, n_knots = position.shape[0], position.shape[1] - 1
+    n_lines = position.shape[0]
+    n_knots = position.shape[1] - 1
     m = columns.shape[0]
     origin = np.empty((n_lines, m, 3))
     direction = np.empty((n_lines, m, 3))
@@ -798,7 +906,9 @@ def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
             place = column * n_knots / m
             k = int(place)
             late = place - k
-            x, y, z = columns[column, 0], columns[column, 1], columns[column, 2]
+            x = columns[column, 0]
+            y = columns[column, 1]
+            z = columns[column, 2]
             square = 0.0
             for i in range(3):
                 before = position[line, k, i]

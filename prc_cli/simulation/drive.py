@@ -112,11 +112,14 @@ class SimulatedScan:
 
     def _lines(self, first: int) -> SimulatedBlock:
         """Simulate the lines from a multiple of :attr:`lines_at_once` on."""
-        scanner, m = self.scanner, self.scanner.points_per_line
+        scanner = self.scanner
+        m = self.scanner.points_per_line
         n_lines = min(self.lines_at_once, self.n_lines - first)
         shots = aim(self.platform, scanner, first, n_lines)
-        start, end = shots.origin[0, 0], shots.origin[-1, -1]
-        middle, travelled = (start + end) / 2.0, float(np.hypot(*(end - start)[:2]))
+        start = shots.origin[0, 0]
+        end = shots.origin[-1, -1]
+        middle = (start + end) / 2.0
+        travelled = float(np.hypot(*(end - start)[:2]))
         when_s = float(shots.time_s[0, 0] + shots.time_s[-1, -1]) / 2.0
         bodies = self.bodies_near(
             float(middle[0]), float(middle[1]), self.sight_m + travelled, when_s
@@ -143,16 +146,15 @@ class SimulatedScan:
         own = shots.origin + ranges[..., None] * shots.direction
         further = shots.origin[at] + found.extra_range_m[:, None] * shots.direction[at]
         if self.relabel is not None:
-            labels, extra_labels = (
-                self.relabel(own.reshape(-1, 3)).reshape(ranges.shape),
-                self.relabel(further),
-            )
+            labels = self.relabel(own.reshape(-1, 3)).reshape(ranges.shape)
+            extra_labels = self.relabel(further)
             labelled = replace(labelled, labels=labels, extra_labels=extra_labels)
         return SimulatedBlock(labelled, own, further)
 
     def _measure(self, bodies: Bodies, shots: Shots, first: int) -> Measured:
         """Cast the shots, once more behind what light passes, and let the scanner measure."""
-        scanner, m = self.scanner, self.scanner.points_per_line
+        scanner = self.scanner
+        m = self.scanner.points_per_line
         hits = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m))
         beyond = goes_behind(hits, bodies, scanner, first, self.seed)
         behind = None
@@ -169,7 +171,9 @@ class SimulatedScan:
     def _in_sight(self, hits: Hits) -> Hits:
         """Forget what is farther than is simulated: whether it is among the bodies depends on where they end."""
         far = hits.t > self.sight_m
-        hits.t[far], hits.body[far], hits.facing[far] = np.inf, -1, 0.0
+        hits.t[far] = np.inf
+        hits.body[far] = -1
+        hits.facing[far] = 0.0
         return hits
 
 
@@ -231,7 +235,9 @@ def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Meas
     way = -flake_m * np.log1p(-hashed(seed, 40, shot))
     seen = hashed(seed, 41, shot) < np.exp(-way / FLAKE_SEEN_M)
     hit = seen & (way > NEAREST_FLAKE_M) & ~(way >= found.range_m)
-    range_m, label, intensity = found.range_m.copy(), found.label.copy(), found.intensity.copy()
+    range_m = found.range_m.copy()
+    label = found.label.copy()
+    intensity = found.intensity.copy()
     range_m[hit] = way[hit]
     label[hit] = Label.NOISE
     intensity[hit] = FLAKE_POWER * (10.0 / way[hit]) ** 2 * (0.5 + hashed(seed, 42, shot[hit]))
@@ -253,8 +259,10 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)
         return found
     azimuth = scanner.azimuth_rad(first_line, len(range_m))
-    along, across = range_m * columns[:, 0], range_m * columns[:, 1]
-    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    along = range_m * columns[:, 0]
+    across = range_m * columns[:, 1]
+    cosine = np.cos(azimuth)
+    sine = np.sin(azimuth)
     parts = (
         cosine * along - sine * across,
         sine * along + cosine * across,
@@ -282,7 +290,8 @@ def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) ->
 
 def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
     """Return how far everything is from a place, between knee and head, at time 0 [m]."""
-    heights, turns = np.array([0.5, 1.0, 1.5]), np.arange(0.0, 2.0 * np.pi, np.pi / 90.0)
+    heights = np.array([0.5, 1.0, 1.5])
+    turns = np.arange(0.0, 2.0 * np.pi, np.pi / 90.0)
     origin = np.empty((len(heights), len(turns), 3))
     origin[:] = np.array([x_m, y_m, z_m])
     origin[:, :, 2] += heights[:, None]
@@ -338,7 +347,8 @@ def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
     at = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
     material = bodies.material[body[at]]
     known = of_material[material] == label[at]
-    at, material = at[known], material[known]
+    at = at[known]
+    material = material[known]
     found[at] = own[material]
     at = at[np.isin(material, _ASKED)]
     level = is_level(bodies, body[at], place_m[at])
@@ -348,14 +358,19 @@ def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
 
 def is_level(bodies: Bodies, body: I32, place_m: F64) -> Mask:
     """Tell level faces of boxes and triangles; poles, balls and what is filled with bars or leaves have none."""
-    shape, numbers = bodies.shape[body], bodies.numbers[body]
+    shape = bodies.shape[body]
+    numbers = bodies.numbers[body]
     level = np.zeros(len(body), np.bool_)
     flat = np.flatnonzero(shape == Shape.TRIANGLE)
-    a, b, c = numbers[flat, 0:3], numbers[flat, 3:6], numbers[flat, 6:9]
+    a = numbers[flat, 0:3]
+    b = numbers[flat, 3:6]
+    c = numbers[flat, 6:9]
     normal = np.cross(b - a, c - a)
     level[flat] = np.abs(normal[:, 2]) > LEVEL_COSINE * np.linalg.norm(normal, axis=1)
     box = np.flatnonzero((shape == Shape.BOX) & (bodies.density[body] == 0.0))
-    away, half, yaw = np.abs(place_m[box] - numbers[box, 0:3]), numbers[box, 3:6], numbers[box, 6]
+    away = np.abs(place_m[box] - numbers[box, 0:3])
+    half = numbers[box, 3:6]
+    yaw = numbers[box, 6]
     dx, dy = (place_m[box] - numbers[box, 0:3])[:, :2].T
     away[:, 0] = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy)
     away[:, 1] = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx)

@@ -219,8 +219,10 @@ class Scanner(Params):
                 axis=1,
             )
         within = angle + np.deg2rad(self.roll_deg)
-        slant, heading = np.deg2rad(self.slant_deg), np.deg2rad(self.heading_deg)
-        down, left = np.cos(within), np.sin(within)
+        slant = np.deg2rad(self.slant_deg)
+        heading = np.deg2rad(self.heading_deg)
+        down = np.cos(within)
+        left = np.sin(within)
         forward = -np.sin(slant) * down
         return np.stack(
             [

@@ -80,7 +80,9 @@ def _plain(numbers: F64) -> F64:
     return np.require(numbers, np.float64, ["C", "W"])
 
 
-_GLASS, _LEAVED, _CURVED = 1, 2, 4
+_GLASS = 1
+_LEAVED = 2
+_CURVED = 4
 _QUANTILES = 4096
 
 
@@ -128,7 +130,8 @@ def scan(
     ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
         (*hits,), second, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
-    lines, columns = np.ascontiguousarray(extra[:, 0]), np.ascontiguousarray(extra[:, 1])
+    lines = np.ascontiguousarray(extra[:, 0])
+    columns = np.ascontiguousarray(extra[:, 1])
     return Measured(
         ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity
     )

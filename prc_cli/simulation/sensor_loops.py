@@ -23,9 +23,12 @@ from prc_cli.kernels.cache import (
 )
 from prc_cli.simulation.thresholds import SensorModel
 
-GLASS, LEAVED, CURVED = 1, 2, 4
+GLASS = 1
+LEAVED = 2
+CURVED = 4
 """Bits of what a body is."""
-LABEL_MISSING, LABEL_NOISE = 0, 2
+LABEL_MISSING = 0
+LABEL_NOISE = 2
 """As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
 
 (
@@ -43,7 +46,8 @@ _WHITE = 0.9
 """Reflectance of what data sheets call white."""
 _FLASH = 0.9986
 """Cosine of three degrees: glass at nearly normal incidence mirrors the beam back."""
-_SKY_COLUMNS, _SKY_LINES = 24, 100
+_SKY_COLUMNS = 24
+_SKY_LINES = 100
 """Bright patches of the sky: number in a line, and lines of each."""
 
 _GHOST_REFLECTANCE = 0.1
@@ -264,7 +268,8 @@ def _brightness(seed: int, line: int, column: int, n_columns: int) -> float:
     place = column * _SKY_COLUMNS / n_columns
     j = int(place)
     u = place - j
-    before, after = _key(seed, i), _key(seed, i + 1)
+    before = _key(seed, i)
+    after = _key(seed, i + 1)
     early = _draw(before, j, _FOR_SKY) * (1.0 - u) + _draw(before, j + 1, _FOR_SKY) * u
     late = _draw(after, j, _FOR_SKY) * (1.0 - u) + _draw(after, j + 1, _FOR_SKY) * u
     return min(max(6.0 * (early * (1.0 - v) + late * v) - 3.6, 0.0), 1.0)
@@ -285,7 +290,8 @@ def goes_behind(
 
     ``kind`` (n, 2) uint8; returns (lines, M) bool.
     """
-    body, facing = hits[1], hits[2]
+    body = hits[1]
+    facing = hits[2]
     behind = np.zeros(body.shape, np.bool_)
     for i in range(body.shape[0]):
         key = _key(seed, first_line + i)
@@ -368,7 +374,8 @@ def _find(
     """Keep the echoes that are found, at most as many as the scanner gives, with range noise."""
     found = 0
     for i in range(n):
-        power, label = echo[i, _POWER], echo[i, _LABEL]
+        power = echo[i, _POWER]
+        label = echo[i, _LABEL]
         t, wraps = _measure(key, column, i, echo[i, _T], power, echo[i, _SLOPE], model, quantiles)
         if np.isnan(t):
             continue
@@ -474,11 +481,13 @@ def sense(
     intensities = np.zeros((n_lines, m), np.float32)
     room = n_lines * m * 2 if model.max_returns > 1 else 0
     extra = np.empty((room, 2), np.int32)
-    extra_range, extra_label = np.empty(room, np.float32), np.empty(room, np.uint8)
+    extra_range = np.empty(room, np.float32)
+    extra_label = np.empty(room, np.uint8)
     extra_intensity = np.empty(room, np.float32)
     n_extra = 0
     echo = np.empty((4, _N_ECHO))
-    work, what = np.empty((_N_WORK, m)), np.empty(m, np.uint8)
+    work = np.empty((_N_WORK, m))
+    what = np.empty(m, np.uint8)
     looked = behind[0].shape[0] == n_lines
     splits = GLASS | LEAVED if model.max_returns > 1 else GLASS
     stray_with = model.background_share + model.cluster_share

@@ -217,7 +217,8 @@ def preset_notes(
 def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], where: str) -> None:
     """Refuse a preset beside a table of the file: its keys would be laid over the preset, maybe every one of them."""
     for name in ("scene", "scanner", "trajectory"):
-        asked, given = options.get(name), written.get(name)
+        asked = options.get(name)
+        given = written.get(name)
         if not (isinstance(asked, Mapping) and isinstance(given, Mapping)):
             continue
         own = sorted(set(given) - {"name"})
@@ -254,7 +255,8 @@ def _with_room_to_stop(motion: dict[str, Any]) -> dict[str, Any]:
 
 SIGHT_M: dict[Kind, float] = {"street": 120.0, "forest": 60.0, "street-scan": 160.0}
 """Nothing farther is simulated unless it is asked for [m]."""
-LOOK_AHEAD_M, LOOK_STEP_M = 60.0, 1.0
+LOOK_AHEAD_M = 60.0
+LOOK_STEP_M = 1.0
 """How far, and how closely, a place for a tripod is looked for [m]."""
 
 
@@ -288,7 +290,8 @@ def open_simulation(
 ) -> Simulation:
     """Prepare a simulation; nothing is simulated before its blocks are asked for."""
     chosen = load_settings(kind) if settings is None else settings
-    scanner, seed = chosen.scanner, chosen.seed
+    scanner = chosen.scanner
+    seed = chosen.seed
     sight_m = min(
         chosen.sight_m if chosen.sight_m is not None else SIGHT_M[kind], scanner.max_range_m
     )

@@ -179,10 +179,8 @@ class Trajectory:
     def progress(self, time_s: F64) -> tuple[F64, F64, F64]:
         """Return how far the platform is."""
         distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
-        share, phase = (
-            self.motion.speed_variation,
-            hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi,
-        )
+        share = self.motion.speed_variation
+        phase = hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
         around = distance / _WAVE_M + phase
         faster = 1.0 + share * np.cos(around)
         acceleration = acceleration * faster - speed * speed * (share / _WAVE_M) * np.sin(around)
@@ -229,7 +227,8 @@ class Trajectory:
 
     def _stop_and_go(self, time_s: F64) -> tuple[F64, F64, F64]:
         """Return distance, speed and acceleration of a platform that cruises evenly but for its stops."""
-        motion, v = self.motion, self.motion.speed_m_s
+        motion = self.motion
+        v = self.motion.speed_m_s
         stretch = motion.stop_every_m
         if stretch == 0.0:
             return v * time_s, np.full_like(time_s, v), np.zeros_like(time_s)
@@ -312,8 +311,10 @@ class Shots:
 
 def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> Shots:
     """Return the rays of consecutive lines; poses are worked out every few ms, shots lie between them."""
-    m, late = scanner.points_per_line, scanner.late_lines
-    row, column = np.arange(n_lines)[:, None] + late, np.arange(m)
+    m = scanner.points_per_line
+    late = scanner.late_lines
+    row = np.arange(n_lines)[:, None] + late
+    column = np.arange(m)
     n_lines += int(late.max())
     line_s = scanner.shot_s * m
     n_knots = 1 if scanner.turns else max(int(np.ceil(line_s / _KNOT_S)), 1)
@@ -437,16 +438,16 @@ def _records(earth: pyproj.Proj, time_s: F64, xyz_m: F64, pose: Pose, velocity: 
     convergence = np.radians(earth.get_factors(longitude, latitude).meridian_convergence)
     records = np.zeros((len(time_s), 17), dtype="<f8")
     records[:, 0] = time_s
-    records[:, 1], records[:, 2], records[:, 3] = (
-        np.radians(latitude),
-        np.radians(longitude),
-        xyz_m[:, 2],
-    )
-    east, north = velocity[:, 0], velocity[:, 1]
+    records[:, 1] = np.radians(latitude)
+    records[:, 2] = np.radians(longitude)
+    records[:, 3] = xyz_m[:, 2]
+    east = velocity[:, 0]
+    north = velocity[:, 1]
     records[:, 4] = north * np.cos(convergence) - east * np.sin(convergence)
     records[:, 5] = east * np.cos(convergence) + north * np.sin(convergence)
     records[:, 6] = -velocity[:, 2]
     # there the body has x forward, y right, z down: pitch changes its sign, roll does not
-    records[:, 7], records[:, 8] = pose.roll, -pose.pitch
+    records[:, 7] = pose.roll
+    records[:, 8] = -pose.pitch
     records[:, 9] = (np.pi / 2.0 - pose.yaw + convergence) % (2.0 * np.pi)
     return records

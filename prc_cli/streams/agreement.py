@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from prc_cli.core.types import F64, I64, Mask
 
 ANGLES = "input.angles"
-CONTINUED, NOT_USED, CONTRADICTED = "continued", "measured from the ranges", "contradicted"
+CONTINUED = "continued"
+NOT_USED = "measured from the ranges"
+CONTRADICTED = "contradicted"
 """Values of the assumption on recorded angles that are not those of the shots."""
 
 LEAST_STUCK = 8
@@ -29,7 +31,8 @@ LEAST_APART_M = 0.1
 """Nearer points are rounded too coarsely."""
 ALONG = 0.7
 """Pairs tell of the angle where the ranges differ by less than this share of the distance between the points."""
-OFF, OFF_M = 0.2, 0.03
+OFF = 0.2
+OFF_M = 0.03
 """Tolerance of the distance between two points, as a share and in metres."""
 LEAST_PAIRS = 4
 """Fewer pairs of a column tell nothing."""
@@ -112,14 +115,17 @@ def contradicted_share(
     is_cell &= np.isfinite(xyz_m).all(axis=1)
     cell = (line * m + column)[is_cell]
     order = np.argsort(cell, kind="stable")
-    cell, range_m, xyz_m = cell[order], range_m[is_cell][order], xyz_m[is_cell][order]
+    cell = cell[order]
+    range_m = range_m[is_cell][order]
+    xyz_m = xyz_m[is_cell][order]
     # the first shot of a cell whose column is not the last
     later = np.searchsorted(cell, cell + lag)
     later = np.minimum(later, len(cell) - 1) if len(cell) else later
     is_pair = (
         (cell[later] == cell + lag) & (cell % m + lag < m) if len(cell) else np.zeros(0, np.bool_)
     )
-    first, second = np.flatnonzero(is_pair), later[is_pair]
+    first = np.flatnonzero(is_pair)
+    second = later[is_pair]
     start = cell[first] % m
     return _share_off(
         range_m, xyz_m, first, second, start, angle_rad[start + lag] - angle_rad[start], m
@@ -135,7 +141,8 @@ def _share_off(
     turned: NDArray[np.float64],
     m: int,
 ) -> float | None:
-    near, far = range_m[first], range_m[second]
+    near = range_m[first]
+    far = range_m[second]
     with np.errstate(over="ignore", invalid="ignore"):
         apart = np.sqrt(((xyz_m[first] - xyz_m[second]) ** 2).sum(axis=1))
         expected = np.sqrt(

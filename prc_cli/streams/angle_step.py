@@ -31,7 +31,8 @@ LEAST_TURN = 1 / 80
 """A window spans this part of a line at least: in narrower ones u hardly bends."""
 HOP = 3
 """Windows begin every third of their length."""
-BENT, ROUGH = 0.004, 0.02
+BENT = 0.004
+ROUGH = 0.02
 """A window whose inverse ranges are farther off the quadratic than this share, root mean square, is no plane."""
 CERTAIN = 0.08
 """Windows are taken whose curvature is known to this share."""
@@ -49,7 +50,8 @@ WIDTHS_SHARE = 0.5
 """The same of what the two most certain widths of windows differ by: crowns of roads and bent walls show in it."""
 MOST_OFF = 0.1
 """A step that is known less well is not used."""
-LEAST_OFF, LEAST_OFF_WIDE = 0.005, 0.02
+LEAST_OFF = 0.005
+LEAST_OFF_WIDE = 0.02
 """Least uncertainty, where all pieces agree: they may all lie on one road. The second where all windows are wider than
 :data:`WIDEST_RAD`: real roads bend them."""
 LEAST_FIELD_RAD = math.radians(20.0)
@@ -138,7 +140,8 @@ def _read(
 ) -> _Reading | None:
     """Return what windows of a width say; None with too few pieces."""
     is_straight = error < bent * _error_of_one(window)
-    curvature, error = curvature[is_straight], error[is_straight]
+    curvature = curvature[is_straight]
+    error = error[is_straight]
     if len(curvature) < LEAST_PIECES:
         return None
     # the most certain half first, then all that are certain beside what these say

@@ -82,7 +82,8 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
         )
     step = np.diff(value)
     step = step[np.abs(step) <= 0.5 * span]
-    n_up, n_down = int(np.count_nonzero(step > 0)), int(np.count_nonzero(step < 0))
+    n_up = int(np.count_nonzero(step > 0))
+    n_down = int(np.count_nonzero(step < 0))
     share = max(n_up, n_down) / max(n_up + n_down, 1)
     if share < MIN_AGREEMENT:
         problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
@@ -121,12 +122,16 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: WrapState) -> tuple[
         # jumps larger than noise are few: check one by one whether a line ends
         jumps = np.flatnonzero(back > sweep.noise_rad)
         borders = np.concatenate(([0], jumps[jumps > 0]))
-        lows, highs = np.minimum.reduceat(seen, borders), np.maximum.reduceat(seen, borders)
+        lows = np.minimum.reduceat(seen, borders)
+        highs = np.maximum.reduceat(seen, borders)
         pieces = iter(zip(lows.tolist(), highs.tolist(), strict=True))
-        low, high, last_span = state.low, state.high, state.last_span
+        low = state.low
+        high = state.high
+        last_span = state.last_span
         if not len(jumps) or jumps[0] > 0:
             first_low, first_high = next(pieces)
-            low, high = min(low, first_low), max(high, first_high)
+            low = min(low, first_low)
+            high = max(high, first_high)
         for jump, size, (piece_low, piece_high) in zip(
             jumps.tolist(), back[jumps].tolist(), pieces, strict=True
         ):
@@ -134,7 +139,8 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: WrapState) -> tuple[
                 begins[position[jump]] = 1
                 low, high, last_span = piece_low, piece_high, high - low
             else:
-                low, high = min(low, piece_low), max(high, piece_high)
+                low = min(low, piece_low)
+                high = max(high, piece_high)
         state = replace(state, last_angle=float(seen[-1]), low=low, high=high, last_span=last_span)
     line = state.wraps + np.cumsum(begins)
     if len(line):
@@ -153,7 +159,8 @@ def find_angle_grid(
 ) -> AngleGrid:
     """Estimate columns from the first angles; the step is refined over distances, so that it fits whole lines."""
     finite = np.isfinite(angle)
-    value, line = np.asarray(angle, np.float64)[finite], line[finite]
+    value = np.asarray(angle, np.float64)[finite]
+    line = line[finite]
     within = ~begins_line(line)
     if not within.any():
         raise InputError(
@@ -228,7 +235,8 @@ def _grid(
     first = np.flatnonzero(begins)
     along = np.cumsum(forward)
     reach = np.maximum.reduceat(along, first) - along[first]
-    size, sign = abs(step), math.copysign(1.0, step)
+    size = abs(step)
+    sign = math.copysign(1.0, step)
     whole = whole_turn or float(np.max(reach)) + size >= FULL_TURN * _TURN
     if whole and not keep_step:
         # where it is known that lines are turns: a column for every shot, though the turn holds no whole number
@@ -274,11 +282,13 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
     angles = np.interp(np.arange(points_per_line), seen, mean)
     for at in np.flatnonzero(np.abs(np.diff(mean) - slope * np.diff(seen)) > SEAM_RAD):
         # columns not seen beside a dead angle continue the nearer side
-        left, right = int(seen[at]), int(seen[at + 1])
+        left = int(seen[at])
+        right = int(seen[at + 1])
         middle = (left + right + 1) // 2
         angles[left:middle] = mean[at] + slope * np.arange(middle - left)
         angles[middle:right] = mean[at + 1] - slope * np.arange(right - middle, 0, -1)
-    after, before = np.arange(seen[-1] + 1, points_per_line), np.arange(seen[0])
+    after = np.arange(seen[-1] + 1, points_per_line)
+    before = np.arange(seen[0])
     angles[after] = mean[-1] + slope * (after - seen[-1])
     angles[before] = mean[0] + slope * (before - seen[0])
     return angles
@@ -359,7 +369,8 @@ def columns_of_angles(
     known = np.isfinite(angle)
     if np.count_nonzero(known) < MOST_SHARED * len(angle):
         return False, "the scan angles are not known"
-    shots, angle = take(shots, known), angle[known]
+    shots = take(shots, known)
+    angle = angle[known]
     try:
         sweep = find_sweep(angle, path)
         if line_dimension is None:
@@ -405,11 +416,14 @@ def turn_of_times(time_s: F64, angle: F64) -> float | None:
     2.0
     """
     use = np.isfinite(time_s) & np.isfinite(angle)
-    time_s, angle = time_s[use], angle[use]
+    time_s = time_s[use]
+    angle = angle[use]
     if len(angle) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # of what no scanner measured
-        dt, turned, span = np.diff(time_s), np.diff(angle), float(np.ptp(angle))
+        dt = np.diff(time_s)
+        turned = np.diff(angle)
+        span = float(np.ptp(angle))
         ahead = (dt > 0) & (np.abs(turned) < 0.12 * span)
         wraps = np.flatnonzero(np.abs(turned) > 0.5 * span)
         if len(wraps) < _LEAST_WRAPS or not ahead.any():

@@ -88,11 +88,9 @@ class Sample:
 
     def add(self, block: ScanBlock) -> None:
         """Add lines of the next block of the scanner, as far as needed."""
-        self.scanner, self.angle_rad, self.points_per_line = (
-            block.scanner,
-            block.angle_rad,
-            block.points_per_line,
-        )
+        self.scanner = block.scanner
+        self.angle_rad = block.angle_rad
+        self.points_per_line = block.points_per_line
         self.max_seen = max(SAMPLE_LINES, MAX_SAMPLE_CELLS // block.points_per_line)
         for line in range(min(block.n_lines, self.max_seen - self.n_seen)):
             if self.is_complete:
@@ -256,7 +254,8 @@ class BeamFinder:
 
     def _measured(self, sample: Sample, range_m: F32) -> Found:
         """Use angles measured from the ranges; straight down is given, or level ground."""
-        scanner, m = sample.scanner, sample.points_per_line
+        scanner = sample.scanner
+        m = sample.points_per_line
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, m, has_returns=len(range_m) > 0)
         step = measure_step(range_m)
@@ -465,7 +464,8 @@ class BeamStream(Brief):
     @property
     def info(self) -> StreamInfo:
         """Metadata of the stream, with the directions found so far."""
-        info, every = self.source.info, [*self.known.values(), *self.late.values()]
+        info = self.source.info
+        every = [*self.known.values(), *self.late.values()]
         found = dict.fromkeys(one.assumption for one in every if one.assumption is not None)
         notes = dict.fromkeys(one.note for one in every if one.note)
         facts = replace(info.facts, notes=(*info.facts.notes, *notes))
@@ -522,7 +522,8 @@ def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
     up = -cos_tilt * np.cos(beam_rad)
     across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))
     xyz: F32 = np.zeros((*range_m.shape, 3), np.float32)
-    xyz[..., 0], xyz[..., 2] = range_m * across, range_m * up
+    xyz[..., 0] = range_m * across
+    xyz[..., 2] = range_m * up
     xyz[np.isnan(range_m)] = np.nan
     return xyz
 

@@ -19,14 +19,14 @@ from prc_cli.streams.steps import ONE, Step
 
 Table: TypeAlias = dict[str, NDArray[Any]]
 
-RECORD, LINE, START, SPREAD, ORDINAL = (
-    "record index",
-    "line index",
-    "shot start",
-    "spread time",
-    "stamp ordinal",
-)
-RANGE, XYZ, INTENSITY = "slant range", "sensor xyz", "intensity"
+RECORD = "record index"
+LINE = "line index"
+START = "shot start"
+SPREAD = "spread time"
+ORDINAL = "stamp ordinal"
+RANGE = "slant range"
+XYZ = "sensor xyz"
+INTENSITY = "intensity"
 """Computed columns beside the dimensions; the blanks avoid clashes with their names."""
 
 
@@ -111,7 +111,8 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
     stamp = np.asarray(shots["time"], np.float64)
     if rule.line_hz is not None and origin_s is not None:
         # subtract the origin first: line / HZ then keeps full resolution in long drives
-        spread, start = spread - origin_s, line / rule.line_hz
+        spread = spread - origin_s
+        start = line / rule.line_hz
     else:
         start = spread[first_of_line(line)]
     return columns_by_time(spread, stamp, shots[ORDINAL], line, rule.shot_hz, start)

@@ -79,14 +79,19 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
         shown = "no line has two returns" if seen.any() else "no shot has a return"
         raise TooFewReturnsError(f"{shown} in the first lines")
     _check_lengths(xyz)
-    unit, seen = unit[enough], seen[enough]
+    unit = unit[enough]
+    seen = seen[enough]
     normal, arc, off = _planes(unit, seen)
     wide = arc >= MIN_ARC_RAD
     if not wide.any():
         raise NoDirectionError(
             f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions"
         )
-    unit, seen, normal, arc, off = unit[wide], seen[wide], normal[wide], arc[wide], off[wide]
+    unit = unit[wide]
+    seen = seen[wide]
+    normal = normal[wide]
+    arc = arc[wide]
+    off = off[wide]
     rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
     if float(np.median(rise)) < MIN_RISE_RAD:
         raise LevelLinesError(
@@ -96,7 +101,8 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     _check_level(unit, seen)
     _check_planes(arc, off, rise)
     steep = rise >= MIN_RISE_RAD
-    angle, seen = _angles_in_plane(unit[steep], seen[steep], normal[steep]), seen[steep]
+    angle = _angles_in_plane(unit[steep], seen[steep], normal[steep])
+    seen = seen[steep]
     return _columns(angle, seen)
 
 
@@ -132,7 +138,8 @@ def _check_level(unit: F64, seen: Mask) -> None:
 
 def _check_planes(arc: F64, off: F64, rise: F64) -> None:
     """Refuse lines whose shots are off a plane through the origin, and planes of different tilt."""
-    out, whole = float(np.median(off)), float(np.median(arc))
+    out = float(np.median(off))
+    whole = float(np.median(arc))
     if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
         raise WrongOriginError(
             f"xyz is not relative to the scanner: the shots of a line lie {math.degrees(out):.2f} deg off a plane "
@@ -197,7 +204,8 @@ def _columns(angle: F64, seen: Mask) -> Beams:
     """Return the beams of all columns from the angles of some lines."""
     m = angle.shape[1]
     columns = np.flatnonzero(seen.any(axis=0))
-    angle, seen = angle[:, columns], seen[:, columns]
+    angle = angle[:, columns]
+    seen = seen[:, columns]
     filled = np.where(seen, angle, 0.0)
     middle = np.arctan2((np.sin(filled) * seen).sum(axis=0), (np.cos(filled) * seen).sum(axis=0))
     for _ in range(2):
@@ -253,7 +261,8 @@ def _grown(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple
         raise NoDirectionError("the directions do not turn with the column")
     beam = np.interp(every, at, value)
     slope = float((value[-1] - value[0]) / (at[-1] - at[0]))
-    before, after = every < at[0], every > at[-1]
+    before = every < at[0]
+    after = every > at[-1]
     beam[before] = value[0] + slope * (every[before] - at[0])
     beam[after] = value[-1] + slope * (every[after] - at[-1])
     return _finish(beam), False
@@ -278,7 +287,8 @@ def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
     use = weight
     for _ in range(N_TRIMS):
         total = use.sum()
-        x, y = column - (use * column).sum() / total, angle - (use * angle).sum() / total
+        x = column - (use * column).sum() / total
+        y = angle - (use * angle).sum() / total
         square = (use * x * x).sum()
         slope = float((use * x * y).sum() / square) if square > 0 else 0.0
         off = np.abs(y - slope * x)

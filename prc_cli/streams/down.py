@@ -46,7 +46,8 @@ BIN_M = 0.1
 N_BINS = 400
 """Planes farther away than this many bins do not count."""
 LEAST_LINES = 4
-MOST_LINES, MOST_COLUMNS = 64, 360
+MOST_LINES = 64
+MOST_COLUMNS = 360
 """Most lines and columns used."""
 NEAR_PLANE_M = 0.15
 """Distance from a plane up to which the shot of a single line lies in it [m]."""
@@ -123,7 +124,10 @@ def fit_heights(
     """
     angle, range_m, z = (np.asarray(values, np.float64) for values in (angle, range_m, z))
     use: Mask = np.isfinite(angle) & np.isfinite(range_m) & np.isfinite(z) & (range_m > 0)
-    angle, range_m, z, line = angle[use], range_m[use], z[use], line[use]
+    angle = angle[use]
+    range_m = range_m[use]
+    z = z[use]
+    line = line[use]
     _, row = np.unique(line, return_inverse=True)
     system = np.stack([range_m * np.cos(angle), range_m * np.sin(angle)], axis=1)
     keep = np.ones(len(z), np.bool_)
@@ -351,7 +355,8 @@ def _sky(along: F64, range_m: F32, step_rad: float) -> F64:
 
 def _peaks(score: F64, down_rad: F64) -> list[int]:
     """Return the highest scores that are not beside a higher one, in descending order."""
-    left, found = score.copy(), []
+    left = score.copy()
+    found = []
     for _ in range(MOST_PEAKS):
         at = int(np.argmax(left))
         if left[at] <= 0:

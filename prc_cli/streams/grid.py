@@ -48,7 +48,8 @@ from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up, setup_notes
 
 MAX_BLOCK_CELLS = 1 << 21
 """Most cells of a block (at least a line): long gaps are cut into several blocks."""
-_COLUMN, _STANDS = "column index", "chosen return"
+_COLUMN = "column index"
+_STANDS = "chosen return"
 
 
 def open_grid(
@@ -68,7 +69,8 @@ def open_grid(
     )
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
-    n_records, m = source.n_records, rules.points_per_line
+    n_records = source.n_records
+    m = rules.points_per_line
     counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
     if counts_records and m is not None and n_records is not None and config.window is None:
         check_partial_line(source.path, n_records, m, source=records)
@@ -161,7 +163,8 @@ class GridStream(Brief):
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
         """Yield blocks of dense records, one per cell, without moving any."""
-        rules, setup = self.rules, self._setup(0)
+        rules = self.rules
+        setup = self._setup(0)
         m = setup.points_per_line
         watch = OrderWatch.of(self.source, rules.config.order) if rules.has("time") else None
         needs_records = watch is not None or rules.pads_last_line
@@ -185,7 +188,8 @@ class GridStream(Brief):
                 yield dense_block(
                     take(table, slice(start * m, stop * m)), first_line, rules, setup, tally
                 )
-                first_line, tally = first_line + stop - start, ReadTally()
+                first_line = first_line + stop - start
+                tally = ReadTally()
             rest = {name: column[n_whole * m :].copy() for name, column in table.items()}
         if watch is not None:
             watch.finish()
@@ -220,7 +224,8 @@ class GridStream(Brief):
         column = find_columns(records, setup.columns, whole.origin_s)
         if not starts.all():
             column = column[np.cumsum(starts) - 1]
-        intensity, number = records.get(INTENSITY), records.get("return_number")
+        intensity = records.get(INTENSITY)
+        number = records.get("return_number")
         stands = choose_returns(
             starts, records[RANGE], intensity, number, self.rules.config.return_
         )
@@ -234,8 +239,10 @@ class GridStream(Brief):
         self, records: Table, first_line: int, n_lines: int, setup: ScannerSetup
     ) -> ScanBlock:
         """Make the block of lines ``first_line`` on; of several shots in a cell, the first with a range is kept."""
-        m, rules = setup.points_per_line, self.rules
-        n_cells, shape = n_lines * m, (n_lines, m)
+        m = setup.points_per_line
+        rules = self.rules
+        n_cells = n_lines * m
+        shape = (n_lines, m)
         cells: Table = {
             RANGE: np.full(n_cells, np.nan, np.float32),
             RECORD: np.full(n_cells, -1, np.int64),
@@ -249,9 +256,12 @@ class GridStream(Brief):
             rules.ranges.sensor_xyz or rules.ranges.dimension is None
         ):  # ranges come with coordinates
             cells[XYZ] = np.full((n_cells, 3), np.nan, np.float32)
-        extra, tally = ExtraReturns.none(), ReadTally()
+        extra = ExtraReturns.none()
+        tally = ReadTally()
         if n_rows(records):
-            line, column, stands = records[LINE], records[_COLUMN], records[_STANDS]
+            line = records[LINE]
+            column = records[_COLUMN]
+            stands = records[_STANDS]
             cell = line - first_line
             cell *= m
             cell += column
@@ -304,7 +314,8 @@ def dense_block(
     table: Table, first_line: int, rules: GridRules, setup: ScannerSetup, tally: ReadTally
 ) -> ScanBlock:
     """Make a block of dense records, one per cell in order, by reshaping."""
-    shape, full = (-1, setup.points_per_line), not rules.only_ranges
+    shape = (-1, setup.points_per_line)
+    full = not rules.only_ranges
     time_s: F64 | None = (
         np.asarray(table["time"], np.float64).reshape(shape) if full and rules.has("time") else None
     )

@@ -283,7 +283,8 @@ def _check_cells(top: I64, known: Mask, record: I64, state: LineState, rules: Li
     empty = top >= most_lines(n_seen, rules)
     if empty.any():
         i = int(np.argmax(empty))
-        m, most = rules.points_per_line, most_lines(n_seen, rules)[i]
+        m = rules.points_per_line
+        most = most_lines(n_seen, rules)[i]
         problem = (
             f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
         )
@@ -390,7 +391,8 @@ def whole_shots(
     if not final and n_returns[-1] > 1:
         last_run = int(np.flatnonzero(~continues)[-1])
         tail = {name: column[last_run:].copy() for name, column in records.items()}
-        records, starts = take(records, slice(0, last_run)), starts[:last_run]
+        records = take(records, slice(0, last_run))
+        starts = starts[:last_run]
         if n_rows(tail) > max_open(rules):
             time_s = tail.get("time", [0])[0]
             problem = (
@@ -473,7 +475,8 @@ def whole_lines(
                         records["time"], records[RECORD], records[rules.column_dimension or ""]
                     )
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
-            state, waiting = replace(state, tally=tally), ReadTally()
+            state = replace(state, tally=tally)
+            waiting = ReadTally()
             try:
                 whole, states[scanner] = advance(
                     scanner, records, state, line_rules(scanner), final=False
@@ -549,7 +552,8 @@ def _last_lines(
 
 def _check_late(path: str, state: ScanState) -> None:
     """Refuse too many shots of complete lines, as where an earlier drive is appended to a later one."""
-    n_late, n_seen = state.lines.n_late, state.lines.n_seen
+    n_late = state.lines.n_late
+    n_seen = state.lines.n_seen
     if n_late > MAX_LATE * n_seen:
         problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
         hint = "sort with --sort-by-time, or leave them unclassified with --trust-order"

@@ -189,7 +189,8 @@ class WindowedStream:
     @property
     def info(self) -> StreamInfo:
         """Metadata of the stream; the number of lines is not that of the drive, and not known before reading."""
-        info, told = self.source.info, self.note()
+        info = self.source.info
+        told = self.note()
         facts = replace(info.facts, notes=(*info.facts.notes, *([told] if told else [])))
         return replace(info, n_lines=None, facts=facts)
 
@@ -198,7 +199,8 @@ class WindowedStream:
         parts = [one for one in self._seen.parts.values() if one.first is not None]
         if not parts:
             return ""
-        first, stop = min(one.first or 0 for one in parts), max(one.stop for one in parts)
+        first = min(one.first or 0 for one in parts)
+        stop = max(one.stop for one in parts)
         several = " of each scanner" if len(parts) > 1 else ""
         return f"only lines {first:,} to {stop - 1:,}{several} were taken ({self.window.option}), as a drive of its own"
 
@@ -236,7 +238,8 @@ class WindowedStream:
             part.ended = bool(len(known)) and float(known[-1]) >= high
             return None
         stop = start + _first_where(place[start:] >= high, block.n_lines - start)
-        part.begun, part.ended = True, stop < block.n_lines
+        part.begun = True
+        part.ended = stop < block.n_lines
         if self.window.in_lines and block.first_line + stop >= high:
             part.ended = True
         if start == stop:

@@ -113,9 +113,13 @@ class OrderEvidence:
         if self.first is None or self.largest is None:
             return f"{self.what} never decreases in {self.n_steps:,} steps{unknown}"
         if self.share_back >= 1e-3:
-            share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
+            share = f"{100 * self.share_back:.1f} %"
+            place = "first"
+            step = self.first
         else:
-            share, place, step = f"{self.n_back:,}", "largest", self.largest
+            share = f"{self.n_back:,}"
+            place = "largest"
+            step = self.largest
         return (
             f"{self.what} decreases in {share} of {self.n_steps:,} steps, {place} at record {step.record}: "
             f"{_shown(step.value, step)} s after {_shown(step.before, step)} s{unknown}"
@@ -149,7 +153,8 @@ class OrderWatch:
         self._last: float | None = None
         self._first: StepBack | None = None
         self._largest: StepBack | None = None
-        self._low, self._high = math.inf, -math.inf
+        self._low = math.inf
+        self._high = -math.inf
         self._starts: list[tuple[int, float]] = []
         """First record and first time of every run of rising times."""
         self._tops: list[float] = []
@@ -174,7 +179,8 @@ class OrderWatch:
             # up to the next check, so that the verdict does not depend on chunks
             n = CHECK_RECORDS - self._n_records % CHECK_RECORDS
             self._count(values[:n], record[:n])
-            values, record = values[n:], record[n:]
+            values = values[n:]
+            record = record[n:]
             if self._policy == "require" and self._n_records % CHECK_RECORDS == 0:
                 self._judge()
 
@@ -182,7 +188,8 @@ class OrderWatch:
         self._n_records += len(values)
         finite = np.isfinite(values)
         if not finite.all():
-            values, record = values[finite], record[finite]
+            values = values[finite]
+            record = record[finite]
         if not len(values):
             return
         if self._last is None:
@@ -288,7 +295,8 @@ def fire_in_turns(time_s: F64, column: NDArray[Any]) -> bool:
     True
     """
     known = np.isfinite(time_s) & (column >= 0)
-    time_s, column = time_s[known], column[known]
+    time_s = time_s[known]
+    column = column[known]
     if not len(time_s) or column.max() >= MAX_RINGS or not (np.diff(time_s) < 0).any():
         return False
     order = np.argsort(column, kind="stable")
@@ -300,7 +308,8 @@ class RingOrderWatch:
     """Checks the times of every ring by itself; a ring has a column."""
 
     def __init__(self, source: RecordSource, policy: Policy) -> None:
-        self._source, self._policy = source, policy
+        self._source = source
+        self._policy = policy
         self._rings: dict[int, OrderWatch] = {}
 
     def count(self, values: NDArray[Any], record: I64 | None, column: NDArray[Any]) -> ReadTally:
@@ -398,7 +407,8 @@ def take_turns(block: ScanBlock) -> bool:
 
 TOLERANCE = 0.01
 """Tolerance of the step back as a share of a week, for pauses and clock errors."""
-ADDED, STEPS = "week added", "week steps"
+ADDED = "week added"
+STEPS = "week steps"
 """Additional columns of chunks: where a week was added (n,), and the number of week ends (1,)."""
 
 
@@ -487,7 +497,8 @@ RUN_RECORDS = 1 << 19
 """Records sorted in memory at a time."""
 MERGE_RECORDS = 1 << 20
 """Records of all runs held in memory while merging."""
-_TIME, _RECORD = "sort time", "input record"
+_TIME = "sort time"
+_RECORD = "input record"
 """Fields added to the records; the blanks avoid clashes with dimensions."""
 
 
@@ -542,7 +553,8 @@ class _SortedSource(DerivedSource):
                 part = records[start : start + self.run_records]
                 if held + len(part) > self.run_records:
                     yield _sort(parts)
-                    parts, held = [], 0
+                    parts = []
+                    held = 0
                 parts.append(part)
                 held += len(part)
         if parts:
@@ -614,7 +626,8 @@ class _Run:
         count = int(
             np.searchsorted(self.window[_TIME], limit, side="right" if with_equal else "left")
         )
-        taken, self.window = self.window[:count], self.window[count:]
+        taken = self.window[:count]
+        self.window = self.window[count:]
         return taken
 
 

@@ -45,7 +45,8 @@ class PipeSource(FieldSource):
 
     def __init__(self, handle: ByteStream, layout: Layout, name: str = "stdin") -> None:
         super().__init__(name, FORMAT, layout_columns(layout), self)
-        self._dtype, self._header_bytes = record_dtype(layout), layout.header_bytes
+        self._dtype = record_dtype(layout)
+        self._header_bytes = layout.header_bytes
         self._handle = handle
         self._kept: list[bytes] = []
         self._n_kept = 0
@@ -60,7 +61,10 @@ class PipeSource(FieldSource):
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, NDArray[Any], int]]:
         """Yield index of the first record, records as they arrive, from the start, and their number."""
-        each, n_header, first, rest = self._dtype.itemsize, self._header_bytes, 0, b""
+        each = self._dtype.itemsize
+        n_header = self._header_bytes
+        first = 0
+        rest = b""
         for piece in self._pieces():
             data = rest + piece if rest else piece
             if n_header:

@@ -124,7 +124,8 @@ def _ways(along: F64, step: float, way: float) -> Iterator[Turns]:
 def _square_spread(elevation: F64, ring: I64) -> float:
     """Return the squares of the elevations less those of the means of their rings."""
     n = np.bincount(ring)
-    total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
+    total = np.bincount(ring, elevation)
+    square = np.bincount(ring, elevation**2)
     return float((square - total**2 / np.maximum(n, 1)).sum())
 
 
@@ -209,7 +210,8 @@ def _cut_turns(along: F64) -> tuple[I64, F64]:
     # the same at both ends of the frame, where no other ring exists
     if n[-1] < few:
         last = ring == len(n) - 1
-        ring[last], within[last] = len(n) - 2, np.nextafter(_TURN, 0)
+        ring[last] = len(n) - 2
+        within[last] = np.nextafter(_TURN, 0)
     if n[0] < few:
         within[ring == 0] = 0.0
         ring = np.maximum(ring - 1, 0)
@@ -309,7 +311,8 @@ def _longest_rise(values: F64) -> Mask:
             tops.append(value)
             at.append(i)
         else:
-            tops[pile], at[pile] = value, i
+            tops[pile] = value
+            at[pile] = i
         before[i] = at[pile - 1] if pile else -1
     marked: Mask = np.zeros(len(values), np.bool_)
     i = at[-1] if at else -1
@@ -442,7 +445,9 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTa
     beside = tuple(name for name in (INTENSITY, RING) if name in source.dimensions)
     names = (*ranges.names, *beside)
     parts: list[Table] = []
-    tally, n_records, n_unplaced = ReadTally(), 0, 0
+    tally = ReadTally()
+    n_records = 0
+    n_unplaced = 0
     for chunk in source.chunks(names):
         n_records += chunk.n
         if n_records > MAX_RECORDS:

@@ -420,7 +420,8 @@ def _auto_lines(
 ) -> tuple[str, str]:
     if (implied := _implied(source, "lines", "scan_line")) is not None:
         return implied
-    m, has_angle = config.points_per_line, "angle" in source.dimensions
+    m = config.points_per_line
+    has_angle = "angle" in source.dimensions
     if m is not None and not (has_angle and lacks_shots(first(), source.path, m)):
         return "fixed", f"points_per_line = {m} is given and the input has no dimension scan_line"
     if has_angle and has_sweeps(first(), source.path):
@@ -522,7 +523,8 @@ def _known_points_per_line(
     shot_hz: float | None,
 ) -> tuple[int | None, str | None]:
     """Return M if known without reading, and why if it is not given."""
-    given, recorded = config.points_per_line, source.facts.points_per_line
+    given = config.points_per_line
+    recorded = source.facts.points_per_line
     key = "input.points_per_line"
     if given is not None:
         # with column numbers in the file another M drops its last columns, or spreads its angles over too many
@@ -595,7 +597,8 @@ class _WithElevation(DerivedSource):
             yield from self.source.chunks(names)
             return
         own = tuple(name for name in names if name not in ("angle", _LINE))
-        line, last = 0, np.nan
+        line = 0
+        last = np.nan
         for chunk in self.source.chunks(tuple(dict.fromkeys((*own, *XYZ)))):
             x, y, z = (np.asarray(chunk.values[name], np.float64) for name in XYZ)
             with np.errstate(over="ignore", invalid="ignore"):

@@ -191,10 +191,8 @@ def _set_up_one(
     lines = replace(line_rules(rules, m, found), spent=rules.spent, n_known=n_known)
     # fixed lines: every shot has a cell, no limit needed
     if rules.lines != "fixed":
-        n_spare, max_gap = (
-            SPARE_CELLS if rules.scanner is None else MIN_CELLS,
-            rules.config.max_gap_lines,
-        )
+        n_spare = SPARE_CELLS if rules.scanner is None else MIN_CELLS
+        max_gap = rules.config.max_gap_lines
         # a raised limit for gaps needs some more cells
         lines = replace(
             lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare
@@ -227,9 +225,11 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
         if is_empty or n_columns > MAX_COLUMN:
             where = f"{path}: {which} {scanner}" if which else path
             problem = f"{n_lines} lines of {n_columns} columns for {n_shots} shots"
-            cause, hint = "a column number is wrong", "give the shots in a scan line: -M NUMBER"
+            cause = "a column number is wrong"
+            hint = "give the shots in a scan line: -M NUMBER"
             if n_lines > max(n_shots, n_columns):
-                cause, hint = "line numbers or times jump", f"check them, or {hint}"
+                cause = "line numbers or times jump"
+                hint = f"check them, or {hint}"
             raise InputError(where, f"{problem}: {cause}, expected fewer cells", hint)
 
 
@@ -396,7 +396,8 @@ def _angles(rules: GridRules, size: int, found: Estimates, first: WholeLines | N
     if found.angle_grid is not None:
         return found.angle_grid.angles(size)
     if rules.gives_angles:
-        start, step = rules.config.angle_start or 0.0, rules.config.angle_step or 0.0
+        start = rules.config.angle_start or 0.0
+        step = rules.config.angle_step or 0.0
         return np.deg2rad(start + step * np.arange(size, dtype=np.float64))
     if first is None or "angle" not in first.records or rules.columns not in ("dimension", "order"):
         return None
@@ -408,13 +409,12 @@ def _angles(rules: GridRules, size: int, found: Estimates, first: WholeLines | N
 
 def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) -> LineRules:
     """Return how the lines of a scanner are found."""
-    half_s, column, column_s = (
-        found.timing.shot_s / 2,
-        rules.column_dimension,
-        found.timing.column_s,
-    )
+    half_s = found.timing.shot_s / 2
+    column = rules.column_dimension
+    column_s = found.timing.column_s
     if rules.shot_hz is not None or not column_s > 0:
-        column, column_s = None, 0.0
+        column = None
+        column_s = 0.0
     shared = ("time" if rules.has("time") else None, rules.line_dimension, rules.column_dimension)
     return LineRules(
         where=f"{rules.path}: {rules.line_dimension or 'lines = ' + rules.lines}",
@@ -438,7 +438,8 @@ def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) 
 
 def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
     """Return the steps of line and column numbers of every scanner in the first records."""
-    line, column = rules.line_dimension, rules.column_dimension
+    line = rules.line_dimension
+    column = rules.column_dimension
     if line is None and column is None:
         return {}
     names = tuple(dict.fromkeys(name for name in (line, column, rules.scanner) if name is not None))
@@ -528,12 +529,14 @@ def _given_timing(rules: GridRules) -> ShotTiming:
 def _timing(rules: GridRules, records: Table) -> ShotTiming:
     """Estimate shot timing from the first records of a scanner."""
     assert rules.line_hz is not None
-    m, name = rules.points_per_line, rules.column_dimension
+    m = rules.points_per_line
+    name = rules.column_dimension
     records, starts, _ = whole_shots(
         records, ScanState(), line_rules(rules, m, Estimates()), final=True
     )
     shots = take(records, starts)
-    time_s, period_s = np.asarray(shots["time"], np.float64), 1 / rules.line_hz
+    time_s = np.asarray(shots["time"], np.float64)
+    period_s = 1 / rules.line_hz
     given_s = _given_timing(rules).shot_s
     if name is not None:
         return ShotTiming(
@@ -574,7 +577,8 @@ def probe(
     source: RecordSource, rules: GridRules, steps: dict[int, Steps]
 ) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
     """Read the first records of every scanner; estimate sweep, column angles and timing."""
-    m, has_angle = rules.points_per_line, rules.has("angle")
+    m = rules.points_per_line
+    has_angle = rules.has("angle")
     needs_sweep = rules.lines == "angle-wrap" or rules.columns == "angle"
     by_column = rules.columns == "dimension" or rules.lines == "fixed"
     # angles that are given need no records, but heights beside them tell where down is
@@ -617,11 +621,9 @@ def _with_grid(rules: GridRules, found: Estimates, whole: WholeLines, where: str
     """Add the columns of the scan angles, where columns are found by them."""
     if rules.columns != "angle":
         return found
-    shots, start, step = (
-        take(whole.records, whole.records[START]),
-        rules.config.angle_start,
-        rules.config.angle_step,
-    )
+    shots = take(whole.records, whole.records[START])
+    start = rules.config.angle_start
+    step = rules.config.angle_step
     grid = find_angle_grid(
         shots["angle"],
         shots[LINE],

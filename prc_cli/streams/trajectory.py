@@ -25,14 +25,16 @@ from prc_cli.formats.trajectory import (
     turned,
 )
 
-_WEEK_S, _HOUR_S = 604_800.0, 3600.0
+_WEEK_S = 604_800.0
+_HOUR_S = 3600.0
 _ADJUSTED_S = 1e9
 """Adjusted standard GPS time is GPS time less this (LAS 1.4, global encoding bit 0)."""
 _LEAP_S = 18.0
 """GPS time is ahead of UTC since 2017 [s]."""
 _UNIX_S = 315_964_800.0 - _LEAP_S
 """UNIX time (ROS, TUM) less GPS time since 2017 [s]."""
-_TO_GPS, _TO_ADJUSTED = "UNIX and GPS time", "UNIX and adjusted GPS time"
+_TO_GPS = "UNIX and GPS time"
+_TO_ADJUSTED = "UNIX and adjusted GPS time"
 _SINCE_1970 = (_TO_GPS, _TO_ADJUSTED)
 _CLOCKS = (
     (0.0, ""),
@@ -44,7 +46,8 @@ _CLOCKS = (
     (_UNIX_S + _ADJUSTED_S, _TO_ADJUSTED),
 )
 """What clocks differ by [s], whole weeks aside, and its name."""
-_GAP_STEPS, _GAP_S = 10, 1.0
+_GAP_STEPS = 10
+_GAP_S = 1.0
 """By default, steps longer than this multiple of the median step and this time [s] are gaps."""
 _PLAIN_S = 1e15
 """Larger times are shown in exponent notation."""
@@ -114,13 +117,16 @@ class Trajectory:
 
     def _check_gaps(self, time_s: F64) -> None:
         """Refuse times strictly inside a gap, where interpolation would invent positions."""
-        starts, ends = self.time_s[self._gaps], self.time_s[self._gaps + 1]
+        starts = self.time_s[self._gaps]
+        ends = self.time_s[self._gaps + 1]
         k = np.searchsorted(starts, time_s, side="left") - 1
         held = (k >= 0) & (time_s < ends[k])
         if not held.any():
             return
         i = int(np.argmax(held))
-        start, end, at = float(starts[k[i]]), float(ends[k[i]]), float(time_s[i])
+        start = float(starts[k[i]])
+        end = float(ends[k[i]])
+        at = float(time_s[i])
         n_held = int(np.count_nonzero(held))
         problem = (
             f"no position from {_shown(start)} to {_shown(end)} s, a gap of {_shown(end - start)} s that holds the "
@@ -137,7 +143,8 @@ class Trajectory:
         if not len(finite):
             problem = f"all {len(time_s)} point times are NaN or infinite, expected times within the trajectory"
             return InputError(self.path, problem, "look at gps_time with prc info")
-        first, last = float(finite.min()), float(finite.max())
+        first = float(finite.min())
+        last = float(finite.max())
         problem = (
             f"{n_outside} of {len(time_s)} point times are outside the trajectory: points from {_shown(first)} to "
             f"{_shown(last)} s, trajectory from {_shown(self.span[0])} to {_shown(self.span[1])} s"

@@ -18,7 +18,9 @@ class Result:
     """Exit code and what was printed."""
 
     def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
+        self.code = code
+        self.out = out
+        self.err = err
 
 
 class Prc:

@@ -41,7 +41,9 @@ class Result:
     """Exit code and what was printed."""
 
     def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
+        self.code = code
+        self.out = out
+        self.err = err
 
 
 Run = Callable[..., Result]
@@ -68,7 +70,8 @@ ODD = os.fsdecode(b"night/stra\xdfe\n\x1b[31m.csv")
 def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """An archive of two good files and a bad one, and an output folder after a first run without a home or terminal."""
     folder = tmp_path_factory.mktemp("office")
-    archive, out = folder / "archive", folder / "out"
+    archive = folder / "archive"
+    out = folder / "out"
     (archive / "night").mkdir(parents=True)
     write_npz(archive / "drive.npz", street())
     write_csv(archive / ODD, street(80))
@@ -134,7 +137,8 @@ def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -
 def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     office: tuple[Path, Path], prc: Run, tmp_path: Path
 ) -> None:
-    archive, out = office[0], tmp_path / "out"
+    archive = office[0]
+    out = tmp_path / "out"
     shutil.copytree(office[1], out)
     options = (archive, out, "--preset", "urban", "--exclude", "bad.laz")
     found = prc(*options)
@@ -509,12 +513,14 @@ def test_drift_is_looked_at_unless_told_otherwise(prc: Run, play: Callable[..., 
 
 
 def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Path) -> None:
-    archive, out = tmp_path / "archive", tmp_path / "out"
+    archive = tmp_path / "archive"
+    out = tmp_path / "out"
     archive.mkdir()
     write_npz(archive / "a.npz", street(80))
     assert prc(archive, out, "--preset", "urban", "--jobs", "1").code in (0, 4)
     output = out / "a.npz.labels.npy"
-    before, content = output.stat(), bytearray(output.read_bytes())
+    before = output.stat()
+    content = bytearray(output.read_bytes())
     content[-1] ^= 1
     output.write_bytes(content)
     os.utime(output, ns=(before.st_atime_ns, before.st_mtime_ns))

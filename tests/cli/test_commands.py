@@ -86,7 +86,8 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(
     prc: Prc, tmp_path: Path
 ) -> None:
     """Ranges in feet beside heights in metres look like a leaning plane; PRC does not ask for directions."""
-    made, feet = tmp_path / "drive.laz", tmp_path / "feet.laz"
+    made = tmp_path / "drive.laz"
+    feet = tmp_path / "feet.laz"
     assert prc("simulate", "street", made, "--lines", 60, "--seed", 72, "-q").code == 0
     points = laspy.read(made)
     points["range"] = points["range"] / 0.3048
@@ -110,7 +111,8 @@ def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -
 
 
 def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
-    source, none = write_npz(tmp_path / "drive.npz", street()), tmp_path / "none.bin"
+    source = write_npz(tmp_path / "drive.npz", street())
+    none = tmp_path / "none.bin"
     result = prc("info", none, source, "--json")
     found = json.loads(result.out)
     assert result.code == 1
@@ -351,7 +353,8 @@ def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
 def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: str | None) -> None:
     given: dict[str, object] = {"nadir": 0.0} if (name, preset) == ("street", "street-scan") else {}
     loaded = load_config(preset=preset, options={"input": {**given}, "output": {"reason": True}})
-    source, output = folder / f"{name}.npz", folder / f"{name}-{preset}.parquet"
+    source = folder / f"{name}.npz"
+    output = folder / f"{name}-{preset}.parquet"
     summary = classify(source, output, loaded, overwrite=True)
     table = pq.read_table(output)
     codes, reasons = (

@@ -100,7 +100,8 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
 def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     labels = classified(prc, folder, ".laz")
     las = laspy.read(labels)
-    found, sure = np.array(las.classification), np.array(las["confidence"])
+    found = np.array(las.classification)
+    sure = np.array(las["confidence"])
     las.classification[:] = 1
     las.remove_extra_dim("confidence")
     las.write(folder / "registered.laz")

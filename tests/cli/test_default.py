@@ -200,7 +200,8 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
     assert told == json.loads(json.dumps(run.as_dict()))
     assert told["doubts"] == []
     with np.load(scans / "street.npz") as arrays:
-        image, angle = arrays["range_m"], arrays["angle_deg"]
+        image = arrays["range_m"]
+        angle = arrays["angle_deg"]
     found = classify_ranges(image, angle_deg=angle + 40)
     np.testing.assert_array_equal(found.codes.ravel(), np.load(scans / "a.npy"))
     named = classify_ranges(

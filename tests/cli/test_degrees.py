@@ -14,11 +14,13 @@ from tests.street import angles, street
 def test_degrees_are_written_in_steps_of_a_millimetre(prc: Prc, tmp_path: Path) -> None:
     image = street(80)
     line, column = np.nonzero(np.isfinite(image))
-    range_m, angle = image[line, column].astype(np.float64), angles()[column]
+    range_m = image[line, column].astype(np.float64)
+    angle = angles()[column]
     lon = 25.0 + 0.1 * line / 55_000
     lat = 60.0 + range_m * np.sin(angle) / 111_000
     z = -range_m * np.cos(angle)
-    source, output = tmp_path / "drive.csv", tmp_path / "drive.las"
+    source = tmp_path / "drive.csv"
+    output = tmp_path / "drive.las"
     table = np.column_stack([line, column, range_m, np.rad2deg(angle), lon, lat, z])
     header = "scan_line,column,range,scan_angle,x,y,z"
     formats = ["%d", "%d", "%.4f", "%.4f", "%.10f", "%.10f", "%.4f"]

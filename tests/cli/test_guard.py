@@ -97,7 +97,8 @@ def test_a_signal_of_somebody_ends_it_as_it_would_without(
     ],
 )
 def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> None:
-    case, out = tmp_path / "a.laz", tmp_path / "out"
+    case = tmp_path / "a.laz"
+    out = tmp_path / "out"
     case.write_bytes(overflowing())
     out.mkdir()
     ended = prc(*(word.format(case=case, out=out) for word in words))
@@ -300,7 +301,8 @@ def test_a_live_stream_needs_both_ends(redirection: str, name: str) -> None:
 
 @pytest.mark.slow
 def test_files_are_written_though_nobody_listens(tmp_path: Path) -> None:
-    source, output = tmp_path / "drive.bin", tmp_path / "labels.npy"
+    source = tmp_path / "drive.bin"
+    output = tmp_path / "labels.npy"
     np.full((20, 9), 7.0, np.float32).tofile(source)
     code, _, _ = run("<&- >&- 2>&-", "classify", str(source), str(output), "-M", "9", "--json")
     assert code == 0

@@ -27,8 +27,12 @@ def las(path: Path, version: str = "1.4") -> Path:
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     points = laspy.LasData(header)
     angle = angles()[COLUMN]
-    points.x, points.y, points.z = 0.2 * LINE, RANGE * np.sin(angle), -RANGE * np.cos(angle)
-    points["range"], points["scan_line"], points["column"] = RANGE, LINE, COLUMN
+    points.x = 0.2 * LINE
+    points.y = RANGE * np.sin(angle)
+    points.z = -RANGE * np.cos(angle)
+    points["range"] = RANGE
+    points["scan_line"] = LINE
+    points["column"] = COLUMN
     points.return_number[:] = points.number_of_returns[:] = 1
     points.write(path)
     return path
@@ -83,7 +87,8 @@ def test_records_behind_the_count_of_the_header_are_a_warning(prc: Prc, tmp_path
 
 @pytest.mark.parametrize(("version", "is_read"), [("1.5", True), ("1.9", False)])
 def test_las_1_5_is_read_and_written(prc: Prc, tmp_path: Path, version: str, is_read: bool) -> None:
-    source, output = las(tmp_path / "new.las", "1.5"), tmp_path / "o.las"
+    source = las(tmp_path / "new.las", "1.5")
+    output = tmp_path / "o.las"
     data = bytearray(source.read_bytes())
     data[25] = int(version[-1])
     source.write_bytes(data)
@@ -134,7 +139,8 @@ def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> No
     found = prc("classify", tmp_path / "two.ptx", tmp_path / "two.las", "-q", "--preset", "urban")
     assert found.code in (0, 4), found.err
     written = laspy.read(tmp_path / "two.las")
-    first, second = np.array([6500, 4500, 120]), np.array([6540, 4500, 120])
+    first = np.array([6500, 4500, 120])
+    second = np.array([6540, 4500, 120])
     known = points[points[..., :3].any(axis=-1)][:, :3]
     expected = np.concatenate([known + first, known @ turn.T + second])
     np.testing.assert_allclose(np.asarray(written.xyz), expected, atol=2e-3)
@@ -149,8 +155,10 @@ def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
         np.nan,
         [("x", "f4"), ("y", "f4"), ("z", "f4"), ("range", "f4"), ("normal", "f4", 2)],
     )
-    rows["x"], rows["range"] = 0.2 * (shape // IMAGE.shape[1]).ravel(), IMAGE.ravel()
-    rows["y"], rows["z"] = (IMAGE * np.sin(angles())).ravel(), (-IMAGE * np.cos(angles())).ravel()
+    rows["x"] = 0.2 * (shape // IMAGE.shape[1]).ravel()
+    rows["range"] = IMAGE.ravel()
+    rows["y"] = (IMAGE * np.sin(angles())).ravel()
+    rows["z"] = (-IMAGE * np.cos(angles())).ravel()
     head = (
         "VERSION 0.7\nFIELDS x y z range normal\nSIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 1 2\n"
     )

@@ -168,7 +168,8 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(
     assert result.code == 0, result.err
     assert "note: scan 1: no" in result.err
     prc("classify", ptx(tmp_path), tmp_path / "one.npy", "--preset", "street-scan")
-    labels, alone = np.load(tmp_path / "labels.npy"), np.load(tmp_path / "one.npy")
+    labels = np.load(tmp_path / "labels.npy")
+    alone = np.load(tmp_path / "one.npy")
     np.testing.assert_array_equal(labels[: len(alone)], alone)
     assert np.count_nonzero(labels[len(alone) :]) == n_points
     result = prc("info", source, "--preset", "street-scan")
@@ -218,10 +219,8 @@ def test_ground_that_leans_is_followed_around_the_kitti_frame(
     flat = np.isin(np.fromfile(real_data / "kitti" / "000000.label", np.uint32) & 0xFFFF, (40, 48))
     shares = []
     for follow_m in (0.1, 0):
-        output, follow = (
-            tmp_path / f"{follow_m}.npy",
-            f"sequential_angle.ground.follow_m={follow_m}",
-        )
+        output = tmp_path / f"{follow_m}.npy"
+        follow = f"sequential_angle.ground.follow_m={follow_m}"
         frame = real_data / "kitti" / "000000.bin"
         result = prc(
             "classify",
@@ -300,7 +299,8 @@ def test_small_and_dull_images_are_labelled(
 
 @pytest.mark.data
 def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> None:
-    source, out = real_data / "oakland" / "oakland_1.csv.gz", tmp_path / "labels.npy"
+    source = real_data / "oakland" / "oakland_1.csv.gz"
+    out = tmp_path / "labels.npy"
     result = prc("classify", source, out, "--preset", "fused", "--set", "input.nadir=0")
     assert result.code == 0, result.err
     gates = [word for gate in ("f1.ground=0.99", "f1.car=0.6") for word in ("--fail-under", gate)]
@@ -315,14 +315,13 @@ def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> Non
 def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     lookup = ClassCodes().lookup()
     for strip, least in ((1, 0.75), (2, 0.8)):
-        scan, output = real_data / "oakland" / f"oakland_{strip}.csv.gz", tmp_path / f"{strip}.npy"
+        scan = real_data / "oakland" / f"oakland_{strip}.csv.gz"
+        output = tmp_path / f"{strip}.npy"
         result = prc("classify", scan, output, "--preset", "fused")
         assert result.code in (0, 4), result.err
         rows = np.genfromtxt(scan, delimiter=",", names=True)
-        cars, found = (
-            np.isin(rows["label"], (1500, 1501)),
-            np.load(output).ravel() == lookup[Label.CAR],
-        )
+        cars = np.isin(rows["label"], (1500, 1501))
+        found = np.load(output).ravel() == lookup[Label.CAR]
         assert found[cars].mean() > least
         assert cars[found].mean() > 0.9
 

@@ -17,7 +17,8 @@ from prc_cli.core.errors import OutputError, PrcError
 from prc_cli.core.files import prepare_outputs
 from tests.cli.conftest import Prc
 
-READERS, WRITERS = (ReadPath, ReadText), (WritePath, WriteText)
+READERS = (ReadPath, ReadText)
+WRITERS = (WritePath, WriteText)
 PLAIN = (
     click.Choice,
     click.IntRange,
@@ -119,7 +120,8 @@ def test_there_are_pairs_to_try() -> None:
 def test_no_path_is_both_read_and_written(
     tmp_path: Path, name: str, reader: click.Parameter, writer: click.Parameter, linked: bool
 ) -> None:
-    source, output = tmp_path / "a.npz", tmp_path / "sub" / ".." / "a.npz"
+    source = tmp_path / "a.npz"
+    output = tmp_path / "sub" / ".." / "a.npz"
     source.write_bytes(b"input")
     (tmp_path / "sub").mkdir()
     if linked:

@@ -78,12 +78,15 @@ def test_a_slow_reader_slows_the_writer_down() -> None:
     process = start(*URBAN, "-q")
     assert process.stdin is not None
     os.set_blocking(process.stdin.fileno(), False)
-    data, taken, idle = street(137).tobytes() * 200, 0, time.monotonic()
+    data = street(137).tobytes() * 200
+    taken = 0
+    idle = time.monotonic()
     # it has begun to read when more was taken than fits into a pipe
     while taken < len(data) and (taken < 2 << 16 or time.monotonic() - idle < 1):
         try:
             written = os.write(process.stdin.fileno(), data[taken : taken + (1 << 16)])
-            taken, idle = taken + written, time.monotonic()
+            taken = taken + written
+            idle = time.monotonic()
         except BlockingIOError:
             time.sleep(0.02)
         assert process.poll() is None

@@ -14,7 +14,9 @@ from prc_cli.jobs.classify import open_stream
 from tests.cli.conftest import Prc
 from tests.simulated import drive_arrays
 
-N_LINES, M, HZ = 60, 360, 10.0
+N_LINES = 60
+M = 360
+HZ = 10.0
 
 
 @pytest.fixture(scope="module")

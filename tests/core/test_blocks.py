@@ -45,7 +45,8 @@ def pieces(block: ScanBlock, sizes: list[int]) -> Iterator[ScanBlock]:
     while first < block.n_lines:
         stop = min(first + sizes[turn % len(sizes)], block.n_lines)
         yield replace(cut(block, first, stop), tally=ReadTally(n_collisions=1))
-        first, turn = stop, turn + 1
+        first = stop
+        turn = turn + 1
 
 
 def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:

@@ -52,7 +52,8 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(
 
 
 def test_of_several_files_all_appear_or_none(tmp_path: Path) -> None:
-    first, second = tmp_path / "labels.npy", tmp_path / "labels.npy.prc.json"
+    first = tmp_path / "labels.npy"
+    second = tmp_path / "labels.npy.prc.json"
     with pytest.raises(OutputExistsError), atomic_outputs(first, second) as temporaries:
         for temporary in temporaries:
             temporary.write_bytes(b"mine")
@@ -85,7 +86,9 @@ def test_every_byte_is_on_the_disk_before_the_name_and_the_name_before_the_end(
 ) -> None:
     """The trace of the system calls: fsync of the file, its name, fsync of the folder."""
     trace: list[str] = []
-    fsync, link, replace = os.fsync, os.link, os.replace
+    fsync = os.fsync
+    link = os.link
+    replace = os.replace
 
     def synced(descriptor: int) -> None:
         trace.append("fsync folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "fsync file")

@@ -139,7 +139,8 @@ def test_inside_the_work_ends_first_even_when_nested() -> None:
 
 
 def test_work_in_another_thread_holds_nothing_back_here() -> None:
-    entered, leave = threading.Event(), threading.Event()
+    entered = threading.Event()
+    leave = threading.Event()
 
     @held
     def work() -> None:

@@ -106,7 +106,8 @@ def test_a_run_that_is_killed_at_its_very_end_shows(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("changed", ["command", "input"])
 def test_another_command_or_input_replaces_nothing(tmp_path: Path, changed: str) -> None:
-    source, other = tmp_path / "in.npy", tmp_path / "second.npy"
+    source = tmp_path / "in.npy"
+    other = tmp_path / "second.npy"
     source.touch()
     assert killed_at(2, lambda: write(tmp_path, source))
     if changed == "command":
@@ -129,7 +130,8 @@ def test_a_file_of_somebody_else_stays(tmp_path: Path) -> None:
 
 
 def test_outputs_that_were_there_are_replaced_only_if_asked_for(tmp_path: Path) -> None:
-    source, number = tmp_path / "in.npy", 0
+    source = tmp_path / "in.npy"
+    number = 0
     source.touch()
     write(tmp_path, source)
     while killed_at(number, lambda: write(tmp_path, source, overwrite=True)):
@@ -142,7 +144,8 @@ def test_outputs_that_were_there_are_replaced_only_if_asked_for(tmp_path: Path) 
 
 
 def test_of_files_beside_only_those_of_the_run_go(tmp_path: Path) -> None:
-    output, beside = tmp_path / "o.db3", tmp_path / "metadata.yaml"
+    output = tmp_path / "o.db3"
+    beside = tmp_path / "metadata.yaml"
     beside.write_text("of another bag")
 
     def work() -> None:

@@ -43,7 +43,8 @@ class Source:
     def __init__(self, n: int, fails_at: int | None = None) -> None:
         self.taken = 0
         self.closed = False
-        self.n, self.fails_at = n, fails_at
+        self.n = n
+        self.fails_at = fails_at
 
     def __call__(self) -> Iterator[int]:
         try:

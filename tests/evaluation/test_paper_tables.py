@@ -126,7 +126,9 @@ def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
 @pytest.mark.parametrize("matrix", [forest(), street()], ids=["lehtola", "stamos"])
 def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
     found = scores(matrix)
-    markdown, latex, page = as_markdown(matrix), as_latex(matrix), as_html(matrix)
+    markdown = as_markdown(matrix)
+    latex = as_latex(matrix)
+    page = as_html(matrix)
     table = json.loads(as_json(matrix))
     assert table["confusion"]["counts"] == matrix.counts.tolist()
     for item in found.classes:

@@ -152,7 +152,8 @@ def test_classes_of_one_side_have_no_gate_and_are_not_offered(score: str) -> Non
     assert parse_gate(f"{score}.ground=0.5", mapping).limit == 0.5
 
 
-ROWS, COLUMNS = ("ground", "stem", "other"), ("noise", "ground", "stem")
+ROWS = ("ground", "stem", "other")
+COLUMNS = ("noise", "ground", "stem")
 NAMES = ROWS, COLUMNS
 
 
@@ -213,8 +214,10 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     random = np.random.default_rng(0)
     n = 5000
     group = random.integers(-1, 40, n) * spread
-    predicted, reference = random.choice([0, 2, 6], n), random.choice([2, 6, 65], n)
-    counts, half = GroupedCounts(TWO_CLASSES, "test"), GroupedCounts(TWO_CLASSES, "test")
+    predicted = random.choice([0, 2, 6], n)
+    reference = random.choice([2, 6, 65], n)
+    counts = GroupedCounts(TWO_CLASSES, "test")
+    half = GroupedCounts(TWO_CLASSES, "test")
     cells = cells_of(TWO_CLASSES, predicted, TWO_CLASSES.class_indices(reference, "reference"))
     for at in np.array_split(np.arange(n), 7):
         (counts if at[0] < n // 2 else half).add(group[at], cells[at])

@@ -101,4 +101,5 @@ class Machines:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-        self._workers, self._scheduler = [], None
+        self._workers = []
+        self._scheduler = None

@@ -33,7 +33,8 @@ from tests.patience import dead_process
 pytestmark = pytest.mark.slow
 
 LONG = "2026/day 3/long.laz"
-FIRST, LAST = "2026/day 1/drive.npz", "rückweg.las"
+FIRST = "2026/day 1/drive.npz"
+LAST = "rückweg.las"
 """The files are begun in the order of their names."""
 
 
@@ -51,7 +52,8 @@ def resume(archive: Archive, out: Path) -> None:
 @pytest.mark.parametrize("fate", ["vanishes", "becomes a pipe"])
 def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
     out = tmp_path / "out"
-    path, aside = few.folder / LAST, tmp_path / "aside"
+    path = few.folder / LAST
+    aside = tmp_path / "aside"
     batch = run_into(few, out, [FIRST], jobs=1)
     path.rename(aside)
     if fate == "becomes a pipe":
@@ -70,7 +72,8 @@ def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path,
 
 def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_path: Path) -> None:
     """As copies that are not complete: whenever the run opens them again one is longer, the other one is younger."""
-    out, path = tmp_path / "out", few.folder / LAST
+    out = tmp_path / "out"
+    path = few.folder / LAST
     size = path.stat().st_size
     change = hooked("PRC_FAULTS_CHANGE", os.pathsep.join([str(path), str(few.folder / FIRST)]))
     code, said = Batch(few.folder, out, few.config, jobs=1, environment=change).end()
@@ -89,9 +92,11 @@ def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_l
     few: Archive, tmp_path: Path
 ) -> None:
     """Each time by renaming, as a careful copy does; the output must fit one of them, and in the end the last."""
-    out, rng = tmp_path / "out", random.Random(5)
+    out = tmp_path / "out"
+    rng = random.Random(5)
     path = few.folder / "2026/day 2/drive.laz"
-    one, other = tmp_path / "one.laz", tmp_path / "other.laz"
+    one = tmp_path / "one.laz"
+    other = tmp_path / "other.laz"
     shutil.copy(path, one)
     other.write_bytes(one.read_bytes()[:-1])
     for _ in range(4):
@@ -130,11 +135,14 @@ def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
 def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(
     few: Archive, tmp_path: Path
 ) -> None:
-    out, rng = tmp_path / "out", random.Random(6)
+    out = tmp_path / "out"
+    rng = random.Random(6)
     bad = few.folder / "bad"
     bad.mkdir()
     good = {name: (few.folder / name).read_bytes() for name in FAST}
-    laz, las, npz = good["2026/day 2/drive.laz"], good[LAST], good[FIRST]
+    laz = good["2026/day 2/drive.laz"]
+    las = good[LAST]
+    npz = good[FIRST]
     made = {
         "cut.laz": laz[: len(laz) // 2],
         "cut header.las": las[:100],

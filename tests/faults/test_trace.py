@@ -58,7 +58,8 @@ def calls(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
         found = _CALL.match(text)
         if found is None:
             continue
-        call, words = found["call"], found["words"]
+        call = found["call"]
+        words = found["words"]
         names = (_QUOTED if call.startswith(("link", "rename")) else _OPEN).findall(words)
         # bytes that are not ASCII are octal
         yield (
@@ -76,7 +77,8 @@ def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
     for number, (call, names) in enumerate(found):
         if not call.startswith(("link", "rename")) or not names[-1].startswith(f"{out}{os.sep}"):
             continue
-        source, target = names[0], names[-1]
+        source = names[0]
+        target = names[-1]
         before = [(each, of[0]) for each, of in found[:number] if of and of[0] == source]
         assert before, f"{target}: nothing was written"
         assert before[-1][0] in ("fsync", "fdatasync"), (
@@ -125,7 +127,8 @@ def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
 def test_a_file_is_on_the_disk_before_it_has_its_name(
     tmp_path: Path, words: tuple[str, ...], outputs: tuple[str, ...]
 ) -> None:
-    seeds, out = tmp_path / "seeds", tmp_path / "out"
+    seeds = tmp_path / "seeds"
+    out = tmp_path / "out"
     for folder in (seeds, out):
         folder.mkdir()
     for name in ("pf6.laz", "pf6.las", "a.npz", "a.csv"):
@@ -147,13 +150,13 @@ def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
 
 
 def test_what_is_out_of_order_is_seen(tmp_path: Path) -> None:
-    part, name, out = "/out/.a.part", "/out/a", Path("/out")
-    write, flush, link, sync = (
-        ("write", [part]),
-        ("fsync", [part]),
-        ("link", [part, name]),
-        ("fsync", ["/out"]),
-    )
+    part = "/out/.a.part"
+    name = "/out/a"
+    out = Path("/out")
+    write = ("write", [part])
+    flush = ("fsync", [part])
+    link = ("link", [part, name])
+    sync = ("fsync", ["/out"])
     assert check_order([write, flush, link, sync], out) == {"a"}
     for wrong in (
         [write, link, sync],

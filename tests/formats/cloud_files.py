@@ -76,7 +76,10 @@ def pcd(
 
 def lzf(data: bytes) -> bytes:
     """LZF with matches of three bytes and more, by a plain search."""
-    out, literal, seen, at = bytearray(), bytearray(), {}, 0
+    out = bytearray()
+    literal = bytearray()
+    seen = {}
+    at = 0
 
     def flush() -> None:
         for first in range(0, len(literal), 32):

@@ -32,7 +32,8 @@ def grid_points(n_lines: int, m: int, seed: int = 1, missing: float = 0.2) -> Ar
 
 def turn_x(degrees: float) -> Array:
     """Rotation about x, for column vectors."""
-    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    c = np.cos(np.deg2rad(degrees))
+    s = np.sin(np.deg2rad(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
@@ -214,7 +215,8 @@ def replace_xml(raw: bytes, old: bytes, new: bytes) -> bytes:
     start, length = xml_section(raw)
     pages = raw[: start // 1024 * 1024]
     payload = b"".join(raw[at : at + 1020] for at in range(len(pages), len(raw), 1024))
-    before, xml = payload[: start % 1024], payload[start % 1024 : start % 1024 + length]
+    before = payload[: start % 1024]
+    xml = payload[start % 1024 : start % 1024 + length]
     assert old in xml, xml.decode()
     xml = xml.replace(old, new)
     payload = before + xml

@@ -52,7 +52,8 @@ def test_streams_are_written_alike_and_come_back(tmp_path: Path, suffix: str) ->
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_are_read_and_damaged_ones_are_read_or_refused(tmp_path: Path, name: str) -> None:
     suffix = suffix_of_seed(name)
-    form, path = by_suffix("scans")[suffix], tmp_path / f"sample{suffix}"
+    form = by_suffix("scans")[suffix]
+    path = tmp_path / f"sample{suffix}"
     path.write_bytes(seed(name))
     layout = DUMP if form.is_dump else None
     assert check_reads(form, path, layout) > 0

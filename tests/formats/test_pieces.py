@@ -37,7 +37,9 @@ def test_skipping_lines_equals_reading_them(
     every = lines_of(data)
     for n in range(11):
         one: Any = ptx._Survey.__new__(ptx._Survey)
-        one._handle, one._line, one._path = io.BytesIO(data), 7, Path("a.ptx")
+        one._handle = io.BytesIO(data)
+        one._line = 7
+        one._path = Path("a.ptx")
         # an empty last line is none
         expected = min(n, len(every))
         assert one._skip(n) == expected
@@ -129,7 +131,8 @@ def test_batches_hold_every_record_once(
 
 
 def counted(path: Path) -> Contents:
-    source, found = open_records(path), Contents()
+    source = open_records(path)
+    found = Contents()
     assert source is not None
     for _ in watched_contents(source, found):
         pass
@@ -140,7 +143,8 @@ def test_counts_agree_with_laspy(real_data: Path) -> None:
     """Three strips of an airborne scan, as laspy reads them."""
     laspy = pytest.importorskip("laspy")
     path = real_data / "las" / "three_strips_edge_flags.laz"
-    las, found = laspy.read(path), counted(path)
+    las = laspy.read(path)
+    found = counted(path)
     for axis in "xyz":
         assert found.bounds_m[axis] == pytest.approx((las[axis].min(), las[axis].max()))
     assert found.time_s == pytest.approx((las.gps_time.min(), las.gps_time.max()))

@@ -77,9 +77,11 @@ def test_tum_and_bags_hold_the_same_poses(tmp_path: Path) -> None:
 
 
 def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> None:
-    points, track = tmp_path / "a.csv", tmp_path / "track.csv"
+    points = tmp_path / "a.csv"
+    track = tmp_path / "track.csv"
     points.write_bytes(seed("a.csv"))
-    rows, arm = poses(), (0.5, -0.2, 1.5)
+    rows = poses()
+    arm = (0.5, -0.2, 1.5)
     moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
     lines = [
         f"{t:.9f},{x:.9f},{y:.9f},{z:.9f}\n" for t, (x, y, z) in zip(rows[:, 0], moved, strict=True)

@@ -16,7 +16,8 @@ from tests.formats.common import URBAN, labelled, random_labels, write
 from tests.formats.las.lasbytes import make_las, parse
 
 SOURCE = Path("drive.bin")
-LINES, M = 15, 20
+LINES = 15
+M = 20
 N = LINES * M
 STAGES = OutputConfig(stages=True)
 NAMES = ["surface", "dense_vegetation", "ground_height", "trigger", "car_interval", "car_test"]
@@ -74,8 +75,12 @@ def drive(
         )
         if number in without:
             stages = None
-            surface[rows], dense[rows], height[rows] = 0, False, np.nan
-            trigger[rows], interval[rows], test[rows] = 0, 0, 0
+            surface[rows] = 0
+            dense[rows] = False
+            height[rows] = np.nan
+            trigger[rows] = 0
+            interval[rows] = 0
+            test[rows] = 0
         own = None if record is None else record[rows]
         blocks.append(labelled(labels[rows], first_line=first, record=own, stages=stages))
     return Drive(blocks, labels != Label.MISSING, surface, dense, height, trigger, interval, test)
@@ -94,12 +99,14 @@ def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
 def test_rewritten_files_hold_them(
     tmp_path: Path, form: int, before: str, after: str, extra: bool
 ) -> None:
-    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    source = tmp_path / f"in{before}"
+    output = tmp_path / f"out{after}"
     make_las(source, form, extra=extra)
     order = np.random.default_rng(8).permutation(N)
     given = drive(order=order)
     write(output, source, given.blocks, options=STAGES)
-    old, new = laspy.read(source), laspy.read(output)
+    old = laspy.read(source)
+    new = laspy.read(output)
     assert list(new.point_format.extra_dimension_names) == [
         *old.point_format.extra_dimension_names,
         *NAMES,
@@ -128,7 +135,8 @@ def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewri
     else:
         assert [text for text in record.notices if "stages" in text] == [NOTICE]
     if suffix in (".las", ".laz"):
-        asked, plain = parse(tmp_path / f"asked{suffix}"), parse(tmp_path / f"plain{suffix}")
+        asked = parse(tmp_path / f"asked{suffix}")
+        plain = parse(tmp_path / f"plain{suffix}")
         assert np.array_equal(asked.records, plain.records)
         assert asked.kept_vlrs() == plain.kept_vlrs()
     else:

@@ -102,7 +102,8 @@ def test_a_write_that_fails_leaves_nothing(
     from prc_cli.formats.las.laz import Target
 
     source = source_for(tmp_path, kind)
-    full, real = Full(room), Target.write
+    full = Full(room)
+    real = Target.write
 
     def failing(self: Target, data: memoryview) -> int:
         try:

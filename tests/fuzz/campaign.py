@@ -27,7 +27,8 @@ from tests.fuzz.seeds import seed, write_seeds
 from tests.fuzz.targets import INPUTS, LABELLED, TARGETS, Target, lay, sound_of
 from tests.fuzz.watched import WatchedWorker
 
-COMMAND_SHARE, GUARDED_SHARE = 0.1, 0.0003
+COMMAND_SHARE = 0.1
+GUARDED_SHARE = 0.0003
 _ONLY_COMMANDS = ("stream", "simulate", "metadata")
 """Targets that no function of the library reads alone."""
 _SAVE_S = 30.0
@@ -79,13 +80,16 @@ class Campaign:
         self.tallies = {name: Tally() for name in names}
         self.corpora = {name: Corpus(corpus / name, TARGETS[name]) for name in names}
         self._rng = random.Random(first_seed)
-        self._corpus, self._found = corpus, found
+        self._corpus = corpus
+        self._found = found
         self._known = known_kinds(found)
         self.n_faults = 0
 
     def run(self, runs: int, seconds: float) -> int:
         """Attack until there were so many inputs or seconds; return how many there were."""
-        begun, saved, n = time.monotonic(), time.monotonic(), 0
+        begun = time.monotonic()
+        saved = time.monotonic()
+        n = 0
         with tempfile.TemporaryDirectory(prefix="prc-fuzz-", dir=_memory()) as made:
             self._folder = Path(made)
             (self._folder / "seeds").mkdir()
@@ -116,7 +120,8 @@ class Campaign:
                     corpus.steps |= set(answer.get("fresh", ()))
 
     def _one(self, name: str) -> int:
-        target, corpus = TARGETS[name], self.corpora[name]
+        target = TARGETS[name]
+        corpus = self.corpora[name]
         chosen, data = corpus.draw(self._rng)
         drawn = self._rng.random()
         if drawn < GUARDED_SHARE:

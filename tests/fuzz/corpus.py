@@ -16,7 +16,8 @@ from tests.fuzz.targets import Target, suffix_of_seed
 
 MOST_BYTES = 1 << 17
 """Longer inputs are not kept: they make every later one slow."""
-_SEEDS_SHARE, _CROSS_SHARE = 0.4, 0.1
+_SEEDS_SHARE = 0.4
+_CROSS_SHARE = 0.1
 _NEWEST = 40
 
 
@@ -32,7 +33,8 @@ class Corpus:
     """
 
     def __init__(self, folder: Path, target: Target) -> None:
-        self._folder, self._seeds = folder, target.seeds
+        self._folder = folder
+        self._seeds = target.seeds
         self.steps: set[str] = set()
         """Steps through the parsers that were taken so far."""
         self.kept: list[tuple[str, bytes]] = []
@@ -136,7 +138,8 @@ def add_up(corpus: Path, tallies: Mapping[str, Any], corpora: Mapping[str, Any])
             max(row["slowest"], tally.slowest),
             max(row["grown"], tally.grown),
         )
-        row["steps"], row["kept"] = len(corpora[name].steps), len(corpora[name].kept)
+        row["steps"] = len(corpora[name].steps)
+        row["kept"] = len(corpora[name].kept)
         tally.ways.clear()
         tally.faults.clear()
     corpus.mkdir(parents=True, exist_ok=True)
@@ -161,16 +164,16 @@ def _outcomes(ways: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
 def report(corpus: Path) -> str:
     """Return the page."""
     table = _read(corpus)
-    rows, total, by_way = (
-        [],
-        dict.fromkeys(("accepted", "doubt", "refused", "ended", "none"), 0),
-        dict.fromkeys(WAYS, 0),
-    )
-    n_faults, kinds = 0, set()
+    rows = []
+    total = dict.fromkeys(("accepted", "doubt", "refused", "ended", "none"), 0)
+    by_way = dict.fromkeys(WAYS, 0)
+    n_faults = 0
+    kinds = set()
     for name, row in sorted(table.items()):
         found = _outcomes(row["ways"])
         faults = sum(row["faults"].values())
-        n_faults, kinds = n_faults + faults, kinds | set(row["faults"])
+        n_faults = n_faults + faults
+        kinds = kinds | set(row["faults"])
         for word, n in found.items():
             total[word] += n
         for way, counts in row["ways"].items():

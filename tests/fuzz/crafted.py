@@ -27,8 +27,11 @@ class _Coder:
 
     def __init__(self) -> None:
         self.out = bytearray()
-        self._base, self._length = 0, 0xFFFFFFFF
-        self._counts, self._total, self._cycle = [1] * _SYMBOLS, 0, _SYMBOLS
+        self._base = 0
+        self._length = 0xFFFFFFFF
+        self._counts = [1] * _SYMBOLS
+        self._total = 0
+        self._cycle = _SYMBOLS
         self._update()
         self._until = self._cycle = (_SYMBOLS + 6) >> 1
 
@@ -54,7 +57,8 @@ class _Coder:
         if self._total > 1 << 15:
             self._counts = [(count + 1) >> 1 for count in self._counts]
             self._total = sum(self._counts)
-        scale, below = 0x80000000 // self._total, 0
+        scale = 0x80000000 // self._total
+        below = 0
         self._shares = []
         for count in self._counts:
             self._shares.append((scale * below) >> 16)
@@ -64,10 +68,8 @@ class _Coder:
     def _shift(self) -> None:
         while self._length < _LEAST:
             self.out.append(self._base >> 24)
-            self._base, self._length = (
-                (self._base << 8) & 0xFFFFFFFF,
-                (self._length << 8) & 0xFFFFFFFF,
-            )
+            self._base = (self._base << 8) & 0xFFFFFFFF
+            self._length = (self._length << 8) & 0xFFFFFFFF
 
     def _add(self, step: int) -> None:
         self._base += step
@@ -96,7 +98,8 @@ def overflowing(n: int = 200_000, name: str = "pf6.laz") -> bytes:
     if int(version("lazrs").split(".")[1]) < 8:
         pytest.skip("this version of lazrs refuses the file: it counts the bytes first")
     sound = seed(name)
-    start, length = struct.unpack_from("<I", sound, 96)[0], struct.unpack_from("<H", sound, 105)[0]
+    start = struct.unpack_from("<I", sound, 96)[0]
+    length = struct.unpack_from("<H", sound, 105)[0]
     (table_at,) = struct.unpack_from("<q", sound, start)
     at = start + 8 + length
     # one chunk: number of records, sizes of the layers, layers; extra bytes have a layer each
@@ -121,7 +124,8 @@ def overflowing(n: int = 200_000, name: str = "pf6.laz") -> bytes:
 
 def _vlrs(data: bytes) -> list[bytes]:
     """Return the VLRs from their user id on."""
-    at, found = struct.unpack_from("<H", data, 94)[0], []
+    at = struct.unpack_from("<H", data, 94)[0]
+    found = []
     for _ in range(struct.unpack_from("<I", data, 100)[0]):
         n = struct.unpack_from("<H", data, at + 20)[0]
         found.append(data[at + 2 : at + 54 + n])
@@ -138,7 +142,8 @@ def endless_rows(path: Path, table: str) -> Path:
         (size,) = base.execute("PRAGMA page_size").fetchone()
     data = bytearray(path.read_bytes())
     leaf = bytes(data[(root - 1) * size : root * size])
-    n_pages, n_cells = len(data) // size, (size - 12) // 7
+    n_pages = len(data) // size
+    n_cells = (size - 12) // 7
     children = [*range(n_pages + 1, n_pages + 5), n_pages + 5]
     at = [(size - 5 * (i + 1)) for i in range(n_cells)]
 
@@ -185,12 +190,10 @@ def huge_page(path: Path) -> Path:
     with pq.ParquetFile(path) as file:
         at = file.metadata.row_group(0).column(1).data_page_offset
     # type, size and stored size of the page; the longer size takes two bytes from its end
-    kind, size, stored, rest = (
-        data[at : at + 3],
-        data[at + 3 : at + 6],
-        data[at + 6 : at + 10],
-        data[at + 10 :],
-    )
+    kind = data[at : at + 3]
+    size = data[at + 3 : at + 6]
+    stored = data[at + 6 : at + 10]
+    rest = data[at + 10 :]
     assert (kind[2], stored[0], size[2] >> 7, stored[3] >> 7) == (0x15, 0x15, 0, 0)
     stored = bytes([stored[0], stored[1] - 4, *stored[2:]])
     end = at + 10 + (stored[1] & 0x7F | (stored[2] & 0x7F) << 7 | stored[3] << 14) // 2

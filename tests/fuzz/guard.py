@@ -68,7 +68,8 @@ class Guard:
     @contextlib.contextmanager
     def armed(self) -> Iterator[list[str]]:
         """Watch what happens in the block, in every thread."""
-        self.seen, self._armed = [], True
+        self.seen = []
+        self._armed = True
         try:
             yield self.seen
         finally:

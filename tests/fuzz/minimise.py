@@ -12,7 +12,8 @@ from coverage import tracer as native
 
 import prc_cli
 
-MOST_TRIALS, MOST_S = 250, 30.0
+MOST_TRIALS = 250
+MOST_S = 30.0
 
 
 def minimise(data: bytes, sound: bytes, shows: Callable[[bytes], bool]) -> bytes:
@@ -32,7 +33,8 @@ def minimise(data: bytes, sound: bytes, shows: Callable[[bytes], bool]) -> bytes
     bytes
         Still shows it.
     """
-    end, n_trials = time.monotonic() + MOST_S, 0
+    end = time.monotonic() + MOST_S
+    n_trials = 0
     for trials in (_put_back, _left_out):
         again = True
         while again:
@@ -42,7 +44,8 @@ def minimise(data: bytes, sound: bytes, shows: Callable[[bytes], bool]) -> bytes
                     return data
                 n_trials += 1
                 if trial != data and shows(trial):
-                    data, again = trial, True
+                    data = trial
+                    again = True
                     break
     return data
 
@@ -88,12 +91,10 @@ class Tracer:
         self._known: dict[str, set[int]] = {}
         self._data: dict[str, set[int]] = {}
         tracer: Any = native.CTracer()
-        tracer.data, tracer.trace_arcs, tracer.should_trace, tracer.should_trace_cache = (
-            self._data,
-            True,
-            _choose,
-            {},
-        )
+        tracer.data = self._data
+        tracer.trace_arcs = True
+        tracer.should_trace = _choose
+        tracer.should_trace_cache = {}
         tracer.warn = tracer.disable_plugin = _ignore
         tracer.lock_data = tracer.unlock_data = _ignore
         # unset ones end the process
@@ -127,7 +128,9 @@ def _choose(name: str, frame: FrameType) -> Any:
     place = native.CFileDisposition()
     place.original_filename = place.canonical_filename = place.source_filename = name
     place.trace = name.startswith(_TRACED)
-    place.reason, place.file_tracer, place.has_dynamic_filename = "", None, False
+    place.reason = ""
+    place.file_tracer = None
+    place.has_dynamic_filename = False
     return place
 
 

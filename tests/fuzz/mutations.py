@@ -138,7 +138,8 @@ def repeat(data: bytearray, rng: random.Random) -> bytearray:
 
 
 def fill(data: bytearray, rng: random.Random) -> bytearray:
-    start, n = rng.randrange(len(data)), rng.choice((4, 16, 64, 512, 4096))
+    start = rng.randrange(len(data))
+    n = rng.choice((4, 16, 64, 512, 4096))
     data[start : start + n] = bytes([rng.choice((0, 0xFF, 0x20, 0x30))]) * min(n, len(data) - start)
     return data
 
@@ -318,7 +319,8 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
 
 
 def _las_vlrs(data: bytearray) -> list[int]:
-    at, found = struct.unpack_from("<H", data, 94)[0], []
+    at = struct.unpack_from("<H", data, 94)[0]
+    found = []
     for _ in range(min(struct.unpack_from("<I", data, 100)[0], 50)):
         if at + 54 > len(data):
             break

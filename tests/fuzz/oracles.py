@@ -64,7 +64,8 @@ def _differences(before: Any, found: Any) -> list[str]:
     faults = []
     same = set(before.points.array.dtype.names) & set(found.points.array.dtype.names)
     for name in sorted(same - {"classification", "raw_classification"}):
-        old, new = before.points.array[name], found.points.array[name]
+        old = before.points.array[name]
+        new = found.points.array[name]
         if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
             differ = sum(a.tobytes() != b.tobytes() for a, b in zip(old, new, strict=True))
             faults.append(f"{name} differs in {differ} records")
@@ -73,7 +74,8 @@ def _differences(before: Any, found: Any) -> list[str]:
 
 def _items(path: Path) -> list[LabelledBlock]:
     """Classify a file in memory, reading no more of it than the command does."""
-    rules, classifier = _config().config.input, _config().config.classifier
+    rules = _config().config.input
+    classifier = _config().config.classifier
     stream = open_input(path, rules, lines_at_once=2, geometry=False, only_ranges=True)
     return list(label_blocks(stream.blocks(), classifier))
 
@@ -158,7 +160,8 @@ def _judge_read(case: Path, written: Any, classify: Classify, scratch: Path) -> 
     found, error = read_las(case)
     if error is not None or len(found.points) != len(written):
         return []
-    again, labels = scratch / "again.las", scratch / "again.npy"
+    again = scratch / "again.las"
+    labels = scratch / "again.npy"
     try:
         found.evlrs = None
         found.write(again)

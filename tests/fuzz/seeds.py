@@ -17,7 +17,8 @@ from pyarrow import parquet
 
 from tests.formats import cloud_files
 
-N_LINES, M = 14, 24
+N_LINES = 14
+M = 24
 """Lines and columns of every seed."""
 LINE_HZ = 50.0
 
@@ -132,7 +133,8 @@ def _las(
 ) -> bytes:
     points = _flat()
     header = laspy.LasHeader(version=version, point_format=point_format)
-    header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.zeros(3)
     if with_range:
         header.add_extra_dim(laspy.ExtraBytesParams("range", np.float32))
         header.add_extra_dim(
@@ -144,7 +146,9 @@ def _las(
     header.vlrs.append(laspy.VLR("hello", 7, "a description", b"some text"))
     header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "wkt", b'PROJCS["made up"]\0'))
     data = laspy.LasData(header)
-    data.x, data.y, data.z = points["x"], points["y"], points["z"]
+    data.x = points["x"]
+    data.y = points["y"]
+    data.z = points["z"]
     data.classification = points["class"]
     if point_format >= 6:
         data.scan_angle = (points["angle"] / 0.006).astype(np.int64).clip(-30000, 30000)
@@ -154,7 +158,8 @@ def _las(
         data.gps_time = points["time"]
     if with_range:
         data.range = points["range"]
-        data.scan_line, data.column = points["line"], points["column"]
+        data.scan_line = points["line"]
+        data.column = points["column"]
     if version == "1.4":
         data.evlrs = laspy.vlrs.vlrlist.VLRList(
             [laspy.VLR("extended", 9, "an extended one", b"y" * 40)]
@@ -243,7 +248,10 @@ def _trajectory_csv() -> bytes:
 def _sbet() -> bytes:
     times = np.arange(-0.1, N_LINES / LINE_HZ + 0.2, 0.02)
     rows = np.zeros((len(times), 17))
-    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = times, 1.05, 0.43 + times * 1e-7, 40.0
+    rows[:, 0] = times
+    rows[:, 1] = 1.05
+    rows[:, 2] = 0.43 + times * 1e-7
+    rows[:, 3] = 40.0
     return rows.astype("<f8").tobytes()
 
 
@@ -408,7 +416,8 @@ def _record() -> bytes:
     from prc_cli.jobs.classify import classify
 
     with tempfile.TemporaryDirectory() as folder:
-        source, output = Path(folder) / "a.npy", Path(folder) / "o.npy"
+        source = Path(folder) / "a.npy"
+        output = Path(folder) / "o.npy"
         source.write_bytes(_npy(ranges()))
         classify(source, output, load_config(preset="urban"), threads=1)
         return output.with_name("o.npy.prc.json").read_bytes()
@@ -482,7 +491,8 @@ def _cloud(*, with_nan: bool = False) -> dict[str, np.ndarray]:
 def _frame() -> dict[str, np.ndarray]:
     """A frame in column order, ring after ring in a column."""
     column, ring = np.divmod(np.arange(360 * 8), 8)
-    azimuth, elevation = np.deg2rad(column), np.deg2rad(ring * 2.0 - 10)
+    azimuth = np.deg2rad(column)
+    elevation = np.deg2rad(ring * 2.0 - 10)
     return {
         "x": (9 * np.cos(azimuth) * np.cos(elevation)).astype("f4"),
         "y": (9 * np.sin(azimuth) * np.cos(elevation)).astype("f4"),
@@ -576,7 +586,8 @@ def las_count_offset(data: bytes) -> tuple[int, str]:
 
 def las_vlrs(data: bytes) -> list[int]:
     """First byte of every VLR of a valid LAS file."""
-    at, found = struct.unpack_from("<H", data, 94)[0], []
+    at = struct.unpack_from("<H", data, 94)[0]
+    found = []
     for _ in range(struct.unpack_from("<I", data, 100)[0]):
         found.append(at)
         at += 54 + struct.unpack_from("<H", data, at + 20)[0]

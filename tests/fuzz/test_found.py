@@ -135,10 +135,8 @@ def test_damaged_laz_does_not_come_out_damaged(
     """Layers that no classifier needs were copied undecoded: laspy refused a quarter of the outputs."""
     codes = {0: 0, 1: 0}
     for number in range(24):
-        case, output = (
-            put(tmp_path / f"{number}.laz", zeroed(seed("pf7.laz"), number, 30)),
-            tmp_path / f"o{number}.laz",
-        )
+        case = put(tmp_path / f"{number}.laz", zeroed(seed("pf7.laz"), number, 30))
+        output = tmp_path / f"o{number}.laz"
         code, printed = run(capfd, "classify", case, output, *URBAN, "-q")
         codes[min(code, 1)] += 1
         if code:
@@ -155,7 +153,8 @@ def test_damaged_copc_does_not_come_out_damaged(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """``transfer`` decoded only the layers of the classes of an octree's chunks, and copied the others."""
-    labels, codes = put(tmp_path / "labels.laz", seed("copc7.laz")), {0: 0, 1: 0}
+    labels = put(tmp_path / "labels.laz", seed("copc7.laz"))
+    codes = {0: 0, 1: 0}
     for number in range(16):
         case = put(tmp_path / f"{number}.laz", zeroed(seed("copc7.laz"), number, 30))
         output = tmp_path / f"o{number}.laz"

@@ -181,7 +181,8 @@ def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
         375,
         *(struct.unpack_from("<HI", data, 94) if name[-4:] in (".las", ".laz") else ()),
     }
-    path, refused = tmp_path / f"a{suffix_of_seed(name)}", []
+    path = tmp_path / f"a{suffix_of_seed(name)}"
+    refused = []
     for edge in sorted(edge for edge in edges if 0 < edge < len(data)):
         path.write_bytes(data[:edge])
         try:
@@ -201,7 +202,9 @@ def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
 def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> None:
     """Up to the cut, and it says so, or it is refused."""
     data = seed(name)
-    path, found, told = tmp_path / f"a{suffix_of_seed(name)}", [], []
+    path = tmp_path / f"a{suffix_of_seed(name)}"
+    found = []
+    told = []
     (tmp_path / "a.json").write_bytes(seed("ouster.json"))
     for edge in (*range(len(data) // 9, len(data), len(data) // 9), len(data) - 1, len(data)):
         path.write_bytes(data[:edge])

@@ -37,12 +37,14 @@ ADDRESS_SPACE = 3 << 30
 """Most memory that a worker may map [bytes]."""
 DECODER_BYTES = 200 << 20
 """Of which a library may take so much for a step of decoding."""
-GROWTH_BYTES, GROWTH_FACTOR = 400 << 20, 40
+GROWTH_BYTES = 400 << 20
+GROWTH_FACTOR = 40
 """A command may take so much memory, and so many times the size of its file, beyond what the process held before."""
 
 JOBS_PER_PROCESS = 3000
 LOOK = 4
-DONE, ENDS = (0, LOOK), (0, 1, 2, LOOK, 5)
+DONE = (0, LOOK)
+ENDS = (0, 1, 2, LOOK, 5)
 """Exit codes of commands that leave an output, and of all commands: 4 is done, but look at it; 5 is that somebody else
 is at work."""
 
@@ -58,11 +60,9 @@ class Worker:
 
     def __init__(self, folder: Path) -> None:
         own = f"of-{os.getppid()}"
-        self._seeds, self._out, self._scratch = (
-            folder / "seeds",
-            folder / f"out-{own}",
-            folder / f"tmp-{own}",
-        )
+        self._seeds = folder / "seeds"
+        self._out = folder / f"out-{own}"
+        self._scratch = folder / f"tmp-{own}"
         for made in (self._out, self._scratch):
             shutil.rmtree(made, ignore_errors=True)  # of one that died
             made.mkdir()
@@ -107,7 +107,8 @@ class Worker:
         grown = _peak() - before
         if grown > max(GROWTH_BYTES, GROWTH_FACTOR * Path(job["case"]).stat().st_size):
             faults.append(f"memory: grew by {grown >> 20} MiB")
-        panicked, said = False, ""
+        panicked = False
+        said = ""
         if "command" in job:
             found, said = self._judge_output(job, code)
             panicked = "panicked at" in said

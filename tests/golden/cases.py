@@ -11,12 +11,10 @@ ONE_LINE_A_FILE = 60
 """Cases of more files keep one hash for all of them."""
 
 PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
-CSV, LAS, BARE, STREET = (
-    "../made/drive.csv",
-    "../made/f6.las",
-    "../made/bare6.laz",
-    "../sim-street/s.npz",
-)
+CSV = "../made/drive.csv"
+LAS = "../made/f6.las"
+BARE = "../made/bare6.laz"
+STREET = "../sim-street/s.npz"
 M = "-M 90 --set input.angle_start=-180 --set input.angle_step=4 --set input.nadir=0"
 TIMES = "--lines time:50 --columns time:4500 -M 90 --set input.time_origin=1000"
 WRITABLE = (

@@ -12,7 +12,8 @@ import numpy as np
 from laspy.vlrs.known import VLR
 
 ROOT = Path(__file__).resolve().parents[2]
-N_LINES, M = 110, 90
+N_LINES = 110
+M = 90
 Array = np.ndarray[Any, Any]
 
 
@@ -64,15 +65,14 @@ def _layouts(folder: Path, range_m: Array) -> None:
     shots = np.zeros(
         range_m.size, np.dtype([("range", "<i4"), ("intensity", "<u2"), ("padding", "V2")])
     )
-    shots["range"], shots["intensity"] = (
-        np.nan_to_num(range_m * 1000).ravel(),
-        np.arange(range_m.size) % 900,
-    )
+    shots["range"] = np.nan_to_num(range_m * 1000).ravel()
+    shots["intensity"] = np.arange(range_m.size) % 900
     shots.tofile(folder / "i4.raw")
     timed = np.zeros(range_m.size, np.dtype([("range", "<f4"), ("angle", "<i4"), ("time", "<f8")]))
     number = np.arange(range_m.size)
     timed["range"] = np.nan_to_num(range_m, nan=-1).ravel()
-    timed["angle"], timed["time"] = number % M * 40000, 400_000 + number / (50 * M)
+    timed["angle"] = number % M * 40000
+    timed["time"] = 400_000 + number / (50 * M)
     timed[number % 17 != 3].tofile(folder / "rat.raw")
     rows = [
         f"{i / 27050:.6f}  {-1 if np.isnan(r) else round(r * 1000)}\t87  0"
@@ -161,11 +161,10 @@ def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
     header = laspy.LasHeader(
         point_format=form, version="1.4" if form >= 6 else "1.3" if form >= 4 else "1.2"
     )
-    header.scales, header.offsets = (
-        np.array([0.001, 0.001, 0.0005]),
-        np.array([650_000.0, 6_860_000.0, -3.5]),
-    )
-    header.creation_date, header.uuid = None, uuid.UUID(int=14)
+    header.scales = np.array([0.001, 0.001, 0.0005])
+    header.offsets = np.array([650_000.0, 6_860_000.0, -3.5])
+    header.creation_date = None
+    header.uuid = uuid.UUID(int=14)
     header.vlrs.append(VLR("golden", 7, "kept as it is", b"\x01\xff" * 30))
     if not bare:
         for name, kind in (
@@ -177,26 +176,27 @@ def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
         ):
             header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     las = laspy.LasData(header)
-    las.x, las.y, las.z = table["x"] + 650_000, table["y"] + 6_860_000 + second, table["z"]
-    las.intensity, las.classification = table["intensity"], table["class"]
-    las.return_number, las.number_of_returns = 1 + second, 1 + double
+    las.x = table["x"] + 650_000
+    las.y = table["y"] + 6_860_000 + second
+    las.z = table["z"]
+    las.intensity = table["intensity"]
+    las.classification = table["class"]
+    las.return_number = 1 + second
+    las.number_of_returns = 1 + double
     head = (table["column"] % 2).astype(np.uint8)
-    las.user_data, las.point_source_id = head, 3 + head
+    las.user_data = head
+    las.point_source_id = 3 + head
     if form >= 6:
-        las.scanner_channel, las.scan_angle = (
-            head,
-            np.round(table["angle_deg"] / 0.006).astype(np.int16),
-        )
+        las.scanner_channel = head
+        las.scan_angle = np.round(table["angle_deg"] / 0.006).astype(np.int16)
     else:
         las.scan_angle_rank = (table["angle_deg"] / 2).astype(np.int8)
     if form not in (0, 2):
         las.gps_time = table["time_s"]
     if not bare:
-        las.range, las.scan_line, las.column = (
-            table["range_m"] + second,
-            table["line"],
-            table["column"],
-        )
+        las.range = table["range_m"] + second
+        las.scan_line = table["line"]
+        las.column = table["column"]
         las.id = np.arange(len(twice))
         las.amplitude = np.stack([twice % 99, twice % 7], axis=1)
     if form >= 6:
@@ -211,10 +211,8 @@ def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
 def _organised(folder: Path, range_m: Array) -> None:
     """Write a static scan as PTX (twice in one file), 3DTK and a frame of rings."""
     elevation = np.linspace(-70, 80, M)
-    azimuth, rise = (
-        np.deg2rad(np.linspace(0, 100, N_LINES))[:, None],
-        np.deg2rad(elevation)[None, :],
-    )
+    azimuth = np.deg2rad(np.linspace(0, 100, N_LINES))[:, None]
+    rise = np.deg2rad(elevation)[None, :]
     r = np.clip(np.nan_to_num(range_m[:, ::-1]), 0, 60)
     xyz = np.stack(
         [r * np.cos(rise) * np.cos(azimuth), r * np.cos(rise) * np.sin(azimuth), r * np.sin(rise)],

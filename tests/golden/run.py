@@ -176,14 +176,18 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
     from prc_cli.cli import report
 
     report.COMPILING_S = 1e6  # whether loading takes long depends on the machine
-    begun, place = time.monotonic(), Path(folder, name)
+    begun = time.monotonic()
+    place = Path(folder, name)
     place.mkdir(parents=True)
     os.chdir(place)
-    codes, out, err = [], "", ""
+    codes = []
+    out = ""
+    err = ""
     for command in commands.split(" ; "):
         step = shlex.split(command.replace("$DATA", "../data").replace("$REPO", "../repo"))
         code, more_out, more_err = run_step(step, Path(folder))
-        out, err = out + more_out, err + more_err
+        out = out + more_out
+        err = err + more_err
         if step[0] not in STEPS or code:
             codes.append(code)
     result: Result = {"exit": ", ".join(map(str, codes))}

@@ -41,12 +41,14 @@ def plain(height: int, width: int, colour: int = 90) -> U8:
 
 
 def panel(picture: U8, title: str = "range", **options: object) -> Panel:
-    x, y = Axis("column", 0, picture.shape[1]), Axis("line", 0, picture.shape[0])
+    x = Axis("column", 0, picture.shape[1])
+    y = Axis("line", 0, picture.shape[0])
     return Panel(title, picture, x, y, **options)  # type: ignore[arg-type]
 
 
 def test_ticks_mark_the_middle_of_their_cell_in_both_directions() -> None:
-    forwards, backwards = Axis("line", 0, 100), Axis("line", 100, 0)
+    forwards = Axis("line", 0, 100)
+    backwards = Axis("line", 100, 0)
     assert forwards.ticks(1000, 90) == [(5 + 100 * i, str(10 * i)) for i in range(10)]
     assert sorted(backwards.ticks(1000, 90)) == sorted(
         (994 - 100 * i, str(10 * i)) for i in range(10)
@@ -102,7 +104,8 @@ def box(n: int = 4000, seed: int = 1) -> F64:
 
 def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks() -> None:
     rows = np.arange(10_000.0)[:, None]
-    whole, parts = Sample(1, most=100), Sample(1, most=100)
+    whole = Sample(1, most=100)
+    parts = Sample(1, most=100)
     whole.add(rows)
     for first in range(0, len(rows), 37):
         parts.add(rows[first : first + 37])

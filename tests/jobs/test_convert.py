@@ -93,11 +93,9 @@ def test_registered_coordinates_are_kept(tmp_path: Path, suffix: str, from_: str
     """Beside ranges in the file, and where ranges come from a trajectory."""
     seen = ~np.isnan(street())
     line, column = np.nonzero(seen)
-    beam, ranges, time_s = (
-        angles()[column],
-        street()[seen].astype(float),
-        line / LINE_HZ + column * 1e-4,
-    )
+    beam = angles()[column]
+    ranges = street()[seen].astype(float)
+    time_s = line / LINE_HZ + column * 1e-4
     way = 2.4e6 + 7.0 * time_s
     wanted = np.round(np.stack([way, ranges * np.sin(beam), 60 - ranges * np.cos(beam)], axis=1), 3)
     (tmp_path / "t.csv").write_text(
@@ -126,7 +124,8 @@ def test_a_format_of_cells_gives_the_same_blocks_back(
 ) -> None:
     out = tmp_path / f"out{suffix}"
     convert(drive, out)
-    (before,), (after,) = scans(drive, config()).values(), scans(out, config(out)).values()
+    (before,) = scans(drive, config()).values()
+    (after,) = scans(out, config(out)).values()
     assert same_bits(before.range_m, after.range_m)
     assert same_bits(before.time_s, after.time_s)
     assert same_bits(before.intensity, after.intensity)
@@ -171,12 +170,15 @@ def two_scanners(path: Path) -> Path:
                         (time, line, column, distance, scanner, number, n, strength, column % 7)
                     )
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = [0.001] * 3, [500_000.0, 6_860_000.0, 0.0]
+    header.scales = [0.001] * 3
+    header.offsets = [500_000.0, 6_860_000.0, 0.0]
     for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     las = laspy.LasData(header)
     table = [np.array(column) for column in zip(*rows, strict=True)]
-    las.x, las.y, las.z = 500_000.0 + table[3], 6_860_000.0 + table[2], -table[3] / 3
+    las.x = 500_000.0 + table[3]
+    las.y = 6_860_000.0 + table[2]
+    las.z = -table[3] / 3
     names = (
         "gps_time",
         "scan_line",
@@ -194,14 +196,16 @@ def two_scanners(path: Path) -> Path:
 
 @pytest.mark.parametrize("suffix", [".csv", ".laz"])
 def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str) -> None:
-    source, out = two_scanners(tmp_path / "two.las"), tmp_path / f"out{suffix}"
+    source = two_scanners(tmp_path / "two.las")
+    out = tmp_path / f"out{suffix}"
     loaded = config(scanner="point_source_id")
     if suffix == ".laz":  # through a table, since LAS to LAS copies bytes
         convert(source, tmp_path / "two.csv", loaded)
         source = tmp_path / "two.csv"
     summary = convert(source, out, loaded)
     assert any("--scanner point_source_id" in notice for notice in summary.record.notices)
-    before, after = scans(source, loaded), scans(out, loaded)
+    before = scans(source, loaded)
+    after = scans(out, loaded)
     assert sorted(before) == sorted(after) == [3, 8]
     for scanner, block in before.items():
         m = block.points_per_line
@@ -214,7 +218,8 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
                 np.lexsort((b.extra.range_m, b.extra.column, b.extra.line))
                 for b in (block, after[scanner])
             ]
-            left, right = getattr(block.extra, name), getattr(after[scanner].extra, name)
+            left = getattr(block.extra, name)
+            right = getattr(after[scanner].extra, name)
             assert np.array_equal(left[order[0]], right[order[1]])
         assert after[scanner].points_per_line == m
     told = any("scanner 3: 20, scanner 8: 33" in loss for loss in summary.losses)

@@ -19,10 +19,8 @@ from tests.streams.evidence.test_estimates import drive
 
 def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:
     """Return points (lines, M, 4) of a scanner that turns, in lines from below to above."""
-    azimuth, elevation = (
-        np.deg2rad(10.0 * np.arange(n_lines))[:, None],
-        np.deg2rad(np.linspace(-60, 60, m))[None],
-    )
+    azimuth = np.deg2rad(10.0 * np.arange(n_lines))[:, None]
+    elevation = np.deg2rad(np.linspace(-60, 60, m))[None]
     length = 8.0 + 3.0 * np.sin(elevation)
     flat = length * np.cos(elevation)
     xyz = [flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation) + 0 * azimuth]
@@ -31,7 +29,8 @@ def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:
 
 def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path: Path) -> None:
     """A stream of scans is read to its end, as any of them may have no vertical direction."""
-    sound, level = upright(30, 40), upright(40, 40).transpose(1, 0, 2)
+    sound = upright(30, 40)
+    level = upright(40, 40).transpose(1, 0, 2)
     loaded = load_config(preset="street-scan")
     good = inspect(write_text(tmp_path / "a.ptx", ptx_scan(sound) + ptx_scan(sound)), loaded)
     assert good.problem == ""

@@ -123,10 +123,8 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(
 
 
 def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
-    source, read = (
-        two_scanners(tmp_path / "two.las"),
-        config(preset="urban", scanner="point_source_id"),
-    )
+    source = two_scanners(tmp_path / "two.las")
+    read = config(preset="urban", scanner="point_source_id")
     for number, station in enumerate((None, 8)):
         found = render(source, tmp_path / f"{number}.png", read, RenderOptions(station=station))
         assert f"scanner {station or 3} of 2" in found.drawn, found.drawn

@@ -79,7 +79,8 @@ def test_neither_blocks_nor_threads_change_anything(
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".laz", ".csv", ".e57"])
 def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suffix: str) -> None:
-    out, labels = tmp_path / f"a{suffix}", tmp_path / "labels.npy"
+    out = tmp_path / f"a{suffix}"
+    labels = tmp_path / "labels.npy"
     simulate("street", out, several_returns(), beside=Beside(labels=labels))
     items = list(open_simulation("street", several_returns()).scan.labelled_blocks())
     block, truth = whole(items)
@@ -102,7 +103,8 @@ def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suf
 def test_ranges_from_the_trajectory_are_those_of_the_scanner(
     drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
 ) -> None:
-    out, track = tmp_path / f"drive{suffix}", tmp_path / "drive_track.csv"
+    out = tmp_path / f"drive{suffix}"
+    track = tmp_path / "drive_track.csv"
     simulate("street", out, small("street"), beside=Beside(trajectory=track))
     after = read(out, range=f"trajectory:{track}")
     before = drive[0].range_m[:, : after.points_per_line]
@@ -161,7 +163,8 @@ def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> 
     simulate("forest", tmp_path / "b.npz", settings, reference="cylinders")
     with np.load(tmp_path / "a.npz") as truth, np.load(tmp_path / "b.npz") as cylinders:
         assert same(truth["range_m"], cylinders["range_m"])
-        stem, ground = ClassCodes().stem, ClassCodes().ground
+        stem = ClassCodes().stem
+        ground = ClassCodes().ground
         assert (truth["class"] == stem).any()
         assert set(np.unique(cylinders["class"])) <= {0, stem, ground, ClassCodes().noise}
         # most of what is a low stem lies in a cylinder, but cylinders hold other things too

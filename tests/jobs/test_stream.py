@@ -61,7 +61,8 @@ def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
 
 
 def test_what_goes_wrong_later_is_found_as_the_stream_grows() -> None:
-    good, far = street(7000), np.full((500, POINTS_PER_LINE), 40_000.0, np.float32)
+    good = street(7000)
+    far = np.full((500, POINTS_PER_LINE), 40_000.0, np.float32)
     others = tuple(name for name in CHECK_NAMES if name != "ranges")
     live = LiveEvidence(EvidenceStream(Endless(good, far), others), [].append)
     n_lines = 0
@@ -79,7 +80,9 @@ def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
 
 
 def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -> None:
-    told, whole, cut = list[MethodChoice](), io.BytesIO(), io.BytesIO()
+    told = list[MethodChoice]()
+    whole = io.BytesIO()
+    cut = io.BytesIO()
     config = load_config(options={"input": {"points_per_line": POINTS_PER_LINE}})
     stream(io.BytesIO(street().tobytes()), whole, config, chosen=told.append)
     with pytest.raises(
@@ -123,14 +126,16 @@ class Dribble:
     """Gives out bytes in pieces of random size."""
 
     def __init__(self, data: bytes, rng: np.random.Generator) -> None:
-        self._data, self._rng = data, rng
+        self._data = data
+        self._rng = rng
 
     def fileno(self) -> int:
         raise OSError
 
     def read(self, size: int = -1, /) -> bytes:
         n = min(int(self._rng.choice([1, 3, 7, 100, 5000])), size)
-        piece, self._data = self._data[:n], self._data[n:]
+        piece = self._data[:n]
+        self._data = self._data[n:]
         return piece
 
 
@@ -138,7 +143,8 @@ class SlowSink:
     """Takes some of the bytes at a time."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self.data, self._rng = bytearray(), rng
+        self.data = bytearray()
+        self._rng = rng
 
     def write(self, data: memoryview, /) -> int:
         n = int(self._rng.integers(1, len(data) + 1))
@@ -149,7 +155,8 @@ class SlowSink:
 @pytest.mark.parametrize("seed", range(4))
 def test_every_way_gives_the_same_bytes(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    width, k = int(rng.choice([1, 2, 3, 4, 9, 40])), int(rng.choice([1, 2, 3, 8]))
+    width = int(rng.choice([1, 2, 3, 4, 9, 40]))
+    k = int(rng.choice([1, 2, 3, 8]))
     n = int(rng.integers(1, 40)) * width + int(
         rng.integers(0, width)
     )  # the last line may be cut short

@@ -47,7 +47,8 @@ def codes(drive: Path, tmp_path: Path) -> Any:
 
 def expected(drive: Path, tmp_path: Path) -> Any:
     """The street without noise and with a quarter of its ground, said in another way."""
-    image, found = street(), codes(drive, tmp_path)
+    image = street()
+    found = codes(drive, tmp_path)
     for line, column in np.argwhere(~np.isnan(image)):
         quarter = (column + 2 * line) % 4 == 0
         if found[line, column] == 7 or (found[line, column] == 2 and not quarter):
@@ -83,7 +84,8 @@ def test_what_is_dropped_is_missing(
 
 def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
     summary = thin(labelled, tmp_path / "thin.laz", QUARTER)
-    before, after = laspy.read(labelled), laspy.read(tmp_path / "thin.laz")
+    before = laspy.read(labelled)
+    after = laspy.read(tmp_path / "thin.laz")
     code, line, column = (
         np.asarray(before[name]) for name in ("classification", "scan_line", "column")
     )
@@ -96,7 +98,8 @@ def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
     xyz = np.asarray(after.xyz)
     assert np.allclose(header.mins, xyz.min(axis=0), atol=1e-9)
     assert np.allclose(header.maxs, xyz.max(axis=0), atol=1e-9)
-    left, right = read_las(labelled), read_las(tmp_path / "thin.laz")
+    left = read_las(labelled)
+    right = read_las(tmp_path / "thin.laz")
     kept = [vlr.raw for vlr in right.vlrs if vlr.key[0] != "prc-cli"]
     assert kept == [vlr.raw for vlr in left.vlrs]
     assert [vlr.key for vlr in right.vlrs][-1] == ("prc-cli", 1)
@@ -121,7 +124,8 @@ def test_a_share_is_exact_along_every_line(part: int, whole: int, line: int) -> 
 def test_spacing_against_a_plain_loop(places: list[float], spacing: float) -> None:
     position = np.array(places)[None, :, None]
     chosen = np.ones((1, len(places)), np.bool_)
-    wanted, last = [], np.inf
+    wanted = []
+    last = np.inf
     for place in places:
         taken = bool((place - last) ** 2 >= spacing**2)
         wanted.append(taken)
@@ -131,7 +135,8 @@ def test_spacing_against_a_plain_loop(places: list[float], spacing: float) -> No
 
 @pytest.mark.parametrize("suffix", [".las", ".csv"])
 def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
-    source, loaded = two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
+    source = two_scanners(tmp_path / "two.las")
+    loaded = config(scanner="point_source_id")
     rules = parse_rules(["2=1/3", "5=0"])
     out = tmp_path / f"out{suffix}"
     thin(source, out, rules, loaded)
@@ -238,7 +243,8 @@ def test_a_thinned_file_is_doubted_where_it_is_classified(
 
 
 def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
-    image, rng = street(), np.random.default_rng(1)
+    image = street()
+    rng = np.random.default_rng(1)
     stray = rng.random(image.shape) < 0.2
     image[stray] = rng.uniform(1, 80, int(stray.sum()))
     np.savez(tmp_path / "drive.npz", range_m=image, angle_deg=np.rad2deg(angles()))
@@ -253,7 +259,8 @@ def frame(path: Path) -> Any:
     turn, ring = (
         np.insert(each.ravel(), [5, 900], each.ravel()[[5, 900]]) for each in (turn, ring)
     )
-    up, far = np.deg2rad(2.0 - ring * 2.0), 8 + np.sin(turn * 3)
+    up = np.deg2rad(2.0 - ring * 2.0)
+    far = 8 + np.sin(turn * 3)
     level = far * np.cos(up)
     points = np.stack(
         [level * np.cos(turn), -level * np.sin(turn), far * np.sin(up), np.arange(len(turn)) % 7],

@@ -27,7 +27,9 @@ DOUBTED = load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
 
 def folder_of(tmp_path: Path) -> tuple[Path, Path, list[Any]]:
     """Four frames and their classes: every third point is no ground, in the second one none is, the third is empty."""
-    source, labels, points = tmp_path / "velodyne", tmp_path / "labels", []
+    source = tmp_path / "velodyne"
+    labels = tmp_path / "labels"
+    points = []
     source.mkdir()
     labels.mkdir()
     for number in (8, 9, 10, 11):
@@ -145,7 +147,8 @@ def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str
         head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
         head += [f"property {types[kind]} {name}" for name, kind in kinds] + ["end_header\n"]
     else:
-        names, sizes = " ".join(name for name, _ in kinds), " ".join(kind[2] for _, kind in kinds)
+        names = " ".join(name for name, _ in kinds)
+        sizes = " ".join(kind[2] for _, kind in kinds)
         head = [
             "VERSION 0.7",
             f"FIELDS {names}",
@@ -180,11 +183,13 @@ def test_a_bag_loses_points_and_nothing_else(tmp_path: Path, suffix: str) -> Non
     codes = np.where(np.arange(n) % 3 == 0, 5, 2).astype(np.uint8)
     np.save(tmp_path / "labels.npy", codes)
     summary = thin(source, out, GROUND, labels=tmp_path / "labels.npy")
-    before, after = messages_of(source), messages_of(out)
+    before = messages_of(source)
+    after = messages_of(out)
     assert len(before) == len(after)
     first = 0
     for one, other in zip(before, after, strict=True):
-        points, thinned = read_points(source, one), read_points(out, other)
+        points = read_points(source, one)
+        thinned = read_points(out, other)
         stays = (
             (codes[first : first + len(points)] == 2)
             & np.isfinite(points["x"])

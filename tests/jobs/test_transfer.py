@@ -61,7 +61,8 @@ def write_las(
 ) -> Path:
     """A registered file of some records; ``extra`` are extra bytes."""
     header = laspy.LasHeader(point_format=form, version="1.4" if form >= 6 else "1.2")
-    header.scales, header.offsets = [0.001] * 3, [0.0] * 3
+    header.scales = [0.001] * 3
+    header.offsets = [0.0] * 3
     for name, values in extra.items():
         header.add_extra_dim(laspy.ExtraBytesParams(name, np.asarray(values).dtype))
     header.vlrs.append(laspy.VLR("other", 7, "theirs", b"payload"))
@@ -84,7 +85,8 @@ def write_raw(
     path: Path, drive: Drive, *, missing: int = 7, digits: int | None = None, **columns: Any
 ) -> Path:
     """A raw CSV in which every ``missing``-th row more is a shot without return; its labels go to ``.npy`` beside."""
-    rows, codes = [], []
+    rows = []
+    codes = []
     named = {"time": drive.time, "return_number": drive.returns, **columns}
     named = {name: values for name, values in named.items() if values is not None}
     rows.append(",".join([*named, "range_m"]))
@@ -161,7 +163,8 @@ def test_everything_else_stays_bit_for_bit(
         handle.write(b"bytes behind the points")
     output = tmp_path / f"out{suffix}"
     transfer(raw.with_suffix(".npy"), source, output, points=raw)
-    old, new = parse(source), parse(output)
+    old = parse(source)
+    new = parse(output)
     class_byte = 16 if form >= 6 else 15
     mask = 0xFF if form >= 6 else 0x1F
     assert np.array_equal(new.records[:, class_byte] & mask, drive.codes[record])
@@ -240,11 +243,9 @@ def test_labels_without_returns_give_every_return_of_a_shot_its_class(
 ) -> None:
     first = drive.returns == 1
     shots = Drive()
-    shots.time, shots.codes, shots.returns = (
-        drive.time[first],
-        drive.codes[first],
-        drive.returns[first],
-    )
+    shots.time = drive.time[first]
+    shots.codes = drive.codes[first]
+    shots.returns = drive.returns[first]
     raw = write_raw(tmp_path / "drive.csv", shots, return_number=None)
     record = drive.registered()
     registered = write_las(tmp_path / "registered.las", drive, record)
@@ -258,14 +259,10 @@ def test_labels_without_returns_give_every_return_of_a_shot_its_class(
 def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     drive = Drive()
     both = Drive()
-    both.time, both.returns = (
-        np.concatenate([drive.time, drive.time]),
-        np.concatenate([drive.returns, drive.returns]),
-    )
-    both.xyz, both.codes = (
-        np.concatenate([drive.xyz, drive.xyz]),
-        RNG(5).choice([2, 5, 6], 2 * N).astype(np.uint8),
-    )
+    both.time = np.concatenate([drive.time, drive.time])
+    both.returns = np.concatenate([drive.returns, drive.returns])
+    both.xyz = np.concatenate([drive.xyz, drive.xyz])
+    both.codes = RNG(5).choice([2, 5, 6], 2 * N).astype(np.uint8)
     scanner = np.repeat([0, 1], N).astype(np.uint16)
     labels = write_las(
         tmp_path / "labels.las", both, np.arange(2 * N), codes=both.codes, head=scanner
@@ -362,7 +359,8 @@ def test_times_overlap_where_they_touch_within_the_tolerance(
     times: tuple[float, float], overlaps: bool
 ) -> None:
     """Labels from -1 to 2 s, with a tolerance of 1 s."""
-    labels, points = Survey(9, 9, -1.0, 2.0, True), Survey(9, 9, *times, True)
+    labels = Survey(9, 9, -1.0, 2.0, True)
+    points = Survey(9, 9, *times, True)
     named = SimpleNamespace(path="drive.las")
     made = sides.TransferSides(named, named, (labels, points), 1.0, assumptions=[])  # type: ignore[arg-type]
     if overlaps:
@@ -403,7 +401,8 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(
     _, tile = np.unique(tile, return_inverse=True)
     left = left[np.lexsort((rng.random(len(left)), rng.permutation(tile.max() + 1)[tile]))]
     header = laspy.LasHeader(point_format=1, version="1.2")
-    header.scales, header.offsets = [0.01] * 3, np.floor(rows[left, 4:7].min(axis=0))
+    header.scales = [0.01] * 3
+    header.offsets = np.floor(rows[left, 4:7].min(axis=0))
     las = laspy.LasData(header)
     las.x, las.y, las.z = rows[left, 4:7].T
     las.gps_time = time[left]
@@ -414,7 +413,8 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(
     assert np.array_equal(codes_of(tmp_path / f"out{suffix}"), labels[left])
     assert summary.counts.n_matched == summary.counts.n_points == len(left)
     assert summary.counts.n_labels == np.count_nonzero(labels)
-    old, new = parse(source), parse(tmp_path / f"out{suffix}")
+    old = parse(source)
+    new = parse(tmp_path / f"out{suffix}")
     new.records[:, 15] = old.records[:, 15]
     assert np.array_equal(new.records, old.records)
     # a LAS file built from the same run has the times itself

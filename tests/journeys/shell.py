@@ -56,7 +56,8 @@ class Shell:
                 done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode()
             )
         else:
-            out, err = io.StringIO(), io.StringIO()
+            out = io.StringIO()
+            err = io.StringIO()
             with (
                 contextlib.chdir(self.here),
                 contextlib.redirect_stdout(out),

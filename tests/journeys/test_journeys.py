@@ -198,7 +198,8 @@ def test_9_the_papers_in_plain_numpy_have_the_same_labels(
 def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
     prc("prc classify drive.npz labels.parquet -q --set output.reason=true")
     table = pq.read_table(prc.here / "labels.parquet")
-    labels, reasons = table["class"].to_numpy(), table["reason"].to_numpy()
+    labels = table["class"].to_numpy()
+    reasons = table["reason"].to_numpy()
     rng = np.random.default_rng(8803)
     for code in (2, 5, 6, 7, 65):
         at = int(rng.choice(np.flatnonzero(labels == code)))
@@ -265,7 +266,8 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
 def tiles_of(drive: laspy.LasData, folder: Path) -> list[NDArray[Any]]:
     """Write the drive in two tiles with coordinates and times alone, sorted in space; return the records of each."""
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [0.001] * 3, drive.header.offsets
+    header.scales = [0.001] * 3
+    header.offsets = drive.header.offsets
     middle = float(np.median(drive.x))
     rows = []
     for number, inside in enumerate((np.asarray(drive.x) < middle, np.asarray(drive.x) >= middle)):

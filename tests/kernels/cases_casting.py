@@ -50,7 +50,8 @@ def one_body(rng: Generator) -> tuple[int, F64]:
 
 def lines(rng: Generator) -> tuple[F64, F64, F64]:
     """Origins, directions and times of some lines of one of several scanners."""
-    n_lines, m = int(rng.integers(1, 4)), int(rng.choice([1, 2, 7, 60]))
+    n_lines = int(rng.integers(1, 4))
+    m = int(rng.choice([1, 2, 7, 60]))
     time = rng.choice([0.0, 1000.0]) + np.sort(
         rng.uniform(0, rng.choice([0.5, 5.0]), n_lines * m)
     ).reshape(n_lines, m)
@@ -58,7 +59,8 @@ def lines(rng: Generator) -> tuple[F64, F64, F64]:
     if kind == 0:  # any directions whatever
         d = rng.normal(0, 1, (n_lines, m, 3))
     elif kind == 1:  # a static scanner: half planes, from low to high
-        phi, el = rng.uniform(-4, 4, (n_lines, 1)), np.linspace(-1.0, 0.5 * np.pi, m)
+        phi = rng.uniform(-4, 4, (n_lines, 1))
+        el = np.linspace(-1.0, 0.5 * np.pi, m)
         d = np.stack(
             [np.cos(phi) * np.cos(el), np.sin(phi) * np.cos(el), np.sin(el) + 0 * phi], axis=2
         )
@@ -69,11 +71,10 @@ def lines(rng: Generator) -> tuple[F64, F64, F64]:
         slant = rng.choice([0.0, 0.25 * np.pi])
         if kind > 2:
             slant = slant + np.linspace(0.0, rng.choice([1e-3, 0.1]), m)
-        x, z = d[:, :, 0].copy(), d[:, :, 2].copy()
-        d[:, :, 0], d[:, :, 2] = (
-            np.cos(slant) * x + np.sin(slant) * z,
-            np.cos(slant) * z - np.sin(slant) * x,
-        )
+        x = d[:, :, 0].copy()
+        z = d[:, :, 2].copy()
+        d[:, :, 0] = np.cos(slant) * x + np.sin(slant) * z
+        d[:, :, 2] = np.cos(slant) * z - np.sin(slant) * x
     o = np.zeros((n_lines, m, 3))
     if rng.random() < 0.7:
         o[:, :, 0] = rng.choice([0.1, 10.0]) * (time - time[0, 0])

@@ -31,7 +31,9 @@ from prc_cli.methods.fused.thresholds import (
 )
 from tests.kernels.twins import typed
 
-AROUND, INNER, THIN = 4, 2, 20
+AROUND = 4
+INNER = 2
+THIN = 20
 USUAL = typed(
     DecisionThresholds,
     least_near=3,
@@ -103,10 +105,12 @@ class Street:
 
 def street(rng: Generator) -> Street:
     """Ground, walls to the sides, a thing in between, leaves that stray, missing shots; on a grid that makes ties."""
-    n_lines, m = int(rng.integers(1, 4)) + 2 * AROUND, int(rng.integers(1, 28))
+    n_lines = int(rng.integers(1, 4)) + 2 * AROUND
+    m = int(rng.integers(1, 28))
     first, last = ((-2.2, 2.2), (3.0, 0.05), (0.1, 1.9))[rng.integers(3)]
     angle = np.linspace(first, last, m) if m > 1 else np.array([first])
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
     with np.errstate(divide="ignore"):
         ranges = np.where(cosine > 0, 2.0 / cosine, np.inf)
         for place in rng.choice([-9.0, -6.0, -2.5, 2.0, 5.0, 85.0], int(rng.integers(0, 4))):
@@ -252,10 +256,8 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         start_reach_m=rng.choice([0.0, 1.0, 10.0]),
     )
     keep = int(rng.integers(0, len(one.range_m) + 1))
-    start, lost = (
-        np.float32(rng.choice([-2.0, 0.0])),
-        int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2])),
-    )
+    start = np.float32(rng.choice([-2.0, 0.0]))
+    lost = int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2]))
     shots = np.zeros((2, fused_ground.DEPTHS), np.float32)
     if lost not in (0, -1):
         shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
@@ -295,7 +297,9 @@ def kinds(rng: Generator, shape: tuple[int, ...]) -> U8:
 
 def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    above, smooth, level = heights(rng, one), rng.choice([3, 0]), rng.choice([6, 2, 0])
+    above = heights(rng, one)
+    smooth = rng.choice([3, 0])
+    level = rng.choice([6, 2, 0])
     chosen = typed(
         StripThresholds,
         least_near=3,
@@ -312,7 +316,9 @@ def strips_case(rng: Generator) -> tuple[Any, ...]:
 
 def columns_case(rng: Generator) -> tuple[Any, ...]:
     """Return lines with round and flat things of several widths before a wall, stray shots and gaps."""
-    n_lines, around, m = int(rng.integers(3, 9)), int(rng.integers(2, 12)), 40
+    n_lines = int(rng.integers(3, 9))
+    around = int(rng.integers(2, 12))
+    m = 40
     beam = np.linspace(0.4, 2.2, m)
     window = np.full((n_lines + 2 * around, m), 9.0) + rng.choice([0.0, 0.3]) * rng.random(
         (n_lines + 2 * around, m)
@@ -398,7 +404,8 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
 
 def flanks_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    above, counts = heights(rng, one), random_counts(rng, one)
+    above = heights(rng, one)
+    counts = random_counts(rng, one)
     if rng.random() < 0.5:
         above[(rng.random(above.shape) < 0.5) & ~np.isnan(above)] = 0
     shape = len(above), fused_strips.STRIPS
@@ -455,7 +462,8 @@ def decision(rng: Generator) -> DecisionThresholds:
     thresholds = DecisionThresholds._make(np.float32(value) for value in chosen)
     top_m = min(thresholds.car_top_m, np.float32(15.0))
     lorry_m = min(thresholds.lorry_top_m, np.float32(15.0))
-    flat_m, deep_m = np.float32(rng.choice([0.25, 0.0])), np.float32(rng.choice([0.75, 5.0]))
+    flat_m = np.float32(rng.choice([0.25, 0.0]))
+    deep_m = np.float32(rng.choice([0.75, 5.0]))
     thick_m = np.float32(rng.choice([0.15, 0.02]))
     thresholds = thresholds._replace(box_flat_m=flat_m, box_deep_m=deep_m, thick_m=thick_m)
     return thresholds._replace(car_top_m=top_m, lorry_top_m=lorry_m)
@@ -463,9 +471,12 @@ def decision(rng: Generator) -> DecisionThresholds:
 
 def box_case(rng: Generator) -> tuple[Any, ...]:
     """A bin or cabinet on level ground beside the scanner, a few lines wide, with some shots that stray."""
-    m, n_lines, first = 60, int(rng.integers(1, 6)), THIN - int(rng.integers(0, 3))
+    m = 60
+    n_lines = int(rng.integers(1, 6))
+    first = THIN - int(rng.integers(0, 3))
     angle = np.linspace(0.95, 1.4, m) * rng.choice([-1.0, 1.0])
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
     lid = rng.choice([0.8, 1.0]) / cosine
     away = lid * np.abs(sine) - 3.0
     is_lid = (away > 0) & (away < rng.choice([0.3, 0.5, 1.0]))
@@ -475,10 +486,13 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
     window[first : first + int(rng.integers(1, 9))] = box
     window[rng.random(window.shape) < rng.choice([0.0, 0.02])] = rng.choice([1.5, 8.0, np.nan])
     window = window.astype(np.float32)
-    own, shape = window[THIN - INNER : INNER - THIN], (n_lines + 2 * INNER, m)
-    sines, cosines = sine.astype(np.float32), cosine.astype(np.float32)
+    own = window[THIN - INNER : INNER - THIN]
+    shape = (n_lines + 2 * INNER, m)
+    sines = sine.astype(np.float32)
+    cosines = cosine.astype(np.float32)
     above = (np.float32(2) - own * cosines).astype(np.float32)
-    level, odd = is_lid | (np.abs(above) < 0.1), rng.random(shape) < rng.choice([0.0, 0.1])
+    level = is_lid | (np.abs(above) < 0.1)
+    odd = rng.random(shape) < rng.choice([0.0, 0.1])
     counts = (
         np.where(odd, 2, 20).astype(np.uint8),
         np.where(odd, 1, 9).astype(np.uint8),
@@ -513,7 +527,8 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.3:
         return box_case(rng)
     one = street(rng)
-    counts, above = random_counts(rng, one), heights(rng, one)
+    counts = random_counts(rng, one)
+    above = heights(rng, one)
     m = one.range_m.shape[1]
     n_lines = len(one.range_m) - 2 * INNER
     walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
@@ -577,7 +592,8 @@ def vote_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.5:
         labels[:, : labels.shape[1] // 2] = 4
     labels[np.isnan(range_m)] = 0
-    half, near = np.float32(rng.choice([0.0, 0.8, 8.0])), np.float32(rng.choice([0.1, 2.0]))
+    half = np.float32(rng.choice([0.0, 0.8, 8.0]))
+    near = np.float32(rng.choice([0.1, 2.0]))
     return labels, range_m, one.beams, one.step, half, near
 
 
@@ -604,7 +620,8 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
 def again_case(rng: Generator) -> tuple[Any, ...]:
     """Labels as they may be, of lines with one more before and after than the block, ranges with three."""
     one = street(rng)
-    n_lines, m = int(rng.integers(1, 4)), one.window.shape[1]
+    n_lines = int(rng.integers(1, 4))
+    m = one.window.shape[1]
     range_m = np.ascontiguousarray(one.window[rng.integers(0, len(one.window), n_lines + 6)])
     if rng.random() < 0.5:
         # panes: most shots are before the others
@@ -637,7 +654,8 @@ def again_case(rng: Generator) -> tuple[Any, ...]:
 
 def fan_case(rng: Generator) -> tuple[Any, ...]:
     """Ground, and things of a few steps on it, as rings see them from near to far; all else at random."""
-    n_lines, m = int(rng.integers(1, 30)), int(rng.integers(1, 40))
+    n_lines = int(rng.integers(1, 30))
+    m = int(rng.integers(1, 40))
     beam = np.sort(rng.uniform(0.6, 1.6, m)).astype(np.float32) * np.where(
         rng.random(m) < 0.1, -1, 1
     )
@@ -650,7 +668,8 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
     wrong = rng.random((n_lines, m)) < rng.choice([0.0, 0.05])
     labels[wrong] = rng.choice([1, 2, 3, 4, 5, 8, 11], wrong.sum())
     gone = rng.random((n_lines, m)) < rng.choice([0.0, 0.1, 1.0], p=[0.5, 0.45, 0.05])
-    range_m[gone], labels[gone] = np.nan, 0
+    range_m[gone] = np.nan
+    labels[gone] = 0
     above = np.where(labels == 3, 0, np.linspace(0, 3, m) * rng.choice([0.5, 1.0])).astype(
         np.float32
     )
@@ -681,7 +700,8 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
 
 def confidence_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    above, range_m = heights(rng, one), one.range_m
+    above = heights(rng, one)
+    range_m = one.range_m
     labels = rng.choice([1, 2, 3, 4, 5, 7, 8, 11], range_m.shape).astype(np.uint8)
     if rng.random() < 0.5:
         labels[:, : labels.shape[1] // 2] = rng.choice([2, 3, 4])

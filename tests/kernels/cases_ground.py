@@ -29,7 +29,8 @@ def heights(rng: Generator, n: int) -> Any:
 
 
 def height_case(rng: Generator) -> tuple[Any, ...]:
-    roof_m, roof_share = float(rng.choice([0.3, 0.6, np.inf])), float(rng.choice([0.1, 0.5, 1.0]))
+    roof_m = float(rng.choice([0.3, 0.6, np.inf]))
+    roof_share = float(rng.choice([0.1, 0.5, 1.0]))
     return (
         heights(rng, int(rng.choice([0, 1, 2, 7, 60]))),
         float(rng.choice([0.05, 0.0, 0.5])),
@@ -40,7 +41,8 @@ def height_case(rng: Generator) -> tuple[Any, ...]:
 
 def rows(rng: Generator) -> tuple[Any, ...]:
     """Rows with roads at several heights and slopes, line angles in groups, runs broken by other surfaces."""
-    n_rows, n = int(rng.integers(1, 4)), int(rng.choice([1, 5, 14, 30, 70]))
+    n_rows = int(rng.integers(1, 4))
+    n = int(rng.choice([1, 5, 14, 30, 70]))
     shape = (n_rows, n)
     kinds = rng.choice([0, 2, 3, 1, 4], p=[0.1, 0.75, 0.1, 0.03, 0.02], size=shape)
     step = int(rng.choice([1, 8]))
@@ -151,7 +153,8 @@ def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tu
 
 def connect_case(rng: Generator) -> tuple[Any, ...]:
     """A call in the middle of a stream: what came before is what the twin itself carried over."""
-    n_sides, n = int(rng.integers(1, 3)), int(rng.choice([1, 3, 8, 16]))
+    n_sides = int(rng.integers(1, 3))
+    n = int(rng.choice([1, 3, 8, 16]))
     thresholds = CurbThresholds()._replace(
         min_lines=int(rng.choice([1, 2, 3, 5])),
         grouping_m=float(rng.choice([0.3, 0.25, 0.125])),
@@ -159,11 +162,9 @@ def connect_case(rng: Generator) -> tuple[Any, ...]:
         min_height_m=float(rng.choice([0.0, 0.0, 0.125])),
         max_lines=int(rng.choice([1, 2, 4, 200])),
     )
-    regions, above, angles = (
-        CurbState.start(n_sides, n, CurbThresholds()).regions,
-        np.full((n_sides, n, 3), np.nan, np.float32),
-        np.full(((thresholds.min_lines - 1) * n_sides, n), np.nan, np.float32),
-    )
+    regions = CurbState.start(n_sides, n, CurbThresholds()).regions
+    above = np.full((n_sides, n, 3), np.nan, np.float32)
+    angles = np.full(((thresholds.min_lines - 1) * n_sides, n), np.nan, np.float32)
     for _ in range(rng.integers(0, 3)):
         surface, xyz, signed, possible = lines_of_verticals(
             rng, int(rng.integers(1, 4)), n_sides, n

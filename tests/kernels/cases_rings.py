@@ -24,9 +24,11 @@ CELLS = CellThresholds(half_m=8.0)
 
 def scene(rng: Generator) -> F32:
     """Coordinates of rings on level ground, before walls and stray shots, (lines, M, 3) float32."""
-    n_lines, m = int(rng.integers(1, 12)), int(rng.integers(1, 9))
+    n_lines = int(rng.integers(1, 12))
+    m = int(rng.integers(1, 9))
     step = rng.choice([0.05, 0.5])
-    azimuth, down = step * np.arange(n_lines)[:, None], np.linspace(0.6, -0.1, m)
+    azimuth = step * np.arange(n_lines)[:, None]
+    down = np.linspace(0.6, -0.1, m)
     with np.errstate(divide="ignore"):
         ranges = np.where(down > 0, 1.5 / np.sin(down), np.inf)
     ranges = np.minimum(np.tile(ranges, (n_lines, 1)), rng.choice([2.5, 4.0, 9.0, 1e3]))

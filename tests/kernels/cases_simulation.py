@@ -79,7 +79,8 @@ def model(rng: Generator) -> SensorModel:
 
 def sense_case(rng: Generator) -> tuple[Any, ...]:
     n_lines, m = SHAPES[rng.integers(len(SHAPES))]
-    first, second = hits(rng, n_lines, m), hits(rng, n_lines, m)
+    first = hits(rng, n_lines, m)
+    second = hits(rng, n_lines, m)
     with np.errstate(invalid="ignore"):
         second = (np.where(np.isinf(second[0]), np.inf, second[0] + 5.0), *second[1:])
     if rng.random() < 0.3:

@@ -35,10 +35,12 @@ RUNS = typed(
 
 def forest(rng: Generator) -> tuple[F32, F64, F64]:
     """Ranges of a few lines over flat ground with upright bodies, and sine and cosine of the beams."""
-    n_lines, n_columns = int(rng.integers(1, 7)), int(rng.integers(1, 26))
+    n_lines = int(rng.integers(1, 7))
+    n_columns = int(rng.integers(1, 26))
     first, last = (-2.6, 2.6) if rng.random() < 0.5 else (3.0, 0.05)
     angle = np.linspace(first, last, n_columns) if n_columns > 1 else np.array([first])
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
     with np.errstate(divide="ignore"):
         ranges = np.where(cosine > 0, 1.8 / cosine, np.inf)
         for place in rng.choice([-6.0, -3.0, -1.5, 1.0, 2.0, 5.0], int(rng.integers(0, 4))):
@@ -111,7 +113,8 @@ def stems_case(rng: Generator) -> tuple[Any, ...]:
 def labels_case(rng: Generator) -> tuple[Any, ...]:
     ranges, _, cosine = forest(rng)
     some = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
-    top, company = rng.choice([1e9, 1.0, 3.0]), rng.choice([-1.0, 0.0, 0.25])
+    top = rng.choice([1e9, 1.0, 3.0])
+    company = rng.choice([-1.0, 0.0, 0.25])
     chosen = typed(
         ForestThresholds,
         below_m=0.2,

@@ -105,7 +105,8 @@ def test_what_loops_are_made_of_names_their_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numba looks at the size and time of the module's own file alone, and an upgrade may keep both."""
-    source, constants = tmp_path / "ground.py", tmp_path / "core" / "classes.py"
+    source = tmp_path / "ground.py"
+    constants = tmp_path / "core" / "classes.py"
     constants.parent.mkdir()
     for path in (source, constants):
         path.write_text("NEAR_M = 1")

@@ -134,10 +134,8 @@ def draw_case(rng: Generator) -> tuple[Any, ...]:
 
 def clean_case(rng: Generator) -> tuple[Any, ...]:
     """Ranges on and beside the bounds."""
-    low, high = (
-        np.float32(rng.choice([0.0, 0.5, 1e-45])),
-        np.float32(rng.choice([3.4028235e38, 80.0, 0.5])),
-    )
+    low = np.float32(rng.choice([0.0, 0.5, 1e-45]))
+    high = np.float32(rng.choice([3.4028235e38, 80.0, 0.5]))
     values = np.array(
         [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 1e-45, 5.0, low, high, 3.4028235e38], np.float32
     )

@@ -42,7 +42,8 @@ def _flat(value: Any) -> Iterator[Any]:
 
 def assert_equal_bits(found: Any, expected: Any, tolerance: float = 0.0) -> None:
     """Compare results, one array or a tuple of them, dtypes included; a tolerance is for floats alone, absolute."""
-    found, expected = list(_flat(found)), list(_flat(expected))
+    found = list(_flat(found))
+    expected = list(_flat(expected))
     assert len(found) == len(expected)
     for one, other in zip(found, expected, strict=True):
         assert np.asarray(one).dtype == np.asarray(other).dtype

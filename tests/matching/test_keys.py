@@ -56,7 +56,8 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
             continue
         numbers = {int(r) for r in left[SAME][left[KEY] == key]} if SAME in left else {None}
         for number in numbers:
-            members, ats = [], []
+            members = []
+            ats = []
             for side, value in ((left, key), (right, other)):
                 here = side[KEY] == value
                 ats.append(
@@ -83,7 +84,8 @@ KEYS = st.lists(st.integers(0, 40).map(lambda k: k / 4), max_size=40)
     seed=st.integers(0, 99),
 )
 def test_keys(left: list[float], right: list[float], tolerance: float, seed: int) -> None:
-    one, other = keyed(left), keyed(right)
+    one = keyed(left)
+    other = keyed(right)
     tally = JoinTally()
     found = pairs_of(join_by_key(cut(one, seed), cut(other, seed + 1), tolerance, tally))
     assert found == by_hand(one, other, tolerance)
@@ -106,10 +108,8 @@ def test_keys_return_numbers_and_classes(data: st.DataObject, n: int, m: int, se
 def test_a_removed_record_does_not_take_its_neighbours_partner() -> None:
     key = np.arange(1000) * 1e-6
     kept = np.arange(1000) % 5 > 0
-    left, right = (
-        {KEY: key, "id": np.arange(1000)},
-        {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)},
-    )
+    left = {KEY: key, "id": np.arange(1000)}
+    right = {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)}
     found = pairs_of(join_by_key(cut(left, 0, 90), cut(right, 1, 90), 6e-7, JoinTally()))
     assert found == {(int(k), int(k)) for k in np.flatnonzero(kept)}
 
@@ -137,7 +137,8 @@ def join(
 
 def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]:
     """Every point by itself: the code it gets, -1 = none; and how many labels are used."""
-    found, used = [], set()
+    found = []
+    used = set()
     order = sorted(range(len(right[0])), key=lambda i: right[0][i])
     for i in range(len(right[0])):
         near = [
@@ -208,7 +209,8 @@ def test_distances_show_which_tolerance_would_help() -> None:
 
 
 def test_an_unsorted_side_is_named() -> None:
-    rising, falling = {KEY: np.array([1.0, 2.0])}, {KEY: np.array([2.0, 1.0])}
+    rising = {KEY: np.array([1.0, 2.0])}
+    falling = {KEY: np.array([2.0, 1.0])}
     for side, streams in ((0, (falling, rising)), (1, (rising, falling))):
         with pytest.raises(UnsortedError) as caught:
             list(join_by_key(iter([streams[0]]), iter([streams[1]]), 0.0, JoinTally()))
@@ -332,7 +334,8 @@ def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
 def test_folders_that_do_not_fit(
     tmp_path: Path, run: tuple[str], reference: tuple[str], message: str
 ) -> None:
-    left, right = fill(tmp_path / "run", *run), fill(tmp_path / "reference", *reference)
+    left = fill(tmp_path / "run", *run)
+    right = fill(tmp_path / "reference", *reference)
     with pytest.raises(InputError, match=message):
         pair_files(left, right)
 
@@ -350,7 +353,8 @@ def test_a_file_against_a_folder(tmp_path: Path) -> None:
 def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:
     """Yield columns in chunks of random length."""
     random = np.random.default_rng(seed)
-    n, first = len(columns[KEY]), 0
+    n = len(columns[KEY])
+    first = 0
     while first < n:
         stop = first + int(random.integers(0, most))
         yield {name: values[first:stop] for name, values in columns.items()}

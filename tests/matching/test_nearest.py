@@ -37,7 +37,8 @@ def test_every_point_comes_once_with_its_nearest_one(
     monkeypatch: pytest.MonkeyPatch, tolerance: float, n: int, most: int
 ) -> None:
     monkeypatch.setattr(tiles_of, "__defaults__", (most,))
-    left, right = points(n, 1), points(700, 2)
+    left = points(n, 1)
+    right = points(700, 2)
     tally = JoinTally()
     found = np.full(n, -2)
     for item in nearest_join(cloud(left), cloud(right), tolerance, tally):

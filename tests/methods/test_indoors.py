@@ -30,7 +30,8 @@ def roofed(
     street: tuple[np.ndarray, np.ndarray], height_m: float, lines: slice = slice(None)
 ) -> np.ndarray:
     """The street with a level roof so far above the scanner, over some of its lines."""
-    ranges, beam = street[0].copy(), street[1]
+    ranges = street[0].copy()
+    beam = street[1]
     up = np.cos(beam) < -0.2
     roof = np.float32(height_m) / np.abs(np.cos(beam[up])).astype(np.float32)
     found = ranges[lines]
@@ -64,7 +65,8 @@ def test_a_low_roof_over_a_few_lines_is_no_building(street: tuple[np.ndarray, np
 def test_an_alley_between_high_houses_keeps_its_curbs(
     street: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    ranges, beam = street[0].copy(), street[1]
+    ranges = street[0].copy()
+    beam = street[1]
     # walls of 40 m beside the road, the sky above
     with np.errstate(divide="ignore"):
         wall = np.float32(6.5) / np.abs(np.sin(beam)).astype(np.float32)
@@ -81,7 +83,8 @@ def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(
     real_data: Path, tmp_path: Path
 ) -> None:
     """The scanner's angle 0 points up, and its dead angle down: 1.2 m to the floor, 3.8 m to the ceiling."""
-    bag, labels = str(real_data / "cartographer" / "b0_short.bag"), str(tmp_path / "labels.npy")
+    bag = str(real_data / "cartographer" / "b0_short.bag")
+    labels = str(tmp_path / "labels.npy")
     words = ["classify", bag, labels, "--topic", "vertical_laser_2d", "--overwrite"]
     told = runner().invoke(cli, words)
     assert told.exit_code == 4

@@ -35,7 +35,8 @@ class Seen:
     total_m: float
 
 
-N_LINES, TOTAL_M = Part[int]("n_lines"), Part[float]("total_m")
+N_LINES = Part[int]("n_lines")
+TOTAL_M = Part[float]("total_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,8 @@ def test_every_scanner_has_a_state_of_its_own_whatever_the_threads(k: int) -> No
 
 def test_blocks_one_by_one_give_the_same() -> None:
     method = Parity(5)
-    turn, found = OneByOne(method.initial_state(3)), []
+    turn = OneByOne(method.initial_state(3))
+    found = []
     for block in blocks(1):
         (item,) = method.label(block, 3, turn, Wanted())
         found += item.labels.tolist()
@@ -147,7 +149,8 @@ def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
         image = (rng.integers(16, 40, (n_lines, width)) / 8).astype(np.float32)
         image[rng.random(image.shape) < 0.2] = np.nan
         labels = rng.integers(1, 7, image.shape).astype(np.uint8)
-        line, column = rng.integers(n_lines, size=200), rng.integers(width, size=200)
+        line = rng.integers(n_lines, size=200)
+        column = rng.integers(width, size=200)
         ranges = (rng.integers(16, 48, 200) / 8).astype(np.float32)
         found = label_extra_returns(
             image, labels, line.astype(np.int32), column.astype(np.int32), ranges, zeta_p, zeta_s
@@ -174,7 +177,8 @@ SELDOM = {
 def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
     assert set(RULES) == set(Reason)
     assert len({rule.sentence for rule in RULES.values()}) == len(RULES)
-    config, constants = RunConfig(), (STREET, FOREST, MANY)
+    config = RunConfig()
+    constants = (STREET, FOREST, MANY)
     for rule in (*RULES.values(), VOTE, FURTHER):
         for name in rule.limits:
             if name.startswith(("prc.", "sequential_angle.")):

@@ -61,7 +61,9 @@ def cast_shots(
                 else:
                     found, cosine = nearest(rays, surfaces)
         nearer = found < t
-        t[nearer], body[nearer], facing[nearer] = found[nearer], b, cosine[nearer]
+        t[nearer] = found[nearer]
+        body[nearer] = b
+        facing[nearer] = cosine[nearer]
     return t, body, facing
 
 
@@ -112,7 +114,8 @@ def triangle(rays: Rays, numbers: F64) -> tuple[F64, F64]:
     slope = dot(rays.d, normal)
     t = dot(to_a, normal) / slope
     across = cross(to_a, rays.d)
-    share1, share2 = dot(e2, across) / slope, -(dot(e1, across) / slope)
+    share1 = dot(e2, across) / slope
+    share2 = -(dot(e1, across) / slope)
     inside = (share1 >= -1e-9) & (share2 >= -1e-9) & (share1 + share2 <= 1.0 + 1e-9)
     met = inside & (np.abs(slope) > 1e-5 * length) & (t > rays.begin)
     return np.where(met, t, missed), np.abs(slope) / length
@@ -121,7 +124,8 @@ def triangle(rays: Rays, numbers: F64) -> tuple[F64, F64]:
 def nearest(rays: Rays, surfaces: Surfaces) -> tuple[F64, F64]:
     """Take the first surface behind the beginning."""
     low, high, low_cosine, high_cosine = surfaces
-    first, second = (low > rays.begin) & (low < INF), high > rays.begin
+    first = (low > rays.begin) & (low < INF)
+    second = high > rays.begin
     t = np.where(first, low, np.where(second, high, INF))
     cosine = np.where(low == t, low_cosine, high_cosine)
     return t, np.where(cosine < 1.0, cosine, 1.0)
@@ -131,7 +135,8 @@ def roots(a: F64, b: F64, c: F64) -> tuple[F64, F64]:
     """Return the smaller and the larger root of a t^2 + 2 b t + c, NaN where there is none."""
     root = np.sqrt(b * b - a * c)
     q = np.where(b > 0.0, -(b + root), root - b)
-    one, two = q / a, c / q
+    one = q / a
+    two = c / q
     return np.where(one < two, one, two), np.where(one < two, two, one)
 
 
@@ -142,8 +147,10 @@ def cone(rays: Rays, numbers: F64) -> Surfaces:
     axis = [k / height for k in axis]
     widening = (numbers[7] - numbers[6]) / height
     m = [o - p for o, p in zip(rays.o, numbers[:3], strict=True)]
-    along, rise = dot(m, axis), dot(rays.d, axis)
-    radius, growth = numbers[6] + widening * along, widening * rise
+    along = dot(m, axis)
+    rise = dot(rays.d, axis)
+    radius = numbers[6] + widening * along
+    growth = widening * rise
     a = dot(rays.d, rays.d) - rise * rise - growth * growth
     b = dot(m, rays.d) - along * rise - growth * radius
     c = dot(m, m) - along * along - radius * radius
@@ -164,7 +171,9 @@ def ellipsoid(rays: Rays, half: F64) -> Surfaces:
     o, d = (
         [v * (1.0 / h) for v, h in zip(vector, half, strict=True)] for vector in (rays.o, rays.d)
     )
-    a, b, c = dot(d, d), dot(o, d), dot(o, o) - 1.0
+    a = dot(d, d)
+    b = dot(o, d)
+    c = dot(o, o) - 1.0
     low, high = roots(a, b, c)
 
     def cosine(t: F64) -> F64:
@@ -176,18 +185,19 @@ def ellipsoid(rays: Rays, half: F64) -> Surfaces:
 
 def box(rays: Rays, half: F64) -> Surfaces:
     """Intersect shots with a box around the origin (slab method)."""
-    low, high = np.full(rays.begin.shape, -INF), np.full(rays.begin.shape, INF)
-    low_cosine, high_cosine = np.zeros(rays.begin.shape), np.zeros(rays.begin.shape)
+    low = np.full(rays.begin.shape, -INF)
+    high = np.full(rays.begin.shape, INF)
+    low_cosine = np.zeros(rays.begin.shape)
+    high_cosine = np.zeros(rays.begin.shape)
     for o, d, h in zip(rays.o, rays.d, half, strict=True):
         ends = np.stack([(-h - o) / d, (h - o) / d])
         along = d == 0.0
         enter = np.where(along, np.where(np.abs(o) > h, INF, -INF), ends.min(axis=0))
         leave = np.where(along, np.where(np.abs(o) > h, -INF, INF), ends.max(axis=0))
-        low_cosine, high_cosine = (
-            np.where(enter > low, np.abs(d), low_cosine),
-            np.where(leave < high, np.abs(d), high_cosine),
-        )
-        low, high = np.maximum(low, enter), np.minimum(high, leave)
+        low_cosine = np.where(enter > low, np.abs(d), low_cosine)
+        high_cosine = np.where(leave < high, np.abs(d), high_cosine)
+        low = np.maximum(low, enter)
+        high = np.minimum(high, leave)
     missed = low > high
     return np.where(missed, INF, low), np.where(missed, INF, high), low_cosine, high_cosine
 
@@ -253,13 +263,17 @@ def leaves(
 
 def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
     """Place and turn every shot; see :func:`prc_cli.simulation.casting_loops.aim_shots`."""
-    n_lines, n_knots, m = len(position), position.shape[1] - 1, len(columns)
-    origin, direction = np.empty((n_lines, m, 3)), np.empty((n_lines, m, 3))
+    n_lines = len(position)
+    n_knots = position.shape[1] - 1
+    m = len(columns)
+    origin = np.empty((n_lines, m, 3))
+    direction = np.empty((n_lines, m, 3))
     for line, column in np.ndindex(n_lines, m):
         share = float(Fraction(column * n_knots, m))
         k = floor(share)
         share -= k
-        start, end = position[line, k], position[line, k + 1]
+        start = position[line, k]
+        end = position[line, k + 1]
         origin[line, column] = start + (end - start) * share
         first, last = (
             [

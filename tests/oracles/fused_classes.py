@@ -15,9 +15,12 @@ from prc_cli.methods.fused.thresholds import DecisionThresholds
 MISSING, _, NOISE, GROUND = range(4)
 Slots = NDArray[np.uint64]
 
-MARGIN, BESIDE = 20, 12
+MARGIN = 20
+BESIDE = 12
 COLUMN, THIN, _, FEW, SMALL, FENCE = range(1, 7)
-WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
+WIDTH = np.float32(0.5)
+SLOT = np.float32(0.25)
+N = 320
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,8 @@ class _Shot:
     def is_in_wall(self) -> bool:
         if self.strip is None:
             return False
-        at, top = self.walls[0][self.line, self.strip], self.walls[1][self.line, self.strip]
+        at = self.walls[0][self.line, self.strip]
+        top = self.walls[1][self.line, self.strip]
         behind = abs(self.side) - abs(at)
         if at == 0 or not -self.thresholds.front_m <= behind <= self.thresholds.behind_m:
             return False
@@ -109,7 +113,8 @@ class _Shot:
     def is_ghost(self, *, rough: bool) -> bool:
         if self.strip is None or not self.near < self.thresholds.ghost_near:
             return False
-        away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
+        away = abs(self.walls[0][self.line, self.strip])
+        top = self.walls[1][self.line, self.strip]
         beyond = abs(self.side) - away
         far = (rough and beyond > self.thresholds.ghost_m) or (
             self.smooth == 0 and beyond > self.thresholds.behind_m
@@ -174,7 +179,8 @@ class _Shot:
     def is_low_with_level(self, *, rough: bool) -> bool:
         if self.strip is None or not self.above >= 0:
             return False
-        b, limits = floor(self.side / np.float32(0.25)) + N, self.thresholds
+        b = floor(self.side / np.float32(0.25)) + N
+        limits = self.thresholds
         around = self.levels[self.line, max(b - 6, 0) : b + 7]
         is_lorry = int((around // 16).sum()) >= min(limits.car_bins, limits.car_bins_rough)
         top = int((limits.lorry_top_m if is_lorry else limits.car_top_m) / SLOT)
@@ -207,11 +213,14 @@ class _Shot:
         )
 
     def is_thick(self) -> bool:
-        limits, column, middle = self.thresholds, self.window[:, self.i], self.line + MARGIN
+        limits = self.thresholds
+        column = self.window[:, self.i]
+        middle = self.line + MARGIN
         seen = [column[middle]]
         for way in (-1, 1):
             for k in range(1, BESIDE + 1):
-                there, before = column[middle + way * k], column[middle + way * (k - 1)]
+                there = column[middle + way * k]
+                before = column[middle + way * (k - 1)]
                 if not np.abs(there - before) < limits.jump_m:
                     break
                 seen.append(there)
@@ -220,7 +229,8 @@ class _Shot:
 
     def is_round(self) -> bool:
         """Return whether the run that stands alone around a shot is as deep as the front half of a trunk."""
-        limits, ranges = self.thresholds, self.window[self.line + MARGIN]
+        limits = self.thresholds
+        ranges = self.window[self.line + MARGIN]
         run = [self.i]
         for way in (-1, 1):
             j = self.i + way
@@ -298,7 +308,8 @@ def fused_labels(
     points = (*_points(window_m[MARGIN - 2 : 2 - MARGIN], beams), above_m)
     labels = np.full(texture.shape, MISSING, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(window_m[MARGIN:-MARGIN])), strict=True):
-        is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
+        is_walked = bool(walked[line + 2, i])
+        soft = np.float32(texture[line, i])
         shot = _Shot(
             window_m,
             points,
@@ -358,7 +369,9 @@ class _Line:
 
     def end(self, i: int, way: int) -> tuple[int, int]:
         """Return the last shot of a box to one side, and the next shot; -1 = none close by."""
-        last, gap, j = i, 0, i + way
+        last = i
+        gap = 0
+        j = i + way
         while 0 <= j < len(self.labels) and gap <= 3:
             if self.labels[j] % 16 in (MISSING, NOISE) or self.near[j] < self.limits.least_near:
                 gap += 1
@@ -370,16 +383,21 @@ class _Line:
             elif self.above[j] >= self.limits.box_m:
                 return last, last
             else:
-                last, gap = j, 0
+                last = j
+                gap = 0
             j += way
         return last, -1 if gap > 3 else last
 
     def lines_beside(self, i: int, way: int) -> int | None:
-        last, seen, others = self.ranges[i], 0, []
+        last = self.ranges[i]
+        seen = 0
+        others = []
         for k in range(1, MARGIN + 1):
             there = self.window[MARGIN + way * k, i]
             if abs(there - last) < self.limits.jump_m:
-                last, seen, others = there, k, []
+                last = there
+                seen = k
+                others = []
                 continue
             others.append(not there <= last + self.limits.far_m)
             if len(others) == 3:
@@ -387,7 +405,8 @@ class _Line:
         return None
 
     def is_small(self, i: int, shots: I64) -> bool:
-        limits, away = self.limits, np.abs(self.side[shots])
+        limits = self.limits
+        away = np.abs(self.side[shots])
         if (
             len(shots) < limits.pole_shots
             or not limits.box_flat_m <= np.ptp(away) <= limits.box_deep_m
@@ -398,7 +417,8 @@ class _Line:
             return False
         if np.float32((self.smooth[shots] >= 3).sum()) < np.float32(0.8) * np.float32(len(shots)):
             return False
-        before, after = self.lines_beside(i, -1), self.lines_beside(i, 1)
+        before = self.lines_beside(i, -1)
+        after = self.lines_beside(i, 1)
         return before is not None and after is not None and before + after <= limits.box_lines
 
     def label_boxes(self) -> None:
@@ -406,7 +426,8 @@ class _Line:
         for i in range(len(self.labels)):
             if i <= done or not self.is_top(i):
                 continue
-            (first, before), (last, after) = self.end(i, -1), self.end(i, 1)
+            (first, before) = self.end(i, -1)
+            (last, after) = self.end(i, 1)
             done = last
             if before == first or after == last:
                 continue

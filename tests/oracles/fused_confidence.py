@@ -30,7 +30,8 @@ def confidence_cells(
     cells = np.zeros(labels.shape, np.int32)
     near, smooth, upright, level = counts
     for line, i in zip(*np.nonzero(labels), strict=True):
-        r, y = range_m[line, i], range_m[line, i] * beams[0][i]
+        r = range_m[line, i]
+        y = range_m[line, i] * beams[0][i]
         rough, top, filled, behind, ahead = _place(y, line, slots, walls)
         values = [
             _agreement(labels, range_m, line, i, step, groups),
@@ -80,7 +81,8 @@ def _place(
     b = int(np.floor(y / np.float32(0.5))) + STRIPS // 2
     every, rough = (f"{int(words[line, b]):b}" for words in slots)
     n = every.count("1")
-    at, before = walls[0][line, b], walls[1][line, b]
+    at = walls[0][line, b]
+    before = walls[1][line, b]
     return (
         np.float32(rough.count("1")) / np.float32(max(n, 1)),
         np.float32(0 if n == 0 else len(every)) * np.float32(0.25),

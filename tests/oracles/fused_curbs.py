@@ -7,7 +7,9 @@ import numpy as np
 from prc_cli.core.types import F32, U8, Mask
 from prc_cli.methods.fused.thresholds import CurbThresholds
 
-NO_SURFACE, GROUND, CURB = (0, 2), 3, 8
+NO_SURFACE = (0, 2)
+GROUND = 3
+CURB = 8
 
 
 def curb_labels(
@@ -20,7 +22,8 @@ def curb_labels(
 ) -> U8:
     """Label curbs; see :func:`prc_cli.methods.fused.curbs_loops.curb_labels`."""
     found = labels.copy()
-    side_m, height_m = range_m * beams[0], -(range_m * beams[1])
+    side_m = range_m * beams[0]
+    height_m = -(range_m * beams[1])
     low = (np.abs(above_m) < thresholds.most_m) & ~np.isin(labels, NO_SURFACE)
     m = labels.shape[1]
     for line, i in zip(*np.nonzero(low), strict=True):
@@ -46,7 +49,8 @@ def curb_labels(
 
 def _until_gap(columns: list[int], low: Mask) -> list[int]:
     """Return the columns near the ground, up to nine in a row that are not."""
-    found, gap = [], 0
+    found = []
+    gap = 0
     for j in columns:
         gap = 0 if low[j] else gap + 1
         if gap > 8:
@@ -77,5 +81,6 @@ def _is_face(
     rise = top - foot
     if rise < thresholds.least_m or rise > thresholds.most_m:
         return False
-    margin, step = thresholds.margin * rise, height[beside[1][0]] - height[beside[0][0]]
+    margin = thresholds.margin * rise
+    step = height[beside[1][0]] - height[beside[0][0]]
     return bool(foot + margin < own < top - margin and step >= thresholds.share * rise)

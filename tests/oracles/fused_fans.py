@@ -10,10 +10,17 @@ import numpy as np
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.methods.fused.thresholds import FanThresholds
 
-LINES, BINS, BIN = 12, 200, np.float32(0.25)
-REACH, JUMP = np.float32(0.5), np.float32(1.0)
-NO_THING, SOIL, CAR, POLE = (0, 2, 3, 8), (3, 8), 7, 11
-SEED, THING = 1, 2
+LINES = 12
+BINS = 200
+BIN = np.float32(0.25)
+REACH = np.float32(0.5)
+JUMP = np.float32(1.0)
+NO_THING = (0, 2, 3, 8)
+SOIL = (3, 8)
+CAR = 7
+POLE = 11
+SEED = 1
+THING = 2
 
 Run = tuple[list[int], bool, tuple[int, int], float, float]
 
@@ -75,7 +82,10 @@ def runs_of(
         else:
             groups.append([i])
     for run in groups:
-        low, high, near, far = above[run].min(), above[run].max(), side[run].min(), side[run].max()
+        low = above[run].min()
+        high = above[run].max()
+        near = side[run].min()
+        far = side[run].max()
         smooth = np.float32(0)
         for i in run:
             smooth += texture[i]
@@ -84,7 +94,8 @@ def runs_of(
         is_roof &= (
             np.float32(0.3) <= far - near <= 3 and smooth >= thresholds.smooth and len(run) >= 6
         )
-        first, end = there.index(run[0]), there.index(run[-1]) + 1
+        first = there.index(run[0])
+        end = there.index(run[-1]) + 1
         is_roof = is_roof and first > 0 and end < len(there)
         is_roof = (
             is_roof and labels[there[first - 1]] in SOIL and side[there[end]] > side[run[-1]] + JUMP

@@ -12,7 +12,10 @@ from prc_cli.methods.fused.thresholds import FlankThresholds
 from tests.oracles.fused_strips import sum_around
 
 Slots = NDArray[np.uint64]
-N, WIDTH, BIN, LEVEL_BIN = 320, np.float32(0.5), np.float32(0.125), np.float32(0.25)
+N = 320
+WIDTH = np.float32(0.5)
+BIN = np.float32(0.125)
+LEVEL_BIN = np.float32(0.25)
 
 
 def find_flanks(
@@ -26,14 +29,16 @@ def find_flanks(
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
     """Find flanks of vehicles; see :func:`prc_cli.methods.fused.flanks_loops.find_flanks`."""
-    flanks, found = np.zeros((len(levels), N), np.uint8), levels.copy()
+    flanks = np.zeros((len(levels), N), np.uint8)
+    found = levels.copy()
     side_m = range_m * beams[0]
     is_ground = (np.abs(above_m) < thresholds.soil_m) & (upright < 2)
     counts, depths = ground_of(side_m, range_m * beams[1], is_ground)
     for line in range(len(levels)):
         lines = slice(line, line + 5)
         length, wall, place = (sum_around(values[lines]) for values in sums)
-        least, most = thresholds.least_m * np.float32(5), thresholds.most_m * np.float32(5)
+        least = thresholds.least_m * np.float32(5)
+        most = thresholds.most_m * np.float32(5)
         for b in np.flatnonzero(
             (wall > 0) & (wall >= least) & (wall <= most) & (wall >= thresholds.share * length)
         ):
@@ -45,7 +50,8 @@ def find_flanks(
             middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
             beneath = beyond = 0
             for k in seen:
-                first, at = int(away / BIN), np.arange(2 * N)
+                first = int(away / BIN)
+                at = np.arange(2 * N)
                 ground = (counts[k, way] > 0) & (at >= first) & (at < 2 * first)
                 passes = depths[k, way] * (np.float32(1) - away / middle)
                 # behind ground that is seen above the body nothing counts
@@ -73,10 +79,13 @@ def _hangs(
 ) -> bool:
     """Return whether lines see ground below a body as high as a lorry's, and none through it."""
     middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
-    at, first = np.arange(2 * N), int(away / BIN)
+    at = np.arange(2 * N)
+    first = int(away / BIN)
     own = min(int(away / WIDTH), N // 2 - 1)
     strips = [own, max(own - 1, 0)]
-    bottoms, below, through = [], 0, 0
+    bottoms = []
+    below = 0
+    through = 0
     for n_shots, depth, slots in zip(counts, depths, every, strict=True):
         word = 0
         for j in strips:
@@ -95,10 +104,8 @@ def _hangs(
 
 def ground_of(side_m: F32, depth_m: F32, is_ground: Mask) -> tuple[I32, F32]:
     """Return the shots of the ground in every bin of every line, and how deep the last of them lies, (lines, 4 N)."""
-    counts, depths = (
-        np.zeros((len(side_m), 4 * N), np.int32),
-        np.zeros((len(side_m), 4 * N), np.float32),
-    )
+    counts = np.zeros((len(side_m), 4 * N), np.int32)
+    depths = np.zeros((len(side_m), 4 * N), np.float32)
     for k, i in zip(*np.nonzero(is_ground), strict=True):
         q = floor(side_m[k, i] / BIN) + 2 * N
         if 0 <= q < 4 * N:

@@ -9,9 +9,15 @@ import numpy as np
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
-QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320
-MISSED_SHOTS, MISSED_LINES, MISSED_M = 16, 8, np.float32(0.6)
-TENTH, LOST_LINES, START_FOLLOW = np.float32(0.1), 32, np.float32(0.005)
+QUARTER = np.float32(0.25)
+HALF = np.float32(0.5)
+BINS = 320
+MISSED_SHOTS = 16
+MISSED_LINES = 8
+MISSED_M = np.float32(0.6)
+TENTH = np.float32(0.1)
+LOST_LINES = 32
+START_FOLLOW = np.float32(0.005)
 MOST_AGE = np.iinfo(np.int32).max
 Memory = tuple[F32, I32, F32, F32]
 
@@ -29,8 +35,10 @@ def walk_ground(
     thresholds: WalkThresholds,
 ) -> tuple[F32, Mask, Memory, float, int, int]:
     """Find the ground; see :func:`prc_cli.methods.fused.ground_loops.walk_ground`."""
-    side_m, height_m = range_m * beams[0], -(range_m * beams[1])
-    above, walked = np.full(side_m.shape, np.nan, np.float32), np.zeros(side_m.shape, np.bool_)
+    side_m = range_m * beams[0]
+    height_m = -(range_m * beams[1])
+    above = np.full(side_m.shape, np.nan, np.float32)
+    walked = np.zeros(side_m.shape, np.bool_)
     heights, ages, shots, sums = (each.copy() for each in memory)
     memories = [_Memory(heights[s], ages[s], thresholds) for s in range(2)]
     kept = None
@@ -42,10 +50,8 @@ def walk_ground(
         known = np.flatnonzero((ages.astype(np.float32) < thresholds.memory_lines).any(axis=0))
         if len(known):
             nearest_m = next(one.height[known[0]] for one in memories if one.known()[known[0]])
-            start_m, lost = (
-                nearest_m if lost < 0 else start_m + (nearest_m - start_m) * START_FOLLOW,
-                0,
-            )
+            start_m = nearest_m if lost < 0 else start_m + (nearest_m - start_m) * START_FOLLOW
+            lost = 0
             shots[:] = sums[:] = 0
         elif _search(side_m[line][level], height_m[line][level], shots, sums, thresholds):
             lost += 1 if lost >= 0 else -1
@@ -72,7 +78,9 @@ def walk_ground(
             missed += 1
             _search(side_m[line][level], height_m[line][level], shots, sums, thresholds)
             if missed == MISSED_LINES:
-                start_m, missed, lost = _lowest(shots, sums), 0, 0
+                start_m = _lowest(shots, sums)
+                missed = 0
+                lost = 0
                 ages[:] = MOST_AGE
                 shots[:] = sums[:] = 0
         elif missed:
@@ -113,8 +121,10 @@ class _Memory:
     """The ground of one side, as last seen."""
 
     def __init__(self, height: F32, age: I32, thresholds: WalkThresholds) -> None:
-        self.height, self.age = height, age
-        self.lines, self.follow = thresholds.memory_lines, thresholds.follow
+        self.height = height
+        self.age = age
+        self.lines = thresholds.memory_lines
+        self.follow = thresholds.follow
 
     def known(self) -> Mask:
         fresh: Mask = self.age.astype(np.float32) < self.lines
@@ -156,7 +166,8 @@ def _steps(
 ) -> list[tuple[int, int]]:
     """Return the columns that the walk goes over, and their places."""
     known = memory.known()
-    at, z = np.float32(0), memory.height[np.argmax(known)] if known.any() else np.float32(start_m)
+    at = np.float32(0)
+    z = memory.height[np.argmax(known)] if known.any() else np.float32(start_m)
     steps = []
     for i in on_way:
         place = int(out_m[i] / QUARTER)
@@ -171,7 +182,8 @@ def _steps(
         remembered = known[place] and abs(height_m[i] - memory.height[place]) < thresholds.known_m
         if abs(height_m[i] - z) <= limit or remembered:
             steps.append((i, place))
-            at, z = out_m[i], height_m[i]
+            at = out_m[i]
+            z = height_m[i]
     return steps
 
 
@@ -185,7 +197,8 @@ def _means(visits: list[tuple[int, np.float32]]) -> dict[int, np.float32]:
         total = np.float32(0)
         for _, z in visits[start:end]:
             total += z
-        place, mean = visits[start][0], total / np.float32(end - start)
+        place = visits[start][0]
+        mean = total / np.float32(end - start)
         means[place] = (means[place] + mean) * HALF if place in means else mean
         start = end
     return means

@@ -37,7 +37,8 @@ def near_counts(
     ]
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
-        y, x = line + 2, column + 4
+        y = line + 2
+        x = column + 4
         apart = range_m[y, column] * step
         near = max(limits.near_m, limits.near_steps * apart)
         along = max(limits.along_m, limits.along_steps * apart)
@@ -58,8 +59,10 @@ def smooth_counts(
     points = np.stack(_with_margins(plane_points(range_m, sine, cosine)), axis=-1)
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
-        y, x = line + 2, column + 4
-        r, own = range_m[y, column], points[y, x]
+        y = line + 2
+        x = column + 4
+        r = range_m[y, column]
+        own = points[y, x]
         tolerance = thresholds.tolerance_m + thresholds.tolerance_per_m * r
         gap = max(thresholds.gap_m, thresholds.gap_steps * (r * step))
         to_edge = min(column, range_m.shape[1] - 1 - column)
@@ -69,8 +72,10 @@ def smooth_counts(
         )
         stride = max(min(int(wanted), to_edge // 2), 1)
         for b, c in PAIRS_IN_LINE:
-            first, second = points[y, x + stride * b], points[y, x + stride * c]
-            along, off = second - first, own - first
+            first = points[y, x + stride * b]
+            second = points[y, x + stride * c]
+            along = second - first
+            off = own - first
             square = along[0] * along[0] + along[1] * along[1]
             cross = along[0] * off[1] - along[1] * off[0]
             counts[line, column] += bool(
@@ -87,10 +92,13 @@ def directions(
     range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
 ) -> tuple[U8, U8]:
     """Count upright and level chords; see :func:`prc_cli.methods.fused.neighbours_loops.directions`."""
-    slope, slack, longest = thresholds.slope, thresholds.slack_m, thresholds.longest_m
+    slope = thresholds.slope
+    slack = thresholds.slack_m
+    longest = thresholds.longest_m
     side_m, height_m = plane_points(range_m, sine, cosine)
     m = range_m.shape[1]
-    upright, level = np.zeros(range_m.shape, np.uint8), np.zeros(range_m.shape, np.uint8)
+    upright = np.zeros(range_m.shape, np.uint8)
+    level = np.zeros(range_m.shape, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(range_m)), strict=True):
         away = int(min(max(thresholds.chord_m / (range_m[line, i] * step), 1), 60))
         tries = [away, away + 1, *([away - 1] if away > 1 else [])]

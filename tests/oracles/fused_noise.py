@@ -11,7 +11,10 @@ from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.thresholds import AgainThresholds
 
-MISSING, NOISE, VEGETATION, CAR = 0, 2, 5, 7
+MISSING = 0
+NOISE = 2
+VEGETATION = 5
+CAR = 7
 
 
 class _Window(NamedTuple):
@@ -43,7 +46,8 @@ class _Window(NamedTuple):
                 return False
             if not (self.range_m[self.line, two] < self.own - thresholds.mirror_m).any():
                 return False
-        sides, fellows = [0, 0], 0
+        sides = [0, 0]
+        fellows = 0
         for k, j in self.around(1):
             off = self.range_m[k, j] - self.own
             if off < -thresholds.mirror_m and self.labels[k - 2, j] == CAR and j != self.i:
@@ -80,7 +84,8 @@ def noise_again(
     """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
     found = voted.copy()
     for line, i in zip(*np.nonzero(voted), strict=True):
-        shot, pairs = _Window(labels, range_m, smooth, int(line) + 3, int(i)), smooth[line + 3, i]
+        shot = _Window(labels, range_m, smooth, int(line) + 3, int(i))
+        pairs = smooth[line + 3, i]
         is_high = above_m[line, i] > thresholds.foot_m
         is_noise = voted[line, i] == NOISE
         is_rough = (

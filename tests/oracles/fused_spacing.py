@@ -17,7 +17,8 @@ def _sticks_out(ranges: F32, column: int, thresholds: SpacingThresholds) -> bool
         return False
     one, own, two = ranges[column - 1 : column + 2]
     limit = thresholds.tolerance_m + thresholds.tolerance_per_m * own
-    before, after = own - one, two - own
+    before = own - one
+    after = two - own
     if not (abs(before) < thresholds.near_m and abs(after) < thresholds.near_m):
         return False
     return bool(abs(before) > limit and abs(after) > limit and abs(after - before) > limit)
@@ -25,7 +26,8 @@ def _sticks_out(ranges: F32, column: int, thresholds: SpacingThresholds) -> bool
 
 def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
     """Count repeated leaves; see :func:`prc_cli.methods.fused.spacing_loops.leaf_repeats`."""
-    n_lines, m = range_m.shape[0] - 16, range_m.shape[1]
+    n_lines = range_m.shape[0] - 16
+    m = range_m.shape[1]
     counts = np.zeros((n_lines, len(LAGS) + 1, 2), np.int32)
     for line in range(first, n_lines, 4):
         ranges = range_m[line + 16]

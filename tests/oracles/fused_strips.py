@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, WallThresholds
 
-N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)
+N = 320
+WIDTH = np.float32(0.5)
+HALF_WIDTH = np.float32(0.25)
+SLOT = np.float32(0.25)
 NOTHING = np.float32(-1e9)
 COLUMN, THIN, SHORT, FEW, SMALL, FENCE = range(1, 7)
 
@@ -28,17 +31,22 @@ def fill_strips(
     thresholds: StripThresholds,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort shots into strips; see :func:`prc_cli.methods.fused.strips_loops.fill_strips`."""
-    ranges, above = range_m, above_m
-    side, height = ranges * beams[0], -(ranges * beams[1])
+    ranges = range_m
+    above = above_m
+    side = ranges * beams[0]
+    height = -(ranges * beams[1])
     near, smooth, upright, level = counts
     shape = (len(ranges), N)
-    every, rough = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
+    every = np.zeros(shape, np.uint64)
+    rough = np.zeros(shape, np.uint64)
     length, wall, place = (np.zeros(shape, np.float32) for _ in range(3))
-    top, levels = np.full(shape, NOTHING), np.zeros((len(ranges), 2 * N), np.uint8)
+    top = np.full(shape, NOTHING)
+    levels = np.zeros((len(ranges), 2 * N), np.uint8)
     for k, i in zip(
         *np.nonzero((above >= thresholds.foot_m) & (near >= thresholds.least_near)), strict=True
     ):
-        y, strip = side[k, i], floor(side[k, i] / WIDTH) + N // 2
+        y = side[k, i]
+        strip = floor(side[k, i] / WIDTH) + N // 2
         if not 0 <= strip < N:
             continue
         bit = np.uint64(1 << min(int(above[k, i] / SLOT), 63))
@@ -103,7 +111,8 @@ def find_walls(
             outwards = np.minimum.accumulate(np.where(is_wall[side], number, N)[::-1])[::-1]
             for k in np.flatnonzero(inwards >= 0):
                 w = side[inwards[k]]
-                at[line, side[k]], top[line, side[k]] = place[w] / wall[w], highest[w : w + 3].max()
+                at[line, side[k]] = place[w] / wall[w]
+                top[line, side[k]] = highest[w : w + 3].max()
             for k in np.flatnonzero(outwards < N):
                 w = side[outwards[k]]
                 where = place[w] / wall[w]
@@ -153,7 +162,8 @@ class _Lines:
 
     def seen(self, line: int, i: int, *, far: bool) -> range | None:
         """Return the lines of the window that see the thing of a shot, if those beside them see past it, or far."""
-        before, after = self.beyond(line, i, -1), self.beyond(line, i, 1)
+        before = self.beyond(line, i, -1)
+        after = self.beyond(line, i, 1)
         if before is None or after is None or (far and not (before[1] and after[1])):
             return None
         lines = range(line + self.margin - before[0] + 1, line + self.margin + after[0])
@@ -200,27 +210,28 @@ class _Lines:
         return runs
 
     def radius(self, line: int, i: int) -> np.float32:
-        lines, away = self.seen(line, i, far=True), self.window[line + self.margin, i]
+        lines = self.seen(line, i, far=True)
+        away = self.window[line + self.margin, i]
         assert lines is not None
-        n, q = len(lines), max(len(lines) // 4, 1)
+        n = len(lines)
+        q = max(len(lines) // 4, 1)
         if n < 3:
             return np.float32(0)
         there = self.window[lines.start : lines.stop, i]
         left, right, middle = (
             _added(part) for part in (there[:q], there[n - q :], there[q : n - q])
         )
-        left, right, middle = (
-            left / np.float32(q),
-            right / np.float32(q),
-            middle / np.float32(n - 2 * q),
-        )
+        left = left / np.float32(q)
+        right = right / np.float32(q)
+        middle = middle / np.float32(n - 2 * q)
         if not min(left, right) > middle:
             return np.float32(0)
         bulge = np.float32(0.5) * (left + right) - middle
         return np.float32(bulge * (abs(away * self.beams[0][i]) / away) / np.float32(0.34))
 
     def kind(self, line: int, run: list[int], free: list[int], narrow: list[int]) -> int:
-        reach, limits = self.reach(line, run, free, narrow), self.limits
+        reach = self.reach(line, run, free, narrow)
+        limits = self.limits
         if reach is None:
             return COLUMN if free and self.is_column(line, run, free) else 0
         is_post = sum(self.is_smooth(line, i) for i in narrow) >= limits.share * np.float32(
@@ -237,7 +248,8 @@ class _Lines:
         self, line: int, run: list[int], free: list[int], narrow: list[int]
     ) -> np.float32 | None:
         """Return how high something small reaches; None = it is not small."""
-        limits, above = self.limits, self.above[line, narrow]
+        limits = self.limits
+        above = self.above[line, narrow]
         if (
             len(narrow) < max(limits.shots, limits.small_share * np.float32(len(run)))
             or above.max() >= limits.high_m
@@ -265,27 +277,37 @@ class _Lines:
 
     def climb(self, line: int, i: int) -> np.float32:
         """Return how much higher lines around see the thing of a shot."""
-        (sine, cosine), at, best = self.beams, line + self.margin, np.float32(0)
+        (sine, cosine) = self.beams
+        at = line + self.margin
+        best = np.float32(0)
         up = 1 if cosine[max(i - 1, 0)] > cosine[min(i + 1, len(sine) - 1)] else -1
-        side, height = self.window * sine, -(self.window * cosine)
+        side = self.window * sine
+        height = -(self.window * cosine)
         for way in (-1, 1):
-            k, j, top, goes_on = at + way, i, height[at, i], True
+            k = at + way
+            j = i
+            top = height[at, i]
+            goes_on = True
             while (
                 goes_on and 0 <= k < len(self.window) and top - height[at, i] < self.limits.high_m
             ):
-                q, goes_on = j, False
+                q = j
+                goes_on = False
                 while 0 <= q < len(sine) and self.window[at, i] * (
                     cosine[j] - cosine[q]
                 ) < np.float32(0.3):
                     if np.abs(side[k, q] - side[at, i]) < np.float32(0.4):
-                        top, j, goes_on = max(top, height[k, q]), q, True
+                        top = max(top, height[k, q])
+                        j = q
+                        goes_on = True
                     q += up
                 k += way
             best = max(best, top - height[at, i])
         return np.float32(best)
 
     def is_column(self, line: int, run: list[int], free: list[int]) -> bool:
-        limits, smooth = self.limits, [i for i in free if self.is_smooth(line, i)]
+        limits = self.limits
+        smooth = [i for i in free if self.is_smooth(line, i)]
         if len(smooth) < max(
             limits.shots, limits.share * np.float32(sum(self.smooth[line, run] >= limits.smooth))
         ):
@@ -303,17 +325,17 @@ class _Lines:
         return bool(2 * ((radii >= limits.round_m) & (radii <= limits.deep_m)).sum() > len(radii))
 
     def is_short(self, line: int, run: list[int]) -> bool:
-        ranges, far = (
-            np.pad(self.window[line + self.margin], 1, constant_values=np.nan),
-            self.limits.far_m,
-        )
-        first, end = run[0] + 1, run[-1] + 2
+        ranges = np.pad(self.window[line + self.margin], 1, constant_values=np.nan)
+        far = self.limits.far_m
+        first = run[0] + 1
+        end = run[-1] + 2
         if ranges[first - 1] <= ranges[first] + far or ranges[end] <= ranges[end - 1] + far:
             return False
         return bool(np.ptp(self.above[line, run]) < self.limits.tall_m)
 
     def piece(self, line: int, run: list[int], i: int) -> int:
-        n_seen, limits = self.n_seen(line, i), self.limits
+        n_seen = self.n_seen(line, i)
+        limits = self.limits
         is_thin = n_seen <= min(limits.slim_lines, limits.piece_lines)
         if not is_thin and not (n_seen <= limits.piece_lines and self.is_short(line, run)):
             return 0
@@ -340,7 +362,8 @@ def find_columns(
     found = np.zeros(above_m.shape, np.uint8)
     for line in range(len(above_m)):
         for run in lines.runs(line):
-            free, narrow = lines.free(line, run, far=True), lines.free(line, run, far=False)
+            free = lines.free(line, run, far=True)
+            narrow = lines.free(line, run, far=False)
             kind = lines.kind(line, run, free, narrow) if free or narrow else 0
             for i in run if kind == SMALL else free:
                 is_odd = kind == COLUMN and not lines.is_smooth(line, i)

@@ -7,7 +7,8 @@ import numpy as np
 from prc_cli.core.types import F32, U8
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
-CAR, POLE = 7, 11
+CAR = 7
+POLE = 11
 
 
 def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
@@ -27,7 +28,8 @@ def vote_labels(
     voted = labels[1:-1].copy()
     m = labels.shape[1]
     for row, i in zip(*np.nonzero(~np.isin(voted, (MISSING, OTHER, NOISE, GROUND))), strict=True):
-        line, own = row + 1, labels[row + 1, i]
+        line = row + 1
+        own = labels[row + 1, i]
         asked = (line - 1, i), (line + 1, i), (line, max(i - 4, 0)), (line, min(i + 4, m - 1))
         if all(labels[place] in (own, MISSING, NOISE) for place in asked):
             continue

@@ -97,12 +97,11 @@ def support(range_m: F32, settings: Settings) -> Mask:
     m = range_m.shape[1]
     n_adjacent = (-m - 1, -m, -m + 1, m - 1, m, m + 1)  # (7)
     n_in_slice = (-4, -3, -2, -1, 1, 2, 3, 4)  # (8)
-    need_in_slice, need_adjacent = (
-        settings.rho_c * len(n_in_slice),
-        settings.rho_c * len(n_adjacent),
-    )
+    need_in_slice = settings.rho_c * len(n_in_slice)
+    need_adjacent = settings.rho_c * len(n_adjacent)
     if settings.rounding == "floor":
-        need_in_slice, need_adjacent = math.floor(need_in_slice), math.floor(need_adjacent)
+        need_in_slice = math.floor(need_in_slice)
+        need_adjacent = math.floor(need_adjacent)
     supported = (
         ~np.isnan(r)
         & (_cover(r, n_in_slice, settings.zeta_p) >= need_in_slice)

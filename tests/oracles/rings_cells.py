@@ -30,7 +30,10 @@ from prc_cli.methods.rings.thresholds import (
     SoilThresholds,
 )
 
-SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
+SMOOTH = 1
+ASKED = 2
+UPRIGHT = 4
+LEVEL = 8
 
 
 def _points(xyz_m: F32, mask: Mask) -> Iterator[tuple[tuple[int, int], tuple[float, float, float]]]:
@@ -48,7 +51,8 @@ def mark_shots(
     step_rad: float,
     thresholds: MarkThresholds,
 ) -> U8_2:
-    marks, (n_lines, m) = np.zeros(place.shape, np.uint8), place.shape
+    marks = np.zeros(place.shape, np.uint8)
+    (n_lines, m) = place.shape
     there = ~np.isnan(place)
     for (line, i), (x, y, z) in _points(xyz_m, there):
         far = float(place[line, i]) / root
@@ -74,7 +78,9 @@ def mark_shots(
             most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
             if 0 < square <= most_m * most_m:
                 dx, dy, dz = np.array([x, y, z]) - before
-                ex, ey, ez = dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx
+                ex = dy * cz - dz * cy
+                ey = dz * cx - dx * cz
+                ez = dx * cy - dy * cx
                 tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
                 if ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m * square:
                     marks[line, i] |= SMOOTH
@@ -83,7 +89,8 @@ def mark_shots(
         higher = [q for q in (i + 1, i + 2) if q < m and there[line, q]][:1]
         for q in higher if above_m[line, i] > foot_m else ():
             other = float(place[line, q]) / root
-            rise, apart = abs(float(xyz_m[line, q, 2]) - z), abs(other * other - far)
+            rise = abs(float(xyz_m[line, q, 2]) - z)
+            apart = abs(other * other - far)
             if apart < thresholds.upright * rise + thresholds.upright_m:
                 marks[line, [i, q]] |= UPRIGHT
             elif rise < thresholds.level * apart:
@@ -99,12 +106,14 @@ def lonely_shots(
         near_scanner = range_m.astype(np.float64) < thresholds.reach_m
     for line, i in np.argwhere(near_scanner).tolist():
         around = slice(max(line - 3, 0), line + 4), slice(max(i - 2, 0), i + 3)
-        own, ranges = float(range_m[line, i]), range_m[around].astype(np.float64)
+        own = float(range_m[line, i])
+        ranges = range_m[around].astype(np.float64)
         away = np.abs(ranges - own)
         n_near = np.count_nonzero(away < thresholds.near_m + thresholds.near_per_m * own)
         n_alike = 0
         if is_lit:
-            light, lights = float(intensity[line, i]), intensity[around].astype(np.float64)
+            light = float(intensity[line, i])
+            lights = intensity[around].astype(np.float64)
             limit = thresholds.alike * np.maximum(lights, light)
             n_alike = np.count_nonzero(
                 (away < thresholds.beside_m) & (np.abs(lights - light) <= limit)
@@ -117,12 +126,11 @@ def lonely_shots(
 def fill_cells(
     xyz_m: F32_3, above_m: F32_2, marks: U8_2, leave_out: Mask_2, thresholds: CellThresholds
 ) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
-    size, half, n = (
-        thresholds.cell_m,
-        thresholds.half_m,
-        int(2.0 * thresholds.half_m / thresholds.cell_m),
-    )
-    grid, cell = np.full((n, n), -1, np.int32), np.full(above_m.shape, -1, np.int32)
+    size = thresholds.cell_m
+    half = thresholds.half_m
+    n = int(2.0 * thresholds.half_m / thresholds.cell_m)
+    grid = np.full((n, n), -1, np.int32)
+    cell = np.full(above_m.shape, -1, np.int32)
     sums: list[NDArray[np.float64]] = []
     levels: list[int] = []
     where: list[tuple[int, int]] = []
@@ -142,7 +150,8 @@ def fill_cells(
             sums.append(np.zeros(9))
             levels.append(0)
         own = cell[at] = grid[p, q]
-        x, y = x + half - (p + 0.5) * size, y + half - (q + 0.5) * size
+        x = x + half - (p + 0.5) * size
+        y = y + half - (q + 0.5) * size
         bits = [bool(marks[at] & bit) for bit in (SMOOTH, ASKED, UPRIGHT)]
         sums[own] += [1, x, y, x * x, x * y, y * y, *bits]
         levels[own] |= 1 << int(min(above[at] / thresholds.storey_m, 61.0))
@@ -152,10 +161,8 @@ def fill_cells(
         p, q = place(x, y)
         if 0 <= p < n and 0 <= q < n:
             cell[at] = grid[p, q]
-    total, places = (
-        np.array(sums).reshape(len(where), 9),
-        np.array(where, np.int32).reshape(len(where), 2),
-    )
+    total = np.array(sums).reshape(len(where), 9)
+    places = np.array(where, np.int32).reshape(len(where), 2)
     return np.array(levels, np.int64), total, places, grid, cell
 
 
@@ -177,15 +184,22 @@ def measure_cells(
         n = x = y = xx = xy = yy = upright = 0.0
         for dp, dq, other in _around(grid, where, c, 1):
             shots, sx, sy, sxx, sxy, syy, _, _, n_upright = sums[other]
-            ox, oy = dp * thresholds.cell_m, dq * thresholds.cell_m
-            n, upright = n + shots, upright + n_upright
-            x, y = x + (sx + shots * ox), y + (sy + shots * oy)
+            ox = dp * thresholds.cell_m
+            oy = dq * thresholds.cell_m
+            n = n + shots
+            upright = upright + n_upright
+            x = x + (sx + shots * ox)
+            y = y + (sy + shots * oy)
             xx += sxx + 2.0 * ox * sx + shots * ox * ox
             xy += sxy + ox * sy + oy * sx + shots * ox * oy
             yy += syy + 2.0 * oy * sy + shots * oy * oy
-        x, y = x / n, y / n
-        xx, xy, yy = xx / n - x * x, xy / n - x * y, yy / n - y * y
-        half, away = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+        x = x / n
+        y = y / n
+        xx = xx / n - x * x
+        xy = xy / n - x * y
+        yy = yy / n - y * y
+        half = 0.5 * (xx + yy)
+        away = math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
         wide = [other for _, _, other in _around(grid, where, c, 2)]
         smooth, asked = (sum(sums[other, k] for other in wide) for k in (6, 7))
         seen = [k for k in range(62) if any(int(levels[other]) >> k & 1 for other in wide)]
@@ -213,7 +227,8 @@ def mean_around(grid: I32_2, where: I32_2, values: F64_1, weight: F64_1) -> F64_
     for c in range(len(where)):
         total = sum_of = 0.0
         for _, _, other in _around(grid, where, c, 2):
-            total, sum_of = total + weight[other] * values[other], sum_of + weight[other]
+            total = total + weight[other] * values[other]
+            sum_of = sum_of + weight[other]
         found[c] = total / sum_of
     return found
 
@@ -229,7 +244,8 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
 
 
 def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresholds) -> Mask_2:
-    size, half = thresholds.cell_m, thresholds.half_m
+    size = thresholds.cell_m
+    half = thresholds.half_m
     above = above_m.astype(np.float64)
     found = above > thresholds.soil_m
     cells: dict[tuple[int, int], list[float]] = {}

@@ -29,7 +29,8 @@ def walk_outwards(
     off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds
 ) -> tuple[F64_2, Mask_2]:
     n_sectors, n_bins = off_m.shape
-    height, seen = np.empty(off_m.shape), np.zeros(off_m.shape, np.bool_)
+    height = np.empty(off_m.shape)
+    seen = np.zeros(off_m.shape, np.bool_)
     at = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
     for b in range(n_bins):
         before = list(at)
@@ -44,15 +45,15 @@ def walk_outwards(
             expected /= weight
             height[s, b] = expected
             last, where, slope = at[s]
-            own_m, gap = float(off_m[s, b]), middle_m[b] - where
+            own_m = float(off_m[s, b])
+            gap = middle_m[b] - where
             reach = min(gap, thresholds.gap_m)
-            high, deep = (
-                thresholds.step_m + thresholds.rise * reach,
-                -thresholds.step_m - thresholds.fall * reach,
-            )
+            high = thresholds.step_m + thresholds.rise * reach
+            deep = -thresholds.step_m - thresholds.fall * reach
             if not deep <= own_m - expected <= high:
                 continue
-            height[s, b], seen[s, b] = own_m, True
+            height[s, b] = own_m
+            seen[s, b] = True
             if gap > 0:
                 steep = min(max((own_m - last) / gap, -thresholds.slope), thresholds.slope)
                 slope += min(gap / (gap + thresholds.follow_m), thresholds.follow) * (steep - slope)
@@ -63,7 +64,8 @@ def walk_outwards(
 def smooth_surface(
     height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool
 ) -> F64_2:
-    found, (n_sectors, n_bins) = start_m.copy(), start_m.shape
+    found = start_m.copy()
+    (n_sectors, n_bins) = start_m.shape
     for _ in range(rounds):
         for s, b in np.ndindex(n_sectors, n_bins):
             around = [(s, b + way) for way in (-1, 1) if 0 <= b + way < n_bins]
@@ -72,9 +74,11 @@ def smooth_surface(
                 for way in (-1, 1)
                 if is_round or 0 <= s + way < n_sectors
             ]
-            total, sum_of = weight[s, b] * height_m[s, b], weight[s, b]
+            total = weight[s, b] * height_m[s, b]
+            sum_of = weight[s, b]
             for other in around:
-                total, sum_of = total + stiff * found[other], sum_of + stiff
+                total = total + stiff * found[other]
+                sum_of = sum_of + stiff
             if sum_of > 0:
                 found[s, b] = total / sum_of
     return found
@@ -91,7 +95,8 @@ def heights_above(
 ) -> tuple[F32_2, F64_2, F64_2]:
     n_sectors, n_bins = surface_m.shape
     above = np.full(place.shape, np.nan, np.float32)
-    total, number = np.zeros(surface_m.shape), np.zeros(surface_m.shape)
+    total = np.zeros(surface_m.shape)
+    number = np.zeros(surface_m.shape)
 
     def between(low: float, high: float, share: float) -> float:
         return low + share * (high - low)
@@ -99,7 +104,8 @@ def heights_above(
     for line, i in np.argwhere(~np.isnan(place)):
         along = (line + 0.5) / sector_lines - 0.5
         first = math.floor(along)
-        low, high = surface_m[max(first, 0)], surface_m[min(first + 1, n_sectors - 1)]
+        low = surface_m[max(first, 0)]
+        high = surface_m[min(first + 1, n_sectors - 1)]
         at = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
         b = int(at)
         near, far = (between(low[k], high[k], along - first) for k in (b, b + 1))
@@ -109,5 +115,6 @@ def heights_above(
         limit = thresholds.near_m + thresholds.near_per_m * distance * distance
         if place[line, i] < n_bins and abs(off) < limit:
             cell = line // sector_lines, int(place[line, i])
-            total[cell], number[cell] = total[cell] + off, number[cell] + 1
+            total[cell] = total[cell] + off
+            number[cell] = number[cell] + 1
     return above, total, number

@@ -12,7 +12,8 @@ from prc_cli.simulation.thresholds import SensorModel
 
 _PURPOSES = ("noise", "loss", "stray", "place", "glass", "leaves", "edge", "echo", "sky")
 _WORD = 2**64 - 1
-_WHITE, _FLASH = 0.9, 0.9986
+_WHITE = 0.9
+_FLASH = 0.9986
 
 
 @dataclass
@@ -112,7 +113,8 @@ def _neighbour_share(
     """Return the share of the beam on what the neighbour sees."""
     if not 0 <= column + side < len(line):
         return 0.0
-    own, other = line[column], line[column + side]
+    own = line[column]
+    other = line[column + side]
     seen = [one for one in (own, other) if one is not None]
     if not seen or any(one.is_glass for one in seen):
         return 0.0
@@ -191,12 +193,16 @@ def _mixed(echoes: list[_Echo], model: SensorModel) -> list[_Echo]:
         near = apart[-1]
         share = echo.power / (near.power + echo.power)
         gap = echo.t - near.t
-        to_far, to_near = gap * (1.0 - share), gap * share
-        slope, label = near.slope, near.label
+        to_far = gap * (1.0 - share)
+        to_near = gap * share
+        slope = near.slope
+        label = near.label
         if to_far <= model.edge_m:
-            slope, label = echo.slope, echo.label
+            slope = echo.slope
+            label = echo.label
         elif to_near > model.edge_m:
-            slope, label = 0.0, label if label == echo.label else 2
+            slope = 0.0
+            label = label if label == echo.label else 2
         apart[-1] = _Echo(near.t + share * gap, near.power + echo.power, slope, label)
     return apart
 
@@ -230,7 +236,8 @@ def _returns(
         t = echo.t + _deviate(dice.throw(column, "noise", i), quantiles) * sigma
         label = echo.label
         if model.ambiguity_m > 0 and t >= model.ambiguity_m:
-            t, label = t - floor(t / model.ambiguity_m) * model.ambiguity_m, 2
+            t = t - floor(t / model.ambiguity_m) * model.ambiguity_m
+            label = 2
         t = _given(t, model)
         if not isnan(t):
             found.append(_Echo(t, echo.power, 0.0, label))
@@ -240,7 +247,8 @@ def _returns(
 
 
 def _bright(seed: int, line: int, column: int, m: int) -> float:
-    patch, late = line // 100, line % 100 / 100
+    patch = line // 100
+    late = line % 100 / 100
     place = column * 24 / m
     j = floor(place)
     right = place - j
@@ -258,7 +266,8 @@ def _with_background(
     quantiles: F64,
 ) -> list[_Echo]:
     """Let stray light in; ``sky`` is its brightness where the shot met nothing."""
-    chance, place = dice.throw(column, "stray"), dice.throw(column, "place")
+    chance = dice.throw(column, "stray")
+    place = dice.throw(column, "place")
     share = model.background_share if found else model.sky_share
     if sky is not None and model.bright_sky_share > 0:
         share += (model.bright_sky_share - share) * sky

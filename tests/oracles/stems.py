@@ -60,13 +60,15 @@ def _bridged(third: F64, rise: float) -> F64:
         return np.full(len(third), -1e9)
     profile = np.empty(len(third))
     for b in range(len(third)):
-        before, after = kept[kept < b], kept[kept >= b]
+        before = kept[kept < b]
+        after = kept[kept >= b]
         if not len(after):
             profile[b] = third[kept[-1]]
         elif after[0] == b or not len(before):
             profile[b] = third[after[0]]
         else:
-            low, high = before[-1], after[0]
+            low = before[-1]
+            high = after[0]
             profile[b] = third[high] + (high - b) / (high - low) * (third[low] - third[high])
     return profile
 
@@ -80,7 +82,8 @@ def ground_heights(
     place = np.clip(r * sine * (1.0 / bin_m) + n_bins // 2 - 0.5, 0.0, n_bins - 1.0)
     left = np.minimum(np.nan_to_num(place).astype(np.int64), n_bins - 2)
     group = (np.arange(len(range_m)) // lines_together)[:, None]
-    low, high = profiles[group, left], profiles[group, left + 1]
+    low = profiles[group, left]
+    high = profiles[group, left + 1]
     heights: F32 = (-r * cosine - (low + (place - left) * (high - low))).astype(np.float32)
     return heights
 
@@ -107,7 +110,8 @@ def upright_runs(
         for run in _runs_of_line(
             range_m[line].astype(np.float64), height_m[line], sine, cosine, thresholds
         ):
-            up, aside = abs(run.z[-1] - run.z[0]), abs(run.y[-1] - run.y[0])
+            up = abs(run.z[-1] - run.z[0])
+            aside = abs(run.y[-1] - run.y[0])
             n = len(run.columns)
             if (
                 n >= 3
@@ -134,7 +138,8 @@ def _runs_of_line(
     recent: deque[_Run] = deque(maxlen=3)
     for column in np.flatnonzero(heights.astype(np.float64) >= thresholds.above_m).tolist():
         r = float(ranges[column])
-        y, z = r * float(sine[column]), -r * float(cosine[column])
+        y = r * float(sine[column])
+        z = -r * float(cosine[column])
         spacing = 3.0 * thresholds.step_rad * r * r / max(abs(y), 0.3)
 
         def follows(
@@ -155,7 +160,8 @@ def _runs_of_line(
             runs.append(run)
         else:
             recent.remove(run)
-        run.passed, run.waiting = run.passed + run.waiting, 0
+        run.passed = run.passed + run.waiting
+        run.waiting = 0
         run.columns.append(column)
         for values, value in ((run.y, y), (run.z, z), (run.r, r)):
             values.append(value)
@@ -198,11 +204,13 @@ def forest_labels(
 ) -> U8:
     """Label a block of forest; see :func:`prc_cli.methods.fused.stems_loops.forest_labels`."""
     top = thresholds.top_m
-    r, height = range_m.astype(np.float64), height_m.astype(np.float64)
+    r = range_m.astype(np.float64)
+    height = height_m.astype(np.float64)
     steps = np.abs(np.diff(height, axis=1)) < thresholds.flat_m
     level = np.zeros(r.shape, bool)
     level[:, 1:-1] = steps[:, :-1] & steps[:, 1:]
-    touching, has_near = np.zeros(r.shape, bool), np.full(r.shape, thresholds.near_m < 0)
+    touching = np.zeros(r.shape, bool)
+    has_near = np.full(r.shape, thresholds.near_m < 0)
     lines, columns = r.shape
     for line, column in np.argwhere(~np.isnan(r)):
         around = np.s_[max(line - 1, 0) : line + 2, max(column - 1, 0) : column + 2]

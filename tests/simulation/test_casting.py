@@ -227,7 +227,8 @@ def step(scanner: Scanner, far: float = 30.0) -> Measured:
 
 def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
     wide = step(PULSED)
-    width, apart = 0.0033 + 0.00016 * 20.0, PULSED.step_rad * 20.0
+    width = 0.0033 + 0.00016 * 20.0
+    apart = PULSED.step_rad * 20.0
     assert set(wide.extra_column) == {39, 40, 59, 60}
     assert len(wide.extra_line) == pytest.approx(4 * 20_000 * 0.5 * width / apart, rel=0.05)
     np.testing.assert_allclose(wide.extra_range_m, 30.0, atol=0.2)  # some of these echoes are weak

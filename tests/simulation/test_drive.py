@@ -102,7 +102,8 @@ def scan_of(scanner: Scanner = EXACT, *, n_lines: int = 3, sight_m: float = 100.
 
 def test_ranges_labels_and_places_are_those_of_the_street() -> None:
     (item,) = scan_of().simulated()
-    block, angle = item.labelled.block, EXACT.angle_rad()
+    block = item.labelled.block
+    angle = EXACT.angle_rad()
     assert block.xyz_m is not None
     assert item.world_m is not None
     down = np.abs(angle) < np.deg2rad(45.0)
@@ -170,7 +171,8 @@ def classified(
 
 
 def scored(labels: U8, reference: U8, name: str) -> dict[str, ClassScores]:
-    mapping, codes = load_mapping(name), ClassCodes().lookup()
+    mapping = load_mapping(name)
+    codes = ClassCodes().lookup()
     matrix = accumulate(ConfusionMatrix.empty(mapping), codes[labels], codes[reference], mapping)
     return {item.name: item for item in scores(matrix).classes}
 
@@ -195,7 +197,8 @@ def test_classes_of_the_paper() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 7, 1000])
 def test_blocks_change_no_label(lines: int) -> None:
-    whole, cut = classified(5, azimuth_step=1.0), classified(5, lines, azimuth_step=1.0)
+    whole = classified(5, azimuth_step=1.0)
+    cut = classified(5, lines, azimuth_step=1.0)
     assert [array.tobytes() for array in whole] == [array.tobytes() for array in cut]
 
 
@@ -262,7 +265,8 @@ def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:
 
 def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
     pyproj = pytest.importorskip("pyproj")
-    path, frame = tmp_path / "drive.sbet", Frame()
+    path = tmp_path / "drive.sbet"
+    frame = Frame()
     platform = Trajectory(winding, MotionParams(**STEADY), 2.5, seed=5)
     assert MotionParams(speed_m_s=10.0, brake_m_s2=2.0).braking_m == pytest.approx(12.5 * np.pi)
     write_trajectory(path, platform, 3.0, frame=frame)
@@ -272,7 +276,8 @@ def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
     # true heading and velocity against the geodesic from place to place; the way has corners of 0.2 degrees, and the
     # meridian converges by 2 degrees
     records = np.fromfile(path, "<f8").reshape(-1, 17)
-    longitude, latitude = np.degrees(position[:, 0]), np.degrees(position[:, 1])
+    longitude = np.degrees(position[:, 0])
+    latitude = np.degrees(position[:, 1])
     azimuth, _, way = pyproj.Geod(ellps="WGS84").inv(
         longitude[:-1], latitude[:-1], longitude[1:], latitude[1:]
     )

@@ -76,7 +76,8 @@ def test_the_path_is_clear(scene: ForestScene) -> None:
     s = np.arange(0.0, 120.0, 0.25)
     path, _ = scene.path_point(s)
     assert np.hypot(*np.diff(path[:, :2], axis=0).T).max() < 0.3
-    low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
+    low = path[:, :2].min(axis=0)
+    high = path[:, :2].max(axis=0)
     middle = (low + high) / 2
     radius = float(np.hypot(*(high - low))) / 2 + 3
     stems = scene.stems_near(*middle, radius)
@@ -153,10 +154,12 @@ def test_nearest_finds_the_place_again(s: float) -> None:
 
 
 def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
-    one, two = StreetScene(seed=11), StreetScene(seed=11)
+    one = StreetScene(seed=11)
+    two = StreetScene(seed=11)
     for s in (600.0, 30.0):
         around(two, s)
-    a, b = around(one, 100.0), around(two, 130.0)
+    a = around(one, 100.0)
+    b = around(two, 130.0)
     _, in_a, in_b = np.intersect1d(a.number, b.number, return_indices=True)
     assert in_a.size > 1500
     for name in Bodies.__slots__:

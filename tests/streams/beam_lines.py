@@ -83,7 +83,8 @@ def lines(
 
 def gone(block: ScanBlock, columns: Any, rows: Any = slice(None)) -> ScanBlock:
     """Take shots out of a block."""
-    range_m, xyz = block.range_m.copy(), None if block.xyz_m is None else block.xyz_m.copy()
+    range_m = block.range_m.copy()
+    xyz = None if block.xyz_m is None else block.xyz_m.copy()
     range_m[rows, columns] = np.nan
     if xyz is not None:
         xyz[rows, columns] = np.nan

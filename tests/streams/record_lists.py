@@ -16,7 +16,8 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams.grid import open_grid
 
-N_LINES, M = 23, 40
+N_LINES = 23
+M = 40
 LINE_HZ = 50.0
 SHOT_HZ = LINE_HZ * M
 START_S = 318_000.25

@@ -21,7 +21,8 @@ TRUE = np.deg2rad(np.linspace(-160, 159, M))
 
 def walls(n_lines: int = 40) -> tuple[F64, F64]:
     """Ranges and registered points between two walls, of a scanner that drives and leans over."""
-    line, angle = np.arange(n_lines)[:, None], TRUE[None, :]
+    line = np.arange(n_lines)[:, None]
+    angle = TRUE[None, :]
     reach = np.minimum(
         4 / np.maximum(np.abs(np.sin(angle)), 1e-6), 2 / np.maximum(np.abs(np.cos(angle)), 1e-6)
     )

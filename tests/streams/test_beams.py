@@ -88,7 +88,8 @@ def with_stray_shots(block: ScanBlock, n_lines: int) -> ScanBlock:
     assert block.xyz_m is not None
     range_m = np.full((n_lines, block.points_per_line), np.nan, np.float32)
     xyz_m = np.full((*range_m.shape, 3), np.nan, np.float32)
-    range_m[:, 3], xyz_m[:, 3] = block.range_m[0, 3], block.xyz_m[0, 3]
+    range_m[:, 3] = block.range_m[0, 3]
+    xyz_m[:, 3] = block.xyz_m[0, 3]
     return replace(
         block,
         range_m=np.concatenate([range_m, block.range_m]),
@@ -237,7 +238,8 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
 
 def hostile(rng: np.random.Generator) -> ScanBlock:
     """Return lines of anything: noise, grids, one direction, tiny or huge, nearly empty, lengths that lie."""
-    n, m = int(rng.integers(1, 90)), int(rng.integers(1, 40))
+    n = int(rng.integers(1, 90))
+    m = int(rng.integers(1, 40))
     angle = np.sort(rng.uniform(-3, 3, m))
     plane = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
     xyz = [
@@ -254,7 +256,8 @@ def hostile(rng: np.random.Generator) -> ScanBlock:
         | ~(length > 0)
         | ~np.isfinite(length)
     )
-    length[missing], small[missing] = np.nan, np.nan
+    length[missing] = np.nan
+    small[missing] = np.nan
     return ScanBlock(
         0,
         length * np.float32(rng.choice([1.0, 1.5], p=[0.8, 0.2])),
@@ -267,7 +270,8 @@ def hostile(rng: np.random.Generator) -> ScanBlock:
 @pytest.mark.filterwarnings("error")
 def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
     rng = np.random.default_rng(8)
-    n_found, refusals = 0, []
+    n_found = 0
+    refusals = []
     for _ in range(400):
         block = hostile(rng)
         config = InputConfig(nadir=float(rng.uniform(-400, 400))) if rng.random() < 0.2 else AUTO
@@ -307,7 +311,8 @@ def test_oakland_counts_its_angles_from_nadir(real_data: Path, strip: int) -> No
     source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
     stream = opened(source, load_config())
     assert stream.info.down_rad == pytest.approx(0.0, abs=np.deg2rad(0.15))
-    beam, angle = real_beams(stream), stream.info.angle_rad
+    beam = real_beams(stream)
+    angle = stream.info.angle_rad
     assert angle is not None
     assert np.abs(beam - angle).max() < np.deg2rad(0.15)
 

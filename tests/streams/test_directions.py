@@ -33,7 +33,8 @@ def arc(
     angle = np.deg2rad(middle_deg + np.linspace(-0.5, 0.5, n) * span_deg)
     tilt = np.deg2rad(np.atleast_1d(tilt_deg))[:, None]
     off = np.deg2rad(off_deg) * np.where(np.arange(n) % 4 < 2, 1.0, -1.0)
-    across, down = np.cos(off) * np.sin(angle), np.cos(off) * np.cos(angle)
+    across = np.cos(off) * np.sin(angle)
+    down = np.cos(off) * np.cos(angle)
     x = np.cos(tilt) * down + np.sin(tilt) * np.sin(off)
     z = -np.sin(tilt) * down + np.cos(tilt) * np.sin(off)
     return 10.0 * np.stack([x, across + 0 * tilt, z], axis=-1)
@@ -190,7 +191,8 @@ def sweeps(n_lines: int, m: int, step_deg: float = 1.0) -> tuple[F64, I64]:
 
 @pytest.mark.parametrize("step_deg", [1e-310, 1e-9, 3.5e-5])
 def test_no_turn_has_more_than_ten_million_columns(step_deg: float) -> None:
-    angle, line = np.deg2rad(step_deg * np.tile(np.arange(100.0), 3)), np.repeat(np.arange(3), 100)
+    angle = np.deg2rad(step_deg * np.tile(np.arange(100.0), 3))
+    line = np.repeat(np.arange(3), 100)
     with pytest.raises(
         InputError,
         match=r"degrees apart, expected at most 10000000 columns in a turn; take the order",

@@ -62,10 +62,8 @@ def test_coordinates_that_do_not_tell(xyz: F64, message: str) -> None:
 
 def room(n_lines: int = 120) -> F64:
     """Vertical lines of a scanner in the middle of a round room, 2 m above its floor."""
-    elevation, azimuth = (
-        np.deg2rad(np.linspace(-60, 60, 200)),
-        np.deg2rad(np.arange(n_lines, dtype=float))[:, None],
-    )
+    elevation = np.deg2rad(np.linspace(-60, 60, 200))
+    azimuth = np.deg2rad(np.arange(n_lines, dtype=float))[:, None]
     length = (
         np.minimum(2 / np.sin(np.maximum(-elevation, 1e-3)), 15 / np.cos(elevation)) + 0 * azimuth
     )
@@ -122,7 +120,9 @@ def test_down_is_found_in_registered_heights(nadir_deg: float) -> None:
     # a tenth of the shots wrong, some not finite
     rng = np.random.default_rng(2)
     z[rng.random(len(z)) < 0.1] += 7.0
-    range_m[::31], z[::37], angle[::41] = np.nan, np.nan, np.nan
+    range_m[::31] = np.nan
+    z[::37] = np.nan
+    angle[::41] = np.nan
     fit = fit_heights(angle, range_m, z, line)
     assert abs(np.rad2deg(wrap(np.array([fit.down_rad - np.deg2rad(nadir_deg)]))[0])) < 0.05
 
@@ -151,10 +151,8 @@ def test_any_heights_are_fitted_or_refused() -> None:
         n = int(rng.integers(0, 300))
         scale = 10.0 ** float(rng.integers(-30, 30))
         angle = rng.uniform(-4, 4, n) * rng.choice([0.0, 1e-9, 1.0])
-        range_m, z = (
-            rng.uniform(-1, 9, n) * scale,
-            rng.normal(size=n) * 10.0 ** float(rng.integers(-30, 30)),
-        )
+        range_m = rng.uniform(-1, 9, n) * scale
+        z = rng.normal(size=n) * 10.0 ** float(rng.integers(-30, 30))
         for values in (angle, range_m, z):
             values[rng.random(n) < 0.1] = rng.choice([np.nan, np.inf, 0.0])
         try:

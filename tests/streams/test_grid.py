@@ -309,7 +309,8 @@ SEVERAL = "scanner_channel"
 )
 def test_scanners_are_split(rule: str, chunk_records: int) -> None:
     names, options = RULES[rule]
-    images, parts = [], []
+    images = []
+    parts = []
     for seed in (1, 2):
         image, records = scene(seed)
         images.append(image)

@@ -43,11 +43,13 @@ def test_wrap_of_a_profiler_with_missing_shots(direction: int, size: int) -> Non
     line = np.repeat(np.arange(30), 36)
     angle = direction * np.tile(np.deg2rad(np.arange(0, 360, 10.0)), 30)
     keep = rng.random(len(line)) < 0.6
-    line, angle = line[keep], angle[keep]
+    line = line[keep]
+    angle = angle[keep]
     angle[rng.random(len(angle)) < 0.05] = NAN
     sweep = find_sweep(angle, "drive.laz")
     assert sweep.direction == direction
-    found, state = [], WrapState()
+    found = []
+    state = WrapState()
     for start in range(0, len(angle), size):
         part, state = lines_by_wrap(angle[start : start + size], sweep, state)
         found.extend(part.tolist())
@@ -78,7 +80,9 @@ INF = np.inf
 @pytest.mark.parametrize("size", [1, 2, 3, 1000])
 def test_equal_stamps_are_spread(size: int) -> None:
     stamps = np.array([1.0, 1.0, 1.0, 2.0, 3.0, 3.0, NAN, NAN, 1.0])
-    state, spread, ordinals = StampState(), [], []
+    state = StampState()
+    spread = []
+    ordinals = []
     for start in range(0, len(stamps), size):
         part, ordinal, state = spread_stamps(stamps[start : start + size], 4.0, state)
         spread.extend(part.tolist())

@@ -45,7 +45,8 @@ class Pieces:
         while at < len(data):
             size = sizes[n % len(sizes)]
             yield data[at : at + size]
-            at, n = at + size, n + 1
+            at = at + size
+            n = n + 1
 
     def read(self, size: int = -1, /) -> bytes:
         self.n_reads += 1

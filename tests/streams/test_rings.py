@@ -20,7 +20,8 @@ from prc_cli.streams.open import open_input
 from prc_cli.streams.rings import open_rings
 from tests.streams.record_lists import MemorySource, Whole, read
 
-N_RINGS, N_LINES = 16, 360
+N_RINGS = 16
+N_LINES = 360
 ELEVATION = np.deg2rad(np.linspace(3.0, -24.0, N_RINGS))
 
 
@@ -65,7 +66,8 @@ def opened(records: dict[str, Any], chunk_records: int = 1000, **keys: Any) -> W
 
 def cells(whole: Whole, n_records: int) -> tuple[I64, I64]:
     """Return line and column of every record, -1 where it has no cell of its own."""
-    line, column = np.full(n_records, -1), np.full(n_records, -1)
+    line = np.full(n_records, -1)
+    column = np.full(n_records, -1)
     where = np.argwhere(whole.record >= 0)
     line[whole.record[whole.record >= 0]], column[whole.record[whole.record >= 0]] = where.T
     return line, column
@@ -171,9 +173,11 @@ def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.filterwarnings("error")
 def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
     rng = np.random.default_rng(9)
-    n_read, refusals = 0, []
+    n_read = 0
+    refusals = []
     for _ in range(150):
-        n, n_turns = int(rng.integers(0, 400)), float(rng.uniform(0, 9))
+        n = int(rng.integers(0, 400))
+        n_turns = float(rng.uniform(0, 9))
         azimuth = np.linspace(0, 2 * np.pi * n_turns, n) + rng.normal(
             0, rng.choice([0.0, 0.01, 1.0]), n
         )

@@ -40,7 +40,10 @@ MOST_RINGS = 512
 LEVEL = 0.3
 """Elevations scatter within a ring by at most this share of what they do from ring to ring."""
 
-RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
+RANGE = "range_m"
+TIME = "time_s"
+XYZ = "xyz"
+INTENSITY = "intensity"
 CLASS = "class"
 """Name of the array of class codes: not part of the stream, but conversion and evaluation read it."""
 XYZ_DIMENSIONS = 3
@@ -156,7 +159,8 @@ class ArrayStream:
 
     def _find_angles(self, assumed: list[Assumption]) -> tuple[str | None, F64 | None]:
         """Return the array of scan angles and the angle of every column [rad]; say where they come from."""
-        start, step = self._config.angle_start, self._config.angle_step
+        start = self._config.angle_start
+        step = self._config.angle_step
         if (start is None) != (step is None):
             missing = "angle_step" if step is None else "angle_start"
             raise ConfigError(
@@ -174,7 +178,8 @@ class ArrayStream:
         usual = usual_names((RANGE, *names)).get("angle")
         if usual is None:
             return None, None
-        name, unit = usual.name, usual.unit or "deg"
+        name = usual.name
+        unit = usual.unit or "deg"
         header = self._file.headers[name]
         header.check_numbers()
         if header.shape != (self._m,):
@@ -344,7 +349,8 @@ def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
 
 def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tuple[int, int, int]:
     """Return lines, points per line and shots of the ranges."""
-    shape, wanted = header.shape, config.points_per_line
+    shape = header.shape
+    wanted = config.points_per_line
     if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:
         shape = shape[:2]
     if len(shape) == 1 and header.dtype == np.uint8 and not file.is_archive:

@@ -96,7 +96,8 @@ class Rows:
 
     def read(self, n: int) -> NDArray[Any]:
         """Return the next ``n`` rows, (n, ...) in the array's type."""
-        header, first = self.header, self._n_read
+        header = self.header
+        first = self._n_read
         with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
             raw = self._handle.read(n * self._row_bytes)
         if len(raw) < n * self._row_bytes:
@@ -117,7 +118,8 @@ class _MappedRows(Rows):
     """Reads rows whose numbers lie apart: of arrays in Fortran order, or with rows and columns exchanged."""
 
     def read(self, n: int) -> NDArray[Any]:
-        header, first = self.header, self._n_read
+        header = self.header
+        first = self._n_read
         with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
             # mapped anew every time: pages that were read do not stay in memory
             stored: NDArray[Any] = np.memmap(
@@ -208,7 +210,8 @@ class ArrayFile:
                 handle.seek(0)
                 yield _read_header(str(self.path), handle, size), handle
             return
-        where, info = f"{self.path}: {name}", archive.getinfo(f"{name}.npy")
+        where = f"{self.path}: {name}"
+        info = archive.getinfo(f"{name}.npy")
         if info.flag_bits & 1 or info.compress_type not in (
             zipfile.ZIP_STORED,
             zipfile.ZIP_DEFLATED,

@@ -49,7 +49,8 @@ class NpzStream(StreamWriter):
         self._parts: dict[str, NpyFile] = {}
 
     def _add(self, item: StreamItem) -> None:
-        block, shape = item.block, self.shape
+        block = item.block
+        shape = self.shape
         wanted = {
             "range_m": (True, "<f4", block.range_m),
             "time_s": (shape.times, "<f8", block.time_s),

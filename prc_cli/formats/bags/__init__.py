@@ -7,7 +7,8 @@ from pathlib import Path
 from prc_cli.core.files import read_small
 from prc_cli.formats.registry import Format
 
-_SUFFIXES, BAG = (".bag", ".db3", ".mcap"), "bag"
+_SUFFIXES = (".bag", ".db3", ".mcap")
+BAG = "bag"
 METADATA = "metadata.yaml"
 DATABASE = ".db3"
 """What makes a recording of ROS 2 of the files in a folder."""

@@ -120,15 +120,14 @@ def parse_cloud(data: bytes, *, is_cdr: bool, scale: float = 1.0) -> Cloud:
     )
     fields = {}
     for _ in range(n_fields):
-        name, offset, kind, _ = (
-            cursor.text(),
-            cursor.number("I"),
-            cursor.number("B"),
-            cursor.number("I"),
-        )
+        name = cursor.text()
+        offset = cursor.number("I")
+        kind = cursor.number("B")
+        _ = cursor.number("I")
         fields[name] = (offset, kind)
     order = ">" if cursor.number("B") else "<"
-    step, row_step = cursor.number("I"), cursor.number("I")
+    step = cursor.number("I")
+    row_step = cursor.number("I")
     raw = cursor.array("u1")
     n_row = width * step
     expect(
@@ -190,7 +189,8 @@ def _decoded(frame: str, stamp_s: float, table: NDArray[np.void], scale: float) 
         ranges: F32 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]).astype(np.float32)
         is_missing = ~(np.isfinite(ranges) & (ranges > 0))
         if is_missing.any():
-            xyz[is_missing], ranges[is_missing] = np.nan, np.nan
+            xyz[is_missing] = np.nan
+            ranges[is_missing] = np.nan
         has_times = "time" in (table.dtype.names or ())
         times = table["time"].astype(np.float64) if has_times else np.full(len(table), np.nan)
         unit_s = 1e-9 if has_times and table.dtype["time"].kind in "iu" else 1.0
@@ -279,7 +279,8 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
         late_s = np.zeros(int(ring.max()) + 1)
         return Timing(period, start, number[which], late_s, is_together=True, fired_s=fired_s)
     order = np.lexsort((time_s, ring))
-    own, at = ring[order], time_s[order]
+    own = ring[order]
+    at = time_s[order]
     steps = np.diff(at)
     period = _usual(steps[(np.diff(own) == 0) & (steps > _LEAST_PERIOD_S)])
     if not period or not float(time_s.max()) - start < _MOST_COLUMNS * period:
@@ -358,7 +359,8 @@ class CloudLines:
         between_s: Callable[[], float],
         config: InputConfig,
     ) -> None:
-        self._where, self._config = where, config
+        self._where = where
+        self._config = config
         self._has_times = first.has_times
         self._between_s = 0.0 if self._has_times else between_s()
         """Time from message to message, if their points have no times [s]."""
@@ -374,14 +376,17 @@ class CloudLines:
                 f"found {found} in the first message, expected points of at most {MAX_RINGS} rings"
             )
             raise InputError(where, problem, "record the scanner's own topic")
-        self.points_per_line, self._numbers = numbers.n_rings, numbers
+        self.points_per_line = numbers.n_rings
+        self._numbers = numbers
         self.has_returns = False
         self._usual_unit_s = first.usual_unit_s if self._has_times else 1.0
         self._unit_s = _unit(first, has, between_s, config) if self._has_times else 1.0
         of_points_s = self._times(first)
         crowd = find_crowd(of_points_s[has])
         has &= (of_points_s >= crowd.begin_s) & (of_points_s <= crowd.end_s)
-        ring, time_s, xyz_m = numbers.of_points(first.ring[has]), of_points_s[has], first.xyz_m[has]
+        ring = numbers.of_points(first.ring[has])
+        time_s = of_points_s[has]
+        xyz_m = first.xyz_m[has]
         # on its own axes, so that rings and azimuths are those of the scanner
         self._frame = find_frame(xyz_m, ring)
         xyz_m = xyz_m if self._frame is None else self._frame.own(xyz_m)
@@ -430,7 +435,8 @@ class CloudLines:
             return
         crowd = find_crowd(points.time_s)
         if self._early is not None:
-            points, self._early = points.joined(self._early), None
+            points = points.joined(self._early)
+            self._early = None
         is_later = points.time_s > crowd.end_s
         if is_later.any():
             self._early = points.part(is_later)
@@ -448,7 +454,8 @@ class CloudLines:
         if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
             problem = f"found ring {int(cloud.ring.max())}, expected {self.points_per_line} rings as in the first message"
             raise InputError(self._where, problem, "record every set-up in a bag of its own")
-        time_s, ring = self._times(cloud), self._numbers.of_points(cloud.ring)
+        time_s = self._times(cloud)
+        ring = self._numbers.of_points(cloud.ring)
         record = np.arange(first_record, first_record + cloud.n_records)
         points = _Points(ring, time_s, cloud.xyz_m, cloud.range_m, cloud.intensity, record)
         returned = np.isfinite(cloud.range_m)
@@ -470,11 +477,13 @@ class CloudLines:
 
     def _take(self, points: _Points, *, more: bool = True) -> Iterator[ScanBlock]:
         """Take points that follow those before, the last ones if there are no more; yield complete lines."""
-        rest, n_rest = self._rest, 0
+        rest = self._rest
+        n_rest = 0
         if rest is not None and len(rest.ring) and self._is_pause(rest, points):
             yield from self._give_rest()
         elif rest is not None:
-            points, n_rest = rest.joined(points), len(rest.ring)
+            points = rest.joined(points)
+            n_rest = len(rest.ring)
         if self._sweep is not None:
             yield from self._add_by_azimuth(points, self._sweep)
             return
@@ -495,7 +504,9 @@ class CloudLines:
         before = -int(np.median(timing.column[:n_rest])) if n_rest else self._columns_since(timing)
         base = self._rest_line + before
         is_last = timing.column == n - 1
-        self._rest, self._rest_line, self._timing = points.part(is_last), base + n - 1, timing
+        self._rest = points.part(is_last)
+        self._rest_line = base + n - 1
+        self._timing = timing
         self._rest_s = float(timing.starts_s(n)[-1])
         if n > 1:
             yield from self._lines.add(self._columns(points, ~is_last, n - 1, base))
@@ -522,11 +533,9 @@ class CloudLines:
         n = timing.n_columns
         self._check_size(n, timing, len(points.ring))
         waits = placed.column >= n - SLACK
-        self._rest, self._rest_line, self._timing = (
-            points.part(waits),
-            placed.base + max(n - SLACK, 0),
-            timing,
-        )
+        self._rest = points.part(waits)
+        self._rest_line = placed.base + max(n - SLACK, 0)
+        self._timing = timing
         if n > SLACK:
             yield from self._lines.add(self._columns(points, ~waits, n - SLACK, placed.base))
 
@@ -540,15 +549,18 @@ class CloudLines:
 
     def _give_rest(self) -> Iterator[ScanBlock]:
         """Yield the columns that wait."""
-        rest, self._rest = self._rest, None
+        rest = self._rest
+        self._rest = None
         if rest is None or not len(rest.ring):
             return
-        n, base = 1, self._rest_line
+        n = 1
+        base = self._rest_line
         if self._sweep is not None:
             placed = self._sweep.place(rest.ring, rest.time_s, self._azimuths(rest))
             late_s = np.zeros(self.points_per_line)
             self._timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
-            n, base = self._timing.n_columns, placed.base
+            n = self._timing.n_columns
+            base = placed.base
         elif self._timing is not None:
             late_s = self._timing.late_s
             start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
@@ -559,7 +571,8 @@ class CloudLines:
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
         while self._early is not None:
-            early, self._early = self._early, None
+            early = self._early
+            self._early = None
             is_later = early.time_s > find_crowd(early.time_s).end_s
             if is_later.any():
                 self._early = early.part(is_later)
@@ -584,7 +597,8 @@ class CloudLines:
 
     def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
         """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
-        m, timing = self.points_per_line, self._timing
+        m = self.points_per_line
+        timing = self._timing
         assert timing is not None
         point = np.flatnonzero(use)
         cell = (timing.column * m + self._place[points.ring])[point]
@@ -605,7 +619,8 @@ class CloudLines:
             found[which < 0] = fill
             return found
 
-        ranges, lights = pick(points.range_m, cells, np.nan), pick(points.intensity, cells, np.nan)
+        ranges = pick(points.range_m, cells, np.nan)
+        lights = pick(points.intensity, cells, np.nan)
         range_m, light, own, (further_m, other) = choose(
             ranges, lights, cells, self._config.return_
         )
@@ -667,7 +682,8 @@ def _stagger(ring: I64, timing: Timing, azimuth: F64, place: I64) -> I64:
     fullest = int(np.bincount(ring).argmax())
     own = np.flatnonzero(ring == fullest)
     own = own[np.argsort(column[own], kind="stable")]
-    steps, turned = np.diff(column[own]), _wrap(np.diff(azimuth[own]))
+    steps = np.diff(column[own])
+    turned = _wrap(np.diff(azimuth[own]))
     near = (steps > 0) & (steps < _NEAR_COLUMNS)
     shift: I64 = np.zeros(len(place), np.int64)
     slope = float(np.median(turned[near] / steps[near])) if near.any() else 0.0

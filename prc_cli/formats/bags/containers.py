@@ -235,7 +235,8 @@ def _check_pages(path: Path) -> None:
         )
     (page,) = struct.unpack_from(">H", head, 16)
     changed, pages = struct.unpack_from(">II", head, 24)
-    wanted, size = (1 << 16 if page == 1 else page) * pages, path.stat().st_size
+    wanted = (1 << 16 if page == 1 else page) * pages
+    size = path.stat().st_size
     # the number of pages counts only where the program that wrote last knew of it
     if changed == struct.unpack_from(">I", head, 92)[0] and size < wanted:
         problem = f"the database is cut: found {size} bytes, its header says {wanted}"

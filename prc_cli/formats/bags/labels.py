@@ -29,7 +29,8 @@ from prc_cli.formats.writing.base import ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, asked_columns
 from prc_cli.formats.writing.record import RunRecord
 
-FIELD, _UINT8 = "label", 2
+FIELD = "label"
+_UINT8 = 2
 """Field of a point that holds its class code, and its type."""
 
 Take: TypeAlias = Callable[[int], NDArray[Any]]
@@ -75,18 +76,23 @@ class CloudCodec:
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
-            own, step = self._rows(cloud), cloud.point_step
+            own = self._rows(cloud)
+            step = cloud.point_step
             cloud.point_step += 1 if step % 4 else 4
             cloud.fields.append(self._field(FIELD, step, _UINT8, 1))
-            rows, codes = np.zeros((len(own), cloud.point_step), np.uint8), take(len(own))
-            rows[:, :step], rows[:, step] = own, codes.astype(np.uint8, copy=False)
+            rows = np.zeros((len(own), cloud.point_step), np.uint8)
+            codes = take(len(own))
+            rows[:, :step] = own
+            rows[:, step] = codes.astype(np.uint8, copy=False)
         else:
             codes = take(len(points))
             points["code"] = codes.astype(np.uint8, copy=False)
             rows = points.view(np.uint8).reshape(-1, cloud.point_step)
         if not (kept := codes >= 0).all():
             rows = rows[kept]
-            cloud.height, cloud.width, cloud.is_dense = 1, len(rows), True
+            cloud.height = 1
+            cloud.width = len(rows)
+            cloud.is_dense = True
         cloud.data = rows.ravel()
         cloud.row_step = cloud.width * cloud.point_step
         return bytes(self._write(cloud, "sensor_msgs/msg/PointCloud2"))
@@ -121,7 +127,8 @@ class BagRewriter(BagOutput, ScatterWriter):
     """Writer of a bag with everything that the input has, and the class codes of what was read."""
 
     def __init__(self, labels: LabelOutput) -> None:
-        source, path = labels.source, labels.path
+        source = labels.source
+        path = labels.path
         if suffix_of(source) != path.suffix.lower():
             problem = f"found {source.name}, expected a {path.suffix} to be written again with its classes"
             again = (
@@ -159,7 +166,8 @@ class BagRewriter(BagOutput, ScatterWriter):
         self._name_metadata()
 
     def _write(self, record: RunRecord) -> RunRecord:
-        total, n_done = self._total(record), 0
+        total = self._total(record)
+        n_done = 0
 
         def take(n: int) -> NDArray[Any]:
             nonlocal n_done
@@ -186,7 +194,8 @@ class BagRewriter(BagOutput, ScatterWriter):
 
     def _copy(self, sink: Any, take: Take) -> None:
         """Copy every message, those that were read with their codes."""
-        bag, read = self._stream.bag, self._stream.topics
+        bag = self._stream.bag
+        read = self._stream.topics
         old = [topic for topic in bag.counts if is_labels(topic, read)]
         if old:
             self._notice(
@@ -203,7 +212,9 @@ class BagRewriter(BagOutput, ScatterWriter):
                 )
         codec = CloudCodec(is_cdr=any(topic.is_cdr for topic in read))
         for message in bag.messages([topic for topic in bag.counts if topic not in old]):
-            data, codes, (own, beside) = message.data, b"", outs[message.connection]
+            data = message.data
+            codes = b""
+            (own, beside) = outs[message.connection]
             with bag_errors(bag.path):
                 if message.topic in read and message.topic.kind == CLOUD:
                     data = codec.label(data, take)
@@ -237,12 +248,14 @@ def _connect(sink: Any, one: Any, after: str = "") -> Any:
 
 def open_bag_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open the codes of a bag: a field of its clouds (``label``), and the labels beside its laser scans."""
-    bag, name = Bag(path), dimension or FIELD
+    bag = Bag(path)
+    name = dimension or FIELD
     lasers = {topic for topic in bag.counts if name == FIELD and is_labels(topic, bag.counts)}
     topics = lasers | {topic for topic in bag.counts if topic.kind == CLOUD}
 
     def read() -> Iterator[NDArray[Any]]:
-        n, codec = 0, CloudCodec(is_cdr=any(topic.is_cdr for topic in topics))
+        n = 0
+        codec = CloudCodec(is_cdr=any(topic.is_cdr for topic in topics))
         for message in bag.messages(topics) if topics else ():
             with bag_errors(path):
                 codes = (

@@ -22,10 +22,12 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, lines_per_block
 from prc_cli.formats.ranges import choose_returns, clean_ranges
 
-LASER, ECHOES = "sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan"
+LASER = "sensor_msgs/LaserScan"
+ECHOES = "sensor_msgs/MultiEchoLaserScan"
 MAX_ECHOES = 64
 """Most echoes of a beam."""
-_NEAR, _SAME = 0.25, 1e-3
+_NEAR = 0.25
+_SAME = 1e-3
 """Tolerances for the first angle and the step of messages with the same beams, in steps."""
 _OTHER_STEP = 1.2
 """Steps that differ by this factor are those of another set-up."""
@@ -77,7 +79,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool, scale: float = 1.0
     found = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}"
     expect(math.isfinite(first + step + shot_s) and step != 0, f"{found}, expected finite numbers")
     if not is_multi:
-        ranges, n_echoes = cursor.array("f4"), None
+        ranges = cursor.array("f4")
+        n_echoes = None
         intensity = cursor.array("f4")
     else:
         ranges, n_echoes = read_echoes(cursor)
@@ -89,7 +92,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool, scale: float = 1.0
     if len(intensity) != len(ranges):
         intensity = np.empty(0, np.float32)
     # copies: the message may be much longer than what is kept of it
-    ranges, intensity = ranges.astype(np.float32), intensity.astype(np.float32)
+    ranges = ranges.astype(np.float32)
+    intensity = intensity.astype(np.float32)
     with np.errstate(invalid="ignore"):
         # a scanner says by inf, or by its own reach, that nothing came back
         is_beyond = np.isfinite(ranges) & ((ranges < low) | (ranges >= high))
@@ -109,10 +113,8 @@ def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
     if len(starts) != n or not n or starts[-1] >= len(words) or (words[starts] != likely).any():
         starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
-    found, most = (
-        f"holds {counts.max(initial=0)} echoes of a beam",
-        f"at most {MAX_ECHOES}, and no more than there are",
-    )
+    found = f"holds {counts.max(initial=0)} echoes of a beam"
+    most = f"at most {MAX_ECHOES}, and no more than there are"
     is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))
     expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{found}, expected {most}")
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
@@ -228,7 +230,9 @@ class LaserLines:
         first_scans: Callable[[], list[LaserScan]],
         config: InputConfig,
     ) -> None:
-        self._where, self._scanner, self._config = where, scanner, config
+        self._where = where
+        self._scanner = scanner
+        self._config = config
         scans = first_scans()
         self.has_returns = scans[0].n_echoes is not None
         self._grid = BeamGrid.of(scans)
@@ -262,15 +266,18 @@ class LaserLines:
         if part.line >= self._enough:
             yield self._block(self._waiting)
             self._n_lines += part.line
-            self._waiting, part.line = [], 0
+            self._waiting = []
+            part.line = 0
         self._waiting.append(part)
 
     def _check(self, scan: LaserScan, columns: I64) -> None:
         """Refuse a message of another set-up."""
         usual = self._usual_step
-        found, wanted = "", ""
+        found = ""
+        wanted = ""
         if not 1 / _OTHER_STEP < scan.angle_step_rad / usual < _OTHER_STEP:
-            found, wanted = f"angle_increment {scan.angle_step_rad:g}", f"about {usual:g} as usual"
+            found = f"angle_increment {scan.angle_step_rad:g}"
+            wanted = f"about {usual:g} as usual"
         elif np.count_nonzero(columns >= 0) < _LEAST_INSIDE * len(columns):
             stop = scan.angle_min_rad + scan.angle_step_rad * (len(columns) - 1)
             found = f"beams from {scan.angle_min_rad:g} to {stop:g}"
@@ -297,7 +304,8 @@ class LaserLines:
 
     def _block(self, parts: list[_Part]) -> ScanBlock:
         scans = [part.scan for part in parts]
-        n, m = parts[-1].line + 1, self.points_per_line
+        n = parts[-1].line + 1
+        m = self.points_per_line
         first = np.array([part.first_record for part in parts], np.int64)
         ranges, intensity, record, beyond = (self._echoes if self.has_returns else self._single)(
             scans, first
@@ -315,10 +323,8 @@ class LaserLines:
             is_first = np.zeros(len(cell), np.bool_)
             is_first[first_of] = True
             is_first &= cell >= 0
-        n_unplaced, n_meet = (
-            int(np.count_nonzero(cell < 0)),
-            int(np.count_nonzero(~is_first & (cell >= 0))),
-        )
+        n_unplaced = int(np.count_nonzero(cell < 0))
+        n_meet = int(np.count_nonzero(~is_first & (cell >= 0)))
         beam, other_m, other_record = beyond
         is_there = cell[beam] >= 0
         again = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(ranges))
@@ -416,7 +422,8 @@ def _continues(before: I64, columns: I64) -> bool:
     known = before[before >= 0]
     if not len(known) or not len(columns):
         return True
-    begin, stop = int(known.min()), int(known.max())
+    begin = int(known.min())
+    stop = int(known.max())
     return int(columns.min()) > max(stop - _SHARED_BEAMS, (begin + stop) / 2)
 
 

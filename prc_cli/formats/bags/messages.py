@@ -32,7 +32,8 @@ class Cursor:
     """
 
     def __init__(self, data: bytes, *, is_cdr: bool) -> None:
-        self.data, self.is_cdr = data, is_cdr
+        self.data = data
+        self.is_cdr = is_cdr
         self.at = self._start = 4 if is_cdr else 0
         self.order: Literal["<", ">"] = "<"
         if is_cdr:
@@ -96,15 +97,14 @@ class Cursor:
 
     def stamp(self) -> float:
         """Read a time [s]."""
-        seconds, nanoseconds = self.number("i" if self.is_cdr else "I"), self.number("I")
+        seconds = self.number("i" if self.is_cdr else "I")
+        nanoseconds = self.number("I")
         return float(seconds + nanoseconds * 1e-9)
 
 
-VELODYNE, PANDAR, NEBULA = (
-    "velodyne_msgs/VelodyneScan",
-    "pandar_msgs/PandarScan",
-    "nebula_msgs/NebulaPackets",
-)
+VELODYNE = "velodyne_msgs/VelodyneScan"
+PANDAR = "pandar_msgs/PandarScan"
+NEBULA = "nebula_msgs/NebulaPackets"
 OUSTER = ("ouster_sensor_msgs/PacketMsg", "ouster_msgs/PacketMsg", "ouster_ros/PacketMsg")
 PACKED = (VELODYNE, PANDAR, NEBULA, *OUSTER)
 _LEAST = {VELODYNE: 1214, PANDAR: 1512, NEBULA: 12}

@@ -36,7 +36,8 @@ class RingNumbers:
         (64, 4)
         """
         present = np.unique(number)
-        low, high = int(present[0]), int(present[-1])
+        low = int(present[0])
+        high = int(present[-1])
         step = int(np.gcd.reduce(np.diff(present))) if len(present) > 1 else 1
         begin = low % step if step > 1 else 0
         if step == 1 and low == 1 and high in WIDTHS:

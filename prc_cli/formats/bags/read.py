@@ -27,7 +27,8 @@ MAX_SCANNERS = 256
 """Most scanners of a bag."""
 FIRST_SCANS = 256
 """Laser scans that show which beams there are."""
-FIRST_CLOUDS, USUAL_TURN_S = 9, 0.1
+FIRST_CLOUDS = 9
+USUAL_TURN_S = 0.1
 """Clouds whose stamps tell how long a turn takes, and the turn of most scanners [s]."""
 LASERS = (LASER, ECHOES)
 READABLE = (*PACKED, *LASERS, CLOUD)
@@ -49,7 +50,8 @@ class BagStream:
         self, path: Path, config: InputConfig, _lines_at_once: int = 1, parts: tuple[Path, ...] = ()
     ) -> None:  # scans are blocks
         check_rules(path, config, "a recording of scans")
-        self._path, self._config = path, config
+        self._path = path
+        self._config = config
         self.bag = Bag(path, parts)
         self._scans: dict[Topic, list[LaserScan]] = {}
         self._left_out: dict[Topic, ShortMessageError] = {}
@@ -62,7 +64,8 @@ class BagStream:
         self._numbers: dict[str, int] = {}
         """Numbers of scanners, in the order they are met."""
         self._repeated = ""
-        self._has_returns, self._has_whole_lines = False, True
+        self._has_returns = False
+        self._has_whole_lines = True
         self._widest = self._look()
         self._takes_scale = not any(topic.kind in PACKED for topic in self.topics)
         if not self._takes_scale:
@@ -196,10 +199,8 @@ class BagStream:
 
     def _look(self) -> int:
         """Return the longest line, from the first message of every topic."""
-        widest, why = (
-            0,
-            ("no message with shots, expected scans", "name another topic: --topic NAME"),
-        )
+        widest = 0
+        why = ("no message with shots, expected scans", "name another topic: --topic NAME")
         for topic in self.topics:
             if topic in self._firsts:
                 reader = self._reader(topic)
@@ -285,9 +286,12 @@ class _TopicReader:
         between_s: Callable[[], float] = lambda: USUAL_TURN_S,
         first_scans: Callable[[], list[LaserScan]] = list,
     ) -> None:
-        self._where, self._topic = f"{path}: {topic.name}", topic
-        self._between_s, self._first_scans = between_s, first_scans
-        self._numbers, self._config = numbers, config
+        self._where = f"{path}: {topic.name}"
+        self._topic = topic
+        self._between_s = between_s
+        self._first_scans = first_scans
+        self._numbers = numbers
+        self._config = config
         self._metadata = find_metadata(None, config) if topic.kind in PACKED else None
         self.frames: dict[str, Any] = {}
         """What gathers the scans of every frame into blocks."""
@@ -299,7 +303,8 @@ class _TopicReader:
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield blocks as there is enough for one."""
-        kind, is_cdr = self._topic.kind, self._topic.is_cdr
+        kind = self._topic.kind
+        is_cdr = self._topic.is_cdr
         # ROS 1 counts the messages of a sender in their first four bytes
         content = message.data if is_cdr else message.data[4:]
         try:
@@ -338,7 +343,8 @@ class _TopicReader:
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
         """Return what gathers the scans of a frame."""
         if frame not in self.frames:
-            name, n = self._name(frame), len(self._numbers)
+            name = self._name(frame)
+            n = len(self._numbers)
             if name not in self._numbers and n == MAX_SCANNERS:
                 problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
                 raise InputError(name, problem, "name the topics: --topic NAME")
@@ -352,7 +358,8 @@ class _TopicReader:
         return f"{self._topic.name} ({frame})" if frame else self._topic.name
 
     def _packets(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        topic, self.n_taken = self._topic, 0
+        topic = self._topic
+        self.n_taken = 0
         frame, packets = parse_packets(
             topic.kind, message.data, message.time_ns * 1e-9, is_cdr=topic.is_cdr
         )

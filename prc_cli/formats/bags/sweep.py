@@ -175,12 +175,14 @@ def rising_columns(ring: I64, place: F64) -> I64:
     from scipy.optimize import isotonic_regression  # imported here: loading takes time
 
     order = np.lexsort((place, ring))
-    own, at = ring[order], place[order]
+    own = ring[order]
+    at = place[order]
     is_new: Mask = np.ones(len(at), np.bool_)
     is_new[1:] = (np.diff(own) != 0) | (np.diff(at) > SAME_SHOT)
     shot = np.cumsum(is_new) - 1
     starts = np.flatnonzero(is_new)
-    first, ring_of = at[starts], own[starts]
+    first = at[starts]
+    ring_of = own[starts]
     column = np.empty(len(first), np.int64)
     borders = [*np.flatnonzero(np.diff(ring_of, prepend=-1)).tolist(), len(first)]
     for begin, stop in pairwise(borders):

@@ -14,13 +14,16 @@ _TURN = 2 * math.pi
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of stored times [s]."""
-SLOWEST_HZ, FASTEST_HZ = 2.0, 60.0
+SLOWEST_HZ = 2.0
+FASTEST_HZ = 60.0
 """Turns a second of spinning scanners."""
 _SAME_WAY = 0.8
 """Least share of steps in azimuth that go the way of the turn."""
-_LATE_TURN, _ABOUT_TURN = 0.9, 0.1
+_LATE_TURN = 0.9
+_ABOUT_TURN = 0.1
 """Late part of a turn, and how much more or less than a turn a message has."""
-_NEAR_RAD, _PAUSE_STEPS = math.radians(60.0), 100.0
+_NEAR_RAD = math.radians(60.0)
+_PAUSE_STEPS = 100.0
 """Points of a ring that are farther apart, or by so many times the usual step in time, have a sector without points
 between them [rad, steps]."""
 _LEAST_STEPS = 16
@@ -187,7 +190,8 @@ def find_crowd(time_s: F64) -> Crowd:
     n = len(time_s)
     ranks = [n // 20, n // 4, n // 2, n - 1 - n // 4, n - 1 - n // 20]
     parts = np.diff(np.partition(time_s, ranks)[ranks])
-    first, last = float(time_s.min()), float(time_s.max())
+    first = float(time_s.min())
+    last = float(time_s.max())
     if last - first <= _EVEN * parts.sum() and parts.max() < _UNEVEN * parts.min():
         return Crowd(first - LONG_S, last)
     ordered = np.sort(time_s)

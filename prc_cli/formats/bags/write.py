@@ -26,7 +26,9 @@ from prc_cli.formats.bags.laser import LASER
 from prc_cli.formats.bags.read import LABELS
 from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape, StreamWriter
 
-_SCAN, _POINTS, _FRAME = "/scan", "/points", "scanner"
+_SCAN = "/scan"
+_POINTS = "/points"
+_FRAME = "scanner"
 _REACH_M = 1e4
 """Ranges beyond are none [m]."""
 _EVEN = 1e-3
@@ -138,10 +140,12 @@ class BagStreamWriter(BagOutput, StreamWriter):
     # -- profilers
 
     def _add_scans(self, item: StreamItem) -> None:
-        block, codes = item.block, item.codes
+        block = item.block
+        codes = item.codes
         assert block.time_s is not None
         assert block.angle_rad is not None
-        angle, m = block.angle_rad, block.points_per_line
+        angle = block.angle_rad
+        m = block.points_per_line
         angles = float(angle[0]), float(angle[-1]), float(angle[-1] - angle[0]) / max(m - 1, 1)
         ranges = np.where(np.isnan(block.range_m), np.float32(np.inf), block.range_m)
         lit = None if block.intensity is None else np.nan_to_num(block.intensity).astype("f4")
@@ -166,7 +170,8 @@ class BagStreamWriter(BagOutput, StreamWriter):
             raise OutputError(
                 str(self.path), problem, "write .npz, which keeps times that are no numbers"
             )
-        first, last = int(known[0]), int(known[-1])
+        first = int(known[0])
+        last = int(known[-1])
         shot_s = float(times_s[last] - times_s[first]) / max(last - first, 1)
         begin_s = float(times_s[first]) - first * shot_s
         if begin_s < 0 <= times_s[first]:  # before the zero of a clock there is no stamp
@@ -188,7 +193,8 @@ class BagStreamWriter(BagOutput, StreamWriter):
                 str(self.path), problem, "write .npz, which keeps times that are no numbers"
             )
         some = np.zeros(int(fired.sum()), self._waiting.dtype)
-        some["time"], some["ring"] = block.time_s[fired], np.nonzero(fired)[1]
+        some["time"] = block.time_s[fired]
+        some["ring"] = np.nonzero(fired)[1]
         for axis, name in enumerate("xyz"):
             some[name] = block.xyz_m[..., axis][fired]
         if block.intensity is not None:
@@ -210,9 +216,11 @@ class BagStreamWriter(BagOutput, StreamWriter):
     def _send_cloud(self, some: NDArray[np.void]) -> None:
         if not len(some):
             return
-        head, end_s = self._header(float(some["time"][0])), some["time"][-1]
+        head = self._header(float(some["time"][0]))
+        end_s = some["time"][-1]
         some["time"] -= some["time"][0]
-        data, step = some.astype(_POINT).view(np.uint8), _POINT.itemsize
+        data = some.astype(_POINT).view(np.uint8)
+        step = _POINT.itemsize
         kinds = {form: number for number, form in TYPES.items()}
         field = self._store.types["sensor_msgs/msg/PointField"]
         fields = [

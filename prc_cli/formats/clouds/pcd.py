@@ -40,7 +40,8 @@ _SHORT = 32
 def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
     """Unpack data of a known size."""
     out = bytearray()
-    at, end = 0, len(data)
+    at = 0
+    end = len(data)
     while at < end:
         control = data[at]
         at += 1
@@ -90,7 +91,8 @@ _KEYS = (
 )
 _KINDS = {"I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8)), "F": ("f", (4, 8))}
 """Letter and sizes of a numpy type."""
-_AGAIN, _COPY = "export it again", "copy it from the archive again"
+_AGAIN = "export it again"
+_COPY = "copy it from the archive again"
 
 
 @dataclass(slots=True)
@@ -125,7 +127,8 @@ def read_pcd_header(path: Path) -> PcdHeader:
     """Read the header of a PCD file."""
     header = PcdHeader(path)
     for number, line, n_bytes in header_lines(path, "DATA", "check that this is a PCD file"):
-        header.n_lines, header.n_bytes = number, n_bytes
+        header.n_lines = number
+        header.n_bytes = n_bytes
         if line.startswith("#"):
             header.comments.append(line.removeprefix("#").strip())
         elif line:
@@ -143,7 +146,9 @@ def read_pcd_header(path: Path) -> PcdHeader:
 
 def _fields(header: PcdHeader) -> list[tuple[str, np.dtype[Any]]]:
     """Return name and type of every number of a point; empty names are padding."""
-    fields, kinds, sizes = header.words("FIELDS"), header.words("TYPE"), header.numbers("SIZE", 8)
+    fields = header.words("FIELDS")
+    kinds = header.words("TYPE")
+    sizes = header.numbers("SIZE", 8)
     counts = header.numbers("COUNT", MAX_PROPERTIES, "1 " * len(fields))
     if not len(fields) == len(counts) == len(sizes) == len(kinds) or not fields:
         problem = (
@@ -171,7 +176,8 @@ def _fields(header: PcdHeader) -> list[tuple[str, np.dtype[Any]]]:
 
 def _size(header: PcdHeader) -> tuple[int, int]:
     """Return width and height; they must agree with the number of points."""
-    width, height = header.number("WIDTH"), header.number("HEIGHT")
+    width = header.number("WIDTH")
+    height = header.number("HEIGHT")
     points = header.number("POINTS", width * height)
     if width * height != points:
         problem = f"WIDTH {width} x HEIGHT {height} = {width * height} points, but POINTS {points}"
@@ -284,7 +290,8 @@ def _rules(
 
 def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: int) -> Body:
     """Unpack a compressed cloud, which holds its fields one after the other."""
-    path, start = header.path, header.n_bytes
+    path = header.path
+    start = header.n_bytes
     wanted = n * sum(kind.itemsize for _, kind in fields)
     with open_to_read(path) as handle:
         there = handle.seek(0, 2) - start

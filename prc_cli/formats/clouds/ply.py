@@ -45,7 +45,8 @@ TYPES = {
     "uint64": "u8",
 }
 """numpy types by the names of PLY; those of 64 bits are an extension."""
-_AGAIN, _COPY = "export it again", "copy it from the archive again"
+_AGAIN = "export it again"
+_COPY = "copy it from the archive again"
 
 
 @dataclass(slots=True)
@@ -91,7 +92,8 @@ def read_ply_header(path: Path) -> PlyHeader:
     header = PlyHeader()
     for number, line, n_bytes in header_lines(path, "end_header", _COPY):
         where = f"{path}: line {number}"
-        header.n_lines, header.n_bytes = number, n_bytes
+        header.n_lines = number
+        header.n_bytes = n_bytes
         word, _, rest = line.partition(" ")
         cells = rest.split()
         if number == 1:
@@ -193,8 +195,10 @@ def offsets_of(comments: list[str]) -> tuple[float, float, float]:
 def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
     """Open the points of a PLY file."""
     header = read_ply_header(path)
-    vertex, order = header.vertex, ORDERS[header.form]
-    names, before = tuple(vertex.properties), header.elements[: header.vertex_at]
+    vertex = header.vertex
+    order = ORDERS[header.form]
+    names = tuple(vertex.properties)
+    before = header.elements[: header.vertex_at]
     notes: tuple[str, ...] = ()
     keys = names
     if not order:

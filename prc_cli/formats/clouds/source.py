@@ -41,7 +41,8 @@ NO_CELL = 0xFFFFFFFF
 """Line and column of a point without a cell, in files of this program."""
 OWN_COMMENT = "prc points_per_line "
 """Comment of files of this program, with M behind it."""
-_RETURN, _RETURNS = "return_number", "number_of_returns"
+_RETURN = "return_number"
+_RETURNS = "number_of_returns"
 
 Columns = dict[str, NDArray[Any]]
 
@@ -78,12 +79,14 @@ def header_lines(path: Path, last: str, hint: str) -> Iterator[tuple[int, str, i
     at = number = 0
     line = ""
     while line.split()[:1] != [last]:
-        end, number = head.find(b"\n", at), number + 1
+        end = head.find(b"\n", at)
+        number = number + 1
         if end < 0:
             raise InputError(
                 f"{path}: line {number}", f"no line {last} in the first {len(head)} bytes", hint
             )
-        line, at = head[at:end].decode("utf-8", errors="replace").strip(), end + 1
+        line = head[at:end].decode("utf-8", errors="replace").strip()
+        at = end + 1
         yield number, line, at
 
 
@@ -124,7 +127,8 @@ class CloudSource(FieldSource):
         """What the header says."""
         has_layout = layout is not None and bool(layout.fields)
         own_m = _own_points_per_line(head.comments)
-        notes, found = list(head.notes), self.columns
+        notes = list(head.notes)
+        found = self.columns
         looked_at = ("time", "angle", "range", *AXES, _RETURN, _RETURNS)
         first = self._first_rows([found[name].key for name in looked_at if name in found])
         if not has_layout:
@@ -215,7 +219,8 @@ class CloudSource(FieldSource):
                 self._change((axis, f"{axis}_origin"), offset=offset)
         if any(self.head.offsets_m):
             notes.append("a comment gives an offset of the coordinates: added to x, y, z")
-        time, range_ = found.get("time"), found.get("range")
+        time = found.get("time")
+        range_ = found.get("range")
         if time is not None and first[time.key].dtype.kind in "iu" and time.name.lower() == "t":
             self._change(("time",), unit="ns")
             notes.append(f"{time.name} holds whole numbers: taken as nanoseconds")

@@ -172,11 +172,13 @@ class CloudWriter(StagedWriter):
 
     def _write_header(self) -> np.dtype[np.void]:
         """Write the header, as long for any number of points; return the record."""
-        shape, m = self._shape, 0
+        shape = self._shape
+        m = 0
         if shape is None:  # no block has come
             dtype = np.dtype([("range", "<f4"), (_CLASS, "<u1")])
         else:
-            dtype, m = stream_dtype(shape), shape.points_per_line
+            dtype = stream_dtype(shape)
+            m = shape.points_per_line
         # further returns, lines of other lengths and shots left out leave no rows of a width
         width = m if self._labels is None and self._n == self._n_cells else None
         comments = (f"{OWN_COMMENT}{m}",) if m else ()
@@ -185,7 +187,8 @@ class CloudWriter(StagedWriter):
         return dtype
 
     def _add(self, item: StreamItem) -> None:
-        block, labels = item.block, self._labels
+        block = item.block
+        labels = self._labels
         if labels is not None:
             self._see_order(block)
             if self._shape is None:
@@ -268,7 +271,9 @@ class CloudRewriter(ScatterWriter):
         added = [_RANGE] if "range" not in source.dimensions else []
         cells = _CELLS
         if labels.is_thinned:
-            cells, added, asked = (), [], []
+            cells = ()
+            added = []
+            asked = []
         super().__init__(labels, [*cells, *added, *asked], source.n_records)
         self._own_comment = f"{OWN_COMMENT}{labels.points_per_line}"
         self._source = source
@@ -289,7 +294,8 @@ class CloudRewriter(ScatterWriter):
 
     def _lost(self) -> list[str]:
         """Return what the header of the input says and that of the output does not."""
-        head, is_pcd = self._source.head, self.path.suffix.lower() == ".pcd"
+        head = self._source.head
+        is_pcd = self.path.suffix.lower() == ".pcd"
         lost = [f"element {name}" for name in head.others]
         lost += [
             f"field {name} as one field: its numbers are fields of their own"
@@ -302,7 +308,8 @@ class CloudRewriter(ScatterWriter):
         return lost
 
     def _write(self, record: RunRecord) -> RunRecord:
-        source, total = self._source, self._total(record)
+        source = self._source
+        total = self._total(record)
         fields = [(name, self._type(name)) for name in self._kept]
         fields += [(column.name, column.dtype) for column in self._optional]
         dtype = np.dtype([*fields, (_CLASS, np.dtype("u1"))])
@@ -311,7 +318,8 @@ class CloudRewriter(ScatterWriter):
                 *(text for text in source.head.comments if not text.startswith(OWN_COMMENT)),
                 self._own_comment,
             )
-            suffix, viewpoint = self.path.suffix.lower(), source.head.viewpoint
+            suffix = self.path.suffix.lower()
+            viewpoint = source.head.viewpoint
             handle.write(cloud_header(suffix, dtype, total, comments, self._width, viewpoint))
             stored = source.stored(self._kept)
             for first, columns, n in stored:

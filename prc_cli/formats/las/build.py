@@ -126,7 +126,8 @@ class LasBuilder(StagedWriter):
         )
 
     def _add(self, item: StreamItem) -> None:
-        scan, block = item.block, item.labelled
+        scan = item.block
+        block = item.labelled
         self._see_order(scan)
         codes = self._codes_of(item.codes, scan.range_m.shape)
         extra_codes = self._codes_of(item.extra_codes, (len(scan.extra),))

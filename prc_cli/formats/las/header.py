@@ -171,7 +171,8 @@ _TEXTS = {
 }
 """Records whose content is text, with its encoding."""
 _DESCRIPTORS = ("LASF_Spec", 4)
-_DESCRIPTOR_BYTES, _DESCRIPTOR_TEXTS = 192, ((4, 36), (160, 192))
+_DESCRIPTOR_BYTES = 192
+_DESCRIPTOR_TEXTS = ((4, 36), (160, 192))
 """Length of a descriptor of extra bytes; where its name and its description lie."""
 
 
@@ -182,7 +183,8 @@ def readable(vlr: Vlr) -> Vlr:
     ``?``, so that nothing moves.
     """
     name, mark, rest = vlr.head[2:18].partition(b"\0")
-    head, data = vlr.head[:2] + _as_text(name) + mark + rest + vlr.head[18:], vlr.data
+    head = vlr.head[:2] + _as_text(name) + mark + rest + vlr.head[18:]
+    data = vlr.data
     if data and vlr.key in _TEXTS:
         data = _as_text(data, _TEXTS[vlr.key])
     elif data and vlr.has(_DESCRIPTORS):
@@ -213,7 +215,8 @@ def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: b
 def new_header() -> HeaderFields:
     """Return the header of a new LAS 1.4 file with its coordinate system as WKT; no date, so that bytes are equal."""
     fields = HeaderFields(bytes(STANDARD_HEADER[4]))
-    fields.data[:4], fields.data[25] = b"LASF", 4
+    fields.data[:4] = b"LASF"
+    fields.data[25] = 4
     fields.data[24] = 1
     fields.set("global_encoding", WKT_BIT)
     fields.set("header_size", len(fields.data))
@@ -320,7 +323,8 @@ class Source:
 
     def exact(self, n: int, what: str) -> bytes:
         """Read ``n`` bytes, or raise an error that names the part that is cut off."""
-        start, data = self.tell(), self.read(n)
+        start = self.tell()
+        data = self.read(n)
         if len(data) != n:
             raise damaged(
                 self.path, start, f"{what} is cut off: found {len(data)} bytes, expected {n}"
@@ -372,12 +376,14 @@ def read_header(path: Path) -> LasHeader:
         fields = _read_fields(source, file_bytes)
         point_format = fields.get("point_format") & ~COMPRESSED
         compressed = bool(fields.get("point_format") & COMPRESSED)
-        n_records, is_legacy_count = fields.get("legacy_n_points"), False
+        n_records = fields.get("legacy_n_points")
+        is_legacy_count = False
         if fields.has("n_points"):
             # some LAS 1.4 writers leave the new count 0; formats 6 and up must not use the old one
             is_legacy_count = not fields.get("n_points") and n_records > 0 and point_format < 6
             n_records = n_records if is_legacy_count else fields.get("n_points")
-        data_offset, record_bytes = fields.get("point_offset"), fields.get("record_length")
+        data_offset = fields.get("point_offset")
+        record_bytes = fields.get("record_length")
         if not n_records and fields.get("legacy_n_points"):
             raise no_records(path, fields, file_bytes - data_offset)
         vlrs, vlr_end = _read_vlrs(source, fields)
@@ -405,7 +411,8 @@ def read_header(path: Path) -> LasHeader:
 
 def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
     """Read the header, user bytes at its end included, and compare its sizes with each other and with the file."""
-    path, where = source.path, str(source.path)
+    path = source.path
+    where = str(source.path)
     if file_bytes == 0:
         raise InputError(where, "empty file, expected a LAS header of at least 227 bytes", DAMAGED)
     head = source.read(max(STANDARD_HEADER.values()))
@@ -427,11 +434,9 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
             where, f"header cut short: {len(head)} bytes, expected at least {least}", DAMAGED
         )
     fields = HeaderFields(head[:least])
-    size, start, record_bytes = (
-        fields.get("header_size"),
-        fields.get("point_offset"),
-        fields.get("record_length"),
-    )
+    size = fields.get("header_size")
+    start = fields.get("point_offset")
+    record_bytes = fields.get("record_length")
     point_format = fields.get("point_format") & ~COMPRESSED
     if size < least:
         raise damaged(path, 94, f"header size {size}, expected at least {least}")
@@ -467,7 +472,8 @@ def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
 def check_decodable(header: LasHeader) -> None:
     """Refuse files that can be copied but not read: no records, or scales that are not finite numbers."""
     for i, axis in enumerate("xyz"):
-        scale, offset = header.scales[i], header.offsets[i]
+        scale = header.scales[i]
+        offset = header.offsets[i]
         # comparisons with NaN are false; the upper bound catches infinity
         if not 0 < abs(scale) < float("inf"):
             problem = f"{axis} scale factor {scale}, expected a finite number other than 0"
@@ -524,9 +530,11 @@ def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], i
         raise damaged(source.path, 100, problem)
     source.seek(start)
     data = source.read(end - start)
-    vlrs, position = [], 0
+    vlrs = []
+    position = 0
     for index in range(count):
-        content, what = position + _VLR_HEAD.size, f"VLR {index + 1} of {count}"
+        content = position + _VLR_HEAD.size
+        what = f"VLR {index + 1} of {count}"
         if content > len(data):
             problem = f"{what} lies beyond the start of the records (byte {end})"
             raise damaged(source.path, start + position, problem)

@@ -153,7 +153,8 @@ def new_laszip(where: str, point_format: int, n_extra_bytes: int) -> bytes:
 
 def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep: bool) -> Vlr:
     """Return the laszip VLR of an output: that of the input where records and items stay the same (``keep``)."""
-    old, new = header.vlr(LASZIP_KEY), new_laszip(str(header.path), point_format, n_extra_bytes)
+    old = header.vlr(LASZIP_KEY)
+    new = new_laszip(str(header.path), point_format, n_extra_bytes)
     if old is None or old.data is None:
         return make_vlr(LASZIP_KEY, new, "laszip (lazrs)")
     if not header.compressed or has_variable_chunks(old.data):
@@ -234,17 +235,17 @@ class LazRecords:
 
     def _check_laszip(self) -> None:
         """Refuse items that are not those of the point format: others make a decoder take a gigabyte."""
-        data, where, las = self._laszip, f"{self._where}: laszip VLR", self.header
+        data = self._laszip
+        where = f"{self._where}: laszip VLR"
+        las = self.header
         n_items = struct.unpack_from("<H", data, _ITEMS_AT)[0] if len(data) >= _ITEMS_AT + 2 else 0
         least = _ITEMS_AT + 2 + 6 * max(n_items, 1)
         if n_items == 0 or len(data) < least:
             raise InputError(
                 where, f"{len(data)} bytes for {n_items} items, expected at least {least}", DAMAGED
             )
-        items, usual = (
-            _items(data),
-            _items(new_laszip(self._where, las.point_format, las.n_extra_bytes)),
-        )
+        items = _items(data)
+        usual = _items(new_laszip(self._where, las.point_format, las.n_extra_bytes))
         n_bytes = sum(size for _, size in items)
         if n_bytes != las.record_bytes:
             raise InputError(
@@ -260,7 +261,8 @@ class LazRecords:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
 
     def _read_table(self) -> ChunkTable:
-        header, path = self.header, self.header.path
+        header = self.header
+        path = self.header.path
         start = header.data_offset + 8
         position, stop = self._table_bounds()
         self._source.seek(position)
@@ -271,9 +273,11 @@ class LazRecords:
             )
         n_chunks = struct.unpack("<II", raw)[1]
         # every chunk begins with one uncompressed record: limits the count before allocation
-        least, most = 1, (position - start) // header.record_bytes
+        least = 1
+        most = (position - start) // header.record_bytes
         if not header.n_records:  # there may be no chunk, or an empty one
-            least, most = 0, max(most, 1)
+            least = 0
+            most = max(most, 1)
         if not least <= n_chunks <= most:
             problem = f"chunk table of {n_chunks} chunks, expected {least} to {most} in {position - start} bytes"
             raise damaged(path, position + 4, problem)
@@ -365,17 +369,20 @@ class LazRecords:
         """
         if not self.header.n_records:
             return
-        size, bounds = self.header.record_bytes, self.table.first_record
+        size = self.header.record_bytes
+        bounds = self.table.first_record
         whole = self.largest * size <= LARGE_CHUNK_BYTES
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
         if several is not None and not (whole and self.header.point_format >= LAYERED_FORMATS):
-            selection, several = several, None
+            selection = several
+            several = None
         decoder = self.open(self._source, kind, selection)
         # one chunk per core
         n_together = max(
             n_max, min(default_threads() * int(np.diff(bounds).max()), _TOGETHER_BYTES // size)
         )
-        chunk, room = 0, np.empty((0, size), np.uint8)
+        chunk = 0
+        room = np.empty((0, size), np.uint8)
         while chunk < self.n_chunks:
             first = int(bounds[chunk])
             end = max(int(np.searchsorted(bounds, first + n_together, side="right")) - 1, chunk + 1)
@@ -416,7 +423,8 @@ class LazRecords:
         except InputError:
             if self._source.error is not None:
                 raise
-        bounds, first_byte = self.table.first_record, self.table.first_byte
+        bounds = self.table.first_record
+        first_byte = self.table.first_byte
         with contextlib.suppress(InputError), decoding(self._source, ""):
             again = self.open(
                 self._source, type(decoder), lazrs.SELECTIVE_DECOMPRESS_ALL, int(bounds[chunk])
@@ -446,7 +454,8 @@ class LazRecords:
         """Compare the sizes declared in chunks of point formats 6-10 with the chunk table."""
         if self.header.point_format < LAYERED_FORMATS:
             return
-        path, table = self.header.path, self.table
+        path = self.header.path
+        table = self.table
         found = zip(self.heads(source, first, end), self.sizes(first, end).tolist(), strict=True)
         for chunk, ((held, claimed), (n_records, n_bytes)) in enumerate(found, start=first):
             begin = int(table.first_byte[chunk])
@@ -496,7 +505,8 @@ def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
     >>> [part.tolist() for part in recut([np.arange(3), np.arange(2), np.arange(1)], [1, 3, 4])]
     [[0], [1, 2, 0], [1, 0]]
     """
-    held, left = None, iter(parts)
+    held = None
+    left = iter(parts)
     for size in sizes:
         pieces, n_held = ([], 0) if held is None else ([held], len(held))
         while n_held < size and (part := next(left, None)) is not None:
@@ -516,7 +526,8 @@ def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
     if header.file_bytes < header.data_offset + 8:
         return header.data_offset, header.file_bytes
     records = LazRecords(source, header)
-    table_at, stop = records.table.start, records.table.stop
+    table_at = records.table.start
+    stop = records.table.stop
     with decoding(source, f"the chunk table at byte {table_at} cannot be read"):
         source.seek(table_at)
         table = lazrs.read_chunk_table_only(source, records.vlr)
@@ -590,7 +601,8 @@ def check_laz() -> str:
     """Compress records of every coder of laszip and decompress them again; return their point formats."""
     for point_format, n_bytes in ((1, 28), (6, 30), (10, 67)):
         where = f"LAZ round trip of point format {point_format}"
-        laszip, memory = new_laszip(where, point_format, 0), io.BytesIO()
+        laszip = new_laszip(where, point_format, 0)
+        memory = io.BytesIO()
         # a chunk is one whole record, then differences: here all zero except in the first bytes, as in a scan
         records = np.zeros((2_000, n_bytes), np.uint8)
         records[:, :4] = np.random.default_rng(1).integers(0, 256, (2_000, 4), np.uint8)

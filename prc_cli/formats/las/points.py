@@ -199,7 +199,8 @@ def read_layout(header: LasHeader) -> RecordLayout:
     if left:
         columns.append(("undescribed bytes", f"V{left}"))
         notes.append(f"{left} bytes of every record are described nowhere and not read")
-    angle_name, range_name = taken.get("angle"), taken.get("range", "range")
+    angle_name = taken.get("angle")
+    range_name = taken.get("range", "range")
     return RecordLayout(
         np.dtype(columns), fields, tuple(found), tuple(notes), angle_name, range_name
     )
@@ -253,7 +254,8 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
         raise InputError(where, problem, DAMAGED)
     if said.data_type == 0:
         return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options)
-    number, n_values = said.dtype().base, said.num_elements()
+    number = said.dtype().base
+    n_values = said.num_elements()
     scale, offset = (
         None if found is None else float(found[0]) for found in (said.scale, said.offset)
     )
@@ -327,10 +329,8 @@ def descriptor(dimension: ExtraDimension) -> bytes:
 
     said = ExtraBytesStruct.from_buffer_copy(bytes(DESCRIPTOR_BYTES))
     said.data_type = data_type_of(dimension)
-    said.name, said.description = (
-        dimension.name.encode("ascii"),
-        dimension.description.encode("ascii"),
-    )
+    said.name = dimension.name.encode("ascii")
+    said.description = dimension.description.encode("ascii")
     return bytes(said)
 
 
@@ -416,7 +416,8 @@ def upgrade(records: U8, point_format: int) -> U8:
     new = np.zeros(len(records), np.dtype([*standard_columns(new_format), *rest]))
     for name in set(old.dtype.names or ()) & set(new.dtype.names or ()):
         new[name] = old[name]
-    returns, class_byte = old["bit_fields"], old["raw_classification"]
+    returns = old["bit_fields"]
+    class_byte = old["raw_classification"]
     new["bit_fields"] = (returns & 0x07) | ((returns & 0x38) << 1)
     new["classification_flags"] = (class_byte >> 5) | (returns & 0xC0)
     new["classification"] = class_byte & 0x1F

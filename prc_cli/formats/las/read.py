@@ -198,12 +198,14 @@ class LasSource:
     def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, U8]]:
         """Yield the index of the first record and the raw records."""
         asked = [self._layout.fields[name] for name in names]
-        layers, several = layers_of(asked), None
+        layers = layers_of(asked)
+        several = None
         if self._spares_intensity and "intensity" in names:
             several = layers
             layers = layers_of(field for field in asked if field.layer != "intensity")
         if self._checks_layers:
-            layers, several = lazrs.SELECTIVE_DECOMPRESS_ALL, None
+            layers = lazrs.SELECTIVE_DECOMPRESS_ALL
+            several = None
         with open_source(self._path) as source:
             yield from read_batches(
                 source, self.header, self._chunk_records, (layers, several), reuse=True

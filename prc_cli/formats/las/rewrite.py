@@ -183,7 +183,8 @@ def _planned_vlrs(
     plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False
 ) -> list[Vlr]:
     """Return the VLRs of an output, still with the old run record, and say what is unusual about them."""
-    las, vlrs = plan.las, list(plan.las.vlrs)
+    las = plan.las
+    vlrs = list(plan.las.vlrs)
     if any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs)):
         notice(
             "names or coordinate systems in the header have bytes that are no text; they were written as ?"
@@ -210,10 +211,8 @@ def _planned_vlrs(
     if not plan.compress:
         return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)]
     same = not plan.upgrades and not plan.appended
-    new, old = (
-        laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same),
-        las.vlr(LASZIP_KEY),
-    )
+    new = laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same)
+    old = las.vlr(LASZIP_KEY)
     if old is None or old.data is None:
         return [*vlrs, new]
     if has_variable_chunks(old.data):
@@ -265,7 +264,8 @@ class _Points:
             fields.set("n_points", self._n)
             fields.set("by_return", *self._by_return[1:].tolist())
         if plan.is_part and self._n:
-            scale, offset = np.array(plan.las.scales), np.array(plan.las.offsets)
+            scale = np.array(plan.las.scales)
+            offset = np.array(plan.las.offsets)
             bounds = np.stack([self._high * scale + offset, self._low * scale + offset], axis=1)
             fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
 
@@ -273,7 +273,8 @@ class _Points:
         """Decompress what was written and compare its CRC-32: lazrs 0.8.2 damages packets of several channels."""
         if not self._plan.is_checked:
             return
-        las, found = read_header(written), 0
+        las = read_header(written)
+        found = 0
         with open_source(written) as source:
             for records in read_records(source, las, self._plan.batch):
                 found = zlib.crc32(np.ascontiguousarray(records).data, found)
@@ -292,7 +293,8 @@ def _write_again(
     drop: tuple[str, ...],
 ) -> Tail:
     """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header."""
-    las, vlrs = plan.las, [readable(vlr) for vlr in vlrs]
+    las = plan.las
+    vlrs = [readable(vlr) for vlr in vlrs]
     with open_source(las.path) as source, temporary.open("w+b") as writing:
         target = Target(writing)
         fields = _new_fields(plan, vlrs)
@@ -330,7 +332,8 @@ def _copy_bytes(source: Source, target: Target, start: int, stop: int) -> None:
 
 def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
     """Return the header with the changes of the plan; the offsets behind the points are set later."""
-    las, fields = plan.las, plan.las.fields()
+    las = plan.las
+    fields = plan.las.fields()
     if plan.upgrades:
         minor = fields.data[25]
         if minor < 4:
@@ -436,7 +439,8 @@ class LasRewriter(ScatterWriter):
             return source.state()
 
     def _write(self, record: RunRecord) -> RunRecord:
-        las, before = read_las(self._source_path), self._las
+        las = read_las(self._source_path)
+        before = self._las
         if (las.raw, las.vlrs, las.evlrs, las.file_bytes) != (
             before.raw,
             before.vlrs,
@@ -513,10 +517,12 @@ class LasRewriter(ScatterWriter):
                 f"point format {las.point_format} cannot hold code {highest}; upgraded to {form}{lost}"
             )
         moved = standard_bytes(form) - standard_bytes(las.point_format)
-        appended, replaced = [], []
+        appended = []
+        replaced = []
         there = {extra.name: extra for extra in read_layout(las).extra} if self._optional else {}
         for column in self._optional:
-            found, data_type = there.get(column.name), data_type_of(column.dimension)
+            found = there.get(column.name)
+            data_type = data_type_of(column.dimension)
             if found is None:
                 appended.append(column)
             elif found.data_type != data_type:

@@ -43,13 +43,16 @@ from prc_cli.formats.las.laz import (
 _POINT_FORMATS = (6, 7, 8)
 _CLASS_LAYER = 2
 """Index of the layer of classes: behind x and y with returns and channel, and z."""
-_RETURNS_AT, _CHANNEL_AT, _CLASS_AT = 14, 15, 16
+_RETURNS_AT = 14
+_CHANNEL_AT = 15
+_CLASS_AT = 16
 _ONLY = 4
 """Bit of a context: single return; the two bits below hold the channel."""
 KEPT_BYTES = 32 << 20
 """Memory limit for contexts that differ from record to record."""
 COPC_USER = "copc"
-_COPC_KEY, _HIERARCHY_KEY = (COPC_USER, 1), (COPC_USER, 1000)
+_COPC_KEY = (COPC_USER, 1)
+_HIERARCHY_KEY = (COPC_USER, 1000)
 _INFO_BYTES = 160
 _ROOT_AT = 40
 """Byte of the root page's position and length in the info record."""
@@ -139,7 +142,8 @@ def find_chunks(source: Source, las: LasHeader) -> Splice | None:
 
 def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
     """Return all pages of a COPC index; none if there is no index, or one lies outside it, is cut, or comes twice."""
-    info, hierarchy = las.vlr(_COPC_KEY), [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
+    info = las.vlr(_COPC_KEY)
+    hierarchy = [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
     if (
         info is None
         or info.data is None
@@ -148,7 +152,9 @@ def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
     ):
         return ()
     at, size = struct.unpack_from("<QQ", info.data, _ROOT_AT)
-    pages, seen, n_bytes = [(int(at), int(size))], {at}, 0
+    pages = [(int(at), int(size))]
+    seen = {at}
+    n_bytes = 0
     for at, size in pages:
         n_bytes += size
         # pages that share bytes would be more than the records hold
@@ -192,7 +198,8 @@ def splice_classes(
 ) -> dict[int, tuple[int, int]]:
     """Write all chunks with new classes and their table; return new position and length by old position."""
     chunks = splice.chunks
-    sizes, places = chunks.sizes()[:, 0].tolist(), chunks.table.first_byte.tolist()
+    sizes = chunks.sizes()[:, 0].tolist()
+    places = chunks.table.first_byte.tolist()
     # some chunks per core where they are equal
     n = 1 if splice.pages else max(1, batch_records(chunks.header, compressed=True) // sizes[0])
     groups = [sizes[first : first + n] for first in range(0, len(sizes), n)]
@@ -209,7 +216,8 @@ def splice_classes(
             for n_records, layer, first in zip(
                 group, layers, range(0, len(new), group[0]), strict=True
             ):
-                at, chunk = target.tell(), len(table)
+                at = target.tell()
+                chunk = len(table)
                 table.append(
                     (n_records, _write_chunk(source, target, chunks, chunk, layer, int(new[first])))
                 )
@@ -236,10 +244,8 @@ def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, 
 def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
     """Yield the contexts of the classes, kept or decoded; a damaged layer is refused here."""
     las = chunks.header
-    n, is_sound = (
-        batch_records(las, compressed=True),
-        kept is not None and kept.n_checked == las.n_records,
-    )
+    n = batch_records(las, compressed=True)
+    is_sound = kept is not None and kept.n_checked == las.n_records
     if kept is not None and is_sound and kept.n_seen == las.n_records:
         yield from kept.take(n)
         return
@@ -264,7 +270,9 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
         compressor.done()
         buffer.seek(0)
         table = lazrs.read_chunk_table(buffer, vlr)
-    view, head, at = buffer.getbuffer(), chunk_head(6, 0), 8
+    view = buffer.getbuffer()
+    head = chunk_head(6, 0)
+    at = 8
     for _, n_bytes in table:
         _, *sizes = head.unpack_from(view, at + standard_bytes(6))
         first = at + standard_bytes(6) + head.size + sum(sizes[:_CLASS_LAYER])

@@ -36,7 +36,9 @@ _NAME = re.compile(r'^\s*\w+\s*\[\s*"([^"]*)"')
 _CODE = re.compile(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]\s*$', re.IGNORECASE)
 _LIBLAS_WKT_KEY = ("liblas", 2112)
 _USER_DEFINED = 32767
-_GEOGRAPHIC, _PROJECTED, _VERTICAL = 2048, 3072, 4096
+_GEOGRAPHIC = 2048
+_PROJECTED = 3072
+_VERTICAL = 4096
 
 
 def with_record(vlrs: list[Vlr], record: RunRecord) -> list[Vlr]:
@@ -81,7 +83,8 @@ def with_lookup(
     place = next((index for index, vlr in enumerate(vlrs) if vlr.has(LOOKUP_KEY)), None)
     if place is None:
         return [*vlrs, lookup_vlr(names)], ()
-    data, notices = bytearray(vlrs[place].data or b""), []
+    data = bytearray(vlrs[place].data or b"")
+    notices = []
     if len(data) % _ENTRY_BYTES:
         return vlrs, (
             f"the names of classes take {len(data)} bytes, no multiple of 16; they were left as they are",
@@ -148,7 +151,8 @@ def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]
     if GEO_KEYS_KEY not in keys:
         return vlrs, None
     found = _geo_keys(keys[GEO_KEYS_KEY].data or b"")
-    horizontal, vertical = _horizontal(found), found.get(_VERTICAL, _USER_DEFINED)
+    horizontal = _horizontal(found)
+    vertical = found.get(_VERTICAL, _USER_DEFINED)
     tries = [(f"EPSG:{horizontal}", "")]
     if vertical != _USER_DEFINED:
         # old files give the code of a vertical datum instead of a coordinate system
@@ -186,7 +190,8 @@ def short_crs(crs: str) -> str:
     >>> short_crs('PROJCS["UTM 35N", GEOGCS["WGS 84"], AUTHORITY["EPSG","32635"]]')
     'UTM 35N (EPSG:32635)'
     """
-    name, code = _NAME.match(crs), _code(crs)
+    name = _NAME.match(crs)
+    code = _code(crs)
     text = name.group(1) if name else " ".join(crs.split())[:60]
     return text if code is None or code in text else f"{text} ({code})"
 

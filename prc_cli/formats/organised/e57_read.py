@@ -54,14 +54,19 @@ MAX_SPARSE = 1000
 SPARE_CELLS = 10_000_000
 """Number of cells always allowed, however few the points."""
 
-ROW, COLUMN, RETURN, INTENSITY = "rowIndex", "columnIndex", "returnIndex", "intensity"
+ROW = "rowIndex"
+COLUMN = "columnIndex"
+RETURN = "returnIndex"
+INTENSITY = "intensity"
 CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
-CARTESIAN_STATE, SPHERICAL_STATE = "cartesianInvalidState", "sphericalInvalidState"
+CARTESIAN_STATE = "cartesianInvalidState"
+SPHERICAL_STATE = "sphericalInvalidState"
 
 _HEAD = struct.Struct("<8sIIQ")
 """Signature, version and length of the file."""
-_COPY, _AGAIN = "copy it from the archive again", "export the scan again"
+_COPY = "copy it from the archive again"
+_AGAIN = "export the scan again"
 _NOT_AS_EXPECTED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
 """Exceptions of the library for nodes of a type other than the standard's."""
 
@@ -284,7 +289,8 @@ class E57Stream:
         self, path: Path, config: InputConfig, _lines_at_once: int = 1
     ) -> None:  # scans are blocks
         check_rules(path, config)
-        self._path, self._config = path, config
+        self._path = path
+        self._config = config
         self._scans: list[_Scan] = []
         with E57File(path) as file:
             tables = file.scans()
@@ -311,7 +317,8 @@ class E57Stream:
         tally = _IndexTally(self._where(table.index))
         for chunk in file.chunks(table, (ROW, COLUMN)):
             tally.add(chunk[ROW], chunk[COLUMN])
-        (row_low, row_high), (column_low, column_high) = tally.rows, tally.columns
+        (row_low, row_high) = tally.rows
+        (column_low, column_high) = tally.columns
         if table.bounds is not None:
             rows, columns = table.bounds
             larger = (rows[1] - rows[0] + 1) * (columns[1] - columns[0] + 1)
@@ -367,7 +374,10 @@ class E57Stream:
         if not 0.9 < length < 1.1:
             problem = f"the pose's rotation is ({w:g}, {x:g}, {y:g}, {z:g}), expected a quaternion of length 1"
             raise InputError(self._where(table.index), problem, _AGAIN)
-        w, x, y, z = w / length, x / length, y / length, z / length
+        w = w / length
+        x = x / length
+        y = y / length
+        z = z / length
         turn = np.array(
             [
                 [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -455,19 +465,22 @@ class E57Stream:
         self, file: E57File, scan: _Scan, tallies: list[ReadTally]
     ) -> Iterator[NDArray[Any]]:
         """Yield points with their cells, in the order of the file; points refused are added to the tallies."""
-        table, shape = scan.table, scan.shape
+        table = scan.table
+        shape = scan.shape
         cartesian = _is_cartesian(table)
         state = CARTESIAN_STATE if cartesian else SPHERICAL_STATE
         position = shape.first_record
         for chunk in file.chunks(table, (ROW, COLUMN, *_used_fields(table))):
             n = len(chunk[ROW])
             points = np.zeros(n, _POINT)
-            line, row = chunk[COLUMN] - scan.first_column, chunk[ROW] - scan.first_row
+            line = chunk[COLUMN] - scan.first_column
+            row = chunk[ROW] - scan.first_row
             if not (
                 (line >= 0) & (line < shape.n_lines) & (row >= 0) & (row < shape.points_per_line)
             ).all():
                 raise self._changed(scan)
-            points["line"], points["row"] = line, row
+            points["line"] = line
+            points["row"] = row
             points["record"] = np.arange(position, position + n)
             position += n
             xyz, length = _coordinates(chunk, scan.pose, cartesian=cartesian)
@@ -488,11 +501,14 @@ class E57Stream:
     def _block(self, scan: _Scan, first: int, n_lines: int, points: NDArray[Any]) -> ScanBlock:
         m = scan.shape.points_per_line
         cell = (points["line"].astype(np.int64) - first) * m + points["row"]
-        with_intensity, with_returns = INTENSITY in scan.table.fields, RETURN in scan.table.fields
-        extra, tally = ExtraReturns.none(), ReadTally()
+        with_intensity = INTENSITY in scan.table.fields
+        with_returns = RETURN in scan.table.fields
+        extra = ExtraReturns.none()
+        tally = ReadTally()
         if not (cell[1:] > cell[:-1]).all():
             order = np.argsort(cell, kind="stable")
-            points, cell = points[order], cell[order]
+            points = points[order]
+            cell = cell[order]
             starts = np.append(True, cell[1:] != cell[:-1])
             stands = choose_returns(
                 starts,
@@ -508,7 +524,8 @@ class E57Stream:
                 other["range"].copy(),
                 other["record"].copy(),
             )
-            points, cell = points[stands], cell[stands]
+            points = points[stands]
+            cell = cell[stands]
             tally = (
                 ReadTally(n_extra_returns=len(other))
                 if with_returns
@@ -558,7 +575,8 @@ class _IndexTally:
 
     def add(self, row: F64, column: F64) -> None:
         """Count points."""
-        rows, columns = self._span(ROW, row, self.rows), self._span(COLUMN, column, self.columns)
+        rows = self._span(ROW, row, self.rows)
+        columns = self._span(COLUMN, column, self.columns)
         for name, (low, high), limit in (
             (ROW, rows, MAX_POINTS_PER_LINE),
             (COLUMN, columns, MAX_LINES),
@@ -571,7 +589,8 @@ class _IndexTally:
             at = self.columns[0] - columns[0]
             grown[at : at + len(self.counts)] = self.counts
             self.counts = grown
-        self.rows, self.columns = rows, columns
+        self.rows = rows
+        self.columns = columns
         number = column.astype(np.int64)
         low = int(number.min())
         found = np.bincount(number - low)
@@ -584,7 +603,8 @@ class _IndexTally:
     def _span(self, name: str, index: F64, before: tuple[int, int]) -> tuple[int, int]:
         # signalling NaNs raise an invalid-value warning
         with np.errstate(invalid="ignore"):
-            low, high = float(index.min()), float(index.max())
+            low = float(index.min())
+            high = float(index.max())
             is_whole = abs(low) < 2**52 and abs(high) < 2**52 and (index == np.rint(index)).all()
         if not is_whole:
             problem = f"found {name} from {low:g} to {high:g}, expected whole numbers"
@@ -630,7 +650,8 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
         for chunk in points:
             group = chunk["line"] // lines
             order = np.argsort(group, kind="stable")
-            chunk, group = chunk[order], group[order]
+            chunk = chunk[order]
+            group = group[order]
             starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
             with scratch_errors("the points of a scan"):
                 for start, stop in zip(starts, np.append(starts[1:], len(chunk)), strict=True):

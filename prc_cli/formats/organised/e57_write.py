@@ -151,9 +151,11 @@ class E57Stream(StreamWriter):
 
     def _points(self, item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
         """Return the fields of the points of some lines; the chosen return of a shot comes first."""
-        block, m = item.block, item.block.points_per_line
+        block = item.block
+        m = item.block.points_per_line
         values = stream_rows(item, rows)
-        line, ranges = values["line"] - block.first_line, values["range_m"].astype(np.float64)
+        line = values["line"] - block.first_line
+        ranges = values["range_m"].astype(np.float64)
         cell = (line - rows.start) * m + values["column"]
         gone = np.isnan(ranges)
         places = self._directions(item, rows)[cell] * ranges[:, None]
@@ -161,20 +163,16 @@ class E57Stream(StreamWriter):
         points = {name: places[:, axis].copy() for axis, name in enumerate(_DOUBLES[:3])}
         points["cartesianInvalidState"] = gone * INVALID
         first = 0 if self._scan is None else self._scan.first_line
-        points["rowIndex"], points["columnIndex"] = (
-            values["column"],
-            block.first_line - first + line,
-        )
+        points["rowIndex"] = values["column"]
+        points["columnIndex"] = block.first_line - first + line
         own = np.zeros(len(cell), np.float32)
         if block.intensity is not None:
             own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)[cell]
         # the stream has the intensity of the chosen return of a shot only
         is_further = np.append(False, cell[1:] == cell[:-1])
         points["intensity"] = np.where(is_further, np.minimum(own, 0.0), own)
-        points["returnIndex"], points["returnCount"] = (
-            values["return_number"] - 1,
-            values["number_of_returns"],
-        )
+        points["returnIndex"] = values["return_number"] - 1
+        points["returnCount"] = values["number_of_returns"]
         if "time_s" in values:
             points["timeStamp"] = np.nan_to_num(values["time_s"], nan=0.0)
         return points
@@ -206,10 +204,13 @@ class _Scan:
     """A scan that is being written."""
 
     def __init__(self, output: E57Stream, scanner: int, first_line: int) -> None:
-        self.scanner, self.first_line = scanner, first_line
+        self.scanner = scanner
+        self.first_line = first_line
         self._names = output._fields
-        library, image = output._library, output._image
-        self._library, self._image = library, image
+        library = output._library
+        image = output._image
+        self._library = library
+        self._image = image
         self._limits = dict.fromkeys(("rowIndex", "columnIndex", "intensity"), (np.inf, -np.inf))
         self._node = library.StructureNode(image)
         self._node.set("guid", output._guid(f"scan {len(output._done)}"))
@@ -230,7 +231,8 @@ class _Scan:
         self.writer = points.writer(wrapped)
 
     def _kind(self, name: str) -> Any:
-        library, image = self._library, self._image
+        library = self._library
+        image = self._image
         if name in _DOUBLES:
             return library.FloatNode(image, 0.0, library.E57_DOUBLE)
         if name == "intensity":

@@ -145,7 +145,8 @@ class PtxStream:
         self, path: Path, config: InputConfig, _lines_at_once: int = 1
     ) -> None:  # scans are blocks
         check_rules(path, config)
-        self._path, self._config = path, config
+        self._path = path
+        self._config = config
         with open_to_read(path) as handle:
             self._scans = _Survey(path, handle, pad=config.partial_line == "pad").scans()
         shapes = [scan.shape for scan in self._scans]
@@ -207,7 +208,8 @@ class PtxStream:
                 yield from self._scan_blocks(scan)
 
     def _scan_blocks(self, scan: _Scan) -> Iterator[ScanBlock]:
-        shape, m = scan.shape, scan.shape.points_per_line
+        shape = scan.shape
+        m = scan.shape.points_per_line
         problem = (
             f"found fewer points than before, expected {shape.n_records} in scan {shape.scanner}"
         )
@@ -219,7 +221,8 @@ class PtxStream:
             yield self._block(scan, first, stop - first, rows)
 
     def _block(self, scan: _Scan, first: int, n_lines: int, rows: F64) -> ScanBlock:
-        shape, n = scan.shape, len(rows)
+        shape = scan.shape
+        n = len(rows)
         m = shape.points_per_line
         xyz = scan.pose.apply(rows[:, :3])
         # ranges from unrotated coordinates: headers round rotations to a few digits
@@ -227,7 +230,8 @@ class PtxStream:
         length[np.isinf(rows[:, :3]).any(axis=1)] = np.inf
         length[~rows[:, :3].any(axis=1)] = np.nan
         ranges, tally = clean_ranges(length, self._config.min_range, self._config.max_range)
-        placed, intensity = to_float32(xyz), None
+        placed = to_float32(xyz)
+        intensity = None
         placed[np.isnan(ranges)] = np.nan
         if scan.n_cells > 3:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -253,7 +257,9 @@ class _Survey:
     """First pass over a file: reads the headers and counts the lines of points."""
 
     def __init__(self, path: Path, handle: IO[bytes], *, pad: bool) -> None:
-        self._path, self._handle, self._pad = path, handle, pad
+        self._path = path
+        self._handle = handle
+        self._pad = pad
         self._line = 0
         """Lines read so far."""
 

@@ -263,7 +263,8 @@ def in_turn(
             waiting.append(part)
             n_waiting += len(part)
         joined = waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
-        waiting, n_waiting = [joined[wanted:]], n_waiting - wanted
+        waiting = [joined[wanted:]]
+        n_waiting = n_waiting - wanted
         yield joined[:wanted]
     # whoever reads the parts checks that there are no more
     for _ in parts:

@@ -20,7 +20,8 @@ MAX_BLOCK = 1 << 24
 MAX_PENDING = 64
 """Most datagrams whose fragments wait for the others."""
 MAX_DATAGRAM = 1 << 16
-_UDP, _FRAGMENT = 17, 44
+_UDP = 17
+_FRAGMENT = 44
 _PCAP = {
     b"\xd4\xc3\xb2\xa1": ("<", 1e-6),
     b"\xa1\xb2\xc3\xd4": (">", 1e-6),
@@ -29,7 +30,10 @@ _PCAP = {
 }
 """Byte order and unit of time by the first four bytes."""
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
-_ETHERNET, _RAW, _LINUX, _LINUX2 = 1, 101, 113, 276
+_ETHERNET = 1
+_RAW = 101
+_LINUX = 113
+_LINUX2 = 276
 _VLAN = (0x8100, 0x88A8, 0x9100)
 
 
@@ -98,7 +102,8 @@ def _pcap(
         count.end = "the capture ends within its header"
         return
     link = struct.unpack(order + "HHiIII", head)[5] & 0xFFFF
-    at, n = 24, 0
+    at = 24
+    n = 0
     while record := handle.read(16):
         kept, whole = struct.unpack(order + "II", record[8:]) if len(record) == 16 else (0, 0)
         if kept > MAX_PACKET:
@@ -111,13 +116,15 @@ def _pcap(
             return
         seconds, part = struct.unpack(order + "II", record[:8])
         yield seconds + part * unit, link, data, kept >= whole
-        at, n = at + 16 + kept, n + 1
+        at = at + 16 + kept
+        n = n + 1
 
 
 def _pcapng(
     path: Path, handle: IO[bytes], count: CaptureCount
 ) -> Iterator[tuple[float, int, bytes, bool]]:
-    order, at = "<", 0
+    order = "<"
+    at = 0
     interfaces: list[tuple[int, float]] = []
     while head := handle.read(8):
         if head[:4] == _PCAPNG and len(head) == 8:
@@ -149,7 +156,9 @@ def _pcapng(
 
 def _interface(order: str, body: bytes) -> tuple[int, float]:
     """Return the network and the unit of time of an interface (option 9; 10^-6 s without it)."""
-    link, unit, i = struct.unpack_from(order + "H", body)[0], 1e-6, 8
+    link = struct.unpack_from(order + "H", body)[0]
+    unit = 1e-6
+    i = 8
     while i + 4 <= len(body) - 4:
         code, n = struct.unpack_from(order + "HH", body, i)
         if code == 0:
@@ -198,14 +207,16 @@ def _strip_ip(ip: memoryview, time_s: float, waiting: _Fragments) -> Datagram | 
     """Return the UDP datagram in an IP packet, or that which it completes; None if there is none."""
     version = ip[0] >> 4 if len(ip) >= 20 else 0
     if version == 4:
-        head, total = (ip[0] & 15) * 4, (ip[2] << 8) | ip[3]
+        head = (ip[0] & 15) * 4
+        total = (ip[2] << 8) | ip[3]
         if head < 20 or ip[9] != _UDP:
             return None
         # 0 where the network card cuts packets itself
         total = total or len(ip)
         flags = (ip[6] << 8) | ip[7]
         source = ip[12:16]
-        offset, more = (flags & 0x1FFF) * 8, bool(flags & 0x2000)
+        offset = (flags & 0x1FFF) * 8
+        more = bool(flags & 0x2000)
         body = ip[head:total]
         if len(ip) < total:
             return None

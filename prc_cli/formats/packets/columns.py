@@ -78,9 +78,12 @@ class ColumnLines:
     """Puts columns of one scanner into lines."""
 
     def __init__(self, where: str, scanner: int, shift: I64, config: InputConfig) -> None:
-        self._where, self._scanner, self._config = where, scanner, config
+        self._where = where
+        self._scanner = scanner
+        self._config = config
         shift = shift - shift.min()
-        self._m, self._span = len(shift), int(shift.max())
+        self._m = len(shift)
+        self._span = int(shift.max())
         self._rings = {int(by): np.flatnonzero(shift == by) for by in np.unique(shift)}
         """Rings by the number of lines that they lie behind their column."""
         self._most = max(1, CHUNK_SHOTS // self._m)
@@ -244,10 +247,12 @@ class ColumnLines:
         yield block
 
     def _block(self, lines: Columns) -> ScanBlock:
-        low, high = self._config.min_range, self._config.max_range
+        low = self._config.min_range
+        high = self._config.max_range
         ranges, tally = clean_ranges(lines.range_m, low, high)
         missing = np.isnan(ranges)
-        lines.xyz_m[missing], lines.intensity[missing] = np.nan, np.nan
+        lines.xyz_m[missing] = np.nan
+        lines.intensity[missing] = np.nan
         n_records = int(np.count_nonzero(lines.record >= 0))
         extra = ExtraReturns.none()
         if lines.further_m is not None and lines.further_record is not None:
@@ -262,7 +267,8 @@ class ColumnLines:
             n_records += int(np.count_nonzero(lines.further_record >= 0))
             tally = tally + replace(more, n_extra_returns=len(line))
         n_records += self._unplaced + self._not_fired + self._collisions
-        unplaced, collisions = self._unplaced, self._collisions
+        unplaced = self._unplaced
+        collisions = self._collisions
         self._unplaced = self._not_fired = self._collisions = 0
         return ScanBlock(
             first_line=self._base,
@@ -283,7 +289,8 @@ class PacketClock:
     """Turns time stamps of packets into columns and times; a clock unlike the capture's is set to that."""
 
     def __init__(self, period_s: float, column_s: float) -> None:
-        self._period_s, self._column_s = period_s, column_s
+        self._period_s = period_s
+        self._column_s = column_s
         self._last: float | None = None
         self._elapsed = 0.0
         self._line = 0
@@ -300,11 +307,9 @@ class PacketClock:
         elapsed = self._elapsed + np.cumsum(steps)
         # every step is rounded by itself: stamps of whole microseconds do not add up to a column
         line = self._line + np.cumsum(np.rint(steps / self._column_s).astype(np.int64))
-        self._last, self._elapsed, self._line = (
-            float(stamp_s[-1]),
-            float(elapsed[-1]),
-            int(line[-1]),
-        )
+        self._last = float(stamp_s[-1])
+        self._elapsed = float(elapsed[-1])
+        self._line = int(line[-1])
         every = (line[:, None] + np.arange(n_columns)).reshape(-1)
         start = self._start_s + elapsed
         return every, (start[:, None] + np.arange(n_columns) * self._column_s).reshape(-1)
@@ -325,10 +330,14 @@ _Further: TypeAlias = tuple[F32 | None, I64 | None]
 
 def choose(range_m: F32, light: F32, record: I64, rule: str) -> tuple[F32, F32, I64, _Further]:
     """Return range, light and record of every shot's main return, range and record of the other one."""
-    own, lit, at = range_m[..., 0], light[..., 0], record[..., 0]
+    own = range_m[..., 0]
+    lit = light[..., 0]
+    at = record[..., 0]
     if range_m.shape[-1] == 1:
         return own, lit, at, (None, None)
-    other, other_lit, other_at = range_m[..., 1], light[..., 1], record[..., 1]
+    other = range_m[..., 1]
+    other_lit = light[..., 1]
+    other_at = record[..., 1]
     with np.errstate(invalid="ignore"):
         wins = {"strongest": other_lit > lit, "first": other < own, "last": other > own}[rule]
     swap = np.isfinite(other) & (wins | np.isnan(own))

@@ -23,7 +23,8 @@ from prc_cli.formats.packets.columns import Columns, choose
 
 MAX_METADATA = 1 << 20
 """Longest metadata file [bytes]."""
-_MAX_COLUMNS, _MAX_PIXELS = 4096, 256
+_MAX_COLUMNS = 4096
+_MAX_PIXELS = 256
 _FRAME_IDS = 1 << 16
 _MOST = 1e6
 """Larger numbers are no angles, columns or millimetres."""
@@ -193,12 +194,15 @@ class OusterDecoder:
     """Decodes the packets of one scanner."""
 
     def __init__(self, where: str, metadata: Metadata, rule: str) -> None:
-        self._where, self._meta, self._rule = where, metadata, rule
+        self._where = where
+        self._meta = metadata
+        self._rule = rule
         m = self.points_per_line = metadata.n_pixels
         self.name = f"Ouster {metadata.name}, {metadata.profile}"
         form = self._form = _PROFILES[metadata.profile]
         self._is_legacy = metadata.profile == "LEGACY"
-        self.n_returns, self.n_columns = len(form.returns), metadata.n_columns
+        self.n_returns = len(form.returns)
+        self.n_columns = metadata.n_columns
         self.n_records = self.n_columns * m * self.n_returns
         self._order = np.argsort(metadata.altitude_deg, kind="stable")
         self.shift: I64 = metadata.shift[self._order]
@@ -242,11 +246,13 @@ class OusterDecoder:
 
     def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
         """Decode packets of one size, (n, size) uint8."""
-        m, r = self._meta.n_pixels, self.n_returns
+        m = self._meta.n_pixels
+        r = self.n_returns
         table = np.ascontiguousarray(packets).view(self._packet)[:, 0]
         columns = table["columns"]
         if self._is_legacy:
-            frame, is_good = columns["frame"].ravel(), columns["status"].ravel() == 0xFFFFFFFF
+            frame = columns["frame"].ravel()
+            is_good = columns["status"].ravel() == 0xFFFFFFFF
         else:
             frame = np.repeat(table["head"][:, 2:4].copy().view("<u2")[:, 0], self.n_columns)
             is_good = (columns["status"].ravel() & 1).astype(bool)
@@ -275,7 +281,8 @@ class OusterDecoder:
         half = _FRAME_IDS // 2
         steps = (np.diff(frame, prepend=before) + half) % _FRAME_IDS - half
         turn = self._turns + np.cumsum(steps)
-        self._frame, self._turns = int(frame[-1]), int(turn[-1])
+        self._frame = int(frame[-1])
+        self._turns = int(turn[-1])
         line: I64 = turn * self._per_frame + within
         if self._first_line is None:
             self._first_line = int(line[0])

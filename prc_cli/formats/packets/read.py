@@ -59,9 +59,12 @@ class PacketLines:
     def __init__(
         self, where: str, scanner: int, first: bytes, metadata: Metadata | None, config: InputConfig
     ) -> None:
-        self._where, self._scanner, self._config = where, scanner, config
+        self._where = where
+        self._scanner = scanner
+        self._config = config
         self.decoder = open_decoder(where, first, metadata, config)
-        self.points_per_line, self.n_records = self.decoder.points_per_line, self.decoder.n_records
+        self.points_per_line = self.decoder.points_per_line
+        self.n_records = self.decoder.n_records
         self.has_returns = self.decoder.n_returns > 1
         self._lines: ColumnLines | None = None
         self._size = len(first)
@@ -129,7 +132,8 @@ class PacketStream:
         self, path: Path, config: InputConfig, _lines_at_once: int = 1, parts: tuple[Path, ...] = ()
     ) -> None:  # scans are blocks
         check_rules(path, config, "packets of scanners")
-        self._path, self._config = path, config
+        self._path = path
+        self._config = config
         self._files = parts or (path,)
         self._metadata = find_metadata(path, config)
         self._count = CaptureCount()
@@ -145,7 +149,8 @@ class PacketStream:
         for number, (one, decoder) in enumerate(
             zip(self._scanners.values(), decoders, strict=True)
         ):
-            one.number, one.name = number, decoder.name
+            one.number = number
+            one.name = decoder.name
         self._has_returns = any(decoder.n_returns > 1 for decoder in decoders)
         self._widest = max(decoder.points_per_line for decoder in decoders)
         check_width(path, self._widest, config)
@@ -188,7 +193,8 @@ class PacketStream:
         )
 
     def _notes(self) -> list[str]:
-        count, notes = self._count, []
+        count = self._count
+        notes = []
         if count.end:
             notes.append(f"{count.end}: it was read up to there")
         if count.n_short:

@@ -169,10 +169,8 @@ def _hdl64(where: str, calibration: Path | None) -> Model:
         lasers = sorted(table["lasers"], key=lambda one: int(one["laser_id"]))
         keys = ("vert_correction", "rot_correction", "dist_correction")
         up, turned, added = np.array([[float(one.get(key, 0.0)) for one in lasers] for key in keys])
-        model, unit_m = (
-            str(table.get("status", {}).get("Model", "S2")),
-            float(table.get("distance_resolution", 0.002)),
-        )
+        model = str(table.get("status", {}).get("Model", "S2"))
+        unit_m = float(table.get("distance_resolution", 0.002))
     except (
         OSError,
         ValueError,
@@ -361,14 +359,17 @@ class SpinningDecoder:
     """Decodes the packets of one scanner."""
 
     def __init__(self, where: str, first: bytes, calibration: Path | None, rule: str) -> None:
-        self._where, self._rule = where, rule
+        self._where = where
+        self._rule = rule
         layout = _layout(first)
         self._model = model = (
             _velodyne(where, first, calibration) if layout is None else _hesai(layout, len(first))
         )
         table = np.frombuffer(first, model.packet)[0]
-        self._mode, self._kind = int(table["mode"]), int(table["kind"])
-        self.name, self._fields = model.name, model.packet.names or ()
+        self._mode = int(table["mode"])
+        self._kind = int(table["kind"])
+        self.name = model.name
+        self._fields = model.packet.names or ()
         self.n_returns = _RETURNS.get(self._mode, 1) if model.has_mode else 1
         if self.n_returns > 2:
             problem = f"found three returns a shot (mode {self._mode:#04x}), expected one or two"
@@ -394,7 +395,9 @@ class SpinningDecoder:
 
     def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
         """Decode packets of one size, (n, size) uint8."""
-        model, m, order = self._model, self._m, self._order
+        model = self._model
+        m = self._m
+        order = self._order
         table = np.ascontiguousarray(packets).view(model.packet)[:, 0]
         self._check(table)
         blocks = table["blocks"][:, : self._used]

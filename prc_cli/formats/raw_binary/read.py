@@ -106,15 +106,11 @@ def _count(path: Path, header: int, each: int) -> int:
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
     if size <= header:
-        problem, hint = (
-            f"nothing follows the header of {header} bytes, expected records of {each} bytes",
-            "",
-        )
+        problem = f"nothing follows the header of {header} bytes, expected records of {each} bytes"
+        hint = ""
         if not size:
-            problem, hint = (
-                f"the file is empty (0 bytes), expected records of {each} bytes",
-                "copy it again",
-            )
+            problem = f"the file is empty (0 bytes), expected records of {each} bytes"
+            hint = "copy it again"
         elif size < header:
             problem = f"found {size} bytes, fewer than the header of {header} bytes"
         raise InputError(str(path), problem, hint or "check layout.header_bytes")

@@ -44,7 +44,8 @@ class FrameStream(StreamWriter):
         self._records: list[I64] = []
 
     def _add(self, item: StreamItem) -> None:
-        block, extra = item.block, item.block.extra
+        block = item.block
+        extra = item.block.extra
         seen = ~np.isnan(block.range_m)
         own, further = coordinates(block, None)[0]
         if item.extra_registered_m is not None:
@@ -94,7 +95,8 @@ class RawStream(StreamWriter):
     def _open(self, item: StreamItem) -> np.dtype[np.void]:
         """Choose the fields of the record from the first block."""
         shape = self.shape
-        self._m, angle_rad = item.block.points_per_line, item.block.angle_rad
+        self._m = item.block.points_per_line
+        angle_rad = item.block.angle_rad
         # with registered heights, write the angle per record: both are needed to find straight down again
         if angle_rad is not None and not shape.registered:
             degrees: F64 = np.rad2deg(angle_rad).round(10)

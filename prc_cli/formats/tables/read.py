@@ -101,7 +101,8 @@ class ArrayTable:
                 values: dict[str, NDArray[Any]] = {}
                 for name in names:
                     if name not in self._columns:
-                        line, column = np.arange(first, first + n), np.arange(row)
+                        line = np.arange(first, first + n)
+                        column = np.arange(row)
                         values[name] = (
                             np.repeat(line, row) if name == "scan_line" else np.tile(column, n)
                         )
@@ -133,7 +134,9 @@ class ParquetTable:
         self._path = path
         try:
             schema, self.n_records = self._measure()
-            names, kinds = schema.names, schema.types  # names are decoded here
+            # names are decoded here
+            names = schema.names
+            kinds = schema.types
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged(self._path, error, self.format) from error
         numbers = [

@@ -28,7 +28,8 @@ ANGLE_DIGITS = 10
 
 def table_columns(shape: StreamShape) -> dict[str, pa.DataType]:
     """Return names and types of the columns of a stream, in their order."""
-    angles, xyz = pa.float64(), pa.float64() if shape.registered else pa.float32()
+    angles = pa.float64()
+    xyz = pa.float64() if shape.registered else pa.float32()
     wanted: list[tuple[str, bool, pa.DataType]] = [
         ("point_source_id", shape.scanners, pa.uint32()),
         ("line", True, pa.int64()),
@@ -110,7 +111,8 @@ def _close(stream: Any) -> None:
 def stream_rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
     """Return the columns of some lines of a block; the chosen return of a shot comes first."""
     block = item.block
-    m, n_lines = block.points_per_line, rows.stop - rows.start
+    m = block.points_per_line
+    n_lines = rows.stop - rows.start
     line = np.repeat(np.arange(rows.start, rows.stop), m)
     column = np.tile(np.arange(m), n_lines)
     values: dict[str, NDArray[Any]] = {
@@ -142,7 +144,8 @@ def _with_extra(
     values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, inside: I64
 ) -> dict[str, NDArray[Any]]:
     """Insert further returns behind the chosen return of their shot."""
-    block, extra = item.block, item.block.extra
+    block = item.block
+    extra = item.block.extra
     cell = (extra.line[inside] - rows.start).astype(
         np.int64
     ) * block.points_per_line + extra.column[inside]
@@ -176,7 +179,8 @@ def number_returns(values: dict[str, NDArray[Any]], owner: I64) -> None:
     number[order] = np.arange(len(owner)) - np.repeat(first, size) + 1
     count = np.empty(len(owner), np.int32)
     count[order] = np.repeat(size, size)
-    values["return_number"], values["number_of_returns"] = number, count
+    values["return_number"] = number
+    values["number_of_returns"] = count
 
 
 def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:

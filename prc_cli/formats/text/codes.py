@@ -20,7 +20,8 @@ def open_text_codes(path: Path, dimension: str | None) -> CodeSource:
     source = by_suffix("scans")[suffix_of(path)].open_records(path, None)
     assert isinstance(source, TextSource)
     name = dimension_of_codes(path, list(source.dimensions), dimension)
-    column, body = int(source.columns[name].key), TextBody(path, source.text)
+    column = int(source.columns[name].key)
+    body = TextBody(path, source.text)
     if all(is_number(cell, source.text.decimal) for _, cell in next(body.cells(column), [])):
         return open_record_codes(path, dimension)
 

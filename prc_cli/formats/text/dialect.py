@@ -86,7 +86,8 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         )
     skipped = None
     if (separator := separator_of(rows[0][1])) is not None and len(rows) > 1:
-        skipped, rows = rows[0][0], rows[1:]
+        skipped = rows[0][0]
+        rows = rows[1:]
     is_found = layout is None or not {"delimiter", "fields"} & layout.model_fields_set
     texts = [text for _, text in rows]
     # a line with the number of rows has no delimiter

@@ -70,7 +70,8 @@ def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> He
     if len(lines) > MOST_HEAD or not lines:
         return None
     names: tuple[str, ...] = ()
-    names_line, is_sure = None, False
+    names_line = None
+    is_sure = False
     for number, text, cells in lines:
         stripped = [cell.strip() for cell in cells]
         if names and _are_units(stripped, n_columns):
@@ -83,7 +84,8 @@ def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> He
         if fits and (is_usual or (not has_mark(text) and not is_sure)):
             # write.table of R leaves out the name of the row names
             names = ("",) * (n_columns - len(stripped)) + tuple(stripped)
-            names_line, is_sure = number, is_usual
+            names_line = number
+            is_sure = is_usual
     if not names and any(not _is_count(cells) and not has_mark(text) for _, text, cells in lines):
         return None
     return Head(names, names_line, lines[-1][0])

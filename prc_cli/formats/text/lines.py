@@ -18,7 +18,8 @@ BLOCK_BYTES = 3 << 18
 MAX_LINE_BYTES = 1 << 20
 """Longest line; files with longer ones are not tables."""
 
-MAX_RATIO, LEAST_BYTES = 500, 1 << 27
+MAX_RATIO = 500
+LEAST_BYTES = 1 << 27
 """A text larger than the second number [bytes] and this many times its compressed size repeats one line: refused."""
 
 _CODECS = {".gz": "gzip", ".zst": "zstd"}
@@ -45,7 +46,9 @@ def iter_lines(
     line: int = 1,
 ) -> Iterator[Lines]:
     """Read text, compressed or not, in blocks of whole lines; of ``span`` bytes alone, from ``line`` on."""
-    rest, at_start, n_bytes = b"", span is None, 0
+    rest = b""
+    at_start = span is None
+    n_bytes = 0
     with _open(path) as handle:
         most = (
             max(LEAST_BYTES, MAX_RATIO * path.stat().st_size)
@@ -65,7 +68,8 @@ def iter_lines(
                 )
                 raise InputError(str(path), problem, "unpack it first if it is what it should be")
             if at_start:
-                found, at_start = _without_mark(path, handle, found, block_bytes), False
+                found = _without_mark(path, handle, found, block_bytes)
+                at_start = False
             data = rest + found
             end = data.rfind(b"\n") + 1
             rest = data[end:]

@@ -57,7 +57,9 @@ class TextBody:
         block_bytes: int = BLOCK_BYTES,
         n_records: int | None = None,
     ) -> None:
-        self._path, self.text, self._block_bytes = path, text, block_bytes
+        self._path = path
+        self.text = text
+        self._block_bytes = block_bytes
         self.n_records = n_records
         """Number of rows, where a header says it: what follows is not read."""
         # possessive: a run of comments is one match without backtracking, which would take minutes
@@ -282,7 +284,8 @@ class TextSource(FieldSource):
         self, path: Path, layout: Layout | None = None, block_bytes: int = BLOCK_BYTES
     ) -> None:
         self.text = find_format(path, layout)
-        names, n = self.text.names, self.text.n_columns
+        names = self.text.names
+        n = self.text.n_columns
         self._has_layout = layout is not None and bool(layout.fields)
         self._is_cloud = path.suffix.lower() in CLOUD_SUFFIXES
         if not self._has_layout and not any(names):
@@ -307,7 +310,8 @@ class TextSource(FieldSource):
     @property
     def notes(self) -> tuple[str, ...]:
         """What was detected, one sentence each, for ``prc info``."""
-        text, columns = self.text, self.columns
+        text = self.text
+        columns = self.columns
         shown = {BLANKS: "blanks", "\t": "tabs"}.get(text.delimiter, repr(text.delimiter))
         axes = "x, y, z and intensity" if "intensity" in columns else "x, y, z"
         renamed = [

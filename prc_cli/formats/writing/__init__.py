@@ -19,7 +19,8 @@ BESIDE = {"trajectory": (".csv", *SBET_SUFFIXES), "labels": (".npy",), "stems": 
 
 def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
     """Choose and check a writer; nothing is created before its ``with`` block."""
-    path, known = output.path, by_suffix("labels")
+    path = output.path
+    known = by_suffix("labels")
     suffix = path.suffix.lower()
     if suffix not in known:
         problem = f"found suffix {path.suffix!r}, expected one of {', '.join(sorted(known))}"
@@ -32,7 +33,8 @@ def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
 
 def stream_suffix(path: Path) -> str:
     """Return the suffix, which decides the writer."""
-    suffix, known = suffix_of(path), by_suffix("streams")
+    suffix = suffix_of(path)
+    known = by_suffix("streams")
     if suffix not in known:
         problem = f"found suffix {suffix!r}, expected one of {' '.join(known)}"
         raise ConfigError(str(path), problem, "choose an output name that ends in one of them")

@@ -300,7 +300,8 @@ class StagedWriter(ABC):
             return np.full(block.labels.shape, column.fill, column.dtype)
         if values.size and values.dtype != column.dtype and column.dtype.kind == "u":
             limit = np.iinfo(column.dtype).max
-            low, high = int(values.min()), int(values.max())
+            low = int(values.min())
+            high = int(values.max())
             if low < 0 or high > limit:
                 problem = f"{column.what} {low if low < 0 else high} does not fit {column.dtype.name} (0 to {limit})"
                 raise OutputError(str(self.path), problem, f"set [output] {column.option} = false")
@@ -351,7 +352,8 @@ class ScatterWriter(StagedWriter):
         self._n_records = n_records
         self._is_part = labels.is_part or labels.is_thinned
         self._spools: dict[str, DiskColumn] = {}
-        self._first, self._stop = sys.maxsize, 0
+        self._first = sys.maxsize
+        self._stop = 0
         """Bounds of the records that it holds."""
 
     def _start(self) -> None:
@@ -370,7 +372,10 @@ class ScatterWriter(StagedWriter):
         )
 
     def _add(self, item: StreamItem) -> None:
-        scan, codes, extra_codes, block = item.block, item.codes, item.extra_codes, item.labelled
+        scan = item.block
+        codes = item.codes
+        extra_codes = item.extra_codes
+        block = item.labelled
         assert codes is not None
         assert extra_codes is not None
         values = (
@@ -408,7 +413,8 @@ class ScatterWriter(StagedWriter):
                 )
             keep &= ~outside
         if not keep.all():
-            record, codes = record[keep], codes[keep]
+            record = record[keep]
+            codes = codes[keep]
             values = {name: column[keep] for name, column in values.items()}
         self._code_spool.put(record, codes)
         for name, column in values.items():
@@ -435,17 +441,21 @@ class ScatterWriter(StagedWriter):
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
         """Codes and optional columns in record order, in chunks; of a part, those of its records."""
         n = chunk or CHUNK_RECORDS
-        first, end = 0, total
+        first = 0
+        end = total
         if self._is_part:
             # chunks of a given size go with those of the input, from its first record on
-            first, end = min(self._first, self._stop) if chunk is None else 0, self._stop
+            first = min(self._first, self._stop) if chunk is None else 0
+            end = self._stop
         for start in range(first, end, n):
             stop = min(start + n, end)
-            codes, record = self._code_spool.span(start, stop), np.arange(start, stop)
+            codes = self._code_spool.span(start, stop)
+            record = np.arange(start, stop)
             values = {name: spool.span(start, stop) for name, spool in self._spools.items()}
             if self._is_part:
                 there = codes != NO_CODE
-                codes, record = codes[there].astype(np.uint8), record[there]
+                codes = codes[there].astype(np.uint8)
+                record = record[there]
                 values = {name: column[there] for name, column in values.items()}
             yield Columns(codes, values, record)
 

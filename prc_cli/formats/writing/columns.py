@@ -44,7 +44,8 @@ class LinesApart:
 
     def __call__(self, block: ScanBlock) -> tuple[F64, F64]:
         """Return the coordinates of a block."""
-        extra, line = block.extra, np.arange(block.n_lines)[:, None]
+        extra = block.extra
+        line = np.arange(block.n_lines)[:, None]
         angle, is_upright = self._angles(block)
         own = behind(self._along(block, line), angle[None, :], block.range_m, is_upright=is_upright)
         other = behind(
@@ -108,7 +109,8 @@ def behind(
     """Return shots of planes behind each other, upright ones along x, others one above the other, (..., 3) [m]."""
     r = np.asarray(range_m, np.float64)
     along = np.broadcast_to(along_m, r.shape)
-    down, side = r * np.cos(angle), r * np.sin(angle)
+    down = r * np.cos(angle)
+    side = r * np.sin(angle)
     xyz: F64 = np.stack([along, side, -down] if is_upright else [down, side, along], axis=-1)
     xyz[np.isnan(r)] = np.nan
     return xyz

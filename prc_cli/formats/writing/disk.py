@@ -137,7 +137,8 @@ class DiskColumn:
         self._pending.clear()
         self._n_pending = 0
         order = np.argsort(record, kind="stable")
-        record, rows = record[order], rows[order]
+        record = record[order]
+        rows = rows[order]
         for some in self._pages(record):
             own = record[some]
             span = self._read(int(own[0]), int(own[-1]) + 1)
@@ -153,7 +154,8 @@ class DiskColumn:
 
     def _write(self, first: int, rows: U8) -> None:
         self._file.seek(first * self._size)
-        data, done = rows.reshape(-1).data, 0
+        data = rows.reshape(-1).data
+        done = 0
         while done < len(data):  # a single write of an unbuffered file may be short
             done += self._file.write(data[done : done + WRITE_BYTES])
 
@@ -161,7 +163,8 @@ class DiskColumn:
         """Return what is stored, (n, bytes) uint8; zero beyond the end of the file."""
         span: U8 = np.zeros(((stop - first), self._size), np.uint8)
         self._file.seek(first * self._size)
-        data, done = span.reshape(-1).data, 0
+        data = span.reshape(-1).data
+        done = 0
         while got := self._file.readinto(data[done:]):  # type: ignore[attr-defined]
             done += got
         return span
@@ -172,7 +175,8 @@ class NpyFile:
 
     def __init__(self, handle: BinaryIO, dtype: str, row: tuple[int, ...] = ()) -> None:
         self.handle = handle
-        self._dtype, self._row = dtype, row
+        self._dtype = dtype
+        self._row = row
         self._n = 0
         handle.write(self._header())
 

@@ -163,8 +163,11 @@ def dense_line_beside(path: Path) -> int | None:
     """Return M where the run record beside labels says that there is one for every cell from line 0 on; else None."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
-        stream, tally, inputs = record["stream"], record["tally"], record["config"]["input"]
-        m, others = stream["points_per_line"], ("n_collisions", "n_extra_returns", "n_unplaced")
+        stream = record["stream"]
+        tally = record["tally"]
+        inputs = record["config"]["input"]
+        m = stream["points_per_line"]
+        others = ("n_collisions", "n_extra_returns", "n_unplaced")
         if record["program"] == PROGRAM and m * stream["n_lines"] == stream["n_records"] and m:
             return (
                 None
@@ -221,7 +224,8 @@ class FingerprintBeside:
     """
 
     def __init__(self, path: Path, *, threads: int, hashes: bool = True) -> None:
-        self._path, self._hashes = path, hashes
+        self._path = path
+        self._hashes = hashes
         self._stop = threading.Event()
         self._pool = ThreadPoolExecutor(1, "fingerprint") if threads > 1 else None
         self._found: Future[Fingerprint | None] | None = None

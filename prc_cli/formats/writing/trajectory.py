@@ -108,7 +108,8 @@ def _course(table: PathTable) -> tuple[F64, F64]:
     step = float(np.median(np.diff(table.time_s)))
     half = max(round(0.5 * COURSE_S / step), 1)
     place = np.arange(n)
-    before, after = np.maximum(place - half, 0), np.minimum(place + half, n - 1)
+    before = np.maximum(place - half, 0)
+    after = np.minimum(place + half, n - 1)
     # not across passes
     before = np.maximum(before, np.searchsorted(table.number, table.number))
     after = np.minimum(after, np.searchsorted(table.number, table.number, side="right") - 1)

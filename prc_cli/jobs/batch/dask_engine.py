@@ -60,7 +60,9 @@ STOP_S = 5.0
 SHARE_S = 5.0
 """How long a new file may take to appear on other machines: network file systems cache listings [s]."""
 
-BEGUN, LINES, ENDED = "begun", "lines", "ended"
+BEGUN = "begun"
+LINES = "lines"
+ENDED = "ended"
 
 Notice: TypeAlias = Callable[[str], None]
 
@@ -123,7 +125,8 @@ def do_order(order: Order) -> Report:
 
     worker = get_worker()
     key = str(worker.get_current_task())
-    me, task = str(worker.address), order.task
+    me = str(worker.address)
+    task = order.task
     if order.version != __version__:
         problem = (
             f"the worker on {socket.gethostname()} runs prc {__version__}, this run {order.version}"
@@ -436,7 +439,8 @@ class _Run:
 
     def _report(self, job: _Job) -> Report | None:
         """Return the outcome of an order, whatever went wrong; None where it died with its worker: it comes again."""
-        future, name = job.future, job.task.name
+        future = job.future
+        name = job.task.name
         worker = job.worker or "?"
         seconds = time.monotonic() - (job.begun or time.monotonic())
         if future.status == "finished":
@@ -475,7 +479,8 @@ class _Run:
 
     def _watch(self) -> Iterator[Event]:
         """Give up files without progress for too long, and restart their workers."""
-        now, stall_s = time.monotonic(), self._settings.stall_s
+        now = time.monotonic()
+        stall_s = self._settings.stall_s
         late = {
             key: job
             for key, job in self._pending.items()

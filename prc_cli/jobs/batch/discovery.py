@@ -67,11 +67,9 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
     n_not_selected = 0
     newest: Counter[str] = Counter()
     since_ns = -1 if settings.since is None else parse_since(settings.since)
-    include, exclude, drives = (
-        Patterns(settings.include),
-        Patterns(settings.exclude),
-        Drives(settings.drives),
-    )
+    include = Patterns(settings.include)
+    exclude = Patterns(settings.exclude)
+    drives = Drives(settings.drives)
     # all calls that may hang are made in the thread
     for item in _in_time(_walk(settings, exclude), settings.archive, patience_s):
         if isinstance(item, LeftOut):
@@ -106,7 +104,8 @@ def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
 def _folders(settings: BatchSettings) -> tuple[Path, Path]:
     """Return archive and output folder with links resolved."""
     try:
-        archive, out = settings.archive.resolve(strict=True), settings.out.resolve()
+        archive = settings.archive.resolve(strict=True)
+        out = settings.out.resolve()
     except (OSError, RuntimeError) as error:
         problem = f"cannot be opened ({getattr(error, 'strerror', None) or error})"
         raise InputError(

@@ -103,7 +103,8 @@ class _Worker:
 
     def kill(self, kill_reason: Problem) -> None:
         """Kill it; the reader thread then reports its end."""
-        self.kill_reason, self.killed = kill_reason, time.monotonic()
+        self.kill_reason = kill_reason
+        self.killed = time.monotonic()
         self.process.kill()
 
     def clean_up(self) -> None:
@@ -247,7 +248,8 @@ class _Pool:
             if message is None:
                 yield from self._reap(worker)
             elif message == READY:
-                worker.ready, self._failed_starts = True, 0
+                worker.ready = True
+                self._failed_starts = 0
             elif isinstance(message, int):
                 if message and worker.task is not None:
                     yield Progress(worker.task.name, message)
@@ -277,7 +279,8 @@ class _Pool:
 
     def _watch(self) -> Iterator[Event]:
         """Kill workers silent for too long, not counting time in which this process was paused (Ctrl-Z)."""
-        now, stall_s = time.monotonic(), self._settings.stall_s
+        now = time.monotonic()
+        stall_s = self._settings.stall_s
         paused_s = max(0.0, now - self._checked - LONGEST_CHECK_S)
         self._checked = now
         for worker in tuple(self._workers):
@@ -295,7 +298,9 @@ class _Pool:
     def _abandon(self, worker: _Worker, kill_reason: Problem) -> Iterator[Event]:
         """Go on without a worker that cannot be killed, because it hangs in a system call."""
         self._workers.remove(worker)
-        task, worker.task = worker.task, None  # its temporary files stay, as long as it is there
+        # its temporary files stay, as long as it is there
+        task = worker.task
+        worker.task = None
         worker.clean_up()
         if task is not None:
             yield from failed(task, time.monotonic() - worker.begun, kill_reason)

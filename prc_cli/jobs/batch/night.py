@@ -121,10 +121,8 @@ def _pictures(
     """Draw a file's classes beside those of its reference; none where its lines are not known."""
     if one.reference is None or found.settings.mapping_name is None:
         return []
-    predicted, mapping = (
-        summary.out / output_name(one.name, to),
-        load_mapping(found.settings.mapping_name),
-    )
+    predicted = summary.out / output_name(one.name, to)
+    mapping = load_mapping(found.settings.mapping_name)
     with contextlib.suppress(PrcError, OSError, ValueError, KeyError, TypeError):
         record = read_record(predicted)
         drawn = class_pictures(

@@ -53,7 +53,8 @@ def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> C
     # a lock is taken in the dry run too: while a run is at work its files look like left ones
     with Lock(folder):
         forgotten = () if archive is None else tuple(_vanished(folder, archive))
-        stale, kept = [], []
+        stale = []
+        kept = []
         for part in _temporary_files(out):
             left = True if _SHARED.fullmatch(part.name) else is_left_behind(part)
             if left or (left is None and _is_old(part)):
@@ -150,7 +151,8 @@ def _recorded(out: Path) -> Iterator[tuple[str, tuple[int, str | None] | None]]:
             folders.remove(OWN_FOLDER)
         for name in names:
             if name.endswith(RECORD_SUFFIX) and not name.startswith("."):
-                path, noted = Path(place, name), None
+                path = Path(place, name)
+                noted = None
                 with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
                     found = json.loads(read_small(path, LARGEST_RECORD))["output"]
                     noted = int(found["size"]), str(found["sha256"])

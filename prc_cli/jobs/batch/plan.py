@@ -174,7 +174,8 @@ class BatchConfig:
     def _override(self, number: int, table: dict[str, Any]) -> _Override:
         where = f"{self._where}: override {number}"
         rest = dict(table)
-        preset, match = rest.pop("preset", None), rest.pop("match", None)
+        preset = rest.pop("preset", None)
+        match = rest.pop("match", None)
         patterns = [match] if isinstance(match, str) else match
         if (
             not isinstance(patterns, list)

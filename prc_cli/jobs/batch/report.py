@@ -333,7 +333,8 @@ def evaluate_tree(
     """Compare outputs with their references, each alone in a process as ``prc evaluate`` does, and pool them."""
     check_reference(settings)
     name = settings.mapping_name or mapping_of_runs([output.path for output in outputs])[0]
-    settings, mapping = replace(settings, mapping_name=name), load_mapping(name)
+    settings = replace(settings, mapping_name=name)
+    mapping = load_mapping(name)
     found: dict[str, Compared] = {}
     todo: list[Comparison] = []
     folders: dict[Path, dict[str, list[Path]]] = {}

@@ -50,7 +50,8 @@ from prc_cli.jobs.drive import output_name
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
-PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+PAUSE_S = 1.0
+LONGEST_PAUSE_S = 30.0
 """Before files are tried again; twice as long every time [s]."""
 ALONE = frozenset({"killed", "memory"})
 """Kinds of problems that a file has less often when no other is worked on."""
@@ -148,10 +149,8 @@ class _Run:
         self._outcomes: dict[str, Outcome] = {}
         self._running: set[str] = set()
         self._stopping = False
-        self._started, self._clock = (
-            datetime.now(UTC).isoformat(timespec="seconds"),
-            time.monotonic(),
-        )
+        self._started = datetime.now(UTC).isoformat(timespec="seconds")
+        self._clock = time.monotonic()
 
     def execute(self, plan: Plan, config: BatchConfig, known: Mapping[str, Entry]) -> BatchSummary:
         """Do what is planned and return its summary."""
@@ -170,7 +169,8 @@ class _Run:
             if self._stopping:
                 ended = "stopped"
         except (KeyboardInterrupt, SystemExit) as raised:
-            ended, stop = "interrupted", raised
+            ended = "interrupted"
+            stop = raised
             for name in (
                 self._running
             ):  # what the journal calls running is cut off, and the next run does it
@@ -325,10 +325,8 @@ class _Run:
         """Raise an alarm for every file whose class shares are far from those of earlier runs."""
         earlier = _earlier(known.values()) if self._settings.drift else {}
         for item in plan.todo:
-            outcome, others = (
-                self._outcomes.get(item.task.name),
-                earlier.get(item.task.config_sha256, []),
-            )
+            outcome = self._outcomes.get(item.task.name)
+            others = earlier.get(item.task.config_sha256, [])
             labels = [
                 dict(entry.outcome.labels)
                 for entry in others

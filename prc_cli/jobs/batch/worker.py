@@ -50,7 +50,9 @@ STOP_S = 5.0
 AGAIN_S = 0.05
 """An interrupt that Python dropped is raised again so much later [s]."""
 ENDED = 128 + signal.SIGTERM
-MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
+MEMORY = "memory"
+CHANGED = "changed"
+VANISHED = "vanished"
 """Kinds of problems that the content of the file does not cause."""
 
 
@@ -63,7 +65,8 @@ def run_item(
     """Classify one file, or the files of a drive as one stream; only interrupts are raised."""
     if not task.others:
         return (run_task(task, threads=threads, progress=progress),)
-    begun, cpu = time.perf_counter(), time.process_time()
+    begun = time.perf_counter()
+    cpu = time.process_time()
     before: dict[str, InputPrint] = {}
     ended: list[tuple[Task, RunSummary]] = []
     failed: list[Failed] = []
@@ -71,7 +74,8 @@ def run_item(
         for one in task.files:
             before[one.name] = _stat_input(one.source)
         load_classifier(task.config)
-        begun, cpu = time.perf_counter(), time.process_time()
+        begun = time.perf_counter()
+        cpu = time.process_time()
         runs = classify_drive(
             [one.source for one in task.files],
             [one.output for one in task.files],
@@ -87,7 +91,8 @@ def run_item(
         for one in task.files[len(ended) :]:
             problem = _problem_of(error, one, before.get(one.name))
             failed.append(Failed(one.name, before.get(one.name), seconds, problem))
-    seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu
+    seconds = time.perf_counter() - begun
+    cpu = time.process_time() - cpu
     n_shots = sum(summary.counts.n_shots for _, summary in ended) or 1
     return *(
         _done(
@@ -108,7 +113,8 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         before = _stat_input(task.source)
         task.output.parent.mkdir(parents=True, exist_ok=True)
         load_classifier(task.config)
-        begun, cpu = time.perf_counter(), time.process_time()
+        begun = time.perf_counter()
+        cpu = time.process_time()
         summary = _classify(task, threads, progress)
         return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
     except Exception as error:
@@ -150,8 +156,10 @@ def _stat_input(path: Path) -> InputPrint:
 def _done(
     task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float
 ) -> Done:
-    record, counts = summary.record, summary.counts
-    written, peak = task.output.stat(), peak_memory()
+    record = summary.record
+    counts = summary.counts
+    written = task.output.stat()
+    peak = peak_memory()
     return Done(
         name=task.name,
         input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
@@ -312,7 +320,8 @@ class _Parent:
         """Report the lines that were counted."""
         if self._n_lines:
             self.send(self._n_lines)
-        self._n_lines, self._last = 0, time.monotonic()
+        self._n_lines = 0
+        self._last = time.monotonic()
 
 
 def _serve(

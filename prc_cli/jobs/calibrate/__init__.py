@@ -170,7 +170,8 @@ def calibrate(
             stream, run, (codes, mapping), search, lines, n_records, progress
         )
         found, doubted = _search(run, advice, mapping, (training, held_out), search, tried)
-        advice, notes = _found_advice(advice, found, run), (*notes, *doubted)
+        advice = _found_advice(advice, found, run)
+        notes = (*notes, *doubted)
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
@@ -183,7 +184,8 @@ def _implied(
     sensor: SensorEstimate, curves: Curves, decided: LoadedConfig
 ) -> tuple[tuple[Advice, ...], tuple[str, ...]]:
     """Return what the sensor implies for the method, nothing for fused, and what the user has to know."""
-    run, choice = decided.config, decided.choice
+    run = decided.config
+    choice = decided.choice
     if run.method == "fused":
         why = "" if choice is None else f" (taken because {choice.why})"
         return (), (f"{NOTHING}{why}; for PRC's parameters give --method prc", *_notes(sensor))
@@ -214,9 +216,11 @@ def _measure(
     stream: ScanStream, config: RunConfig, progress: Progress | None
 ) -> tuple[SensorEstimate, Curves, dict[int, int], int]:
     """Read the stream once; also return the lines of every scanner and the number of records."""
-    meter, counter = SensorMeter(stream.info), CurveCounter(config.prc)
+    meter = SensorMeter(stream.info)
+    counter = CurveCounter(config.prc)
     lines: dict[int, int] = {}
-    tally, info = ReadTally(), stream.info
+    tally = ReadTally()
+    info = stream.info
     for block in regroup(
         stream.blocks(), max(LEAST_LINES, SHOTS_AT_ONCE // stream.info.points_per_line)
     ):
@@ -245,7 +249,8 @@ def _groups(
     progress: Progress | None,
 ) -> tuple[tuple[Group, ...], tuple[Group, ...]]:
     """Read the stream again and keep the drawn line groups, training and held-out."""
-    k, m = config.prc.lines_per_block, stream.info.points_per_line
+    k = config.prc.lines_per_block
+    m = stream.info.points_per_line
     wanted = -(-sum(lines.values()) // (GROUPS * k)) * k
     length = max(k, min(wanted, search.max_shots // 10 // m // k * k))
     # a remainder of less than half a group is left out
@@ -331,7 +336,8 @@ def _search(
     )
     values = searcher.run((configured, start))
     tables = {"configured": {}, "from the sensor": implied, "search": {**implied, **values}}
-    judged, has_noise = [], False
+    judged = []
+    has_noise = False
     for name, these in tables.items():
         sides = [scores(confusion(side, with_values(config, these), mapping)) for side in groups]
         has_noise = has_noise or any(

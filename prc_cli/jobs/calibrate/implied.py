@@ -62,7 +62,8 @@ class Curves:
 
     def share(self, zeta_p: float, zeta_s: float) -> float | None:
         """Return the supported share of the returns at thresholds of the grid; None off the grid."""
-        p, q = np.flatnonzero(self.zetas_p == zeta_p), np.flatnonzero(self.zetas_s == zeta_s)
+        p = np.flatnonzero(self.zetas_p == zeta_p)
+        q = np.flatnonzero(self.zetas_s == zeta_s)
         return float(self.supported[p[0], q[0]] / self.n_returns) if p.size and q.size else None
 
     def over_zeta_p(self, zeta_s: float) -> F64:
@@ -212,7 +213,8 @@ def _block(sensor: SensorEstimate, params: PrcParams) -> Advice:
 
 
 def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[Advice, Advice]:
-    support, need = params.support, PLATEAU_SHARE[params.environment]
+    support = params.support
+    need = PLATEAU_SHARE[params.environment]
     noise = sensor.noise_at(sensor.range_quantiles_m["75%"]) or 0.0
     # each threshold is examined with the other at its widest, so that a narrow one does not hide the other
     rows = (
@@ -283,7 +285,8 @@ def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice
 
 
 def _area(sensor: SensorEstimate, params: PrcParams) -> Advice:
-    k, m = params.lines_per_block, sensor.points_per_line
+    k = params.lines_per_block
+    m = sensor.points_per_line
     scaled = PUBLISHED_AREA * k * m / PUBLISHED_BLOCK
     text = f"the published share of a block, {PUBLISHED_AREA} of 99 x 2154 pixels, is {scaled:.3g} of {k} x {m}"
     if scaled < LEAST_AREA:
@@ -293,7 +296,8 @@ def _area(sensor: SensorEstimate, params: PrcParams) -> Advice:
 
 
 def _range_noise(sensor: SensorEstimate, configured: float) -> Advice:
-    key, middle = "sequential_angle.angles.range_noise_m", sensor.range_quantiles_m["50%"]
+    key = "sequential_angle.angles.range_noise_m"
+    middle = sensor.range_quantiles_m["50%"]
     noise = sensor.noise_at(middle)
     if noise is None:
         reason = "no stretch of the stream is flat enough to measure the noise: as configured"

@@ -173,17 +173,24 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
-WIDTH, HEIGHT = 720, 440
-_LEFT, _RIGHT, _TOP, _BOTTOM = 64, WIDTH - 24, 48, HEIGHT - 88
+WIDTH = 720
+HEIGHT = 440
+_LEFT = 64
+_RIGHT = WIDTH - 24
+_TOP = 48
+_BOTTOM = HEIGHT - 88
 """Edges of the curves in the figure."""
 
 
 def as_svg(found: Calibration) -> str:
     """Draw the supported share over zeta_p and zeta_s (Lehtola et al. 2019, Fig. 4) and the background over d_c."""
-    curves, prc = found.curves, found.config.config.prc
+    curves = found.curves
+    prc = found.config.config.prc
     grids = (curves.zetas_p, curves.zetas_s, curves.lengths)
-    first, last = float(min(grid[0] for grid in grids)), float(max(grid[-1] for grid in grids))
-    low, high = math.log10(first), math.log10(last)
+    first = float(min(grid[0] for grid in grids))
+    last = float(max(grid[-1] for grid in grids))
+    low = math.log10(first)
+    high = math.log10(last)
 
     def x(value: float) -> float:
         return _LEFT + (math.log10(value) - low) / (high - low) * (_RIGHT - _LEFT)
@@ -208,8 +215,12 @@ def as_svg(found: Calibration) -> str:
             "at": x(min(max(value, first), last)),
         }
 
-    of_p, of_s, of_d = curves.over_zeta_p(1.0), curves.over_zeta_s(1.0), curves.background_share()
-    zeta_p, zeta_s, d_c = prc.support.zeta_p, prc.support.zeta_s, prc.background.d_c
+    of_p = curves.over_zeta_p(1.0)
+    of_s = curves.over_zeta_s(1.0)
+    of_d = curves.background_share()
+    zeta_p = prc.support.zeta_p
+    zeta_s = prc.support.zeta_s
+    d_c = prc.background.d_c
     values = {
         "width": WIDTH,
         "height": HEIGHT,

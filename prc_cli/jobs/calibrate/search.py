@@ -51,7 +51,8 @@ ZETA_BOUNDS = (0.01, 10.0)
 """Bounds between which the method is stable in the paper (IV-A); a reference without noise would widen thresholds
 without limit."""
 
-ZETA_S, ZETA_P = "prc.support.zeta_s", "prc.support.zeta_p"
+ZETA_S = "prc.support.zeta_s"
+ZETA_P = "prc.support.zeta_p"
 PRC_AXES = (
     Axis("prc.background.d_c", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6), (0.005, 10.0)),
     Axis("prc.surfaces.area", (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0), (1.0, 5000.0)),
@@ -139,7 +140,8 @@ class Searcher:
     def _advisable(self, values: dict[str, float], key: str) -> dict[str, float]:
         """Let zeta_s and zeta_p keep the order of the paper (II-B): the other follows, or stops a lone one."""
         support = self.config.prc.support
-        zeta_s, zeta_p = values.get(ZETA_S, support.zeta_s), values.get(ZETA_P, support.zeta_p)
+        zeta_s = values.get(ZETA_S, support.zeta_s)
+        zeta_p = values.get(ZETA_P, support.zeta_p)
         if zeta_s >= zeta_p or not {ZETA_S, ZETA_P} & values.keys():
             return values
         if ZETA_S not in values or (key == ZETA_S and ZETA_P in values):

@@ -149,7 +149,8 @@ class SensorMeter:
         if block.time_s is not None and self.n_lines <= TIMED_LINES:
             self._line_times.append(first_times(block.time_s))
         if self._lines is None:
-            self._lines, self._scanner = LineSample(block.points_per_line), block.scanner
+            self._lines = LineSample(block.points_per_line)
+            self._scanner = block.scanner
         if block.scanner == self._scanner:
             self._lines.add(block)
         if self.n_shots > ALL_SHOTS and self._n_blocks % EVERY:
@@ -246,7 +247,8 @@ def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
     n = ranges.shape[1] // STRETCH
     stretches = ranges[:, : n * STRETCH].reshape(-1, STRETCH).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        low, high = stretches.min(axis=1), stretches.max(axis=1)
+        low = stretches.min(axis=1)
+        high = stretches.max(axis=1)
         stretches = stretches[high <= MAX_SPREAD * low]
     place = np.arange(STRETCH) - STRETCH // 2
     basis = np.linalg.qr(np.stack([np.ones(STRETCH), place, place**2], axis=1))[0]

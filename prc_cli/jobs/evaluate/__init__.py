@@ -52,7 +52,8 @@ from prc_cli.matching.keys import AXES, KeyRule, MutualKeys
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
 from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SECONDS, Side, SideFile
 
-APART_M, MOST_APART = 0.5, 0.25
+APART_M = 0.5
+MOST_APART = 0.25
 """Ranges of one cell that differ by more are not one shot; the share of them in two scans of one street is .38 [m]."""
 
 
@@ -363,10 +364,8 @@ def _compare(
     on_disk = [False, False]
     registered: Registered | None = None
     while True:
-        counting, tally = (
-            Counting(counts, options, plan, first_file, by_lines=by_lines),
-            JoinTally(),
-        )
+        counting = Counting(counts, options, plan, first_file, by_lines=by_lines)
+        tally = JoinTally()
         if options.match == "nearest":
             registered = Registered(left, right, options, counts)
             pairs = registered.pairs(plan, tally, third)
@@ -427,7 +426,9 @@ class _UnsortedRecordsError(_UnequalError):
 
 
 def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> Plan:
-    has, other_has, asked = left.dimensions, right.dimensions, asked_parts(options)
+    has = left.dimensions
+    other_has = right.dimensions
+    asked = asked_parts(options)
     wanted = dict.fromkeys(
         LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines
     )
@@ -642,10 +643,17 @@ def _refuse_poor(
     if options.match == "cell":
         _refuse_other_scan(left, right)
         _refuse_other_scan(right, left)
-    n_left, n_right = left.tally.n_usable - outside[0], right.tally.n_usable - outside[1]
-    smaller, other, found, of = (left, right, tally.n_pairs, n_left)
+    n_left = left.tally.n_usable - outside[0]
+    n_right = right.tally.n_usable - outside[1]
+    smaller = left
+    other = right
+    found = tally.n_pairs
+    of = n_left
     if n_right < n_left:
-        smaller, other, found, of = (right, left, tally.n_right, n_right)
+        smaller = right
+        other = left
+        found = tally.n_right
+        of = n_right
     if found and found >= options.min_matched * of:
         return
     share = f"{found} of its {of} records found a partner in {other.path}"

@@ -58,7 +58,8 @@ class StatePlan:
     """Shots by square of the plan and state."""
 
     def __init__(self) -> None:
-        self._keys, self._counts = np.empty(0, np.int64), np.empty((0, NO_STATE + 1), np.int64)
+        self._keys = np.empty(0, np.int64)
+        self._counts = np.empty((0, NO_STATE + 1), np.int64)
 
     def add(self, x: F64, y: F64, states: U8) -> None:
         """Count shots."""
@@ -77,7 +78,8 @@ class StatePlan:
         column, row = cell_places(self._keys)
         if not len(column):
             return None
-        column, row = column - column.min(), row.max() - row
+        column = column - column.min()
+        row = row.max() - row
         step = -(-max(int(column.max()), int(row.max()), 1) // _MOST_PIXELS)
         shape = int(row.max()) // step + 1, int(column.max()) // step + 1
         totals = np.zeros((shape[0] * shape[1], NO_STATE), np.int64)
@@ -203,8 +205,11 @@ class Counting:
         *,
         by_lines: bool,
     ) -> None:
-        self._counts, self._options, self._plan = counts, options, plan
-        self._first_file, self._by_lines = first_file, by_lines
+        self._counts = counts
+        self._options = options
+        self._plan = plan
+        self._first_file = first_file
+        self._by_lines = by_lines
         self._parts = {name: GroupedCounts(counts.mapping, name) for name in counts.parts}
         self._window = None if options.window is None else ScoredWindow(options.window)
         self._n_unsure = 0
@@ -220,7 +225,8 @@ class Counting:
             self._n_unsure += int(np.count_nonzero(keep & ~sure))
             keep &= sure
         if not keep.all():
-            item, beside = item.kept(keep), {name: values[keep] for name, values in beside.items()}
+            item = item.kept(keep)
+            beside = {name: values[keep] for name, values in beside.items()}
         if FILE in beside:
             beside[FILE] = beside[FILE] + self._first_file
         self._count(beside, cells_of(self._counts.mapping, item.one[CODE], item.rows))
@@ -231,7 +237,8 @@ class Counting:
 
     def _count(self, beside: Columns, cells: I64) -> None:
         """Add pairs to the whole and to every part."""
-        found, options = self._parts, self._options
+        found = self._parts
+        options = self._options
         found["all"].add(np.zeros(len(cells), np.int64), cells)
         if RANGE in found:
             found[RANGE].add(range_groups(beside[RANGE], check_edges(options.split_range_m)), cells)
@@ -293,11 +300,14 @@ def _parts(
         elif name == LINE and options.split_lines is not None:
             file, block = file_and_block(group)
             first = block * options.split_lines
-            low, high = float(first), float(first + options.split_lines)
+            low = float(first)
+            high = float(first + options.split_lines)
             prefix = f"{Path(files[file]).name} " if len(files) > 1 else ""
             shown = f"{prefix}lines {first}-{first + options.split_lines - 1}"
         else:
-            shown, low, high = f"scanner {group}", float(group), float(group + 1)
+            shown = f"scanner {group}"
+            low = float(group)
+            high = float(group + 1)
         parts.append(SplitPart(shown, low, high, counts.matrix(group)))
     if UNKNOWN in counts.groups:
         parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
@@ -321,11 +331,13 @@ def confidence_parts(counts: GroupedCounts, edges: Sequence[int]) -> tuple[Split
 
 def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
     """Tell how well confidence meets the share of right pairs, those of one class name: means, difference."""
-    n, right = np.zeros(MOST_CONFIDENCE + 1), np.zeros(MOST_CONFIDENCE + 1)
+    n = np.zeros(MOST_CONFIDENCE + 1)
+    right = np.zeros(MOST_CONFIDENCE + 1)
     for group in counts.groups:
         if group != UNKNOWN:
             matrix = counts.matrix(group)
-            n[group], right[group] = matrix.n_scored, matrix.n_right
+            n[group] = matrix.n_scored
+            right[group] = matrix.n_right
     if not n.sum():
         return ()
     expected = np.arange(MOST_CONFIDENCE + 1) * n / 100.0

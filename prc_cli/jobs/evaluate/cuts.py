@@ -22,7 +22,9 @@ from prc_cli.matching.sides import LINE, SECONDS
 
 _MOST_BYTES = 64 << 20
 GROUND_CELL_M = 1.0
-STEM_FROM_M, STEM_TO_M, STEM_DIAMETERS = 0.3, 4.3, 2.0
+STEM_FROM_M = 0.3
+STEM_TO_M = 4.3
+STEM_DIAMETERS = 2.0
 """Cylinders of Lehtola et al. (2019), sec. III: 4 m from 1 m below breast height, radius twice the diameter there."""
 
 
@@ -33,7 +35,8 @@ class ScoredWindow:
         self._window = window
         self._origin_s: float | None = None
         self._n = self._n_inside = 0
-        self._low, self._high = math.inf, -math.inf
+        self._low = math.inf
+        self._high = -math.inf
 
     def keep(self, beside: Columns) -> Mask:
         """Return which records are within the window."""
@@ -69,7 +72,8 @@ class Area:
         self._polygons: Any = None
         numbers = _numbers(text)
         if len(numbers) == 4:
-            xs, ys = sorted(numbers[::2]), sorted(numbers[1::2])
+            xs = sorted(numbers[::2])
+            ys = sorted(numbers[1::2])
             self.bounds = xs[0], ys[0], xs[1], ys[1]
         elif Path(text).suffix.lower() in (".geojson", ".json"):
             self._polygons = _polygons(Path(text))
@@ -144,7 +148,8 @@ class Ground:
     """Heights of the lowest reference ground point of every square metre."""
 
     def __init__(self) -> None:
-        self._keys, self._z = np.empty(0, np.int64), np.empty(0)
+        self._keys = np.empty(0, np.int64)
+        self._z = np.empty(0)
         self._tree: Any = None
 
     def add(self, x: F64, y: F64, z: F64) -> None:
@@ -152,9 +157,11 @@ class Ground:
         keys = np.concatenate([self._keys, cell_keys(x, y, GROUND_CELL_M)])
         heights = np.concatenate([self._z, z])
         order = np.lexsort((heights, keys))
-        keys, heights = keys[order], heights[order]
+        keys = keys[order]
+        heights = heights[order]
         first = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
-        self._keys, self._z = keys[first], heights[first]
+        self._keys = keys[first]
+        self._z = heights[first]
 
     def heights(self, columns: Columns) -> F64:
         """Return the height of points above the nearest ground [m]."""
@@ -227,13 +234,15 @@ class Trees:
 class Cover:
     """Which squares of the plan the reference covers, and where predicted shots lie beside it."""
 
-    EDGE_M, COARSE = SQUARE_M, 8
+    EDGE_M = SQUARE_M
+    COARSE = 8
     FEW = 0.25
     """Empty squares with fewer predicted shots than this share of the mean are air or sight behind a wall: noise."""
 
     def __init__(self, ours: tuple[I64, I64], theirs: tuple[I64, I64]) -> None:
         """Take the squares that hold predicted shots and those of the reference, and how many they hold."""
-        (self._ours, self._n), (self._held, _) = ours, theirs
+        (self._ours, self._n) = ours
+        (self._held, _) = theirs
         column, row = cell_places(self._held)
         self._coarse = np.unique(keys_of(column // self.COARSE, row // self.COARSE))
         self._empty: dict[int, int] = {}
@@ -276,7 +285,8 @@ class Cover:
         names = label(grid > 0)[0][place]
         n = np.bincount(names, grid[place])
         mine = names == int(np.argmax(n))
-        x, y = column[mine] * edge, row[mine] * edge
+        x = column[mine] * edge
+        y = row[mine] * edge
         return int(n.max()), (
             float(x.min()),
             float(y.min()),

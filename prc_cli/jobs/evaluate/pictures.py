@@ -31,8 +31,10 @@ from prc_cli.matching.sides import LINE, LONGEST_LINE, Side, SideFile
 MAX_LINES = 600
 """Scan lines in a picture."""
 _MAX_CELLS = 1 << 22
-_WIDTH, _HEIGHT = 1200, 480
-_NONE, _AGREE = (255, 255, 255), (222, 222, 222)
+_WIDTH = 1200
+_HEIGHT = 480
+_NONE = (255, 255, 255)
+_AGREE = (222, 222, 222)
 
 
 def class_pictures(
@@ -167,7 +169,8 @@ class _Cells:
             if line.min() >= first + most_lines:
                 break
         none = [np.empty(0, np.int64)]
-        codes, cell = np.concatenate(codes_read or none), np.concatenate(cells_read or none)
+        codes = np.concatenate(codes_read or none)
+        cell = np.concatenate(cells_read or none)
         return cls(codes, cell, file.codes.n, first or 0)
 
     def stop_line(self, points_per_line: int) -> int:
@@ -223,7 +226,8 @@ def _png(places: U8, names: tuple[str, ...]) -> bytes:
     """Draw places in the table of classes; 0 = white, the place after the last class = they agree."""
     colours = [_NONE, *(bytes.fromhex(class_colour(name)[1:]) for name in names), _AGREE]
     height, width = places.shape
-    across, down = max(1, _WIDTH // width), max(1, _HEIGHT // height)
+    across = max(1, _WIDTH // width)
+    down = max(1, _HEIGHT // height)
     # a small picture keeps its aspect ratio
     across, down = min(across, 4 * down), min(down, 4 * across)
     image = Image.fromarray(np.ascontiguousarray(places))

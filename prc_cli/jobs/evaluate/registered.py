@@ -24,7 +24,8 @@ from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, neare
 from prc_cli.matching.shift import shift_of, shift_told
 from prc_cli.matching.sides import FILE, SECONDS, UNKNOWN, Side
 
-GROUND, STEM = "ground", "stem"
+GROUND = "ground"
+STEM = "stem"
 REACHES = 8.0
 """Shots without partner are compared with the spacing of the reference up to this many tolerances."""
 CLEAR = 1.5
@@ -45,7 +46,9 @@ class Registered:
 
     def __init__(self, left: Side, right: Side, options: EvaluateOptions, counts: Counts) -> None:
         self._sides = left, right
-        self._options, self._counts, self._mapping = options, counts, counts.mapping
+        self._options = options
+        self._counts = counts
+        self._mapping = counts.mapping
         self._area = None if options.inside is None else Area(options.inside)
         self._trees = None if options.trees is None else Trees.read(options.trees)
         self._heights = options.height is not None or self._trees is not None
@@ -141,7 +144,8 @@ class Registered:
     def _around(self, columns: Columns) -> Columns:
         """Return the reference points that can be partners of shots in the area; count those inside."""
         assert self._area is not None
-        x, y = columns["x"], columns["y"]
+        x = columns["x"]
+        y = columns["y"]
         x0, y0, x1, y1 = self._area.bounds
         near = (
             (x >= x0 - _AROUND_M)
@@ -209,18 +213,19 @@ class Registered:
         """Yield the shots of a tile that are scored."""
         partner = item.to >= 0
         # which shots without partner lie where the reference covers the plan, or in the area that is given
-        covered, place = (
-            np.zeros(len(partner), np.bool_),
-            [item.left[axis][~partner] for axis in "xy"],
-        )
+        covered = np.zeros(len(partner), np.bool_)
+        place = [item.left[axis][~partner] for axis in "xy"]
         covered[~partner] = self._cover.holds(*place) | (self._area is not None)
         chosen = partner
         if self._options.unmatched == NOISE:
             chosen = partner | (covered & ~(item.sparse & self._is_thinned))
             self._n_left_out += int(np.count_nonzero(covered & ~chosen))
         one = {name: values[chosen] for name, values in item.left.items()}
-        to, sparse, apart = item.to[chosen], item.sparse[chosen], item.distance[chosen]
-        codes, paired = np.zeros(len(to), np.int64), to >= 0
+        to = item.to[chosen]
+        sparse = item.sparse[chosen]
+        apart = item.distance[chosen]
+        codes = np.zeros(len(to), np.int64)
+        paired = to >= 0
         codes[paired] = item.right[CODE][to[paired]]
         rows = np.full(len(to), UNKNOWN)
         rows[paired] = self._mapping.class_indices(codes[paired], "reference")
@@ -239,8 +244,11 @@ class Registered:
                     f"{{n}} predicted shots are not from {low:g} to {high:g} m above ground: not scored",
                     int(np.count_nonzero(~kept)),
                 )
-                one, to, rows = {n: v[kept] for n, v in one.items()}, to[kept], rows[kept]
-                sparse, apart = sparse[kept], apart[kept]
+                one = {n: v[kept] for n, v in one.items()}
+                to = to[kept]
+                rows = rows[kept]
+                sparse = sparse[kept]
+                apart = apart[kept]
         self._count_noise(one, rows, sparse & (to < 0), np.where(to < 0, apart, 0.0))
         yield Compared(
             one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third)
@@ -278,7 +286,8 @@ class Registered:
 
     def report(self, tally: JoinTally) -> None:
         """Note what was left out, and how sure the noise is."""
-        note, n_left = self._counts.note, max(tally.n_left, 1)
+        note = self._counts.note
+        n_left = max(tally.n_left, 1)
         note(f"{{n}} predicted shots are outside {self._options.inside}: not scored", self.n_cut)
         gap = self._cover.largest_gap()
         if gap is not None and gap[0] > _GAP_SHARE * n_left:
@@ -287,7 +296,8 @@ class Registered:
                 f"the reference has no points at x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, where {gap[0]:,} predicted "
                 "shots lie: a tile may be missing"
             )
-        lone, outside = tally.n_left - tally.n_pairs, self._cover.n_outside
+        lone = tally.n_left - tally.n_pairs
+        outside = self._cover.n_outside
         share = f"({lone / n_left:.1%}) have no partner within {self.tolerance:g} m"
         if self._options.unmatched != NOISE:
             note(
@@ -313,7 +323,8 @@ class Registered:
             )
             return
         found = self._noise
-        sure, noise = found["agreed"] - found["sparse_agreed"], found["reference"] - found["sparse"]
+        sure = found["agreed"] - found["sparse_agreed"]
+        noise = found["reference"] - found["sparse"]
         spans = [
             f"{name} {min(both):.3f} to {max(both):.3f}"
             for name, both in (
@@ -364,7 +375,8 @@ def _refuse_apart(left: tuple[str, Cloud], right: tuple[str, Cloud]) -> None:
             problem = f"x {cloud.low[0]:.7g} to {cloud.high[0]:.7g}, y {cloud.low[1]:.7g} to {cloud.high[1]:.7g} with "
             problem += f"heights over {span[2]:.0f} m: coordinates in degrees, expected metres"
             raise InputError(path, problem, "project them first")
-    (_, ours), (path, theirs) = left, right
+    (_, ours) = left
+    (path, theirs) = right
     if (ours.low[:2] <= theirs.high[:2]).all() and (theirs.low[:2] <= ours.high[:2]).all():
         return
     swapped = theirs.low[1::-1], theirs.high[1::-1]

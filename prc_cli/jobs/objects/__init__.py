@@ -275,14 +275,18 @@ class _Run:
         *,
         takes_classes: bool,
     ) -> None:
-        self._source, self._loaded, self._rules, self._told = source, loaded, rules, told
+        self._source = source
+        self._loaded = loaded
+        self._rules = rules
+        self._told = told
         self._takes_classes = takes_classes
         self._label_of: U8 = np.full(256, Label.UNCLASSIFIED, np.uint8)
         """Label by class code."""
         for label in reversed([one for one in Label if one is not Label.MISSING]):
             self._label_of[loaded.config.classes.code(label)] = label
         self._growers: dict[int, Grower] = {}
-        self._counts, self._n = Counts.none(), Counter[str]()
+        self._counts = Counts.none()
+        self._n = Counter[str]()
         self._watch: EvidenceStream | None = None
         self._judge: Judge | None = None
         self._found: tuple[Finding, ...] = ()
@@ -337,10 +341,8 @@ class _Run:
         )
 
     def _add(self, item: StreamItem) -> Iterator[Thing]:
-        block, labelled = (
-            item.block,
-            self._as_stored(item) if item.labelled is None else item.labelled,
-        )
+        block = item.block
+        labelled = self._as_stored(item) if item.labelled is None else item.labelled
         self._counts = self._counts.add(labelled)
         if labelled.block.beam_rad is None:
             raise InputError(
@@ -354,7 +356,9 @@ class _Run:
 
     def _as_stored(self, item: StreamItem) -> LabelledBlock:
         """Return a block with the labels that its codes stand for."""
-        block, codes, further = item.block, item.codes, item.extra_codes
+        block = item.block
+        codes = item.codes
+        further = item.extra_codes
         assert codes is not None
         assert further is not None
         own, extra = (

@@ -152,8 +152,10 @@ def runs_of(
         return
     line, column = np.divmod(at, block.points_per_line)
     range_m = block.range_m.ravel()[at].astype(np.float64)
-    label, beam = item.labels.ravel()[at], block.beam_rad[column]
-    side, up = range_m * np.sin(beam), -range_m * np.cos(beam)
+    label = item.labels.ravel()[at]
+    beam = block.beam_rad[column]
+    side = range_m * np.sin(beam)
+    up = -range_m * np.cos(beam)
     unknown = np.full(len(at), np.nan)
     above = unknown if item.above_m is None else item.above_m.ravel()[at].astype(np.float64)
     sure = unknown if item.confidence is None else item.confidence.ravel()[at].astype(np.float64)
@@ -186,7 +188,8 @@ def runs_of(
     high = np.fmax.reduceat(np.column_stack([side, up, above]), start).tolist()
     for i, (first, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
         where = block.first_line + int(line[first])
-        (side_0, up_0, above_0, nearest_m), (side_1, up_1, above_1) = low[i], high[i]
+        (side_0, up_0, above_0, nearest_m) = low[i]
+        (side_1, up_1, above_1) = high[i]
         yield Part(
             Label(int(label[first])),
             where,
@@ -206,14 +209,16 @@ class Grower:
     """Grows the objects of one scanner."""
 
     def __init__(self, scanner: int, rules: dict[Label, Rule]) -> None:
-        self._scanner, self._rules = scanner, rules
+        self._scanner = scanner
+        self._rules = rules
         self._growing: dict[Label, list[Part]] = {label: [] for label in rules}
 
     def add(self, runs: Iterable[Part], line: int) -> list[Thing]:
         """Add the runs of a line; return the objects that ended before it, without numbers."""
         ended = self._end(line)
         for run in runs:
-            rule, growing = self._rules[run.kind], self._growing[run.kind]
+            rule = self._rules[run.kind]
+            growing = self._growing[run.kind]
             near = [one for one in growing if one.touches(run, rule)]
             for other in near[1:]:
                 near[0].join(other)

@@ -67,7 +67,8 @@ def render(
     OutputError
         When it cannot be written; nothing is left behind.
     """
-    source, output = Path(source), Path(output)
+    source = Path(source)
+    output = Path(output)
     chosen = RenderOptions() if options is None else options
     if output.suffix.lower() not in SUFFIXES:
         problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
@@ -91,7 +92,8 @@ def render(
                 drawing.n_compared,
                 drawing.n_differing,
             )
-            pages, key = _pages(drawing), drawing.key
+            pages = _pages(drawing)
+            key = drawing.key
         else:
             from prc_cli.jobs.render.cloud import draw_cloud
 
@@ -123,7 +125,8 @@ def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> Load
 def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
     """Distribute the strips over pages, each with its heading."""
     pages = []
-    per_page, part = drawing.strips_per_page, drawing.part
+    per_page = drawing.strips_per_page
+    part = drawing.part
     for first in range(0, len(drawing.strips), per_page):
         strips = drawing.strips[first : first + per_page]
         lines = [

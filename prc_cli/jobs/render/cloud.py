@@ -43,7 +43,8 @@ AXES = ("x", "y", "z")
 NO_CLASSES = (0, 1)
 """Class codes of an unclassified LAS file."""
 POINTS_AT_ONCE = 1 << 20
-HIGHEST_PERSPECTIVE, HIGHEST_FROM_ABOVE = 0.75, 1.5
+HIGHEST_PERSPECTIVE = 0.75
+HIGHEST_FROM_ABOVE = 1.5
 """Largest height of a picture, relative to its largest width."""
 _HINT = "draw the scan (leave --view out), or give a file that has x, y, z"
 _VALUES = ("range", "intensity", "confidence")
@@ -229,7 +230,8 @@ def _check_options(options: RenderOptions) -> None:
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
     """Return a sample (x, y, z, range, intensity, confidence, record), if it has classes, points without place."""
     sample = Sample(7)
-    has_classes, n_without = False, 0
+    has_classes = False
+    n_without = 0
     for points in cloud.points((*_VALUES, "classification") if cloud.has_own_classes else _VALUES):
         none = np.full(len(points.xyz), np.nan)
         rows = np.column_stack(
@@ -293,10 +295,8 @@ def _camera(framed: F64, options: RenderOptions) -> Camera:
         return FromAbove.around(
             framed, width, min(options.height, round(HIGHEST_FROM_ABOVE * width))
         )
-    height, azimuth_deg = (
-        min(options.height, round(HIGHEST_PERSPECTIVE * width)),
-        options.azimuth_deg,
-    )
+    height = min(options.height, round(HIGHEST_PERSPECTIVE * width))
+    azimuth_deg = options.azimuth_deg
     if azimuth_deg is None:
         azimuth_deg = fullest_azimuth(framed, options.elevation_deg, width, height)
     return Perspective.around(framed, azimuth_deg, options.elevation_deg, width, height)
@@ -330,7 +330,8 @@ def _add(
     counts: I64,
 ) -> None:
     """Draw some points that are not hidden, and count the classes of all of them."""
-    (colour, limits), (words, classes) = scale, labels
+    (colour, limits) = scale
+    (words, classes) = labels
     xyz = points.xyz[part]
     drawn = np.ones(len(xyz), bool)
     if classes is not None:
@@ -348,7 +349,8 @@ def _panel(picture: U8, camera: Camera, bar: Bar | None, colour: ColourBy) -> Pa
     """Frame a picture: axes around a view from above, none around a perspective."""
     caption = f"Points coloured by {colour}; steps in depth are shaded."
     if isinstance(camera, FromAbove):
-        metres, (width, height) = camera.metres, camera.size
+        metres = camera.metres
+        (width, height) = camera.size
         x = Axis("x [m]", camera.left, camera.left + width * metres, cells=False)
         y = Axis("y [m]", camera.top, camera.top - height * metres, cells=False)
         length = round_step(width * metres / 8)

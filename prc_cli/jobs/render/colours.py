@@ -215,7 +215,8 @@ class Vocabulary:
         self, path: Path, dimension: str | None, side: Side | Literal["las"], folder: Path
     ) -> RecordClasses:
         """Read a label file once; keep its classes in a file of one byte per record."""
-        n, target = 0, folder / f"{side}.classes"
+        n = 0
+        target = folder / f"{side}.classes"
         with target.open("wb") as handle:
             for codes in open_codes(path, dimension).chunks():
                 turned = self.turn_las(codes) if side == "las" else self.turn(codes, side)
@@ -228,7 +229,8 @@ class Vocabulary:
 
 def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
     """Return the classes of a run: the program's own, or those of a mapping."""
-    mapping, names = None, LABEL_NAMES[1:]
+    mapping = None
+    names = LABEL_NAMES[1:]
     if options.mapping is not None:
         mapping = load_mapping(options.mapping)
         found = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
@@ -334,7 +336,8 @@ def made_with(loaded: LoadedConfig) -> str:
     >>> made_with(load_config(preset="forest")), made_with(load_config(options={"method": "prc"}))
     ('preset forest', 'prc, urban')
     """
-    preset, config = preset_of(loaded), loaded.config
+    preset = preset_of(loaded)
+    config = loaded.config
     if preset is not None:
         return f"preset {preset}"
     return f"prc, {config.prc.environment}" if config.method == "prc" else str(config.method)

@@ -67,7 +67,9 @@ LEAST_TURN_RAD = 1e-4
 """Smallest azimuth step between lines that counts as a rotation [rad]."""
 SEGMENT_COLOURS = 1 << 30
 """Segment ids are drawn modulo this number."""
-STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
+STRIP_HEIGHT = 380
+PANEL_HEIGHT = 800
+UPRIGHT_HEIGHT = 1100
 """Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
 FOLD_FROM = 2
 """Length, in picture widths, above which vertical lines without rotation are folded into strips."""
@@ -75,7 +77,9 @@ PAGE_ROOM = 140
 """Space for headline and key of a page [pixels]."""
 NOT_LABELLED = {"range", "intensity", "reference"}
 """Steps that need no classifier."""
-_NO_RETURN, _AGREE, _PALE = "no return", "both agree", (226, 226, 226)
+_NO_RETURN = "no return"
+_AGREE = "both agree"
+_PALE = (226, 226, 226)
 
 INTERVALS = ClassTable(
     (_NO_RETURN, "in no interval", "odd interval", "even interval"),
@@ -240,7 +244,9 @@ def _labelled(
     for item in label_blocks(
         blocks, params, wanted=Wanted(stages=True, confidence="confidence" in steps)
     ):
-        planes, seen, stages = {"classes": item.labels}, ~np.isnan(item.block.range_m), item.stages
+        planes = {"classes": item.labels}
+        seen = ~np.isnan(item.block.range_m)
+        stages = item.stages
         if item.confidence is not None:
             planes["confidence"] = np.where(
                 seen, item.confidence.astype(np.float32), np.float32(np.nan)
@@ -341,14 +347,17 @@ def draw_scan(
     own = words.table if "predicted" in sides else LABEL_TABLE.without(options.hide)
     sheet = _Sheet(part, layout, steps, words, own, first.beam_rad, turns(first))
     classify = "predicted" not in sides and bool(set(steps) - NOT_LABELLED)
-    info, tally, n_read = stream.info, ReadTally(), 0
+    info = stream.info
+    tally = ReadTally()
+    n_read = 0
     for block, planes in frames(
         of_station(stream, options.station), loaded.config.classifier, steps, classify=classify
     ):
         _add_sides(block, planes, words, sides)
         sheet.keep(block, planes)
         advance(progress, block, info)
-        tally, n_read = tally + block.tally, max(n_read, int(block.records().max(initial=-1)) + 1)
+        tally = tally + block.tally
+        n_read = max(n_read, int(block.records().max(initial=-1)) + 1)
         if block.first_line + block.n_lines >= part.stop:
             break
     if (
@@ -385,14 +394,13 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
         or len(info.facts.scanners) > 1
     )
     n_lines = info.n_lines if not many and options.station is None else None
-    scanner, met = "", dict[int, None]()
+    scanner = ""
+    met = dict[int, None]()
     if n_lines is None:
         n_lines = sum(block.n_lines for block in of_station(stream, options.station, met))
     if len(met) > 1:
-        number, names = (
-            next(iter(met)) if options.station is None else options.station,
-            info.facts.scanners,
-        )
+        number = next(iter(met)) if options.station is None else options.station
+        names = info.facts.scanners
         scanner = f"scanner {number} of {len(met)}" + (
             f": {names[number]}" if number < len(names) else ""
         )
@@ -418,7 +426,8 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
 
 
 def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOptions) -> _Layout:
-    n, m = part.stop - part.first, first.points_per_line
+    n = part.stop - part.first
+    m = first.points_per_line
     width = options.width
     # a rotating scan is one panorama; a long drive is folded into strips
     panorama = n <= FOLD_FROM * width or turns(first) != 0
@@ -442,7 +451,8 @@ def _add_sides(
     block: ScanBlock, planes: Images, words: Vocabulary, sides: Mapping[Side, RecordClasses]
 ) -> None:
     """Add the classes of label files, and the classifier's classes in the vocabulary of both sides."""
-    record, seen = block.records(), ~np.isnan(block.range_m)
+    record = block.records()
+    seen = ~np.isnan(block.range_m)
     for side, given in sides.items():
         planes[side] = words.mark_unscored(given.look_up(record), seen)
     if "predicted" in sides:
@@ -487,7 +497,8 @@ class _Sheet:
                     inside[side].ravel(), minlength=size
                 ) + self.counts.get(side, 0)
         if "predicted" in inside and "reference" in inside:
-            one, other = inside["predicted"], inside["reference"]
+            one = inside["predicted"]
+            other = inside["reference"]
             both = (
                 (one > 0)
                 & (one != self.words.unscored)
@@ -506,12 +517,14 @@ class _Sheet:
 
     def drawing(self) -> Drawing:
         """Return the pictures."""
-        layout, part = self.layout, self.part
+        layout = self.layout
+        part = self.part
         planes = {name: np.concatenate(parts) for name, parts in self.kept.items()}
         scales = {step: SCALES[step].limits(planes[step]) for step in self.steps if step in SCALES}
         keys = self._keys()
         is_folded = layout.kind == "strips"
-        strips, n_drawn = [], len(next(iter(planes.values())))
+        strips = []
+        n_drawn = len(next(iter(planes.values())))
         for first in range(0, n_drawn, layout.strip):
             stop = min(first + layout.strip, n_drawn)
             lines = part.first + first * layout.line_step, part.first + stop * layout.line_step
@@ -586,7 +599,8 @@ class _Sheet:
     ) -> tuple[U8, Bar | None]:
         """Return the (lines, columns, 3) picture of some of the drawn lines, and its colour bar."""
         if step == "difference":
-            table, unscored = self.words.table.shown, self.words.unscored
+            table = self.words.table.shown
+            unscored = self.words.unscored
             return difference_picture(
                 planes["predicted"], planes["reference"], table, unscored
             ), None
@@ -605,11 +619,13 @@ class _Sheet:
     ) -> Panel:
         """Orient a picture for viewing and add its axes."""
         title, caption = CAPTIONS[step]
-        layout, (n, m) = self.layout, picture.shape[:2]
+        layout = self.layout
+        (n, m) = picture.shape[:2]
         note = ""
         if step == "difference" and self.n_compared:
             note = f"{share_text(self.n_differing, self.n_compared)} of {self.n_compared:,} shots differ"
-        along, across = Axis("line", *lines), Axis("column", 0, m * layout.column_step)
+        along = Axis("line", *lines)
+        across = Axis("column", 0, m * layout.column_step)
         beam_rad = None if self.beam_rad is None else self.beam_rad[:: layout.column_step]
         order = upright(beam_rad)
         if layout.kind == "paper":
@@ -621,7 +637,8 @@ class _Sheet:
             )
         picture = picture[:, order].swapaxes(0, 1)
         if self.turn_rad > 0:
-            picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
+            picture = picture[:, ::-1]
+            along = Axis("line", lines[1], lines[0])
         side = _elevations(beam_rad, order, m * layout.column_step)
         return Panel(
             title,
@@ -679,7 +696,8 @@ def _elevations(beam_rad: F64, order: NDArray[np.intp], n_columns: int) -> Axis:
 
 def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
     """Return the headline of a picture: file, what labelled it, lines, day."""
-    part, labelled = drawing.part, ""
+    part = drawing.part
+    labelled = ""
     if options.labels is not None:
         labelled = labels_of(options.labels)
     elif set(drawing.steps) - NOT_LABELLED:

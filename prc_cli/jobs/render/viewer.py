@@ -89,12 +89,14 @@ class _Kept:
 
     def add(self, item: LabelledBlock) -> None:
         """Keep the shots of a block."""
-        block, (low, high) = item.block, self.part.inside(item.block)
+        block = item.block
+        (low, high) = self.part.inside(item.block)
         if self.beam_rad is None:
             self.beam_rad, self.turn_rad = block.beam_rad, self.turn_rad or turns(block)
         if low >= high:
             return
-        record, seen = block.records(), ~np.isnan(block.range_m)
+        record = block.records()
+        seen = ~np.isnan(block.range_m)
         classes = (
             self.words.turn_labels(item.labels)
             if self.given is None
@@ -115,10 +117,8 @@ class _Kept:
             "reason": item.reasons,
         }
         if item.stages is not None:
-            planes["surface"], planes["dense_vegetation"] = (
-                item.stages.surface,
-                item.stages.dense_vegetation,
-            )
+            planes["surface"] = item.stages.surface
+            planes["dense_vegetation"] = item.stages.dense_vegetation
             planes["ground_height"] = item.stages.ground_height_m
         for name, plane in planes.items():
             if plane is not None:
@@ -140,7 +140,8 @@ def render_viewer(
     progress: Progress | None = None,
 ) -> RenderResult:
     """Write a page with a scan's cloud and range image, to turn, zoom and click."""
-    source, output = Path(source), Path(output)
+    source = Path(source)
+    output = Path(output)
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)
     refuse_window(config.config, "prc render")
@@ -183,7 +184,8 @@ def render_viewer(
 
 def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
     """Return the command that tells why a shot has its class, without the place of the shot."""
-    preset, station = preset_of(loaded), options.station
+    preset = preset_of(loaded)
+    station = options.station
     words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
     words += [
         *options_of(loaded),
@@ -289,11 +291,13 @@ def _shots(
     source: Path, loaded: LoadedConfig, options: RenderOptions, stream: ScanStream, kept: _Kept
 ) -> tuple[Shots, tuple[str, ...]]:
     """Put together what the page shows, and what it says of it."""
-    words, step = kept.words, kept.step
+    words = kept.words
+    step = kept.step
     classes, range_m, record = (
         np.concatenate(kept.parts[name]) for name in ("class", "range", "record")
     )
-    range_m, seen = range_m.astype(np.float64), classes > 0
+    range_m = range_m.astype(np.float64)
+    seen = classes > 0
     found = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
     values: dict[str, F64] = {
         name: each.astype(np.float64) for name, each in found.items() if each is not None
@@ -305,7 +309,8 @@ def _shots(
     )
     config = loaded.config
     in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
-    spacing_m, assumed = options.line_spacing_m, ""
+    spacing_m = options.line_spacing_m
+    assumed = ""
     if spacing_m is None:
         spacing_m, assumed = spacing(
             stream.info, values.get("time"), in_forest=in_forest, step=step[0]
@@ -322,7 +327,8 @@ def _shots(
         notes.append(
             f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; --shots sets the most."
         )
-    order, left_out = upright(beam_rad), sorted(words.table.hidden | words.noise)
+    order = upright(beam_rad)
+    left_out = sorted(words.table.hidden | words.noise)
     shots = Shots(
         classes,
         range_m,
@@ -343,7 +349,8 @@ def _shots(
 
 
 def _entries(words: Vocabulary, counts: I64, left_out: list[int]) -> list[ClassEntry]:
-    table, total = words.table, max(int(counts[1:].sum()), 1)
+    table = words.table
+    total = max(int(counts[1:].sum()), 1)
     return [
         ClassEntry(
             place,

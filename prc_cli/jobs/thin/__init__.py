@@ -162,7 +162,8 @@ def thin(
     """
     loaded = LoadedConfig.of(config)
     refuse_window(loaded.config, "prc thin")
-    source, output = scan_file(Path(source)), Path(output)
+    source = scan_file(Path(source))
+    output = Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
     if min_confidence is not None and not 0 <= min_confidence <= 100:
         raise ConfigError(
@@ -257,7 +258,8 @@ def _thin_folder(
             str(source), f"all {len(frames)} frames are empty, expected points", "copy them again"
         )
     if not known and (labels == CLASSIFY or _own_labels(first, loaded) == CLASSIFY):
-        loaded, labels = decide(first, loaded), CLASSIFY
+        loaded = decide(first, loaded)
+        labels = CLASSIFY
 
     def thin_one(frame: Path, thinned: Path) -> ThinningSummary:
         return _thin_file(
@@ -282,13 +284,17 @@ def _joined(
     source: Path, output: Path, frames: list[Path], found: list[ThinningSummary]
 ) -> ThinningSummary:
     """Return the summary of a folder of frames."""
-    n_input, n_kept, n_bytes, names = Counter[int](), Counter[int](), Counter[int](), {}
+    n_input = Counter[int]()
+    n_kept = Counter[int]()
+    n_bytes = Counter[int]()
+    names = {}
     for item in (item for one in found for item in one.classes):
         names[item.code] = item.name
         n_input[item.code] += item.n_input
         n_kept[item.code] += item.n_kept
         n_bytes[item.code] += item.n_bytes
-    n_all, n_left = n_input.total(), n_kept.total()
+    n_all = n_input.total()
+    n_left = n_kept.total()
     if not n_left:
         problem = f"all {n_all} returns would be dropped, expected some to stay"
         raise ConfigError(str(source), problem, "keep more: --keep noise=1, or other classes")
@@ -341,14 +347,20 @@ class _Run:
         keep_empty: bool,
         is_frame: bool = False,
     ) -> None:
-        self.source, self.output, self.rules, self.loaded = source, output, rules, loaded
-        self.classify, self.min_confidence = labels == CLASSIFY, min_confidence
+        self.source = source
+        self.output = output
+        self.rules = rules
+        self.loaded = loaded
+        self.classify = labels == CLASSIFY
+        self.min_confidence = min_confidence
         self.labels = None if labels is None or self.classify else Path(labels)
-        self.keep_empty, self.is_frame = keep_empty, is_frame
+        self.keep_empty = keep_empty
+        self.is_frame = is_frame
         self.n_unsure = 0
         self._sure: DiskColumn | None = None
         """Confidence of the records of a file."""
-        self.n_input, self.n_kept = Counter[int](), Counter[int]()
+        self.n_input = Counter[int]()
+        self.n_kept = Counter[int]()
         """Returns by class code."""
         self.counts = Counts.none()
         self._judge: Judge | None = None
@@ -460,7 +472,8 @@ class _Run:
         outputs = (self.output,) if is_bag(self.output) else outputs_of(self.output)[:-1]
         bytes_output = sum(path.stat().st_size for path in outputs)
         counts = [(code, n, self.n_kept[code]) for code, n in sorted(self.n_input.items())]
-        n_dropped, saved = sum(n - kept for _, n, kept in counts), bytes_input - bytes_output
+        n_dropped = sum(n - kept for _, n, kept in counts)
+        saved = bytes_input - bytes_output
         classes = tuple(
             ClassSaving(
                 code,
@@ -471,7 +484,8 @@ class _Run:
             )
             for code, n, kept in counts
         )
-        rules, n_lines = tuple(map(str, self.rules)), self.counts.n_lines
+        rules = tuple(map(str, self.rules))
+        n_lines = self.counts.n_lines
         return ThinningSummary(
             self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._found
         )
@@ -483,10 +497,8 @@ class _Run:
 
         def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
             directed = with_beams(stream, config.input) if config.needs_beams else stream
-            needs, wanted = (
-                config.classifier.method().needs,
-                Wanted(confidence=self.min_confidence is not None),
-            )
+            needs = config.classifier.method().needs
+            wanted = Wanted(confidence=self.min_confidence is not None)
             watch = watched(directed, config.input, needs=needs, others=self.loaded.findings)
             self._judge = Judge(watch, config)
             return self._judge.label(watch.blocks(), wanted=wanted)
@@ -518,7 +530,8 @@ class _Run:
 
             def items() -> Iterator[StreamItem]:
                 for item in opened.items:
-                    block, found = item.block, item.labelled
+                    block = item.block
+                    found = item.labelled
                     self.counts = self.counts.add(block)
                     if given is not None:
                         codes = given.get(block.records()), given.get(block.extra.record)
@@ -559,7 +572,9 @@ class _Run:
         assert item.codes is not None
         assert item.extra_codes is not None
         kept, kept_extra = choose(item, self.rules)
-        block, found, there = item.block, item.labelled, ~np.isnan(item.block.range_m)
+        block = item.block
+        found = item.labelled
+        there = ~np.isnan(item.block.range_m)
         if self.min_confidence is not None:
             sure: tuple[Any, Any] = (None, None)
             if found is not None:
@@ -598,7 +613,9 @@ class _Run:
 
     def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
         """Return the run record, which says that and how shots were dropped."""
-        told, n_input, n_all_kept = [], self.n_input.total(), self.n_kept.total()
+        told = []
+        n_input = self.n_input.total()
+        n_all_kept = self.n_kept.total()
         for rule in self.rules:
             n, n_kept = (
                 sum(n for code, n in found.items() if rule.holds(np.array(code)))
@@ -655,7 +672,8 @@ def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
 
 def _needed(grid: GridStream) -> tuple[str, ...]:
     """Return the options that replace values the reader estimated from all records."""
-    rules, told = grid.rules, []
+    rules = grid.rules
+    told = []
     if rules.line_hz is not None and rules.config.time_origin is None:
         first = next(iter(grid.source.chunks(("time",)))).values["time"]
         told.append(f"read it with --set input.time_origin={float(first[0])!r}")
@@ -666,7 +684,8 @@ def _needed(grid: GridStream) -> tuple[str, ...]:
     ):
         for setup in grid.setups.values():
             if (angles := setup.columns.grid) is not None:
-                start, step = math.degrees(angles.start_rad), math.degrees(angles.step_rad)
+                start = math.degrees(angles.start_rad)
+                step = math.degrees(angles.step_rad)
                 told.append(
                     f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}"
                 )

@@ -169,7 +169,8 @@ def keep_by_pattern(
            [1, 0, 0, 0, 1, 0, 0, 0],
            [0, 0, 1, 0, 0, 0, 1, 0]])
     """
-    part, whole = share.numerator, share.denominator
+    part = share.numerator
+    whole = share.denominator
     shift = max(round(_GOLDEN * whole / max(part, 1)), 1)
     place = (column.astype(np.int64) + shift * (line.astype(np.int64) % whole)) % whole
     kept: Mask = place * part % whole < part
@@ -197,7 +198,10 @@ def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
 
 def choose(item: StreamItem, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
     """Mark the returns to keep; further ones by their own class, with a spacing as the main return."""
-    block, extra, codes, extra_codes = item.block, item.block.extra, item.codes, item.extra_codes
+    block = item.block
+    extra = item.block.extra
+    codes = item.codes
+    extra_codes = item.extra_codes
     assert codes is not None
     assert extra_codes is not None
     kept = ~np.isnan(block.range_m)
@@ -206,7 +210,8 @@ def choose(item: StreamItem, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
     column = np.arange(block.points_per_line, dtype=np.int64)[None, :]
     spaced = np.zeros(len(extra), np.bool_)
     for rule in rules:
-        chosen, chosen_extra = kept & rule.holds(codes), rule.holds(extra_codes)
+        chosen = kept & rule.holds(codes)
+        chosen_extra = rule.holds(extra_codes)
         if rule.share is not None:
             kept &= ~chosen | keep_by_pattern(line, column, rule.share)
             if chosen_extra.any():
@@ -242,7 +247,8 @@ def _positions(item: StreamItem) -> F64:
 
 def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
     """Return a block without the dropped returns; if a main return is dropped, the nearest kept one takes its cell."""
-    block, extra = item.block, item.block.extra
+    block = item.block
+    extra = item.block.extra
     range_m = np.where(kept, block.range_m, np.float32(np.nan))
     xyz = (
         None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))

@@ -232,7 +232,9 @@ def transfer(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     options = options or TransferOptions()
-    labels, registered, output = Path(labels), Path(registered), Path(output)
+    labels = Path(labels)
+    registered = Path(registered)
+    output = Path(output)
     points = None if points is None else Path(points)
     inputs = tuple(
         path for path in (labels, points, registered, options.trajectory) if path is not None
@@ -242,18 +244,24 @@ def transfer(
     before = [_state(path) for path in inputs]
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()
-    n_changed, n_done, n_unsure, moved = 0, 0, 0, np.zeros(256, np.bool_)
+    n_changed = 0
+    n_done = 0
+    n_unsure = 0
+    moved = np.zeros(256, np.bool_)
     beside = tuple(
         dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,))))
     )
     with LasRecoder(output, registered, options.carry) as writer, ExitStack() as stack:
         for item in _partners(sides, beside, options, tally, stack):
-            record, codes = item.left[RECORD], item.left[CODE].copy()
-            at, to = item.at, item.to
+            record = item.left[RECORD]
+            codes = item.left[CODE].copy()
+            at = item.at
+            to = item.to
             if options.min_confidence is not None:
                 sure = item.right[CONFIDENCE][to] >= options.min_confidence
                 n_unsure += len(sure) - int(np.count_nonzero(sure))
-                at, to = at[sure], to[sure]
+                at = at[sure]
+                to = to[sure]
             codes[at] = item.right[CODE][to]
             moved[codes[at]] = True
             n_changed += int(np.count_nonzero(codes != item.left[CODE]))
@@ -308,7 +316,8 @@ def _partners(
         names = (KEY, SAME, CODE)
         target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
         origin = columns_of(sides.labels, (*names, *beside), sort=not sides.found[0].in_order)
-        match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
+        match = NearestLabel(sides.tolerance)
+        paths = (sides.points.path, sides.labels.path)
         yield from merge_join(
             target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS
         )

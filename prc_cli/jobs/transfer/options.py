@@ -84,5 +84,6 @@ class TransferOptions:
     def as_dict(self) -> dict[str, Any]:
         """Return the options for a run record; the trajectory only where there is one."""
         found = asdict(self)
-        track, mount = found.pop("trajectory"), found.pop("mount")
+        track = found.pop("trajectory")
+        mount = found.pop("mount")
         return found if track is None else {**found, "trajectory": track.name, "mount": mount}

@@ -98,7 +98,8 @@ def open_sides(
     rules = _rules(options, _same(origin, target, options, assumptions))
     for source, rule in zip((origin, target), rules, strict=True):
         _demand(source, rule)
-    left, right = _keyed_labels(labels, origin, rules[0], options), KeyedSource(target, rules[1])
+    left = _keyed_labels(labels, origin, rules[0], options)
+    right = KeyedSource(target, rules[1])
     found = survey(left), survey(right)
     if options.match == "record":
         left, found = _equal_order(left, right, found, assumptions)
@@ -119,7 +120,8 @@ def open_sides(
             )
             sides.notices.append(text)
     _refuse_apart(sides, options)
-    one, other = origin.facts.crs_wkt, target.facts.crs_wkt
+    one = origin.facts.crs_wkt
+    other = target.facts.crs_wkt
     if (
         isinstance(origin, LasSource)
         and one is not None

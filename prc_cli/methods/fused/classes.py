@@ -20,7 +20,8 @@ from prc_cli.methods.fused.thresholds import (
     Votes,
 )
 
-LINES, BINS = 12, 200
+LINES = 12
+BINS = 200
 """As in :mod:`fans_loops`."""
 ROOM_SHARE = 0.01
 """In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
@@ -36,10 +37,8 @@ def is_room(range_m: F32, limits: Limits) -> bool:
     >>> is_room(np.full((9, 9), 6, np.float32), Limits()), is_room(np.full((9, 9), 7, np.float32), Limits())
     (True, False)
     """
-    n_far, n = (
-        np.count_nonzero(range_m > np.float32(limits.room_m)),
-        np.count_nonzero(range_m == range_m),
-    )
+    n_far = np.count_nonzero(range_m > np.float32(limits.room_m))
+    n = np.count_nonzero(range_m == range_m)
     return bool(n_far < ROOM_SHARE * n)
 
 
@@ -60,7 +59,8 @@ def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
     [True, True, False, False]
     """
     seen = range_m[~np.isnan(range_m).all(axis=1)]
-    up, down = plane.cosine < -0.5, plane.cosine > 0.9
+    up = plane.cosine < -0.5
+    down = plane.cosine > 0.9
     answered = ~np.isnan(seen[:, up])
     if not answered.size or answered.mean() < CEILED_SHARE:
         return False
@@ -74,7 +74,8 @@ def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits) -> F32:
     """Return the mean smoothness around every shot; see :func:`texture_loops.mean_smoothness`."""
-    foliage, decision = limits.foliage, limits.decision
+    foliage = limits.foliage
+    decision = limits.decision
     again = foliage.again(float(decision.leaf_share), float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
         range_m,

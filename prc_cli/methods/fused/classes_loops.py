@@ -32,7 +32,10 @@ MOST_SMOOTH = 8
 LEAST_COLUMNS = 2
 """Least half width of a place, in columns."""
 COLUMN, THIN, _, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
-STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
+STRIPS = 320
+STRIP_M = np.float32(0.5)
+SLOT_M = np.float32(0.25)
+SLOTS = 64
 """As in :mod:`strips_loops`."""
 HANGS = 16
 """As in :mod:`flanks_loops`."""
@@ -50,25 +53,33 @@ BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
 GAP_SHOTS = 3
 """Lonely shots within a box."""
-_MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
-_OPEN, _LEAF, _ODD = 255, 254, 253
+_MISSING = int(Label.MISSING)
+_NOISE = int(Label.NOISE)
+_GROUND = int(Label.GROUND)
+_OPEN = 255
+_LEAF = 254
+_ODD = 253
 """Marks of undecided shots, of lonely leaves, and of shots that may be noise; no reason is one of them."""
 _LABEL = np.uint8(LABEL_BITS)
 _LONELY, _ISOLATED, _SPIKE, _BELOW = (
     np.uint8(rule) for rule in (Reason.LONELY, Reason.ISOLATED, Reason.SPIKE, Reason.BELOW_GROUND)
 )
-_BEHIND_WALL, _IN_CAR = np.uint8(Reason.BEHIND_WALL), np.uint8(Reason.IN_CAR)
-_WALKED, _LEVEL_LOW, _LOW = (
-    np.uint8(Reason.WALKED),
-    np.uint8(Reason.LEVEL_LOW),
-    np.uint8(Reason.LOW),
-)
-_SMOOTH, _FACADE = np.uint8(Reason.SMOOTH), np.uint8(Reason.FACADE)
-_ONE_LEAF, _FOLIAGE = np.uint8(Reason.LEAF), np.uint8(Reason.FOLIAGE)
-_CROWN, _TRUNK = np.uint8(Reason.CROWN), np.uint8(Reason.TRUNK)
+_BEHIND_WALL = np.uint8(Reason.BEHIND_WALL)
+_IN_CAR = np.uint8(Reason.IN_CAR)
+_WALKED = np.uint8(Reason.WALKED)
+_LEVEL_LOW = np.uint8(Reason.LEVEL_LOW)
+_LOW = np.uint8(Reason.LOW)
+_SMOOTH = np.uint8(Reason.SMOOTH)
+_FACADE = np.uint8(Reason.FACADE)
+_ONE_LEAF = np.uint8(Reason.LEAF)
+_FOLIAGE = np.uint8(Reason.FOLIAGE)
+_CROWN = np.uint8(Reason.CROWN)
+_TRUNK = np.uint8(Reason.TRUNK)
 _SMALL = np.uint8(Reason.SMALL)
 _LEVEL_BODY = np.uint8(Reason.LEVEL_BODY)
-_POST, _ARM, _BOX = np.uint8(Reason.POST), np.uint8(Reason.ARM), np.uint8(Reason.BOX)
+_POST = np.uint8(Reason.POST)
+_ARM = np.uint8(Reason.ARM)
+_BOX = np.uint8(Reason.BOX)
 
 
 @helper
@@ -110,7 +121,8 @@ def _half_widths(
     ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
 ) -> None:
     """Write the half width of every shot's place in columns; any number where the shot is missing."""
-    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
+    fewest = np.float32(LEAST_COLUMNS)
+    most_of_all = np.float32(most)
     for i in range(len(ranges)):
         r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
         columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
@@ -141,7 +153,8 @@ def _slot(above: np.float32) -> int:
 @inlined
 def _slots_around(word: np.uint64, slot: int) -> int:
     """Count the slots with something, near a slot."""
-    low, high = max(slot - LEAF_REACH, 0), min(slot + LEAF_REACH, SLOTS - 1)
+    low = max(slot - LEAF_REACH, 0)
+    high = min(slot + LEAF_REACH, SLOTS - 1)
     ones = ~np.uint64(0) >> np.uint64(SLOTS - 1 - (high - low))
     return _bits(word & (ones << np.uint64(low)))
 
@@ -156,7 +169,8 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
             there = window_m[line + way * k, i]
             if not (abs(there - last) < jump):
                 break
-            least, most = min(least, there), max(most, there)
+            least = min(least, there)
+            most = max(most, there)
             last = there
     return np.float32(most - least)
 
@@ -186,9 +200,14 @@ def _label_plain(
     Without branches, so that the compiler can use vector instructions.
     """
     near, smooth, upright, level = counts
-    least, below, lone = thresholds.least_near, thresholds.below_m, thresholds.lone_m
+    least = thresholds.least_near
+    below = thresholds.below_m
+    lone = thresholds.lone_m
     for i in range(len(ranges)):
-        h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
+        h = above[i]
+        pairs = smooth[i]
+        up = upright[i]
+        flat = level[i]
         ground = _ground_rule(h, walked[i], up, flat, thresholds)
         n_near = np.float32(near[i])
         is_held = (n_near >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
@@ -231,20 +250,26 @@ def _find_cars(
     There is a car where enough bins around are level. It ends below what reaches above cars without a gap; where they
     are those of a body that hangs high, lorries.
     """
-    smooth_bins, rough_bins = thresholds.car_bins, thresholds.car_bins_rough
-    car_slot, lorry_slot = int(thresholds.car_top_m / SLOT_M), int(thresholds.lorry_top_m / SLOT_M)
+    smooth_bins = thresholds.car_bins
+    rough_bins = thresholds.car_bins_rough
+    car_slot = int(thresholds.car_top_m / SLOT_M)
+    lorry_slot = int(thresholds.lorry_top_m / SLOT_M)
     least = min(smooth_bins, rough_bins)
     _count_bins(levels, counts)
-    last, below = -1, np.float32(0.0)
+    last = -1
+    below = np.float32(0.0)
     for q in range(2 * STRIPS):
-        n, hanging = np.float32(counts[q] & (HANGS - 1)), np.float32(counts[q] // HANGS)
+        n = np.float32(counts[q] & (HANGS - 1))
+        hanging = np.float32(counts[q] // HANGS)
         if n < least:
             cars[0][q] = cars[1][q] = np.float32(0.0)
             continue
-        b, high = q // 2, hanging >= least
+        b = q // 2
+        high = hanging >= least
         place = 2 * b + 1 if high else 2 * b
         if place != last:
-            word, last = every[b], place
+            word = every[b]
+            last = place
             filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
             slot = lorry_slot if high else car_slot
             while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
@@ -280,11 +305,15 @@ def _label_odd(
     near, smooth, upright, level = counts
     rough, at, top = rows
     columns, so_far = spikes
-    least, below, share = thresholds.least_near, thresholds.below_m, thresholds.spike_share
-    foot, leaf_slots = thresholds.foot_m, thresholds.leaf_slots
+    least = thresholds.least_near
+    below = thresholds.below_m
+    share = thresholds.spike_share
+    foot = thresholds.foot_m
+    leaf_slots = thresholds.leaf_slots
     for k in range(len(shots)):
         i = shots[k]
-        h, pairs = above[i], smooth[i]
+        h = above[i]
+        pairs = smooth[i]
         is_leaf = False
         if np.float32(near[i]) < least:
             y = side[i]
@@ -301,10 +330,8 @@ def _label_odd(
         # spikes: the adjacent shots are smooth, in the line and in the lines before and after
         half = int(columns[i])
         place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
-        shots_there, pairs_there = (
-            np.int32(place >> np.uint32(16)),
-            np.int32(place & np.uint32(0xFFFF)),
-        )
+        shots_there = np.int32(place >> np.uint32(16))
+        pairs_there = np.int32(place & np.uint32(0xFFFF))
         is_spike = (pairs == 0) & (
             np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there)
         )
@@ -345,8 +372,11 @@ def _look_up(
         i = np.uint64(shots[k])
         q = np.uint64(max(bins[i], np.int32(0)))
         b = q >> np.uint64(1)
-        own_at[i], own_top[i], own_ahead[i] = at[b], top[b], ahead[b]
-        below[i], rough_below[i] = cars[0][q], cars[1][q]
+        own_at[i] = at[b]
+        own_top[i] = top[b]
+        own_ahead[i] = ahead[b]
+        below[i] = cars[0][q]
+        rough_below[i] = cars[1][q]
 
 
 @helper
@@ -368,15 +398,29 @@ def _label_things(
     side, height, above = points
     near, smooth, _, level = counts
     at, top, ahead, car_below, rough_below = found
-    leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
-    before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
-    ghost_m, ghost_near, least = thresholds.ghost_m, thresholds.ghost_near, thresholds.least_near
-    nothing, arm_m = np.float32(0.0), thresholds.arm_m
-    front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
+    leaf_share = thresholds.leaf_share
+    share_before = thresholds.leaf_share_before_wall
+    before_m = thresholds.before_m
+    foot = thresholds.foot_m
+    poles_wanted = thresholds.pole_m > 0
+    ghost_m = thresholds.ghost_m
+    ghost_near = thresholds.ghost_near
+    least = thresholds.least_near
+    nothing = np.float32(0.0)
+    arm_m = thresholds.arm_m
+    front_m = thresholds.front_m
+    behind_m = thresholds.behind_m
+    roof_m = thresholds.roof_m
     storey_m = thresholds.storey_m
     for i in range(len(labels)):
-        y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
-        is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
+        y = side[i]
+        z = height[i]
+        h = above[i]
+        texture = soft[i]
+        is_leaf = labels[i] == _LEAF
+        is_here = bins[i] >= 0
+        wall = abs(at[i])
+        end = top[i]
         is_wall = _in_wall(y, z, at[i], end, thresholds)
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
@@ -409,7 +453,8 @@ def _label_things(
         label = (_SMOOTH if alone[i] == FENCE else _SMALL) if is_small else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
-        is_thin, is_piece = alone[i] == THIN, (alone[i] != np.uint8(0)) & (alone[i] < SMALL)
+        is_thin = alone[i] == THIN
+        is_piece = (alone[i] != np.uint8(0)) & (alone[i] < SMALL)
         is_up = (level[i] == 0) | (h > arm_m)
         is_part = is_wall | (is_car & (not is_thin))
         may_be_pole = is_piece & is_up & (h > foot) & (texture >= leaf_share) & (not is_part)
@@ -426,7 +471,9 @@ def _round_run(
     at least three times as high. What is deeper than that is something else, as is what goes up the whole line.
     """
     side, height, _ = points
-    first, end, jump = i, i + 1, thresholds.jump_m
+    first = i
+    end = i + 1
+    jump = thresholds.jump_m
     while end < len(alone) and 0 < alone[end] < SMALL and abs(ranges[end] - ranges[end - 1]) < jump:
         end += 1
     while (
@@ -453,7 +500,8 @@ def _label_poles(
 ) -> None:
     """Label a list of shots on poles and trunks; of a piece of few shots only whether it is in a crown is known."""
     side, _, above = points
-    end, is_round = 0, False
+    end = 0
+    is_round = False
     for k in range(len(shots)):
         i = shots[k]
         if i >= end:
@@ -487,7 +535,8 @@ def _mark_tops(
 ) -> None:
     """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
     _, smooth, upright, level = counts
-    foot, top = thresholds.foot_m, thresholds.box_m
+    foot = thresholds.foot_m
+    top = thresholds.box_m
     for i in range(len(labels)):
         is_low = (above[i] > foot) & (above[i] < top)
         is_level = (level[i] > upright[i]) & (smooth[i] >= BOX_SMOOTH)
@@ -507,7 +556,10 @@ def _lines_beside(
     for k in range(1, MARGIN + 1):
         there = window_m[line + way * k, i]
         if abs(there - last) < thresholds.jump_m:
-            last, n, odd, past = there, k, 0, 0
+            last = there
+            n = k
+            odd = 0
+            past = 0
             continue
         odd += 1
         past += not (there <= last + thresholds.far_m)
@@ -531,7 +583,9 @@ def _end_of_box(
     The next one is the last itself where it is no box: too high, or cut off by the end of the line.
     """
     _, _, above = points
-    last, j, gap = i, i + way, 0
+    last = i
+    j = i + way
+    gap = 0
     while 0 <= j < len(ranges):
         is_other = not _is_thing(labels[j]) and not _is_soil(labels[j])
         if is_other or np.float32(near[j]) < thresholds.least_near:
@@ -543,7 +597,8 @@ def _end_of_box(
         elif above[j] >= thresholds.box_m:
             return last, last
         else:
-            last, gap = j, 0
+            last = j
+            gap = 0
         j += way
     return last, last
 
@@ -568,7 +623,8 @@ def _is_box(
     for j in range(first, last + 1):
         if _is_thing(labels[j]):
             high = max(high, above[j])
-            inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
+            inner = min(inner, abs(side[j]))
+            outer = max(outer, abs(side[j]))
             n += 1
             n_smooth += smooth[j] >= BOX_SMOOTH
     deep = outer - inner
@@ -580,7 +636,8 @@ def _is_box(
         return False
     for j in range(first, last + 1):
         if _is_thing(labels[j]) and above[j] > high - BOX_EVEN_M:
-            inner_top, outer_top = min(inner_top, abs(side[j])), max(outer_top, abs(side[j]))
+            inner_top = min(inner_top, abs(side[j]))
+            outer_top = max(outer_top, abs(side[j]))
     if outer_top - inner_top < thresholds.box_flat_m or np.float32(
         n_smooth
     ) < BOX_SHARE * np.float32(n):
@@ -606,7 +663,8 @@ def _label_boxes(
 
     They stand alone: beyond their tops something far is seen, or nothing, and what is below them is ground.
     """
-    ranges, height = window_m[line], points[1]
+    ranges = window_m[line]
+    height = points[1]
     done = -1
     for k in range(len(shots)):
         i = shots[k]
@@ -655,12 +713,13 @@ def fused_labels(
     n_lines, m = texture.shape
     near, smooth, upright, level = counts
     labels = np.empty((n_lines, m), np.uint8)
-    shots, marks = np.empty(m + 1, np.int32), np.empty(m, np.uint8)
-    bin_counts, cars = (
-        np.empty(2 * STRIPS, np.uint8),
-        (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32)),
-    )
-    columns, bins, so_far = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m + 1, np.uint32)
+    shots = np.empty(m + 1, np.int32)
+    marks = np.empty(m, np.uint8)
+    bin_counts = np.empty(2 * STRIPS, np.uint8)
+    cars = (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32))
+    columns = np.empty(m, np.int32)
+    bins = np.empty(m, np.int32)
+    so_far = np.empty(m + 1, np.uint32)
     found = (
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
@@ -668,7 +727,8 @@ def fused_labels(
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
     )
-    side, height = np.empty(m, np.float32), np.empty(m, np.float32)
+    side = np.empty(m, np.float32)
+    height = np.empty(m, np.float32)
     # ring buffer of lines
     pairs = np.empty((3, m), np.uint32)
     for line in range(2):
@@ -676,8 +736,10 @@ def fused_labels(
             near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line]
         )
     for line in range(n_lines):
-        k, row = line + LINES, labels[line]
-        own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
+        k = line + LINES
+        row = labels[line]
+        own = (near[k], smooth[k], upright[k], level[k])
+        ranges = window_m[line + MARGIN]
         _lay_out(ranges, beams, side, height)
         place = side, height, above_m[k]
         rows = walls[0][line], walls[1][line], walls[2][line]

@@ -115,7 +115,8 @@ def cells_of(
     """
     own = slice(evidence.margin, evidence.margin + len(labels))
     beside = slice(1, 1 + len(labels))
-    standing, (near, smooth, upright, level) = evidence.standing, evidence.seen.counts
+    standing = evidence.standing
+    (near, smooth, upright, level) = evidence.seen.counts
     cells: I32 = kernels.confidence_cells(
         labels,
         np.ascontiguousarray(range_m),

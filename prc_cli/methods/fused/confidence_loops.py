@@ -11,7 +11,10 @@ from prc_cli.kernels.cache import helper, inlined, kernel
 
 Words = NDArray[np.uint64]
 
-LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
+LINES = 2
+STRIPS = 320
+STRIP_M = np.float32(0.5)
+SLOT_M = np.float32(0.25)
 """As in :mod:`strips_loops`."""
 (
     AGREE,
@@ -34,7 +37,8 @@ LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
 N_MEASURES = 15
 PLACE_M = np.float32(0.25)
 """Half width of the place, in five lines, in which labels are compared [m]; 2 columns at least, 60 at most."""
-LEAST_COLUMNS, MOST_COLUMNS = np.float32(2), np.float32(60)
+LEAST_COLUMNS = np.float32(2)
+MOST_COLUMNS = np.float32(60)
 """Limits of the half width of a place, in columns: five lines of 121 shots fit in ten bits."""
 GROUP_BITS = 10
 """Bits of the count of a group of labels in a word."""
@@ -88,7 +92,8 @@ def _agree(
             continue
         half = int(min(max(PLACE_M / (ranges[i] * step), LEAST_COLUMNS), MOST_COLUMNS))
         word = so_far[min(i + half + 1, m)] - so_far[max(i - half, 0)]
-        total, own = np.uint64(0), np.uint64(0)
+        total = np.uint64(0)
+        own = np.uint64(0)
         for k in range(N_GROUPS):
             n = (word >> np.uint64(GROUP_BITS * k)) & ones
             own = n if k == group else own
@@ -142,11 +147,9 @@ def _measure_places(
         )
         b = int(np.floor(place)) + STRIPS // 2
         b = b if 0 <= b < STRIPS else STRIPS
-        measures[ROUGH, i], measures[TOP, i], measures[FILLED, i] = (
-            strips[0, b],
-            strips[1, b],
-            strips[2, b],
-        )
+        measures[ROUGH, i] = strips[0, b]
+        measures[TOP, i] = strips[1, b]
+        measures[FILLED, i] = strips[2, b]
         wall = at[b] if b < STRIPS else np.float32(0.0)
         before = ahead[b] if b < STRIPS else np.float32(0.0)
         measures[BEHIND, i] = abs(y) - abs(wall) if wall != np.float32(0.0) else -NO_WALL_M
@@ -161,13 +164,13 @@ def _measure_shots(
     near, smooth, upright, level = counts
     m = len(ranges)
     for i in range(m):
-        measures[SMOOTH, i], measures[NEAR, i] = np.float32(smooth[i]), np.float32(near[i])
-        measures[UPRIGHT, i], measures[LEVEL, i] = np.float32(upright[i]), np.float32(level[i])
-        measures[TEXTURE, i], measures[STEEP, i], measures[RANGE, i] = (
-            texture[i],
-            cosine[i],
-            ranges[i],
-        )
+        measures[SMOOTH, i] = np.float32(smooth[i])
+        measures[NEAR, i] = np.float32(near[i])
+        measures[UPRIGHT, i] = np.float32(upright[i])
+        measures[LEVEL, i] = np.float32(level[i])
+        measures[TEXTURE, i] = texture[i]
+        measures[STEEP, i] = cosine[i]
+        measures[RANGE, i] = ranges[i]
         measures[OFF, i] = abs(above[i])
         before = abs(ranges[max(i - 1, 0)] - ranges[i])
         after = abs(ranges[min(i + 1, m - 1)] - ranges[i])
@@ -179,7 +182,8 @@ def _measure_shots(
 @helper
 def _answer(labels: U8, measures: F32, limits: F32, questions: I64, cells: I32) -> None:
     """Write the cell of every shot of a line: which steps of its label's measures are reached."""
-    n_steps, n_questions = limits.shape[1], questions.shape[1]
+    n_steps = limits.shape[1]
+    n_questions = questions.shape[1]
     for i in range(len(labels)):
         cells[i] = 0
         if labels[i] == _MISSING:
@@ -221,7 +225,8 @@ def confidence_cells(
     room = 2 * LINES + 1
     # ring buffer of lines
     words = np.empty((room, m), np.uint64)
-    so_far, strips = np.empty(m + 1, np.uint64), np.empty((3, STRIPS + 1), np.float32)
+    so_far = np.empty(m + 1, np.uint64)
+    strips = np.empty((3, STRIPS + 1), np.float32)
     measures = np.empty((N_MEASURES, m), np.float32)
     near, smooth, upright, level = counts
     sine, cosine = beams

@@ -17,12 +17,10 @@ MOST_GAP = 8
 """Adjacent columns without a shot near the ground at which it ends, as at a wall."""
 CHUNK = 8
 """Shots that are compared at once, and empty columns beside a line."""
-_MISSING, _NOISE, _GROUND, _CURB = (
-    int(Label.MISSING),
-    int(Label.NOISE),
-    int(Label.GROUND),
-    int(Label.CURB),
-)
+_MISSING = int(Label.MISSING)
+_NOISE = int(Label.NOISE)
+_GROUND = int(Label.GROUND)
+_CURB = int(Label.CURB)
 
 
 @helper
@@ -53,12 +51,10 @@ def _mark_climbing(
     for i in range(m):
         climbs[i] = np.uint8(0)
     inner = m - 2 * APART
-    before, after, own, marks = (
-        height[:inner],
-        height[2 * APART :],
-        ranges[APART : m - APART],
-        climbs[APART : m - APART],
-    )
+    before = height[:inner]
+    after = height[2 * APART :]
+    own = ranges[APART : m - APART]
+    marks = climbs[APART : m - APART]
     for i in range(inner):
         marks[i] = np.uint8((after[i] - before[i]) * outwards[i] >= climb * own[i])
     for i in range(m):
@@ -92,7 +88,8 @@ def _is_beyond(side: F32, first: int, y: np.float32, half_m: np.float32) -> bool
 @inlined
 def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
     """Return the nearest column before a face whose shot is on the ground beside it, -1 = none; from ``first`` on."""
-    j, first = i - 1, max(first, i - MOST_COLUMNS)
+    j = i - 1
+    first = max(first, i - MOST_COLUMNS)
     while j >= first and not _is_beyond(side, j + 1, y, thresholds.half_m):
         j -= CHUNK
     while j >= first and not abs(side[CHUNK + j] - y) > thresholds.half_m:
@@ -103,7 +100,8 @@ def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresh
 @inlined
 def _after(i: int, last: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
     """Return the nearest column after a face whose shot is on the ground beside it, -1 = none; up to ``last``."""
-    j, last = i + 1, min(last, i + MOST_COLUMNS)
+    j = i + 1
+    last = min(last, i + MOST_COLUMNS)
     while j <= last and not _is_beyond(side, CHUNK + j, y, thresholds.half_m):
         j += CHUNK
     while j <= last and not abs(side[CHUNK + j] - y) > thresholds.half_m:
@@ -124,7 +122,10 @@ def _mean_height(
     """Return the mean height of the ground beside a face, from a column on, and how many shots it is of."""
     side, height = points
     first, y = place
-    total, n, j, gap = np.float32(0.0), 0, first, 0
+    total = np.float32(0.0)
+    n = 0
+    j = first
+    gap = 0
     last = i + way * MOST_COLUMNS
     while 0 <= j < len(height) and (last - j) * way >= 0 and gap <= MOST_GAP:
         gap += 1
@@ -159,7 +160,9 @@ def curb_labels(
     """
     n_lines, m = labels.shape
     found = np.empty((n_lines, m), np.uint8)
-    height, low, climbs = np.empty(m, np.float32), np.empty(m, np.uint8), np.empty(m, np.uint8)
+    height = np.empty(m, np.float32)
+    low = np.empty(m, np.uint8)
+    climbs = np.empty(m, np.uint8)
     side: F32 = np.empty(m + 2 * CHUNK, np.float32)
     for i in range(CHUNK):
         side[i] = side[CHUNK + m + i] = np.float32(np.nan)
@@ -173,7 +176,9 @@ def curb_labels(
             ways[i] = np.float32(-1.0)
     limits = thresholds.most_m, thresholds.steep * step
     for line in range(n_lines):
-        own, row, ranges = labels[line], found[line], range_m[line]
+        own = labels[line]
+        row = found[line]
+        ranges = range_m[line]
         for i in range(m):
             row[i] = own[i]
         if m <= 2 * APART:
@@ -189,7 +194,8 @@ def curb_labels(
             if i > last:
                 first, last = _piece(i, low)
             outwards = int(ways[i - APART])
-            y, z = side[CHUNK + i], height[i]
+            y = side[CHUNK + i]
+            z = height[i]
             before = _before(i, first, side, y, thresholds)
             after = _after(i, last, side, y, thresholds)
             inner, outer = (before, after) if outwards > 0 else (after, before)

@@ -11,7 +11,8 @@ from prc_cli.methods.fused.thresholds import FanThresholds
 
 LINES = 12
 """Lines before and after a line that a car is looked for in."""
-BIN_M, BINS = np.float32(0.25), 200
+BIN_M = np.float32(0.25)
+BINS = 200
 """Width of a bin to the side [m], and bins on either side."""
 REACH_M = np.float32(0.5)
 """A car reaches this far beyond the shots of a line, to either side [m]."""
@@ -19,20 +20,22 @@ JUMP_M = np.float32(1.0)
 """Shots farther apart than this to the side belong to different things, and to different depths of the scene [m]."""
 FOOT_M = np.float32(0.6)
 """Lowest shot on a car in a line across its roof, at most [m]."""
-LEAST_DEEP_M, MOST_DEEP_M = np.float32(0.3), np.float32(3.0)
+LEAST_DEEP_M = np.float32(0.3)
+MOST_DEEP_M = np.float32(3.0)
 """Depth of what is seen of it in such a line: walls and fences have less, hedges more [m]."""
 LEAST_SHOTS = 6
 """Fewest shots of it in such a line."""
-LOW_M, HIGH_FOOT_M = np.float32(2.0), np.float32(1.0)
+LOW_M = np.float32(2.0)
+HIGH_FOOT_M = np.float32(1.0)
 """In other lines a car is lower than this, and its lowest shot below this [m]."""
-_SEED, _THING = np.uint8(1), np.uint8(2)
-_MISSING, _NOISE, _GROUND, _CURB = (
-    int(Label.MISSING),
-    int(Label.NOISE),
-    int(Label.GROUND),
-    int(Label.CURB),
-)
-_CAR, _POLE = int(Label.CAR), int(Label.POLE)
+_SEED = np.uint8(1)
+_THING = np.uint8(2)
+_MISSING = int(Label.MISSING)
+_NOISE = int(Label.NOISE)
+_GROUND = int(Label.GROUND)
+_CURB = int(Label.CURB)
+_CAR = int(Label.CAR)
+_POLE = int(Label.POLE)
 _FAR = np.float32(1e6)
 
 
@@ -70,10 +73,16 @@ def _extent(
     shots: I32, side: F32, above: F32, texture: F32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Return the lowest and highest shot of a run, its nearest and farthest side, and its mean smoothness."""
-    low, high, near, far, total = _FAR, -_FAR, _FAR, -_FAR, np.float32(0.0)
+    low = _FAR
+    high = -_FAR
+    near = _FAR
+    far = -_FAR
+    total = np.float32(0.0)
     for i in shots:
-        low, high = min(low, above[i]), max(high, above[i])
-        near, far = min(near, abs(side[i])), max(far, abs(side[i]))
+        low = min(low, above[i])
+        high = max(high, above[i])
+        near = min(near, abs(side[i]))
+        far = max(far, abs(side[i]))
         total += texture[i]
     return low, high, near, far, total / np.float32(len(shots))
 
@@ -126,12 +135,10 @@ def _mark_side(
         for q in range(first, last):
             marks[q] |= _SEED if is_roof else _THING
         if not (high > LOW_M or low >= HIGH_FOOT_M):
-            low_things[n, 0], low_things[n, 1], low_things[n, 2], low_things[n, 3] = (
-                k,
-                end,
-                first,
-                last,
-            )
+            low_things[n, 0] = k
+            low_things[n, 1] = end
+            low_things[n, 2] = first
+            low_things[n, 3] = last
             n += 1
         k = end
     return n
@@ -152,12 +159,15 @@ def _is_car(
     seeds: I32, things: I32, first: int, last: int, line: int, thresholds: FanThresholds
 ) -> bool:
     """Return whether enough lines around cross a roof in the bins of a thing: in the bin where most do."""
-    low, high = max(line - LINES, 0), min(line + LINES + 1, seeds.shape[1] - 1)
-    most, at = 0, -1
+    low = max(line - LINES, 0)
+    high = min(line + LINES + 1, seeds.shape[1] - 1)
+    most = 0
+    at = -1
     for q in range(first, last):
         n = seeds[q, high] - seeds[q, low]
         if n > most:
-            most, at = n, q
+            most = n
+            at = q
     if most < 2:
         return False
     others = things[at, high] - things[at, low]
@@ -192,7 +202,8 @@ def fan_cars(
     marks = np.zeros((2 * BINS, n), np.uint8)
     side = np.empty(m, np.float32)
     # shots of both sides of every line, and the low things among them
-    shots, n_things = np.empty((2 * n_lines, m), np.int32), np.empty(2 * n_lines, np.int32)
+    shots = np.empty((2 * n_lines, m), np.int32)
+    n_things = np.empty(2 * n_lines, np.int32)
     low_things = np.empty((2 * n_lines, m, 4), np.int32)
     for line in range(LINES):
         for q in range(2 * BINS):
@@ -207,22 +218,23 @@ def fan_cars(
             n_things[row] = _mark_side(
                 there, labels[k], side, above_m[k], texture[k], thresholds, own, low_things[row]
             )
-    seeds, things = np.empty((2 * BINS, n + 1), np.int32), np.empty((2 * BINS, n + 1), np.int32)
+    seeds = np.empty((2 * BINS, n + 1), np.int32)
+    things = np.empty((2 * BINS, n + 1), np.int32)
     for q in range(2 * BINS):
         _sum_up(marks[q], _SEED, seeds[q])
         _sum_up(marks[q], _THING, things[q])
-    car, pole = np.uint8(_CAR), np.uint8(_POLE)
+    car = np.uint8(_CAR)
+    pole = np.uint8(_POLE)
     for k in range(n_own):
         for i in range(m):
             found[k, i] = labels[k, i]
         for way in range(2):
             row = 2 * k + way
             for one in range(n_things[row]):
-                first, end = low_things[row, one, 0], low_things[row, one, 1]
-                low_bin, high_bin = (
-                    way * BINS + low_things[row, one, 2],
-                    way * BINS + low_things[row, one, 3],
-                )
+                first = low_things[row, one, 0]
+                end = low_things[row, one, 1]
+                low_bin = way * BINS + low_things[row, one, 2]
+                high_bin = way * BINS + low_things[row, one, 3]
                 if _is_car(seeds, things, low_bin, high_bin, k + LINES, thresholds):
                     for j in range(first, end):
                         i = shots[row, j]

@@ -13,7 +13,10 @@ Slots = NDArray[np.uint64]
 
 BIN_M = np.float32(0.125)
 """Width of a bin of ground, a quarter of a strip [m]."""
-LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
+LINES = 2
+STRIPS = 320
+STRIP_M = np.float32(0.5)
+SLOT_M = np.float32(0.25)
 """As in :mod:`strips_loops`."""
 BINS = 2 * STRIPS
 """Bins on either side."""
@@ -149,17 +152,18 @@ def find_flanks(
     """
     length, wall, place = sums
     n_lines = levels.shape[0]
-    flanks, found = np.empty((n_lines, STRIPS), np.uint8), np.empty((n_lines, 2 * STRIPS), np.uint8)
+    flanks = np.empty((n_lines, STRIPS), np.uint8)
+    found = np.empty((n_lines, 2 * STRIPS), np.uint8)
     # ring buffer of lines
     room = 2 * LINES + 1
-    bins, depths = np.empty((room, 2 * BINS), np.int32), np.empty((room, 2 * BINS), np.float32)
-    lines, walls, places = (
-        np.empty(STRIPS + 2, np.float32),
-        np.empty(STRIPS, np.float32),
-        np.empty(STRIPS, np.float32),
-    )
+    bins = np.empty((room, 2 * BINS), np.int32)
+    depths = np.empty((room, 2 * BINS), np.float32)
+    lines = np.empty(STRIPS + 2, np.float32)
+    walls = np.empty(STRIPS, np.float32)
+    places = np.empty(STRIPS, np.float32)
     lengths = np.empty(STRIPS, np.float32)
-    least, most = thresholds.least_m * np.float32(room), thresholds.most_m * np.float32(room)
+    least = thresholds.least_m * np.float32(room)
+    most = thresholds.most_m * np.float32(room)
     for k in range(n_lines + 2 * LINES):
         _count_ground(
             range_m[k],
@@ -189,7 +193,8 @@ def find_flanks(
             away = abs(places[b] / walls[b])
             side = 0 if b >= STRIPS // 2 else 1
             beneath = beyond = below = through = 0
-            lowest, highest = _FAR, np.float32(0.0)
+            lowest = _FAR
+            highest = np.float32(0.0)
             for c in range(line, line + room):
                 # lines beside a post see the ground behind it
                 if not _is_upright(wall[c], b):
@@ -202,7 +207,8 @@ def find_flanks(
                     low, high = _ground_below(bins[c % room], depths[c % room], side, away, bottom)
                     below += low
                     through += high
-                    lowest, highest = min(lowest, bottom), max(highest, bottom)
+                    lowest = min(lowest, bottom)
+                    highest = max(highest, bottom)
             big = walls[b] >= thresholds.large_m * np.float32(room)
             is_low = np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath
             # a slanted plane meets the edge of a house higher from line to line

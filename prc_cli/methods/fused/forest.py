@@ -16,7 +16,8 @@ from prc_cli.core.types import F32, U8, Mask
 from prc_cli.methods.fused.plane import Plane
 from prc_cli.methods.fused.thresholds import Forest
 
-LEAST_COLUMNS, MOST_COLUMNS = 2, 8
+LEAST_COLUMNS = 2
+MOST_COLUMNS = 8
 """Limits of the columns searched for near shots on either side; more would be slow."""
 
 
@@ -38,7 +39,8 @@ def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
     >>> heights[0, [0, 120]].round(2) + 0.0
     array([0., 1.], dtype=float32)
     """
-    bin_m, together = limits.terrain.bin_m, limits.lines_together
+    bin_m = limits.terrain.bin_m
+    together = limits.lines_together
     n_bins = 2 * max(int(np.ceil(limits.reach_m / bin_m)), 1)
     profiles = kernels.ground_profiles(
         range_m, plane.sine, plane.cosine, together, n_bins, limits.terrain

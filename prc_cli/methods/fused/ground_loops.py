@@ -10,17 +10,21 @@ from prc_cli.methods.fused.thresholds import WalkThresholds
 
 Memory = tuple[F32, I32, F32, F32]
 
-BINS, BIN_M = 320, np.float32(0.25)
+BINS = 320
+BIN_M = np.float32(0.25)
 """Number of places on either side at which the ground is remembered, and their width [m]."""
 BACK_M = np.float32(0.05)
 """The walk may go back this far on its way out, because of range noise [m]."""
 MOST_AGE = np.iinfo(np.int32).max
 """Ages stop here [lines]."""
-DEPTHS, DEPTH_M = 1000, np.float32(0.1)
+DEPTHS = 1000
+DEPTH_M = np.float32(0.1)
 """Depths below the scanner at which the ground is searched, and the distance from one to the next [m]."""
 LOST_LINES = 32
 """Where no ground was known for so many lines with level shots, it is searched anew."""
-MISSED_SHOTS, MISSED_LINES, MISSED_M = 16, 8, np.float32(0.6)
+MISSED_SHOTS = 16
+MISSED_LINES = 8
+MISSED_M = np.float32(0.6)
 """Where in so many lines in a row so many level shots near the scanner lie this far below the known ground, and more of
 them than on it, the ground is searched anew."""
 START_FOLLOW = np.float32(0.005)
@@ -77,7 +81,8 @@ def _misses_ground(
     """Return whether more level shots near the scanner lie below the known ground than on it."""
     side, height = points
     above, walked = line
-    n_below, n_walked = 0, 0
+    n_below = 0
+    n_walked = 0
     for i in range(len(side)):
         if (is_level[i] != 0) & (abs(side[i]) < reach_m) & (height[i] < np.float32(0.0)):
             n_below += int(above[i] < -MISSED_M)
@@ -155,22 +160,25 @@ def _walk(
 ) -> None:
     """Follow the ground outwards on one side of a line, from level shot to level shot, in small steps of height."""
     memory, age = known
-    last_y, last_z = np.float32(0.0), _start(memory, age, start_m, thresholds.memory_lines)
-    lines, near_m = thresholds.memory_lines, thresholds.known_m
-    step, slope, reach, gap = (
-        thresholds.step_m,
-        thresholds.slope,
-        thresholds.slope_reach_m,
-        thresholds.gap_slope,
-    )
-    place, total, n = -1, np.float32(0.0), np.float32(0.0)
+    last_y = np.float32(0.0)
+    last_z = _start(memory, age, start_m, thresholds.memory_lines)
+    lines = thresholds.memory_lines
+    near_m = thresholds.known_m
+    step = thresholds.step_m
+    slope = thresholds.slope
+    reach = thresholds.slope_reach_m
+    gap = thresholds.gap_slope
+    place = -1
+    total = np.float32(0.0)
+    n = np.float32(0.0)
     n_level = 0
     for k in range(len(columns)):
         level_shots[n_level] = columns[k]
         n_level += is_level[columns[k]]
     for k in range(n_level):
         i = level_shots[k]
-        y, z = points[0][i] * sign, points[1][i]
+        y = points[0][i] * sign
+        z = points[1][i]
         out = y - last_y
         if out < -BACK_M or y < np.float32(0.0) or y >= BINS * BIN_M:
             continue
@@ -183,10 +191,13 @@ def _walk(
                 if place >= 0:
                     profile[place] = _seen_height(profile[place], seen[place], total / n)
                     seen[place] = 1
-                place, total, n = b, np.float32(0.0), np.float32(0.0)
+                place = b
+                total = np.float32(0.0)
+                n = np.float32(0.0)
             total += z
             n += np.float32(1.0)
-            last_y, last_z = y, z
+            last_y = y
+            last_z = z
     if place >= 0:
         profile[place] = _seen_height(profile[place], seen[place], total / n)
         seen[place] = 1
@@ -195,10 +206,13 @@ def _walk(
 @helper
 def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThresholds) -> None:
     """Update the memory by the heights of a line; fill the profile from the memory where the line saw no ground."""
-    lines, follow = thresholds.memory_lines, thresholds.follow
+    lines = thresholds.memory_lines
+    follow = thresholds.follow
     for b in range(BINS):
         # without branches, for vector instructions
-        is_seen, mean, known_m = seen[b] != 0, profile[b], memory[b]
+        is_seen = seen[b] != 0
+        mean = profile[b]
+        known_m = memory[b]
         followed = known_m + (mean - known_m) * follow if np.float32(age[b]) < lines else mean
         older = age[b] + np.int32(age[b] < MOST_AGE)
         is_known = np.float32(older) < lines
@@ -244,7 +258,8 @@ def _grounds(places: I32, shares: F32, profiles: F32, grounds: F32) -> None:
     """Write the height of the ground under every shot of a line."""
     for i in range(len(places)):
         b = np.uint64(places[i])
-        inner, outer = profiles[b], profiles[b + np.uint64(1)]
+        inner = profiles[b]
+        outer = profiles[b + np.uint64(1)]
         grounds[i] = inner + (outer - inner) * shares[i]
 
 
@@ -345,19 +360,29 @@ def walk_ground(
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)
     walked = np.empty((n_lines, m), np.bool_)
-    own_memory, kept = _empty(), _empty()
-    kept_start, kept_lost, kept_missed = start_m, lost, missed
+    own_memory = _empty()
+    kept = _empty()
+    kept_start = start_m
+    kept_lost = lost
+    kept_missed = missed
     _copy(memory, own_memory)
     heights, ages, shots, sums = own_memory
-    profiles, seen = np.empty(2 * BINS, np.float32), np.empty(BINS, np.uint8)
-    level_shots, places = np.empty(m + 1, np.int32), np.empty(m, np.int32)
-    shares, grounds = np.empty(m, np.float32), np.empty(m, np.float32)
-    side, height, is_level = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
+    profiles = np.empty(2 * BINS, np.float32)
+    seen = np.empty(BINS, np.uint8)
+    level_shots = np.empty(m + 1, np.int32)
+    places = np.empty(m, np.int32)
+    shares = np.empty(m, np.float32)
+    grounds = np.empty(m, np.float32)
+    side = np.empty(m, np.float32)
+    height = np.empty(m, np.float32)
+    is_level = np.empty(m, np.uint8)
     near, smooth, upright, level = counts
     for line in range(n_lines):
         if line == keep:
             _copy(own_memory, kept)
-            kept_start, kept_lost, kept_missed = start_m, lost, missed
+            kept_start = start_m
+            kept_lost = lost
+            kept_missed = missed
         _lay_out(range_m[line], beams, side, height)
         _mark_level(
             near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level
@@ -373,7 +398,8 @@ def walk_ground(
             # a stream may begin amid a line, in which no ground is seen
             columns = columns[: len(columns) if lost != -1 else 0]
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
-            profile, known = profiles[s * BINS : (s + 1) * BINS], (heights[s], ages[s])
+            profile = profiles[s * BINS : (s + 1) * BINS]
+            known = (heights[s], ages[s])
             for b in range(BINS):
                 seen[b] = 0
                 profile[b] = np.float32(0.0)
@@ -401,12 +427,15 @@ def walk_ground(
             if missed >= MISSED_LINES:
                 start_m = _lowest(shots, sums)
                 _forget(ages, shots, sums)
-                missed, lost = 0, 0
+                missed = 0
+                lost = 0
         elif missed > 0:
             missed = 0
             for s in range(2):
                 _clear(shots[s], sums[s])
     if keep >= n_lines:
         _copy(own_memory, kept)
-        kept_start, kept_lost, kept_missed = start_m, lost, missed
+        kept_start = start_m
+        kept_lost = lost
+        kept_missed = missed
     return above, walked, kept, float(kept_start), kept_lost, kept_missed

@@ -20,7 +20,8 @@ REACH_LINES = 12
 half of the columns."""
 LEAST_SHOTS = 4
 """Fewest shots that it is found from."""
-HALF, SLACK = 0.5, 0.15
+HALF = 0.5
+SLACK = 0.15
 """How much later the other columns are, in lines, and how far single shots may be off that."""
 STEEP = 4.0
 """Tolerances that a surface recedes by from line to line, at least, to tell when it was measured."""
@@ -45,7 +46,9 @@ def put_in_step(range_m: F32, plane: ScanPlane, noise_m: F64, limits: Limits) ->
     """
     if float(plane.step_rad) < limits.interlace_rad or len(range_m) < 3:
         return range_m
-    before, own, after = range_m[:-2], range_m[1:-1], range_m[2:]
+    before = range_m[:-2]
+    own = range_m[1:-1]
+    after = range_m[2:]
     values, of_line = np.unique(noise_m[1:-1], return_inverse=True)
     smooth = [limits.smoothness.thresholds(float(value), float(plane.step_rad)) for value in values]
     least_m = np.array([one.tolerance_m for one in smooth], np.float32)[of_line]
@@ -71,7 +74,9 @@ def _counts(own: F32, recedes_m: F32, tolerance_m: F32, is_even: NDArray[np.bool
 
     Asked are shots on surfaces that recede by much, evenly and with both columns beside.
     """
-    left, middle, right = slice(0, -2), slice(1, -1), slice(2, None)
+    left = slice(0, -2)
+    middle = slice(1, -1)
+    right = slice(2, None)
     with np.errstate(all="ignore"):
         is_steep = is_even & (np.abs(recedes_m) > np.float32(STEEP) * tolerance_m)
         is_asked = is_steep[:, left] & is_steep[:, middle] & is_steep[:, right]

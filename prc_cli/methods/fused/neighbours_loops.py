@@ -13,7 +13,8 @@ from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, SmoothThresholds
 
-LINES, COLUMNS = 2, 4
+LINES = 2
+COLUMNS = 4
 """Greatest distance of neighbours, in lines and columns."""
 MOST_STRIDE = 8
 """Every so many columns are compared at most."""
@@ -36,7 +37,9 @@ def plane_points(range_m: F32_2, sine: F32_1, cosine: F32_1) -> tuple[F32_2, F32
     side = np.empty((n_lines, m), np.float32)
     height = np.empty((n_lines, m), np.float32)
     for line in range(n_lines):
-        own, y, z = range_m[line], side[line], height[line]
+        own = range_m[line]
+        y = side[line]
+        z = height[line]
         for i in range(m):
             y[i] = own[i] * sine[i]
             z[i] = -(own[i] * cosine[i])
@@ -48,7 +51,8 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
     """Write the points of a line between its margins, as :func:`plane_points` has them."""
     sine, cosine = beams
     m = len(ranges)
-    y, z = side[COLUMNS : COLUMNS + m], height[COLUMNS : COLUMNS + m]
+    y = side[COLUMNS : COLUMNS + m]
+    z = height[COLUMNS : COLUMNS + m]
     # one result a loop: the compiler cannot always prove that several do not overlap
     for i in range(m):
         y[i] = ranges[i] * sine[i]
@@ -74,7 +78,8 @@ def _is_near(
 
     ``along`` is not less than ``near``.
     """
-    a, b = abs(dy), abs(dz)
+    a = abs(dy)
+    b = abs(dz)
     return np.uint8(max(a, b) < (along if min(a, b) < thin else near))
 
 
@@ -84,7 +89,10 @@ def _count_beside(own: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float3
     y, z = own
     near, along = limits
     for i in range(len(row)):
-        a, b, short, long = y[i + 4], z[i + 4], near[i], along[i]
+        a = y[i + 4]
+        b = z[i + 4]
+        short = near[i]
+        long = along[i]
         row[i] = (
             _is_near(y[i] - a, z[i] - b, short, thin, long)
             + _is_near(y[i + 1] - a, z[i + 1] - b, short, thin, long)
@@ -112,7 +120,10 @@ def _count_across(
     y2, z2 = other
     near, along = limits
     for i in range(len(row)):
-        a, b, short, long = y[i + 4], z[i + 4], near[i], along[i]
+        a = y[i + 4]
+        b = z[i + 4]
+        short = near[i]
+        long = along[i]
         row[i] += (
             _is_near(y1[i + 2] - a, z1[i + 2] - b, short, thin, long)
             + _is_near(y1[i + 3] - a, z1[i + 3] - b, short, thin, long)
@@ -137,12 +148,17 @@ def near_counts(
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
-    near_m, near_steps, thin = thresholds.near_m, thresholds.near_steps, thresholds.thin_m
-    along_m, along_steps = thresholds.along_m, thresholds.along_steps
+    near_m = thresholds.near_m
+    near_steps = thresholds.near_steps
+    thin = thresholds.thin_m
+    along_m = thresholds.along_m
+    along_steps = thresholds.along_steps
     counts = np.empty((n_lines, m), np.uint8)
-    near, along = np.empty(m, np.float32), np.empty(m, np.float32)
+    near = np.empty(m, np.float32)
+    along = np.empty(m, np.float32)
     # ring buffers of lines
-    side, height = _margins(m), _margins(m)
+    side = _margins(m)
+    height = _margins(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
         _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
@@ -155,13 +171,11 @@ def near_counts(
             near[i] = short
             along[i] = max(max(along_m, along_steps * apart), short)
         row = counts[line - 2 * LINES]
-        a, b, c, d, e = (
-            (line - 4) % room,
-            (line - 3) % room,
-            (line - 2) % room,
-            (line - 1) % room,
-            line % room,
-        )
+        a = (line - 4) % room
+        b = (line - 3) % room
+        c = (line - 2) % room
+        d = (line - 1) % room
+        e = line % room
         points = side[c], height[c]
         _count_beside(points, (near, along), thin, row)
         _count_across(points, (side[a], height[a]), (side[b], height[b]), (near, along), thin, row)
@@ -181,7 +195,8 @@ def _on_line(
     gap: np.float32,
 ) -> np.uint8:
     """Return whether a point lies on the line through two others that are close; both limits are squared."""
-    dy, dz = by - ay, bz - az
+    dy = by - ay
+    dz = bz - az
     long = dy * dy + dz * dz
     off = dy * (z - az) - dz * (y - ay)
     return np.uint8((long < gap) & (off * off < tolerance * long))
@@ -199,7 +214,8 @@ def _between(
 ) -> np.uint8:
     """Return whether a point lies midway between two others; the tolerance is squared."""
     half = np.float32(0.5)
-    dy, dz = (ay + by) * half - y, (az + bz) * half - z
+    dy = (ay + by) * half - y
+    dz = (az + bz) * half - z
     return np.uint8(dy * dy + dz * dz < np.float32(4.0) * tolerance)
 
 
@@ -208,21 +224,25 @@ def _pairs_in_line(
     ranges: F32, side: F32, height: F32, step: np.float32, thresholds: SmoothThresholds, row: U8
 ) -> None:
     """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
-    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
-    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
+    base = thresholds.tolerance_m
+    per_m = thresholds.tolerance_per_m
+    gap_m = thresholds.gap_m
+    gap_steps = thresholds.gap_steps
     for i in range(len(row)):
         tolerance = base + per_m * ranges[i]
         tolerance = tolerance * tolerance
         gap = max(gap_m, gap_steps * (ranges[i] * step))
         gap = gap * gap
-        y1, y2, y, y3, y4 = side[i + 2], side[i + 3], side[i + 4], side[i + 5], side[i + 6]
-        z1, z2, z, z3, z4 = (
-            height[i + 2],
-            height[i + 3],
-            height[i + 4],
-            height[i + 5],
-            height[i + 6],
-        )
+        y1 = side[i + 2]
+        y2 = side[i + 3]
+        y = side[i + 4]
+        y3 = side[i + 5]
+        y4 = side[i + 6]
+        z1 = height[i + 2]
+        z2 = height[i + 3]
+        z = height[i + 4]
+        z3 = height[i + 5]
+        z4 = height[i + 6]
         row[i] = (
             _on_line(y2, z2, y3, z3, y, z, tolerance, gap)
             + _on_line(y1, z1, y4, z4, y, z, tolerance, gap)
@@ -237,11 +257,9 @@ def _pairs_in_line(
 def _strides(ranges: F32, step: np.float32, thresholds: SmoothThresholds, strides: I32) -> None:
     """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
     m = len(ranges)
-    most, apart, leaf = (
-        np.float32(MOST_STRIDE),
-        thresholds.apart_m,
-        np.float32(0.5) * thresholds.leaf_m,
-    )
+    most = np.float32(MOST_STRIDE)
+    apart = thresholds.apart_m
+    leaf = np.float32(0.5) * thresholds.leaf_m
     for i in range(m):
         spacing = ranges[i] * step  # NaN stays NaN, which no comparison holds for
         columns = apart / spacing
@@ -269,8 +287,10 @@ def _pairs_farther(
 
     Piece by piece, once for every stride there: with one stride the pairs are shifted arrays.
     """
-    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
-    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
+    base = thresholds.tolerance_m
+    per_m = thresholds.tolerance_per_m
+    gap_m = thresholds.gap_m
+    gap_steps = thresholds.gap_steps
     side, height = points
     m = len(row)
     for first in range(0, m, PIECE):
@@ -282,15 +302,26 @@ def _pairs_farther(
             if there & np.int32(1 << n) == 0:
                 continue
             # no shot nearer to the ends of the line has this stride
-            low, high = max(first, 2 * n), min(end, m - 2 * n)
-            start, size = low + COLUMNS, high - low
-            own, asked, counts = ranges[low:high], strides[low:high], row[low:high]
-            y0, y1, y2 = side[start : start + size], side[start - 2 * n :], side[start - n :]
-            y3, y4 = side[start + n :], side[start + 2 * n :]
-            z0, z1, z2 = height[start : start + size], height[start - 2 * n :], height[start - n :]
-            z3, z4 = height[start + n :], height[start + 2 * n :]
+            low = max(first, 2 * n)
+            high = min(end, m - 2 * n)
+            start = low + COLUMNS
+            size = high - low
+            own = ranges[low:high]
+            asked = strides[low:high]
+            counts = row[low:high]
+            y0 = side[start : start + size]
+            y1 = side[start - 2 * n :]
+            y2 = side[start - n :]
+            y3 = side[start + n :]
+            y4 = side[start + 2 * n :]
+            z0 = height[start : start + size]
+            z1 = height[start - 2 * n :]
+            z2 = height[start - n :]
+            z3 = height[start + n :]
+            z4 = height[start + 2 * n :]
             for k in range(size):
-                y, z = y0[k], z0[k]
+                y = y0[k]
+                z = z0[k]
                 tolerance = base + per_m * own[k]
                 tolerance = tolerance * tolerance
                 gap = max(gap_m, gap_steps * (own[k] * step))
@@ -315,13 +346,15 @@ def _pairs_across(
     row: U8,
 ) -> None:
     """Add the pairs of shots before and after a line that its shots lie in the middle between; all have margins."""
-    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    base = thresholds.tolerance_m
+    per_m = thresholds.tolerance_per_m
     ya, yb, own_y, yd, ye = lines
     za, zb, own_z, zd, ze = heights
     for i in range(len(row)):
         tolerance = base + per_m * ranges[i]
         tolerance = tolerance * tolerance
-        y, z = own_y[i + 4], own_z[i + 4]
+        y = own_y[i + 4]
+        z = own_z[i + 4]
         row[i] += (
             _between(yb[i + 4], zb[i + 4], yd[i + 4], zd[i + 4], y, z, tolerance)
             + _between(yb[i + 5], zb[i + 5], yd[i + 3], zd[i + 3], y, z, tolerance)
@@ -347,20 +380,20 @@ def smooth_counts(
     n_lines = range_m.shape[0] - 2 * LINES
     counts = np.empty((n_lines, m), np.uint8)
     strides = np.empty(m, np.int32)
-    side, height = _margins(m), _margins(m)
+    side = _margins(m)
+    height = _margins(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
         _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
         if line < 2 * LINES:
             continue
-        ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
-        a, b, c, d, e = (
-            (line - 4) % room,
-            (line - 3) % room,
-            (line - 2) % room,
-            (line - 1) % room,
-            line % room,
-        )
+        ranges = range_m[line - LINES]
+        row = counts[line - 2 * LINES]
+        a = (line - 4) % room
+        b = (line - 3) % room
+        c = (line - 2) % room
+        d = (line - 1) % room
+        e = line % room
         _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
         _strides(ranges, step, thresholds, strides)
         _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
@@ -388,8 +421,11 @@ def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
     n = len(shown)
     for i in range(len(values)):
         shown[PAD + i] = values[i] if smooth[i] > 0 else np.float32(np.nan)
-    out, own, back = shown[1 + way : n - 1 + way], shown[1 : n - 1], shown[1 - way : n - 1 - way]
-    three, two = ends[1 : n - 1], ends[n + 1 : 2 * n - 1]
+    out = shown[1 + way : n - 1 + way]
+    own = shown[1 : n - 1]
+    back = shown[1 - way : n - 1 - way]
+    three = ends[1 : n - 1]
+    two = ends[n + 1 : 2 * n - 1]
     for i in range(n - 2):
         # NaN marks columns that are not smooth
         further = own[i] if own[i] == own[i] else out[i]
@@ -421,15 +457,20 @@ def _count_chords(
     level: U8,
 ) -> None:
     """Count the chords of a line that are upright, and level: to one end, to the other, from end to end."""
-    slope, slack = thresholds.slope, thresholds.slack_m
+    slope = thresholds.slope
+    slack = thresholds.slack_m
     longest = thresholds.longest_m * thresholds.longest_m
     y, z = points
     ay, az = before
     by, bz = after
     for i in range(len(y)):
         # NaN propagates for missing shots and ends, which are neither
-        dy1, dz1, dy2, dz2 = ay[i] - y[i], az[i] - z[i], by[i] - y[i], bz[i] - z[i]
-        dy3, dz3 = dy1 - dy2, dz1 - dz2
+        dy1 = ay[i] - y[i]
+        dz1 = az[i] - z[i]
+        dy2 = by[i] - y[i]
+        dz2 = bz[i] - z[i]
+        dy3 = dy1 - dy2
+        dz3 = dz1 - dz2
         upright[i] = (
             _is_upright(dy1, dz1, slope, slack, longest)
             + _is_upright(dy2, dz2, slope, slack, longest)
@@ -461,19 +502,21 @@ def directions(
     """
     n_lines, m = range_m.shape
     n = m + 2 * PAD
-    upright, level = np.empty((n_lines, m), np.uint8), np.empty((n_lines, m), np.uint8)
-    reach, side, height = np.empty(m, np.int32), np.empty(m, np.float32), np.empty(m, np.float32)
-    shown, ends = (
-        np.empty(n, np.float32),
-        (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)),
-    )
+    upright = np.empty((n_lines, m), np.uint8)
+    level = np.empty((n_lines, m), np.uint8)
+    reach = np.empty(m, np.int32)
+    side = np.empty(m, np.float32)
+    height = np.empty(m, np.float32)
+    shown = np.empty(n, np.float32)
+    ends = (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32))
     for i in range(n):
         shown[i] = np.float32(np.nan)
     for i in range(2 * n):
         ends[0][i] = ends[1][i] = np.float32(np.nan)
     before = np.empty(m, np.float32), np.empty(m, np.float32)
     after = np.empty(m, np.float32), np.empty(m, np.float32)
-    chord, most = thresholds.chord_m, np.float32(MOST_COLUMNS)
+    chord = thresholds.chord_m
+    most = np.float32(MOST_COLUMNS)
     for line in range(n_lines):
         own = range_m[line]
         for i in range(m):

@@ -12,7 +12,8 @@ from prc_cli.methods.fused.thresholds import AgainThresholds
 
 Words = NDArray[np.uint64]
 
-LINES, COLUMNS = 3, 8
+LINES = 3
+COLUMNS = 8
 """Greatest distance of the shots that are asked about, in lines and columns."""
 BESIDE_LINES = 1
 """The same of the shots whose label is asked for, in lines."""
@@ -22,19 +23,17 @@ MOST_FELLOWS = 1
 """Most shots on a surface as far as a mirror image: what is mirrored is seen by few."""
 MISSING_PART = 6
 """With more than a sixth of the window missing, that nothing is near in range says little."""
-_MISSING, _NOISE, _CAR, _LEAVES = (
-    int(Label.MISSING),
-    int(Label.NOISE),
-    int(Label.CAR),
-    int(Label.VEGETATION),
-)
-_ALONE, _MIRRORED, _LOST = np.uint8(1), np.uint8(2), np.uint8(4)
+_MISSING = int(Label.MISSING)
+_NOISE = int(Label.NOISE)
+_CAR = int(Label.CAR)
+_LEAVES = int(Label.VEGETATION)
+_ALONE = np.uint8(1)
+_MIRRORED = np.uint8(2)
+_LOST = np.uint8(4)
 """Bits of what is asked of a shot."""
-_RANGE_ALONE, _MIRROR_IMAGE, _LEAF = (
-    np.uint8(Reason.RANGE_ALONE),
-    np.uint8(Reason.MIRRORED),
-    np.uint8(Reason.LEAF),
-)
+_RANGE_ALONE = np.uint8(Reason.RANGE_ALONE)
+_MIRROR_IMAGE = np.uint8(Reason.MIRRORED)
+_LEAF = np.uint8(Reason.LEAF)
 _FAR = np.float32(1e9)
 
 
@@ -43,7 +42,8 @@ def _mark(
     labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8
 ) -> None:
     """Mark the rough shots of a line that may be alone, and noise that may be a leaf; without branches, as few are."""
-    rough, foot = thresholds.alone_texture, thresholds.foot_m
+    rough = thresholds.alone_texture
+    foot = thresholds.foot_m
     for i in range(len(labels)):
         is_open = (labels[i] != _MISSING) & (labels[i] != _NOISE)
         is_rough = (smooth[i] == 0) & (texture[i] > rough) & (above[i] > foot)
@@ -54,13 +54,20 @@ def _mark(
 @helper
 def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
     """Mark the rough shots of a line with a car on both sides: one of the two shots there is part of it."""
-    m, cars, car = len(labels), 0, np.uint8(_CAR)
+    m = len(labels)
+    cars = 0
+    car = np.uint8(_CAR)
     for i in range(m):
         cars += labels[i] == car
     if cars == 0 or m < 5:
         return
-    a, b, c, d = labels[: m - 4], labels[1 : m - 3], labels[3 : m - 1], labels[4:]
-    own, pairs, inner = labels[2 : m - 2], smooth[2 : m - 2], marks[2 : m - 2]
+    a = labels[: m - 4]
+    b = labels[1 : m - 3]
+    c = labels[3 : m - 1]
+    d = labels[4:]
+    own = labels[2 : m - 2]
+    pairs = smooth[2 : m - 2]
+    inner = marks[2 : m - 2]
     for i in range(m - 4):
         is_amid = ((a[i] == car) | (b[i] == car)) & ((c[i] == car) | (d[i] == car))
         is_open = (own[i] != _NOISE) & (own[i] != _MISSING) & (pairs[i] < SMOOTH)
@@ -94,11 +101,16 @@ def _is_mirrored(
     ``labels`` begins ``before`` lines after the others.
     """
     line, i = at
-    m, own, gap, car = range_m.shape[1], range_m[line, i], thresholds.mirror_m, np.uint8(_CAR)
-    row, end = range_m[line], own - gap
+    m = range_m.shape[1]
+    own = range_m[line, i]
+    gap = thresholds.mirror_m
+    car = np.uint8(_CAR)
+    row = range_m[line]
+    end = own - gap
     if not ((row[i - 1] < end) | (row[i - 2] < end)) & ((row[i + 1] < end) | (row[i + 2] < end)):
         return False
-    first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, m)
+    first = max(i - COLUMNS, 0)
+    last = min(i + COLUMNS + 1, m)
     left = right = fellows = np.int32(0)
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
         for j in range(first, last):
@@ -115,7 +127,9 @@ def _is_mirrored(
 @helper
 def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> bool:
     """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
-    own, as_far = range_m[line, i], np.int32(-1)  # the shot is as far as itself
+    # the shot is as far as itself
+    own = range_m[line, i]
+    as_far = np.int32(-1)
     before = after = _FAR
     missing = cells = 0
     for n in range(2 * LINES + 1):
@@ -166,7 +180,8 @@ def noise_again(
     n_lines, m = voted.shape
     found = voted.copy()
     room = (m + 7) // 8 * 8
-    marks, shots = np.zeros(room, np.uint8), np.empty(room + 1, np.int32)
+    marks = np.zeros(room, np.uint8)
+    shots = np.empty(room + 1, np.int32)
     words = marks.view(np.uint64)
     # the first line of the labels is this many lines after that of the ranges
     before = LINES - BESIDE_LINES

@@ -178,9 +178,12 @@ class FusedState:
 
 AnyArray = NDArray[Any]
 
-TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
+TAIL = Part[F32]("tail")
+NOISE = Part[Noise]("noise")
+MEMORY = Part[GroundMemory]("memory")
 NOISE_ALONG = Part[NoiseAlong]("noise_along")
-LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
+LINE = Part[int]("line")
+SPACING = Part[Spacing]("spacing")
 PROFILES = Part[U8]("profiles")
 
 
@@ -209,7 +212,8 @@ class FusedScanner:
 
         ``beam_rad`` (M,) float64.
         """
-        plane, limits = ScanPlane.of(beam_rad), STREET
+        plane = ScanPlane.of(beam_rad)
+        limits = STREET
         if float(plane.step_rad) < limits.foliage.depth_step_rad:
             # a leaf among leaves has near neighbours
             limits = limits._replace(again=limits.again._replace(leaves=np.float32(NEVER)))
@@ -271,8 +275,10 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
         found = _classify(block.range_m, block.next_m, scanner, turn, self.params, wanted)
-        further, limit_m = block.extra, EXTRA_RETURN_M
-        labels, environment = found.labels, self.params.environment
+        further = block.extra
+        limit_m = EXTRA_RETURN_M
+        labels = found.labels
+        environment = self.params.environment
         extra = label_further_returns(
             block.range_m, labels, further.line, further.column, further.range_m, limit_m
         )
@@ -369,10 +375,12 @@ def _classify(
             NOISE, lambda known: _measure_forest(range_m, known, params.sensor)
         )
         woods = forest(range_m, scanner.plane, in_forest_m, params.forest.limits())
-        labels, noise = woods.reasons & np.uint8(LABEL_BITS), np.full((1, 1), in_forest_m)
+        labels = woods.reasons & np.uint8(LABEL_BITS)
+        noise = np.full((1, 1), in_forest_m)
         return Found(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
     limits = scanner.limits
-    n_lines, ahead = len(range_m), lines_ahead(plane, limits)
+    n_lines = len(range_m)
+    ahead = lines_ahead(plane, limits)
     # a copy, so that the block is not kept in memory
     tail = turn.hand_on(
         TAIL,
@@ -402,15 +410,14 @@ def _classify(
     reasons = (
         _woven([reasons for _, reasons in decided], streams, apart) if wanted.reasons else None
     )
-    evidence, has_profiles = None, are_wanted(plane, limits)
+    evidence = None
+    has_profiles = are_wanted(plane, limits)
     if wanted.confidence or wanted.measures or has_profiles:
         evidence = _woven_evidence(found, grounds.above_m, streams, apart)
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
-        before, labels = (
-            labels,
-            _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits),
-        )
+        before = labels
+        labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
         if reasons is not None:
             reasons = np.where(
                 labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE)
@@ -444,7 +451,8 @@ def measures_of(found: Found, shape: tuple[int, ...]) -> dict[str, AnyArray]:
 
 def _forest_evidence(range_m: F32, found: Found, scanner: FusedScanner) -> Evidence:
     """Look at a block of forest as at a street; lines beyond it are not known."""
-    plane, limits = scanner.scan_plane, scanner.limits
+    plane = scanner.scan_plane
+    limits = scanner.limits
     beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
     window = np.pad(range_m, beyond, constant_values=np.float32(np.nan))
     smooth = smooth_pairs(window, plane, found.noise_m.item(), limits.smoothness)
@@ -501,13 +509,15 @@ def streams_of(
     ``wide`` (lines + 2 SPACED_LINES, M) float32; ``strides`` (lines + 6,) int64; ``noise_m`` (lines + 2 SPACED_LINES,)
     float64.
     """
-    apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
+    apart = lines_apart(strides)
+    around = MARGIN_LINES - AROUND_LINES
     streams = []
     for every in np.unique(apart).tolist():
         window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
         smooth = spaced_pairs(window, own_strides, plane, own_noise_m, limits.smoothness)
         for first in range(min(every, len(apart))):
-            own_m, own = wide[OUTSIDE_LINES:-OUTSIDE_LINES], smooth
+            own_m = wide[OUTSIDE_LINES:-OUTSIDE_LINES]
+            own = smooth
             if every > 1:
                 own_m = wide[_rows_of(first, every, len(apart))]
                 own = np.ascontiguousarray(
@@ -529,7 +539,8 @@ def _follow_all(
     """Follow the ground of every stream from the same memory on; return it, and the memory for the next block."""
     found = []
     for stream in streams:
-        seen, own = stream.seen, len(range(stream.first, n_lines, stream.every))
+        seen = stream.seen
+        own = len(range(stream.first, n_lines, stream.every))
         found.append(follow_ground(seen.range_m, seen.neighbours, plane, memory, own, limits.walk))
     last = int(apart[n_lines - 1])
     after = [
@@ -650,7 +661,9 @@ def _strides(
 
     ``lines`` are the number of a block's first line, and how many it has.
     """
-    (line, n_lines), n_labelled, spaced = lines, len(wide) - 2 * SPACED_LINES, limits.spaced
+    (line, n_lines) = lines
+    n_labelled = len(wide) - 2 * SPACED_LINES
+    spaced = limits.spaced
     if spaced is None:
         return np.ones(n_labelled + 2 * BESIDE_LINES, np.int64)
     thresholds = partial(spaced.thresholds, limits.smoothness, step_rad=float(plane.step_rad))
@@ -694,8 +707,10 @@ def _decide(
     with_reasons: bool,
 ) -> tuple[U8, U8]:
     """Label every shot of a stream; return the labels and, where they are asked for, the reasons."""
-    seen, bits = stream.seen, np.uint8(LABEL_BITS)
-    neighbours, texture = seen.neighbours, evidence.texture
+    seen = stream.seen
+    bits = np.uint8(LABEL_BITS)
+    neighbours = seen.neighbours
+    texture = evidence.texture
     rules = decide(
         stream.wide_m, neighbours, ground, texture, evidence.standing, plane, limits.decision
     )

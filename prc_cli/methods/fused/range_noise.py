@@ -20,9 +20,11 @@ MIDDLE_OF_THREE = 1.5
 """Variance of a range's deviation from the mean of its two neighbours, in variances of one range."""
 PART_LINES = 32
 """Lines by which the noise at the begin of a stream is measured; not more than are known after a block."""
-PIECE_PARTS, FIRST_PARTS = 4, 12
+PIECE_PARTS = 4
+FIRST_PARTS = 12
 """Parts of so many lines by which it is measured later, and after how many it is measured ever more seldom."""
-EVERY_LINE, MANY_COLUMNS = 4, 256
+EVERY_LINE = 4
+MANY_COLUMNS = 256
 """With so many columns and more, every fourth line is enough."""
 LEAST_TRIPLES = 100
 """Fewest shots to measure the noise from."""
@@ -162,9 +164,11 @@ def off_lines(side_m: F32, height_m: F32) -> F32:
 
     ``side_m, height_m`` (lines, M) float32, metres.
     """
-    y, z = side_m, height_m
+    y = side_m
+    z = height_m
     with np.errstate(all="ignore"):  # ranges may be anything
-        dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
+        dy = y[:, 2:] - y[:, :-2]
+        dz = z[:, 2:] - z[:, :-2]
         across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
         # squares of any range fit; np.hypot gives the same, one number at a time
         length = np.sqrt(np.square(dy, dtype=np.float64) + np.square(dz, dtype=np.float64)).astype(

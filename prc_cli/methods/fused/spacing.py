@@ -105,15 +105,18 @@ def strides_of(
 
     ``counts`` (n, 6, 2) int32; returns ``strides`` (lines + ahead + 6,) int64.
     """
-    sums, stride = known.sums, known.stride
+    sums = known.sums
+    stride = known.stride
     strides = np.full(n_lines + ahead + 2 * BESIDE_LINES, stride, np.int64)
-    begin, after = _begin(first_line), known
+    begin = _begin(first_line)
+    after = known
     is_after = False
     # the distance changes at lines that were compared only
     for k in range(-(first_line + begin) % EVERY_LINE, len(counts), EVERY_LINE):
         line = begin + k
         if line >= n_lines + COUNTED_LINES and not is_after:
-            after, is_after = Spacing(sums, stride), True
+            after = Spacing(sums, stride)
+            is_after = True
         sums = sums * limits.decay + counts[k]
         stride = _stride(sums, stride, limits)
         strides[max(line - COUNTED_LINES, 0) :] = stride
@@ -161,7 +164,8 @@ def _spaced_pairs(
 ) -> U8:
     """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
     margin = PAIR_LINES * MOST_LAG
-    n_lines, m = len(strides), window_m.shape[1]
+    n_lines = len(strides)
+    m = window_m.shape[1]
     chosen = np.unique(strides)
     if len(chosen) == 1 and chosen[0] == 1:
         return smooth_pairs(
@@ -178,7 +182,8 @@ def _spaced_pairs(
             alone[2::3] = window_m[lines + margin]
             smooth[lines] = IN_LINE_PAIRS[smooth_pairs(alone, plane, noise_m, limits)[::3]]
             continue
-        first, last = int(lines[0]), int(lines[-1])
+        first = int(lines[0])
+        last = int(lines[-1])
         # every stride-th line is a stream of its own
         for phase in range(first, min(first + stride, last + 1)):
             own = np.arange(phase, last + 1, stride)

@@ -27,19 +27,20 @@ def _mark_leaves(ranges: F32, thresholds: SpacingThresholds, limits: F32, leaves
     ``limits`` becomes how much a shot on the same leaf may differ in range, below zero where there is no leaf.
     """
     m = len(ranges)
-    base, per_m, near = thresholds.tolerance_m, thresholds.tolerance_per_m, thresholds.near_m
+    base = thresholds.tolerance_m
+    per_m = thresholds.tolerance_per_m
+    near = thresholds.near_m
     for i in range(m):
         limits[i] = base + per_m * ranges[i]
     leaves[0] = leaves[m - 1] = np.uint8(0)
-    before, own, after, limit, marks = (
-        ranges[: m - 2],
-        ranges[1 : m - 1],
-        ranges[2:],
-        limits[1 : m - 1],
-        leaves[1 : m - 1],
-    )
+    before = ranges[: m - 2]
+    own = ranges[1 : m - 1]
+    after = ranges[2:]
+    limit = limits[1 : m - 1]
+    marks = leaves[1 : m - 1]
     for i in range(m - 2):
-        one, two = own[i] - before[i], after[i] - own[i]
+        one = own[i] - before[i]
+        two = after[i] - own[i]
         steps = (abs(one) > limit[i]) & (abs(two) > limit[i]) & (abs(two - one) > limit[i])
         marks[i] = np.uint8(steps & (abs(one) < near) & (abs(two) < near))
     # a ledge or a window's frame is one such shot, leaves are several
@@ -56,12 +57,14 @@ def _mark_leaves(ranges: F32, thresholds: SpacingThresholds, limits: F32, leaves
 @helper
 def _count_again(ranges: F32, earlier: F32, limits: F32, leaves: U8, row: I32) -> None:
     """Count the leaves of a line where an earlier line has a return too, and where that is as far."""
-    both, same = np.int32(0), np.int32(0)
+    both = np.int32(0)
+    same = np.int32(0)
     for i in range(len(ranges)):
         off = abs(ranges[i] - earlier[i])
         both += np.int32(leaves[i] & np.uint8(off == off))
         same += np.int32(leaves[i] & np.uint8(off < limits[i]))
-    row[0], row[1] = both, same
+    row[0] = both
+    row[1] = same
 
 
 @kernel()
@@ -70,14 +73,16 @@ def leaf_repeats(range_m: F32_2, first: int, thresholds: SpacingThresholds) -> I
 
     ``range_m`` (lines + MOST_LAG, M) float32, metres; returns (lines, 6, 2) int32.
     """
-    n_lines, m = range_m.shape[0] - MOST_LAG, range_m.shape[1]
+    n_lines = range_m.shape[0] - MOST_LAG
+    m = range_m.shape[1]
     counts = np.empty((n_lines, ROWS, 2), np.int32)
     for line in range(n_lines):
         for k in range(ROWS):
             counts[line, k, 0] = counts[line, k, 1] = np.int32(0)
     if m < 3:
         return counts
-    limits, leaves = np.empty(m, np.float32), np.empty(m, np.uint8)
+    limits = np.empty(m, np.float32)
+    leaves = np.empty(m, np.uint8)
     for line in range(first, n_lines, EVERY_LINE):
         own = range_m[line + MOST_LAG]
         if _mark_leaves(own, thresholds, limits, leaves) == 0:

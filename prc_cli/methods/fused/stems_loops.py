@@ -24,10 +24,14 @@ _SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
 """Columns of the sums of a stem: shots, returns from behind, runs, length of these [m]."""
 
 _MISSING = np.uint8(Label.MISSING)
-_FAR_BELOW, _ALONE = np.uint8(Reason.FAR_BELOW), np.uint8(Reason.ALONE)
-_SOIL, _FLAT = np.uint8(Reason.SOIL), np.uint8(Reason.FLAT)
-_PLANT, _ABOVE_TOP = np.uint8(Reason.PLANT), np.uint8(Reason.ABOVE_TOP)
-_ON_STEM, _BESIDE_STEM = np.uint8(Reason.ON_STEM), np.uint8(Reason.BESIDE_STEM)
+_FAR_BELOW = np.uint8(Reason.FAR_BELOW)
+_ALONE = np.uint8(Reason.ALONE)
+_SOIL = np.uint8(Reason.SOIL)
+_FLAT = np.uint8(Reason.FLAT)
+_PLANT = np.uint8(Reason.PLANT)
+_ABOVE_TOP = np.uint8(Reason.ABOVE_TOP)
+_ON_STEM = np.uint8(Reason.ON_STEM)
+_BESIDE_STEM = np.uint8(Reason.BESIDE_STEM)
 NO_GROUND = -1e9
 """Height of the ground where none was seen [m]."""
 N_LOWEST = 3
@@ -43,7 +47,8 @@ MIN_ASIDE_M = 0.3
 LINES_AROUND = 2
 """Lines before and after in which near shots are looked for."""
 
-_OPEN, _TOUCHING = 255, 254
+_OPEN = 255
+_TOUCHING = 254
 """Marks of shots without a label yet: those that may be alone, and those beside a stem."""
 
 
@@ -83,8 +88,10 @@ def _low_shots(
 ) -> int:
     """List the shots of a line that may be on the ground, write their bins and heights; return how many there are."""
     sine, cosine = beams
-    half, per_metre = n_bins // 2, 1.0 / thresholds.bin_m
-    step_m, step_share = thresholds.near_m, thresholds.near_share
+    half = n_bins // 2
+    per_metre = 1.0 / thresholds.bin_m
+    step_m = thresholds.near_m
+    step_share = thresholds.near_share
     last = np.inf
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
@@ -112,9 +119,11 @@ def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F6
     one, two, three = lowest
     for k in range(len(shots)):
         column = np.uint64(shots[k])
-        b, z = np.uint64(bins[column]), heights[column]
+        b = np.uint64(bins[column])
+        z = heights[column]
         if z < three[b]:
-            low, middle = one[b], two[b]
+            low = one[b]
+            middle = two[b]
             one[b] = min(z, low)
             two[b] = min(max(z, low), middle)
             three[b] = max(z, middle)
@@ -138,13 +147,13 @@ def ground_profiles(
     """
     n_lines, n_columns = range_m.shape
     profiles = np.empty((-(-n_lines // lines_together), n_bins), np.float64)
-    one, two, three = (
-        np.empty(n_bins, np.float64),
-        np.empty(n_bins, np.float64),
-        np.empty(n_bins, np.float64),
-    )
-    before, heights = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
-    bins, shots = np.empty(n_columns, np.int32), np.empty(n_columns + 1, np.int32)
+    one = np.empty(n_bins, np.float64)
+    two = np.empty(n_bins, np.float64)
+    three = np.empty(n_bins, np.float64)
+    before = np.empty(n_columns, np.float64)
+    heights = np.empty(n_columns, np.float64)
+    bins = np.empty(n_columns, np.int32)
+    shots = np.empty(n_columns + 1, np.int32)
     for group in range(len(profiles)):
         for b in range(n_bins):
             one[b] = two[b] = three[b] = np.inf
@@ -203,8 +212,10 @@ def ground_heights(
     """
     n_lines, n_columns = range_m.shape
     heights = np.empty((n_lines, n_columns), np.float32)
-    bins, shares = np.empty(n_columns, np.int32), np.empty(n_columns, np.float64)
-    low, high = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    bins = np.empty(n_columns, np.int32)
+    shares = np.empty(n_columns, np.float64)
+    low = np.empty(n_columns, np.float64)
+    high = np.empty(n_columns, np.float64)
     for line in range(n_lines):
         _floors(range_m[line], sine, profiles.shape[1], 1.0 / bin_m, bins, shares)
         _look_up(bins, profiles[line // lines_together], low, high)
@@ -224,12 +235,16 @@ def _aim(
     """Write place, range, tolerance and spacing of the shots of a line; list those high enough, return how many."""
     sine, cosine = beams
     side, up, far, tolerances, spacings = points
-    low, base, share = thresholds.above_m, thresholds.tolerance_m, thresholds.tolerance_share
+    low = thresholds.above_m
+    base = thresholds.tolerance_m
+    share = thresholds.tolerance_share
     angle = SPACINGS * thresholds.step_rad
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
         y = r * sine[column]
-        side[column], up[column], far[column] = y, -r * cosine[column], r
+        side[column] = y
+        up[column] = -r * cosine[column]
+        far[column] = r
         tolerances[column] = base + share * r
         spacings[column] = angle * r * r / max(abs(y), MIN_ASIDE_M)
     n_shots = 0
@@ -278,8 +293,10 @@ def _put_away(
     up = abs(z - z_first[run])
     is_kept = (n >= MIN_SHOTS) & (2.0 * passed <= n) & (up >= thresholds.short_m)
     if is_kept & (abs(y - y_first[run]) <= thresholds.lean * up):
-        ends[run, COUNT], ends[run, PASSED] = n, passed
-        ends[run, LOWEST], ends[run, HIGHEST] = min(z_first[run], z), max(z_first[run], z)
+        ends[run, COUNT] = n
+        ends[run, PASSED] = passed
+        ends[run, LOWEST] = min(z_first[run], z)
+        ends[run, HIGHEST] = max(z_first[run], z)
 
 
 @inlined
@@ -316,37 +333,80 @@ def _line_runs(
     registers.
     """
     side, up, far, tolerances, spacings = points
-    steep, gap, gap_steep, behind = (
-        thresholds.steep,
-        thresholds.gap_m,
-        thresholds.gap_steep,
-        thresholds.behind_m,
-    )
+    steep = thresholds.steep
+    gap = thresholds.gap_m
+    gap_steep = thresholds.gap_steep
+    behind = thresholds.behind_m
     y_first, z_first = firsts
     nothing = np.float64(np.nan)
-    run0, y0, z0, r0, n0, passed0, waiting0 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
-    run1, y1, z1, r1, n1, passed1, waiting1 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
-    run2, y2, z2, r2, n2, passed2, waiting2 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    run0 = -1
+    y0 = nothing
+    z0 = nothing
+    r0 = nothing
+    n0 = 0.0
+    passed0 = 0.0
+    waiting0 = 0.0
+    run1 = -1
+    y1 = nothing
+    z1 = nothing
+    r1 = nothing
+    n1 = 0.0
+    passed1 = 0.0
+    waiting1 = 0.0
+    run2 = -1
+    y2 = nothing
+    z2 = nothing
+    r2 = nothing
+    n2 = 0.0
+    passed2 = 0.0
+    waiting2 = 0.0
     n_runs = 0
     for k in range(len(shots)):
         column = np.uint64(shots[k])
-        y, z, r = side[column], up[column], far[column]
-        tolerance, spacing = tolerances[column], spacings[column]
+        y = side[column]
+        z = up[column]
+        r = far[column]
+        tolerance = tolerances[column]
+        spacing = spacings[column]
         if not _goes_on(abs(y - y0), abs(z - z0), spacing, tolerance, steep, gap, gap_steep):
-            run, n, passed = run1, n1, passed1 + waiting1
+            run = run1
+            n = n1
+            passed = passed1 + waiting1
             if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
-                run, n, passed = run2, n2, passed2 + waiting2
+                run = run2
+                n = n2
+                passed = passed2 + waiting2
                 if not _goes_on(
                     abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep
                 ):
                     _drop(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
-                    run, n, passed = n_runs, 0.0, 0.0
-                    y_first[n_runs], z_first[n_runs] = y, z
+                    run = n_runs
+                    n = 0.0
+                    passed = 0.0
+                    y_first[n_runs] = y
+                    z_first[n_runs] = z
                     n_runs += 1
-                run2, y2, z2, r2, n2, passed2, waiting2 = run1, y1, z1, r1, n1, passed1, waiting1
-            run1, y1, z1, r1, n1, passed1, waiting1 = run0, y0, z0, r0, n0, passed0, waiting0
-            run0, n0, passed0, waiting0 = run, n, passed, 0.0
-        y0, z0, r0 = y, z, r
+                run2 = run1
+                y2 = y1
+                z2 = z1
+                r2 = r1
+                n2 = n1
+                passed2 = passed1
+                waiting2 = waiting1
+            run1 = run0
+            y1 = y0
+            z1 = z0
+            r1 = r0
+            n1 = n0
+            passed1 = passed0
+            waiting1 = waiting0
+            run0 = run
+            n0 = n
+            passed0 = passed
+            waiting0 = 0.0
+        y0 = y
+        z0 = z
+        r0 = r
         n0 += 1.0
         passed0 += waiting0
         waiting0 = 0.0
@@ -378,21 +438,15 @@ def upright_runs(
     for i in range(4):
         table[0, i] = 0.0
     n_kept = 1
-    side, up, far = (
-        np.empty(n_columns, np.float64),
-        np.empty(n_columns, np.float64),
-        np.empty(n_columns, np.float64),
-    )
+    side = np.empty(n_columns, np.float64)
+    up = np.empty(n_columns, np.float64)
+    far = np.empty(n_columns, np.float64)
     points = side, up, far, np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
-    firsts, ends = (
-        (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)),
-        np.empty((n_columns, 4)),
-    )
-    shots, mine, number = (
-        np.empty(n_columns + 1, np.int32),
-        np.empty(n_columns, np.int32),
-        np.empty(n_columns, np.int32),
-    )
+    firsts = (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64))
+    ends = np.empty((n_columns, 4))
+    shots = np.empty(n_columns + 1, np.int32)
+    mine = np.empty(n_columns, np.int32)
+    number = np.empty(n_columns, np.int32)
     for line in range(n_lines):
         n_shots = _aim(range_m[line], height_m[line], (sine, cosine), thresholds, points, shots)
         n_runs = _line_runs(shots[:n_shots], points, thresholds, mine, firsts, ends)
@@ -434,7 +488,8 @@ def _join_lines(
     """Join the runs of two successive lines that have shots of a column near to each other."""
     earlier, later = ranges
     before, own = runs
-    near, share = thresholds.near_m, thresholds.near_share
+    near = thresholds.near_m
+    share = thresholds.near_share
     n_linked = 0
     for column in range(len(own)):
         linked[n_linked] = column
@@ -443,14 +498,17 @@ def _join_lines(
     for k in range(n_linked):
         place = np.uint64(linked[k])
         r = np.float64(later[place])
-        run, other = own[place], before[place]
+        run = own[place]
+        other = before[place]
         # most shots join the same runs as the one before
         if (run == last_run) & (other == last_before):
             continue
         if abs(r - np.float64(earlier[place])) < near + share * r:
-            one, two = _root(parent, run), _root(parent, other)
+            one = _root(parent, run)
+            two = _root(parent, other)
             parent[max(one, two)] = min(one, two)
-            last_run, last_before = run, other
+            last_run = run
+            last_before = other
 
 
 @kernel()
@@ -464,10 +522,12 @@ def stem_shots(range_m: F32_2, runs: I32_2, table: F64_2, thresholds: StemThresh
     n_runs = len(table)
     parent = np.empty(n_runs, np.int32)
     sums = np.empty((n_runs, 4), np.float64)
-    low, high = np.empty(n_runs, np.float64), np.empty(n_runs, np.float64)
+    low = np.empty(n_runs, np.float64)
+    high = np.empty(n_runs, np.float64)
     for run in range(n_runs):
         parent[run] = run
-        low[run], high[run] = np.inf, -np.inf
+        low[run] = np.inf
+        high[run] = -np.inf
         for one in range(4):
             sums[run, one] = 0.0
     linked = np.empty(n_columns + 1, np.int32)
@@ -501,7 +561,8 @@ def stem_shots(range_m: F32_2, runs: I32_2, table: F64_2, thresholds: StemThresh
         )
     stems = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):
-        own, row = runs[line], stems[line]
+        own = runs[line]
+        row = stems[line]
         for column in range(n_columns):
             row[column] = is_stem[np.uint64(own[column])]
     return stems
@@ -512,7 +573,10 @@ def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
     """Mark the shots of a line whose neighbours on both sides are about as high."""
     n = len(heights)
     flat[0] = flat[n - 1] = np.uint8(0)
-    before, own, after, marks = heights[: n - 2], heights[1 : n - 1], heights[2:], flat[1 : n - 1]
+    before = heights[: n - 2]
+    own = heights[1 : n - 1]
+    after = heights[2:]
+    marks = flat[1 : n - 1]
     for i in range(n - 2):
         height = np.float64(own[i])
         marks[i] = np.uint8(
@@ -525,14 +589,18 @@ def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
 def _mark_beside(stems: Mask, line: int, across: U8, beside: U8) -> None:
     """Mark the shots of a line that are, or have around them, a shot of a stem."""
     n_lines, n = stems.shape
-    before, own, after = stems[max(line - 1, 0)], stems[line], stems[min(line + 1, n_lines - 1)]
+    before = stems[max(line - 1, 0)]
+    own = stems[line]
+    after = stems[min(line + 1, n_lines - 1)]
     for i in range(n):
         across[i] = np.uint8(before[i] | own[i] | after[i])
         beside[i] = across[i]
-    inner, outer = beside[: n - 1], across[1:]
+    inner = beside[: n - 1]
+    outer = across[1:]
     for i in range(n - 1):
         inner[i] |= outer[i]
-    inner, outer = beside[1:], across[: n - 1]
+    inner = beside[1:]
+    outer = across[: n - 1]
     for i in range(n - 1):
         inner[i] |= outer[i]
 
@@ -559,12 +627,10 @@ def _label_plain(
     Without branches, so that the compiler can use vector instructions.
     """
     flat, beside, adjacent = marks
-    below, soil, cover, top = (
-        -thresholds.below_m,
-        thresholds.soil_m,
-        thresholds.cover_m,
-        thresholds.top_m,
-    )
+    below = -thresholds.below_m
+    soil = thresholds.soil_m
+    cover = thresholds.cover_m
+    top = thresholds.top_m
     for i in range(len(heights)):
         height = np.float64(heights[i])
         rule = _PLANT if adjacent[i] != 0 else np.uint8(_OPEN)
@@ -594,7 +660,8 @@ def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, li
     """Return whether another shot nearby is about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])
-    first, last = max(column - columns_around, 0), min(column + columns_around + 1, n_columns)
+    first = max(column - columns_around, 0)
+    last = min(column + columns_around + 1, n_columns)
     # its own line first, where one is found most often
     for k in range(first, last):
         if k != column and abs(np.float64(range_m[line, k]) - r) <= limit:
@@ -622,12 +689,11 @@ def forest_labels(
     """
     n_lines, n_columns = range_m.shape
     labels = np.empty((n_lines, n_columns), np.uint8)
-    flat, across, beside = (
-        np.empty(n_columns, np.uint8),
-        np.empty(n_columns, np.uint8),
-        np.empty(n_columns, np.uint8),
-    )
-    adjacent, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
+    flat = np.empty(n_columns, np.uint8)
+    across = np.empty(n_columns, np.uint8)
+    beside = np.empty(n_columns, np.uint8)
+    adjacent = np.empty(n_columns, np.uint8)
+    shots = np.empty(n_columns + 1, np.int32)
     limit = thresholds.near_m
     for line in range(n_lines):
         row = labels[line]

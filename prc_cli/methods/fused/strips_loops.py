@@ -16,7 +16,9 @@ from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, 
 
 Slots = NDArray[np.uint64]
 
-STRIPS, STRIP_M, SLOT_M = 320, np.float32(0.5), np.float32(0.25)
+STRIPS = 320
+STRIP_M = np.float32(0.5)
+SLOT_M = np.float32(0.25)
 """Number of strips, half of them on either side, their width and the height of a slot [m]."""
 SLOTS = 64
 """Slots of a strip; the last holds everything higher."""
@@ -32,15 +34,20 @@ _FAR_BINS = np.float32(1e6)
 """Limit of bin numbers, so that they fit an integer."""
 COLUMN, THIN, SHORT, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
 """What stands alone: a trunk or post; a thin or short piece; one of few shots; something low; a part of a fence."""
-FENCE_LINES, FENCE_M, FENCE_SEEN = (9, 30), np.float32(0.2), 6
+FENCE_LINES = (9, 30)
+FENCE_M = np.float32(0.2)
+FENCE_SEEN = 6
 """So many of the lines this far before and after see a fence in the direction of a shot, as far away [m]."""
-CLIMB_M, CLIMB_SIDE_M = np.float32(0.3), np.float32(0.4)
+CLIMB_M = np.float32(0.3)
+CLIMB_SIDE_M = np.float32(0.4)
 """A thing is followed upwards from line to line over gaps of this height, and so far to the side [m]."""
-COUNT, CLOSE = np.uint8(63), np.uint8(64)
+COUNT = np.uint8(63)
+CLOSE = np.uint8(64)
 """Bits of the lines to one side that see a thing, and of an end beside which something stands close behind it."""
 NO_END = np.uint8(127)
 """Where a thing goes on, or something stands before its end."""
-FREE, NARROW = np.uint8(1), np.uint8(2)
+FREE = np.uint8(1)
+NARROW = np.uint8(2)
 """Marks of shots that lines on both sides see far past, and of those that few lines see."""
 ROUND = np.float32(0.34)
 """By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
@@ -66,10 +73,8 @@ def _count_on(
     """
     for i in range(len(own)):
         there = beside[i] if beside[i] == beside[i] else beyond[i]
-        goes_on, is_end = (
-            (own[i] != own[i]) | (abs(own[i] - there) < jump),
-            not (there <= own[i] + jump),
-        )
+        goes_on = (own[i] != own[i]) | (abs(own[i] - there) < jump)
+        is_end = not (there <= own[i] + jump)
         more = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1)) | (
             lines[i] & CLOSE
         )
@@ -83,14 +88,13 @@ def _mark_free(
 ) -> None:
     """Mark the shots of a line that few lines see, and lines on both sides see past."""
     before, after = lines
-    most, few = (
-        np.int32(thresholds.lines) + np.int32(1),
-        np.int32(thresholds.small_lines) + np.int32(1),
-    )
+    most = np.int32(thresholds.lines) + np.int32(1)
+    few = np.int32(thresholds.small_lines) + np.int32(1)
     for i in range(len(marks)):
         n = np.int32(before[i] & COUNT) + np.int32(after[i] & COUNT)
         is_held = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
-        is_free, is_narrow = (n <= most) & ((before[i] | after[i]) < CLOSE), n <= few
+        is_free = (n <= most) & ((before[i] | after[i]) < CLOSE)
+        is_narrow = n <= few
         marks[i] = is_held * (is_free * FREE + is_narrow * NARROW)
 
 
@@ -112,7 +116,8 @@ def _goes_on(
 @inlined
 def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) -> np.float32:
     """Return by how much the middle half of the lines that see a thing is nearer than both outer quarters; else 0."""
-    first, n = line - int(before & COUNT) + 1, int(before & COUNT) + int(after & COUNT) - 1
+    first = line - int(before & COUNT) + 1
+    n = int(before & COUNT) + int(after & COUNT) - 1
     quarter = max(n // 4, 1)
     if n < 3:
         return np.float32(0.0)
@@ -122,11 +127,9 @@ def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) 
         left += there if k < quarter else np.float32(0.0)
         right += there if k >= n - quarter else np.float32(0.0)
         middle += there if (k >= quarter) & (k < n - quarter) else np.float32(0.0)
-    left, right, middle = (
-        left / np.float32(quarter),
-        right / np.float32(quarter),
-        middle / np.float32(n - 2 * quarter),
-    )
+    left = left / np.float32(quarter)
+    right = right / np.float32(quarter)
+    middle = middle / np.float32(n - 2 * quarter)
     return (
         np.float32(0.5) * (left + right) - middle if min(left, right) > middle else np.float32(0.0)
     )
@@ -138,16 +141,24 @@ def _climb(
 ) -> np.float32:
     """Return how much higher than a shot lines around see the same thing, as a slanted plane climbs it [m]."""
     sine, cosine = beams
-    own, best = window_m[line, i], np.float32(0.0)
-    side, foot = own * sine[i], -(own * cosine[i])
+    own = window_m[line, i]
+    best = np.float32(0.0)
+    side = own * sine[i]
+    foot = -(own * cosine[i])
     for way in (-1, 1):
-        k, j, top, goes_on = line + way, i, foot, True
+        k = line + way
+        j = i
+        top = foot
+        goes_on = True
         while goes_on and 0 <= k < len(window_m) and top - foot < most:
-            q, goes_on = j, False
+            q = j
+            goes_on = False
             while 0 <= q < len(sine) and own * (cosine[j] - cosine[q]) < CLIMB_M:
                 there = window_m[k, q]
                 if abs(there * sine[q] - side) < CLIMB_SIDE_M:
-                    top, j, goes_on = max(top, -(there * cosine[q])), q, True
+                    top = max(top, -(there * cosine[q]))
+                    j = q
+                    goes_on = True
                 q += up
             k += way
         best = max(best, top - foot)
@@ -157,7 +168,8 @@ def _climb(
 @inlined
 def _is_fence(window_m: F32, line: int, i: int) -> bool:
     """Return whether many lines farther along the street see something as far away in the direction of a shot."""
-    n, own = 0, window_m[line, i]
+    n = 0
+    own = window_m[line, i]
     for k in range(max(line - FENCE_LINES[1], 0), min(line + FENCE_LINES[1] + 1, len(window_m))):
         n += (abs(k - line) >= FENCE_LINES[0]) & (abs(window_m[k, i] - own) < FENCE_M)
     return n >= FENCE_SEEN
@@ -176,9 +188,12 @@ def _kind(
     thresholds: ColumnThresholds,
 ) -> np.uint8:
     """Return what the run from one shot to before another is: a trunk or post, something low, or perhaps a piece."""
-    (first, end), (side, above), (before, after) = ends, points, lines
+    (first, end) = ends
+    (side, above) = points
+    (before, after) = lines
     n = n_free = n_thin = n_few = n_far = n_even = 0
-    head, top = first, thresholds.high_m
+    head = first
+    top = thresholds.high_m
     low = inner = few_low = few_inner = np.float32(np.inf)
     high = outer = few_high = few_outer = -low
     for j in range(first, end):
@@ -187,16 +202,21 @@ def _kind(
         if marks[j] & FREE != 0:
             n_free += int(is_smooth)
             n_thin += int(is_smooth and _n_seen(before[j], after[j]) <= thresholds.thin_lines)
-            inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
-            low, high = min(low, above[j]), max(high, above[j])
+            inner = min(inner, abs(side[j]))
+            outer = max(outer, abs(side[j]))
+            low = min(low, above[j])
+            high = max(high, above[j])
         if marks[j] & NARROW != 0:
             n_few += 1
             n_far += int(marks[j] & FREE != 0)
             n_even += int(is_smooth)
             head = j if above[j] > few_high else head
-            few_inner, few_outer = min(few_inner, abs(side[j])), max(few_outer, abs(side[j]))
-            few_low, few_high = min(few_low, above[j]), max(few_high, above[j])
-    deep, tall = few_outer - few_inner, few_high - few_low
+            few_inner = min(few_inner, abs(side[j]))
+            few_outer = max(few_outer, abs(side[j]))
+            few_low = min(few_low, above[j])
+            few_high = max(few_high, above[j])
+    deep = few_outer - few_inner
+    tall = few_high - few_low
     is_few = np.float32(n_few) >= max(
         thresholds.shots, thresholds.small_share * np.float32(end - first)
     )
@@ -216,7 +236,8 @@ def _kind(
                 is_far and deep < thresholds.post_m and (is_post or climbed < thresholds.post_top_m)
             )
             return COLUMN if is_post else SMALL
-    deep, tall = outer - inner, high - low
+    deep = outer - inner
+    tall = high - low
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
         return np.uint8(0)
     if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
@@ -261,21 +282,27 @@ def find_columns(
     """
     n_lines, m = above_m.shape
     margin = (len(window_m) - n_lines) // 2
-    jump, far = thresholds.jump_m, thresholds.far_m
-    after, lines = np.empty((n_lines, m), np.uint8), np.full(m, NO_END)
+    jump = thresholds.jump_m
+    far = thresholds.far_m
+    after = np.empty((n_lines, m), np.uint8)
+    lines = np.full(m, NO_END)
     for k in range(len(window_m) - 3, margin - 1, -1):
         _count_on(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
         if k < margin + n_lines:
             after[k - margin] = lines
     found = np.zeros((n_lines, m), np.uint8)
-    marks, side = np.empty(m, np.uint8), np.empty(m, np.float32)
+    marks = np.empty(m, np.uint8)
+    side = np.empty(m, np.float32)
     lines[:] = NO_END
     for k in range(2, margin + n_lines):
         _count_on(window_m[k], window_m[k - 1], window_m[k - 2], jump, far, lines)
         if k < margin:
             continue
-        line, ranges = k - margin, window_m[k]
-        above, near, smooth = above_m[line], counts[0][line], counts[1][line]
+        line = k - margin
+        ranges = window_m[k]
+        above = above_m[line]
+        near = counts[0][line]
+        smooth = counts[1][line]
         _mark_free((lines, after[line]), above, near, thresholds, marks)
         for i in range(m):
             side[i] = ranges[i] * beams[0][i]
@@ -283,16 +310,20 @@ def find_columns(
         for i in range(m):
             if marks[i] == 0 or i < end:
                 continue
-            first, end = i, i + 1
+            first = i
+            end = i + 1
             while first > 0 and _goes_on(ranges, near, above, first, first - 1, thresholds):
                 first -= 1
             while end < m and _goes_on(ranges, near, above, end - 1, end, thresholds):
                 end += 1
-            ends, place, seen = (first, end), (side, above), (lines, after[line])
+            ends = (first, end)
+            place = (side, above)
+            seen = (lines, after[line])
             kind = _kind(window_m, k, ends, place, seen, smooth, marks, beams, thresholds)
             is_piece = kind == 0 and _is_short(ranges, above, first, end, thresholds)
             for j in range(first, end):
-                n_seen, own = _n_seen(lines[j], after[line, j]), kind
+                n_seen = _n_seen(lines[j], after[line, j])
+                own = kind
                 if kind == 0 and n_seen <= thresholds.piece_lines:
                     own = THIN if n_seen <= thresholds.slim_lines else (SHORT if is_piece else own)
                     own = FEW if own != 0 and np.float32(end - first) < thresholds.shots else own
@@ -323,7 +354,8 @@ def _list_counted(
 
     One result a loop: the compiler cannot prove that several do not overlap.
     """
-    least, foot = thresholds.least_near, thresholds.foot_m
+    least = thresholds.least_near
+    foot = thresholds.foot_m
     for i in range(len(ranges)):
         counted = (above[i] >= foot) & (np.float32(near[i]) >= least)
         b = _bin(side[i] if counted else np.float32(0.0), STRIP_M) + np.int32(STRIPS // 2)
@@ -347,7 +379,9 @@ def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
     for i in range(m):
         rough[i] = np.uint8(np.float32(pairs[i]) <= most)
     for away in (1, 2):
-        before, own, after = pairs[: m - 2 * away], rough[away : m - away], pairs[2 * away :]
+        before = pairs[: m - 2 * away]
+        own = rough[away : m - away]
+        after = pairs[2 * away :]
         for i in range(m - 2 * away):
             own[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
 
@@ -369,8 +403,11 @@ def _mark_kinds(
     """
     height, above = points
     _, pairs, up, flat = counts
-    foot, most_rough, least_smooth = thresholds.foot_m, thresholds.rough, thresholds.smooth
-    least_level, level_top = thresholds.level_smooth, thresholds.level_top_m
+    foot = thresholds.foot_m
+    most_rough = thresholds.rough
+    least_smooth = thresholds.smooth
+    least_level = thresholds.level_smooth
+    level_top = thresholds.level_top_m
     for i in range(len(above)):
         h = above[i] if above[i] >= foot else np.float32(0.0)
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
@@ -417,49 +454,41 @@ def _fill_line(
     length, wall, place, top = sums
     # sums stay in registers until the next shot is in another strip
     b = np.uint64(0)
-    bits, rough_bits, all_m, wall_m, place_m, highest = (
-        every[b],
-        rough[b],
-        length[b],
-        wall[b],
-        place[b],
-        top[b],
-    )
+    bits = every[b]
+    rough_bits = rough[b]
+    all_m = length[b]
+    wall_m = wall[b]
+    place_m = place[b]
+    highest = top[b]
     for k in range(len(shots)):
         i = np.uint64(shots[k])
         own = np.uint64(strips[i])
         if own != b:
-            every[b], rough[b], length[b], wall[b], place[b], top[b] = (
-                bits,
-                rough_bits,
-                all_m,
-                wall_m,
-                place_m,
-                highest,
-            )
+            every[b] = bits
+            rough[b] = rough_bits
+            length[b] = all_m
+            wall[b] = wall_m
+            place[b] = place_m
+            top[b] = highest
             b = own
-            bits, rough_bits, all_m, wall_m, place_m, highest = (
-                every[b],
-                rough[b],
-                length[b],
-                wall[b],
-                place[b],
-                top[b],
-            )
+            bits = every[b]
+            rough_bits = rough[b]
+            all_m = length[b]
+            wall_m = wall[b]
+            place_m = place[b]
+            highest = top[b]
         bits |= np.uint64(1) << np.uint64(slot[i])
         rough_bits |= np.uint64(is_rough[i]) << np.uint64(slot[i])
         all_m += extents[i]
         wall_m += on_wall[i]
         place_m += at[i]
         highest = max(highest, top_of[i])
-    every[b], rough[b], length[b], wall[b], place[b], top[b] = (
-        bits,
-        rough_bits,
-        all_m,
-        wall_m,
-        place_m,
-        highest,
-    )
+    every[b] = bits
+    rough[b] = rough_bits
+    length[b] = all_m
+    wall[b] = wall_m
+    place[b] = place_m
+    top[b] = highest
 
 
 @helper
@@ -473,10 +502,12 @@ def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8)
     for k in range(n):
         i = shots[k]
         y = side[i]
-        first, last = y, y
+        first = y
+        last = y
         for j in (i - 1, i + 1):
             if 0 <= j < len(side) and abs(side[j] - y) < jump:
-                first, last = min(first, side[j]), max(last, side[j])
+                first = min(first, side[j])
+                last = max(last, side[j])
         low = max(int(_bin(first, STRIP_M / np.float32(2.0))) + STRIPS, 0)
         high = min(int(_bin(last, STRIP_M / np.float32(2.0))) + STRIPS, 2 * STRIPS - 1)
         levels[low : high + 1] = 1
@@ -499,13 +530,19 @@ def fill_strips(
     (lines, STRIPS) float32, ``levels`` (lines, 2 STRIPS) uint8.
     """
     n_lines, m = range_m.shape
-    side, height = np.empty(m, np.float32), np.empty(m, np.float32)
-    every, rough = np.empty((n_lines, STRIPS), np.uint64), np.empty((n_lines, STRIPS), np.uint64)
-    length, wall = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
-    place, top = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    side = np.empty(m, np.float32)
+    height = np.empty(m, np.float32)
+    every = np.empty((n_lines, STRIPS), np.uint64)
+    rough = np.empty((n_lines, STRIPS), np.uint64)
+    length = np.empty((n_lines, STRIPS), np.float32)
+    wall = np.empty((n_lines, STRIPS), np.float32)
+    place = np.empty((n_lines, STRIPS), np.float32)
+    top = np.empty((n_lines, STRIPS), np.float32)
     levels = np.empty((n_lines, 2 * STRIPS), np.uint8)
-    shots, strips = np.empty(m + 1, np.int32), np.empty(m, np.int32)
-    slot, marks = np.empty(m, np.uint8), np.empty((3, m), np.uint8)
+    shots = np.empty(m + 1, np.int32)
+    strips = np.empty(m, np.int32)
+    slot = np.empty(m, np.uint8)
+    marks = np.empty((3, m), np.uint8)
     heights = (
         np.empty(m, np.float32),
         np.empty(m, np.float32),
@@ -518,7 +555,8 @@ def fill_strips(
             length[k, b] = wall[k, b] = place[k, b] = np.float32(0.0)
             top[k, b] = NO_TOP
         levels[k] = np.uint8(0)
-        own, above = range_m[k], above_m[k]
+        own = range_m[k]
+        above = above_m[k]
         for i in range(m):
             side[i] = own[i] * beams[0][i]
         for i in range(m):
@@ -568,7 +606,8 @@ def widen_levels(levels: U8_2) -> U8_2:
 
     ``levels`` (lines + 4, 2 STRIPS) uint8; returns (lines, 2 STRIPS) uint8.
     """
-    n_lines, n = levels.shape[0] - 2 * LINES, levels.shape[1]
+    n_lines = levels.shape[0] - 2 * LINES
+    n = levels.shape[1]
     wide = np.empty((n_lines, n), np.uint8)
     for line in range(n_lines):
         row = wide[line]
@@ -598,10 +637,8 @@ def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
 def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
     """Find the highest of five lines and three strips."""
     for b in range(STRIPS):
-        before, after = (
-            max(values[line, b], values[line + 1, b]),
-            max(values[line + 3, b], values[line + 4, b]),
-        )
+        before = max(values[line, b], values[line + 1, b])
+        after = max(values[line + 3, b], values[line + 4, b])
         lines[b + 1] = max(max(before, values[line + 2, b]), after)
     lines[0] = lines[STRIPS + 1] = NO_TOP
     for b in range(STRIPS):
@@ -636,7 +673,8 @@ def _look_out(
             if is_wall[b]:
                 last = b
             if last >= 0:
-                at[b], top[b] = wall_at[last], tops[last]
+                at[b] = wall_at[last]
+                top[b] = tops[last]
         last = -1
         for k in range(half - 1, -1, -1):
             b = first + way * k
@@ -660,19 +698,18 @@ def find_walls(
     """
     length, wall, place, top = sums
     n_lines = length.shape[0] - 2 * LINES
-    at, tops = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
-    ahead, lines = np.empty((n_lines, STRIPS), np.float32), np.empty(STRIPS + 2, np.float32)
-    lengths, walls, places = (
-        np.empty(STRIPS, np.float32),
-        np.empty(STRIPS, np.float32),
-        np.empty(STRIPS, np.float32),
-    )
-    highest, wall_at, is_wall = (
-        np.empty(STRIPS, np.float32),
-        np.empty(STRIPS, np.float32),
-        np.empty(STRIPS, np.uint8),
-    )
-    there, n_lines_there = np.empty(STRIPS + 2, np.uint8), np.empty(STRIPS, np.uint8)
+    at = np.empty((n_lines, STRIPS), np.float32)
+    tops = np.empty((n_lines, STRIPS), np.float32)
+    ahead = np.empty((n_lines, STRIPS), np.float32)
+    lines = np.empty(STRIPS + 2, np.float32)
+    lengths = np.empty(STRIPS, np.float32)
+    walls = np.empty(STRIPS, np.float32)
+    places = np.empty(STRIPS, np.float32)
+    highest = np.empty(STRIPS, np.float32)
+    wall_at = np.empty(STRIPS, np.float32)
+    is_wall = np.empty(STRIPS, np.uint8)
+    there = np.empty(STRIPS + 2, np.uint8)
+    n_lines_there = np.empty(STRIPS, np.uint8)
     enough = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
         _sum_around(length, line, lines, lengths)

@@ -57,7 +57,8 @@ def _half_widths(
     ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
 ) -> None:
     """Write the half width of every shot's place in columns; any number where the shot is missing."""
-    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
+    fewest = np.float32(LEAST_COLUMNS)
+    most_of_all = np.float32(most)
     for i in range(len(ranges)):
         r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
         columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
@@ -69,7 +70,8 @@ def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
     m = len(columns)
     for i in range(m):
         half = columns[i]
-        first, last = max(i - int(half), 0), min(i + int(half) + 1, m)
+        first = max(i - int(half), 0)
+        last = min(i + int(half) + 1, m)
         sums[i] = so_far[np.uint64(last)] - so_far[np.uint64(first)]
 
 
@@ -77,7 +79,8 @@ def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
 def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
     """Write the share of smooth pairs of every shot's place."""
     for i in range(len(ranges)):
-        shots, pairs = np.int32(sums[i] >> np.uint32(16)), np.int32(sums[i] & np.uint32(0xFFFF))
+        shots = np.int32(sums[i] >> np.uint32(16))
+        pairs = np.int32(sums[i] & np.uint32(0xFFFF))
         share = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(shots, np.int32(1))))
         shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
 
@@ -94,12 +97,16 @@ def _share_at_depth(
 
     Where others hide part of it, fewer pairs can be smooth.
     """
-    own, m = lines[2][i], len(lines[2])
+    own = lines[2][i]
+    m = len(lines[2])
     stride = max((half + DEPTH_SHOTS - 1) // DEPTH_SHOTS, 1)
-    place, last = max(i - half // stride * stride, i % stride), min(i + half + 1, m)
+    place = max(i - half // stride * stride, i % stride)
+    last = min(i + half + 1, m)
     one, two, three, four, five = pairs
     a, b, c, d, e = lines
-    total, every, nothing = np.uint32(0), np.uint32(0), np.uint32(0)
+    total = np.uint32(0)
+    every = np.uint32(0)
+    nothing = np.uint32(0)
     while place < last:
         # every word is read, near or not, to avoid a branch
         j = np.uint64(place)
@@ -110,7 +117,8 @@ def _share_at_depth(
         total += five[j] if abs(e[j] - own) < depth_m else nothing
         every += one[j] + two[j] + three[j] + four[j] + five[j]
         place += stride
-    n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
+    n_shots = np.int32(total >> np.uint32(16))
+    n_pairs = np.int32(total & np.uint32(0xFFFF))
     seen = np.float32(n_shots) / np.float32(max(np.int32(every >> np.uint32(16)), np.int32(1)))
     possible = (
         np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))) * max(seen, LEAST_SEEN)
@@ -157,16 +165,15 @@ def mean_smoothness(
 
     ``range_m`` (lines + 4, M) float32, metres; ``near, smooth`` (lines + 4, M) uint8; returns (lines, M) float32.
     """
-    n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
+    n_lines = range_m.shape[0] - 2 * LINES
+    m = range_m.shape[1]
     mean = np.empty((n_lines, m), np.float32)
     room = 2 * LINES + 1
     # ring buffer of lines
     places = np.empty((room, m), np.uint32)
-    together, so_far, columns = (
-        np.empty(m, np.uint32),
-        np.empty(m + 1, np.uint32),
-        np.empty(m, np.int32),
-    )
+    together = np.empty(m, np.uint32)
+    so_far = np.empty(m + 1, np.uint32)
+    columns = np.empty(m, np.int32)
     shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
         _count_pairs(near[k], smooth[k], least_near, places[k % room])
@@ -185,13 +192,11 @@ def mean_smoothness(
             range_m[line + 3],
             range_m[line + 4],
         )
-        a, b, c, d, e = (
-            line % room,
-            (line + 1) % room,
-            (line + 2) % room,
-            (line + 3) % room,
-            (line + 4) % room,
-        )
+        a = line % room
+        b = (line + 1) % room
+        c = (line + 2) % room
+        d = (line + 3) % room
+        e = (line + 4) % room
         pairs = places[a], places[b], places[c], places[d], places[e]
         _look_at_depth(lines, pairs, columns, smooth[line + LINES], limits, mean[line], shots)
     return mean

@@ -16,10 +16,18 @@ LEAST_COLUMNS = 2
 """Limits of the half width of a place, in columns."""
 VOTERS = 4
 """Votes in a line on either side of a shot; fewer where the place has fewer columns."""
-_MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
-_BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
-_CAR, _POLE = int(Label.CAR), int(Label.POLE)
-_CAR_BIT, _POLE_BIT, _BUILDING_BIT, _VEGETATION_BIT = 6, 12, 18, 24
+_MISSING = int(Label.MISSING)
+_NOISE = int(Label.NOISE)
+_GROUND = int(Label.GROUND)
+_BUILDING = int(Label.BUILDING)
+_VEGETATION = int(Label.VEGETATION)
+_OTHER = int(Label.UNCLASSIFIED)
+_CAR = int(Label.CAR)
+_POLE = int(Label.POLE)
+_CAR_BIT = 6
+_POLE_BIT = 12
+_BUILDING_BIT = 18
+_VEGETATION_BIT = 24
 """First bit of the votes for a label in a word; votes for no class begin at bit 0.
 
 A place has at most 15 shots in each of three lines, so that six bits hold their votes."""
@@ -82,11 +90,10 @@ def _weigh(labels: U8, weights: Pairs) -> None:
 def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
     """Return the label with most votes; of several, the shot's own if it is among them."""
     part = np.uint32((1 << _CAR_BIT) - 1)
-    other, car = votes & part, (votes >> np.uint32(_CAR_BIT)) & part
-    pole, building = (
-        (votes >> np.uint32(_POLE_BIT)) & part,
-        (votes >> np.uint32(_BUILDING_BIT)) & part,
-    )
+    other = votes & part
+    car = (votes >> np.uint32(_CAR_BIT)) & part
+    pole = (votes >> np.uint32(_POLE_BIT)) & part
+    building = (votes >> np.uint32(_BUILDING_BIT)) & part
     vegetation = votes >> np.uint32(_VEGETATION_BIT)
     most = max(max(max(other, car), max(pole, building)), vegetation)
     mine = building if own == _BUILDING else (vegetation if own == _VEGETATION else other)
@@ -123,23 +130,25 @@ def _vote_line(
         n += unsettled[i]
     for k in range(n):
         i = asking[k]
-        y, z = y1[i], z1[i]
+        y = y1[i]
+        z = z1[i]
         columns = int(
             min(
                 max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)),
                 np.float32(MOST_COLUMNS),
             )
         )
-        votes, nothing = np.uint32(0), np.uint32(0)
-        place, last, stride = (
-            np.int64(max(i - columns, 0)),
-            min(i + columns + 1, m),
-            max(columns // VOTERS, 1),
-        )
+        votes = np.uint32(0)
+        nothing = np.uint32(0)
+        place = np.int64(max(i - columns, 0))
+        last = min(i + columns + 1, m)
+        stride = max(columns // VOTERS, 1)
         while place < last:
             # every vote is read, near or not, to avoid a branch
             j = np.uint64(place)
-            one, two, three = w0[j], w1[j], w2[j]
+            one = w0[j]
+            two = w1[j]
+            three = w2[j]
             votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
             votes += two if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
             votes += three if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
@@ -164,22 +173,27 @@ def vote_labels(
     ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` tuple of (M,) float32;
     returns (lines, M) uint8.
     """
-    n_lines, m = labels.shape[0] - 2, labels.shape[1]
+    n_lines = labels.shape[0] - 2
+    m = labels.shape[1]
     voted = np.empty((n_lines, m), np.uint8)
-    unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
+    unsettled = np.empty(m, np.uint8)
+    asking = np.empty(m + 1, np.int32)
     # ring buffers of lines
     weights = np.empty((3, m), np.uint32)
-    side, height = np.empty((3, m), np.float32), np.empty((3, m), np.float32)
+    side = np.empty((3, m), np.float32)
+    height = np.empty((3, m), np.float32)
     for line in range(n_lines + 2):
         c = line % 3
         _weigh(labels[line], weights[c])
         _lay_out(range_m[line], beams, side[c], height[c])
         if line < 2:
             continue
-        own, row = labels[line - 1], voted[line - 2]
+        own = labels[line - 1]
+        row = voted[line - 2]
         row[:] = own
         _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
-        a, b = (line - 2) % 3, (line - 1) % 3
+        a = (line - 2) % 3
+        b = (line - 1) % 3
         lines = (
             (side[a], height[a], weights[a]),
             (side[b], height[b], weights[b]),

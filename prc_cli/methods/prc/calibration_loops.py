@@ -17,7 +17,8 @@ def _keep_smallest(smallest: F32, differences: F32) -> None:
     for j in range(len(smallest)):
         row = smallest[j]
         for h in range(len(differences)):
-            kept, new = row[h], differences[h]
+            kept = row[h]
+            new = differences[h]
             row[h] = kept if kept < new else new
             differences[h] = new if kept < new else kept
 
@@ -26,7 +27,8 @@ def _keep_smallest(smallest: F32, differences: F32) -> None:
 def _first_above(limits: F64, value: float) -> int:
     """Return the place of the first limit above a value, the number of limits if there is none."""
     # halves without a branch that the processor could mispredict
-    low, left = 0, len(limits)
+    low = 0
+    left = len(limits)
     while left > 0:
         half = (left + 1) // 2
         low += half * (value >= limits[low + half - 1])
@@ -107,7 +109,9 @@ def bend_histogram(
     limits = slack * lengths
     counts = np.zeros(len(lengths) + 1, np.int64)
     for i in range(reach, reach + n_lines * n_columns):
-        r, a, b = np.float64(window[i]), np.float64(window[i - 1]), np.float64(window[i + 1])
+        r = np.float64(window[i])
+        a = np.float64(window[i - 1])
+        b = np.float64(window[i + 1])
         bend = abs(r - (a + b) / 2.0)
         if np.isnan(bend):
             continue

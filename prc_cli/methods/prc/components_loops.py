@@ -69,7 +69,8 @@ def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
         n_runs = _find_edges(image[line], edges, 2 * n_runs) // 2
         above = first_above
         for run in range(first, n_runs):
-            begin, end = edges[2 * run], edges[2 * run + 1]
+            begin = edges[2 * run]
+            end = edges[2 * run + 1]
             while above < first and edges[2 * above + 1] <= begin:
                 above += 1
             root = run
@@ -107,7 +108,8 @@ def _draw_runs(edges: I32, first_run: I32, parent: I32, n_columns: int) -> tuple
     for line in range(len(first_run) - 1):
         first = line * n_columns
         for run in range(first_run[line], first_run[line + 1]):
-            begin, end = first + edges[2 * run], first + edges[2 * run + 1]
+            begin = first + edges[2 * run]
+            end = first + edges[2 * run + 1]
             label = number[run]
             pixels[label] += end - begin
             while i < begin:
@@ -158,7 +160,9 @@ def _winner(components: I32, line: int, column: int, low: int, high: int) -> int
     """Return the most frequent component around a pixel without one, given the smallest and the largest."""
     n_lines, n_columns = components.shape
     if 0 < line < n_lines - 1 and 0 < column < n_columns - 1:
-        n_low, n_high, n_near = 0, 0, 0
+        n_low = 0
+        n_high = 0
+        n_near = 0
         for y in range(3):
             row = components[line - 1 + y]
             for x in range(3):
@@ -181,7 +185,8 @@ def _most_frequent(components: I32, line: int, column: int) -> int:
         for x in range(max(column - 1, 0), min(column + 2, n_columns)):
             near[n_near] = components[y, x]
             n_near += components[y, x] != 0
-    best, most = 0, 0
+    best = 0
+    most = 0
     for one in range(n_near):
         count = 0
         for other in range(n_near):
@@ -205,7 +210,9 @@ def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     holes = np.empty(n_lines * n_columns + 1, np.int32)
     n_holes = int(np.int64(0))  # not the literal, for which a helper would be compiled once more
     for line in range(n_lines):
-        inside, apart, row = supported[line], background[line], foreground[line]
+        inside = supported[line]
+        apart = background[line]
+        row = foreground[line]
         for h in range(n_columns):
             row[h] = inside[h] & (not apart[h])
         first_hole[line] = n_holes
@@ -221,14 +228,15 @@ def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     for line in range(n_lines):
         if first_hole[line] == first_hole[line + 1]:
             continue
-        up, own, down = (
-            components[max(line - 1, 0)],
-            components[line],
-            components[min(line + 1, n_lines - 1)],
-        )
-        least_inside, most_inside = least[1 : n_columns + 1], most[1 : n_columns + 1]
+        up = components[max(line - 1, 0)]
+        own = components[line]
+        down = components[min(line + 1, n_lines - 1)]
+        least_inside = least[1 : n_columns + 1]
+        most_inside = most[1 : n_columns + 1]
         for h in range(n_columns):
-            one, two, three = up[h], own[h], down[h]
+            one = up[h]
+            two = own[h]
+            three = down[h]
             most_inside[h] = max(one, two, three)
             least_inside[h] = min(
                 one if one else NONE, two if two else NONE, three if three else NONE
@@ -260,10 +268,13 @@ def _sort_votes(component: I32, label: I64, n: int) -> I32:
     width = 1
     while width < n:
         for begin in range(0, n, 2 * width):
-            middle, end = min(begin + width, n), min(begin + 2 * width, n)
-            i, j = begin, middle
+            middle = min(begin + width, n)
+            end = min(begin + 2 * width, n)
+            i = begin
+            j = middle
             for k in range(begin, end):
-                one, other = order[min(i, n - 1)], order[min(j, n - 1)]
+                one = order[min(i, n - 1)]
+                other = order[min(j, n - 1)]
                 if component[one] == component[other]:
                     later = label[one] > label[other]
                 else:

@@ -108,7 +108,9 @@ class PrcState:
     """Smooth shots so far, by segment on the last line (urban)."""
 
 
-TAIL, LINK, TOTALS = Part[F32]("tail"), Part[Link]("link"), Part[Totals]("totals")
+TAIL = Part[F32]("tail")
+LINK = Part[Link]("link")
+TOTALS = Part[Totals]("totals")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +179,8 @@ class Prc(Classifier[int, PrcState]):
             segments=wanted.segments,
             critical=wanted.stages,
         )
-        further, limits = block.extra, self.params.support
+        further = block.extra
+        limits = self.params.support
         extra = label_extra_returns(
             block.range_m,
             found.labels,
@@ -207,7 +210,8 @@ class Prc(Classifier[int, PrcState]):
 def measures_of(found: PrcTrace) -> dict[str, NDArray[Any]]:
     """Return what was measured of every shot of a block, by names with their units."""
     assert found.critical is not None
-    h, v = found.components, found.surfaces
+    h = found.components
+    v = found.surfaces
     return {
         "supported in its line from zeta_p [m]": found.critical.in_line_m,
         "supported by adjacent lines from zeta_s [m]": found.critical.adjacent_m,

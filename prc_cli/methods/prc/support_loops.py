@@ -12,7 +12,10 @@ import numpy as np
 from prc_cli.core.types import F32_1, Mask_2
 from prc_cli.kernels.cache import kernel
 
-CENTRED, LITERAL, ABS, GUARD = 0, 1, 2, 3
+CENTRED = 0
+LITERAL = 1
+ABS = 2
+GUARD = 3
 """Readings of eq. 9, as numbers."""
 STRIP = 4096
 """Ranges that are counted in narrow numbers at a time."""
@@ -113,13 +116,17 @@ def background_mask(
         if form in (CENTRED, GUARD):
             least = d_c if form == GUARD else 0.0
             for h in range(size):
-                r, a, b = np.float64(own[h]), np.float64(before[h]), np.float64(after[h])
+                r = np.float64(own[h])
+                a = np.float64(before[h])
+                b = np.float64(after[h])
                 rise = abs(b - a)
                 bend = abs(r - (a + b) / 2.0)
                 row[h] = (bend >= slack * max(rise, d_c)) & (rise >= least) & inside[h]
         else:
             for h in range(size):
-                r, a, b = np.float64(own[h]), np.float64(before[h]), np.float64(after[h])
+                r = np.float64(own[h])
+                a = np.float64(before[h])
+                b = np.float64(after[h])
                 step = r - a
                 rise = b - a
                 if form == ABS:
@@ -139,14 +146,16 @@ def clean_ranges(ranges: F32_1, low: np.float32, high: np.float32) -> tuple[F32_
     """
     n = len(ranges)
     cleaned = np.empty(n, np.float32)
-    n_not_finite, n_refused, n_positive = 0, 0, 0
+    n_not_finite = 0
+    n_refused = 0
+    n_positive = 0
     for first in range(0, n, STRIP):
-        given, kept = ranges[first : first + STRIP], cleaned[first : first + STRIP]
-        infinite, refused, positive = (
-            np.int32(0),
-            np.int32(0),
-            np.int32(0),
-        )  # as wide as a range, for the compiler
+        given = ranges[first : first + STRIP]
+        kept = cleaned[first : first + STRIP]
+        # as wide as a range, for the compiler
+        infinite = np.int32(0)
+        refused = np.int32(0)
+        positive = np.int32(0)
         for i in range(len(given)):
             r = given[i]
             good = (r > low) & (r <= high)

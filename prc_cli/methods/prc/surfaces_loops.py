@@ -18,7 +18,9 @@ def select_components(supported: Mask_2, components: I32_2, wanted: Mask_1) -> M
     n_lines, n_columns = supported.shape
     selected = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):
-        row, inside, component = selected[line], supported[line], components[line]
+        row = selected[line]
+        inside = supported[line]
+        component = components[line]
         for h in range(n_columns):
             row[h] = inside[h] & wanted[component[h]]
     return selected
@@ -63,7 +65,9 @@ def count_covered(
     counts = np.zeros(n_components + 1, np.int64)
     n_words = n_columns // 8
     for line in range(n_lines):
-        inside, over, component = supported[line], covered[line], components[line]
+        inside = supported[line]
+        over = covered[line]
+        component = components[line]
         words = over[: 8 * n_words].view(np.int64)
         for word in range(n_words):
             if words[word] == 0:  # as nearly everywhere: eight shots at once
@@ -90,17 +94,17 @@ def draw_components(
     ``components`` (n_lines, n_columns) int32; ``label_of`` (n + 1,) uint8; ``others`` (3,) uint8; returns (n_lines,
     n_columns) uint8.
     """
-    missing, noise, cover = others[0], others[1], others[2]
+    missing = others[0]
+    noise = others[1]
+    cover = others[2]
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
     labels = np.empty((n_lines, n_columns), np.uint8)
     for line in range(n_lines):
-        row, inside, over, component = (
-            labels[line],
-            supported[line],
-            covered[line],
-            components[line],
-        )
+        row = labels[line]
+        inside = supported[line]
+        over = covered[line]
+        component = components[line]
         ranges = window[reach + line * n_columns : reach + (line + 1) * n_columns]
         for h in range(n_columns):
             row[h] = label_of[component[h]]
@@ -127,16 +131,16 @@ def draw_columns(
     """
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
-    missing, noise, marked, cover, free = (
-        labels_of[0],
-        labels_of[1],
-        labels_of[2],
-        labels_of[3],
-        labels_of[4],
-    )
+    missing = labels_of[0]
+    noise = labels_of[1]
+    marked = labels_of[2]
+    cover = labels_of[3]
+    free = labels_of[4]
     labels = np.empty((n_lines, n_columns), np.uint8)
     for line in range(n_lines):
-        row, inside, over = labels[line], supported[line], covered[line]
+        row = labels[line]
+        inside = supported[line]
+        over = covered[line]
         ranges = window[reach + line * n_columns : reach + (line + 1) * n_columns]
         for h in range(n_columns):
             label = cover if over[h] else free

@@ -28,9 +28,13 @@ from prc_cli.methods.rings.thresholds import (
     SoilThresholds,
 )
 
-SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
+SMOOTH = 1
+ASKED = 2
+UPRIGHT = 4
+LEVEL = 8
 """Bits of a mark: on the line through two shots of its ring; such two exist; on an upright, on a level surface."""
-LINES, RINGS = 3, 2
+LINES = 3
+RINGS = 2
 """Shots this far away are around a shot."""
 N_SUMS = 9
 """Sums of a cell: shots, x, y, xx, xy, yy, smooth ones, asked ones, upright ones."""
@@ -51,16 +55,18 @@ def _beside(place: F32, line: int, way: int, i: int, most: int) -> int:
 @helper
 def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: float) -> int:
     """Return SMOOTH and ASKED for a shot between two; no bit where these are too far apart."""
-    cx, cy, cz = (
-        float(after[0]) - before[0],
-        float(after[1]) - before[1],
-        float(after[2]) - before[2],
-    )
+    cx = float(after[0]) - before[0]
+    cy = float(after[1]) - before[1]
+    cz = float(after[2]) - before[2]
     square = cx * cx + cy * cy + cz * cz
     if square > most_m * most_m or square == 0.0:
         return ASKED
-    dx, dy, dz = float(own[0]) - before[0], float(own[1]) - before[1], float(own[2]) - before[2]
-    ex, ey, ez = dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx
+    dx = float(own[0]) - before[0]
+    dy = float(own[1]) - before[1]
+    dz = float(own[2]) - before[2]
+    ex = dy * cz - dz * cy
+    ey = dz * cx - dx * cz
+    ez = dx * cy - dy * cx
     near = ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m * square
     return SMOOTH | ASKED if near else ASKED
 
@@ -90,10 +96,8 @@ def mark_shots(
             far *= far
             step = max(far, 0.5) * step_rad
             k = min(max(int(thresholds.base_m / step + 0.5), 1), thresholds.most_lines)
-            one, two = (
-                _beside(place, line - k, -1, i, n_lines),
-                _beside(place, line + k, 1, i, n_lines),
-            )
+            one = _beside(place, line - k, -1, i, n_lines)
+            two = _beside(place, line + k, 1, i, n_lines)
             if one >= 0 and two >= 0:
                 most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
                 tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
@@ -108,10 +112,8 @@ def mark_shots(
                 if place[line, q] != place[line, q]:
                     continue
                 other = float(place[line, q]) / root
-                rise, apart = (
-                    abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2]),
-                    abs(other * other - far),
-                )
+                rise = abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2])
+                apart = abs(other * other - far)
                 mark = 0
                 if apart < thresholds.upright * rise + thresholds.upright_m:
                     mark = UPRIGHT
@@ -177,8 +179,10 @@ def fill_cells(
     the cell of every shot, (lines, M) int32, -1 = none.
     """
     n_lines, m = above_m.shape
-    size, n = thresholds.cell_m, int(2.0 * thresholds.half_m / thresholds.cell_m)
-    grid, cell = np.full((n, n), -1, np.int32), np.full((n_lines, m), -1, np.int32)
+    size = thresholds.cell_m
+    n = int(2.0 * thresholds.half_m / thresholds.cell_m)
+    grid = np.full((n, n), -1, np.int32)
+    cell = np.full((n_lines, m), -1, np.int32)
     k = 0
     for line in range(n_lines):
         for i in range(m):
@@ -192,7 +196,9 @@ def fill_cells(
                 grid[p, q] = k
                 k += 1
             cell[line, i] = grid[p, q]
-    where, sums, levels = np.empty((k, 2), np.int32), np.zeros((k, N_SUMS)), np.zeros(k, np.int64)
+    where = np.empty((k, 2), np.int32)
+    sums = np.zeros((k, N_SUMS))
+    levels = np.zeros(k, np.int64)
     for line in range(n_lines):
         for i in range(m):
             own = cell[line, i]
@@ -200,10 +206,12 @@ def fill_cells(
                 continue
             p = math.floor((xyz_m[line, i, 0] + thresholds.half_m) / size)
             q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
-            where[own, 0], where[own, 1] = p, q
+            where[own, 0] = p
+            where[own, 1] = q
             x = xyz_m[line, i, 0] + thresholds.half_m - (p + 0.5) * size
             y = xyz_m[line, i, 1] + thresholds.half_m - (q + 0.5) * size
-            mark, row = int(marks[line, i]), sums[own]
+            mark = int(marks[line, i])
+            row = sums[own]
             row[0] += 1.0
             row[1] += x
             row[2] += y
@@ -235,7 +243,8 @@ def _body_top(levels: int, gap: int) -> int:
     top = misses = 0
     for level in range(TOP_LEVEL + 1):
         if levels >> level & 1:
-            top, misses = level + 1, 0
+            top = level + 1
+            misses = 0
         else:
             misses += 1
             if misses > gap:
@@ -255,11 +264,13 @@ def measure_cells(
     shots, the highest level, and the number of cells with shots; of the cell itself the first level above what stands
     on the ground without a gap, 0 = it hangs.
     """
-    found, cell_m = np.zeros((len(where), N_MEASURES)), thresholds.cell_m
+    found = np.zeros((len(where), N_MEASURES))
+    cell_m = thresholds.cell_m
     gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
     for c in range(len(where)):
         n = x = y = xx = xy = yy = upright = smooth = asked = 0.0
-        every, cells = np.int64(0), 0
+        every = np.int64(0)
+        cells = 0
         for dp in range(-2, 3):
             for dq in range(-2, 3):
                 other = grid[where[c, 0] + dp, where[c, 1] + dq]
@@ -272,7 +283,8 @@ def measure_cells(
                 every |= levels[other]
                 if abs(dp) == 2 or abs(dq) == 2:
                     continue
-                ox, oy = dp * cell_m, dq * cell_m
+                ox = dp * cell_m
+                oy = dq * cell_m
                 n += row[0]
                 x += row[1] + row[0] * ox
                 y += row[2] + row[0] * oy
@@ -280,20 +292,24 @@ def measure_cells(
                 xy += row[4] + ox * row[2] + oy * row[1] + row[0] * ox * oy
                 yy += row[5] + 2.0 * oy * row[2] + row[0] * oy * oy
                 upright += row[8]
-        x, y = x / n, y / n
-        xx, xy, yy = xx / n - x * x, xy / n - x * y, yy / n - y * y
-        half, away = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+        x = x / n
+        y = y / n
+        xx = xx / n - x * x
+        xy = xy / n - x * y
+        yy = yy / n - y * y
+        half = 0.5 * (xx + yy)
+        away = math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
         top = 0
         for level in range(TOP_LEVEL + 1):
             if every >> level & 1:
                 found[c, 4] += 1.0
                 top = level
-        found[c, 0], found[c, 1] = (
-            math.sqrt(max(half - away, 0.0)),
-            math.sqrt(max(half + away, 0.0)),
-        )
-        found[c, 2], found[c, 3] = upright / n, smooth / max(asked, 1.0)
-        found[c, 5], found[c, 6] = top + 1.0, float(cells)
+        found[c, 0] = math.sqrt(max(half - away, 0.0))
+        found[c, 1] = math.sqrt(max(half + away, 0.0))
+        found[c, 2] = upright / n
+        found[c, 3] = smooth / max(asked, 1.0)
+        found[c, 5] = top + 1.0
+        found[c, 6] = float(cells)
         found[c, 7] = float(_body_top(levels[c], gap))
     return found
 
@@ -340,7 +356,8 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
                 other = grid[where[c, 0] + dp, where[c, 1] + dq]
                 if other < 0 or not use[other]:
                     continue
-                one, two = _root(parent, c), _root(parent, int(other))
+                one = _root(parent, c)
+                two = _root(parent, int(other))
                 parent[max(one, two)] = min(one, two)
     body = np.full(len(where), -1, np.int32)
     for c in range(len(where)):
@@ -370,11 +387,9 @@ def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresh
     sums = np.zeros((n, n, 4))
     for line in range(n_lines):
         for i in range(m):
-            x, y, above = (
-                float(xyz_m[line, i, 0]),
-                float(xyz_m[line, i, 1]),
-                float(above_m[line, i]),
-            )
+            x = float(xyz_m[line, i, 0])
+            y = float(xyz_m[line, i, 1])
+            above = float(above_m[line, i])
             if not _is_low(above, x, y, thresholds) or not marks[line, i] & ASKED:
                 continue
             row = sums[
@@ -410,11 +425,9 @@ def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresh
     found = np.zeros((n_lines, m), np.bool_)
     for line in range(n_lines):
         for i in range(m):
-            x, y, above = (
-                float(xyz_m[line, i, 0]),
-                float(xyz_m[line, i, 1]),
-                float(above_m[line, i]),
-            )
+            x = float(xyz_m[line, i, 0])
+            y = float(xyz_m[line, i, 1])
+            above = float(above_m[line, i])
             own = np.nan
             if _is_low(above, x, y, thresholds):
                 p = int((x + thresholds.half_m) / thresholds.cell_m)

@@ -22,9 +22,11 @@ from prc_cli.methods.rings.thresholds import (
 
 UNIFORM = 12.0**0.5
 """Length of what is evenly spread, in its standard deviations."""
-FEWEST_LIGHTS, MOST_ALIKE = 16, 0.9
+FEWEST_LIGHTS = 16
+MOST_ALIKE = 0.9
 """Intensities of fewer values, or of which more are equal, tell nothing."""
-SMOOTH, N_LEVELS = 1, 63
+SMOOTH = 1
+N_LEVELS = 63
 """As in :mod:`cells_loops`."""
 
 
@@ -114,7 +116,8 @@ def _around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.i
         padding[axis] = (reach + 1, reach)
         run = np.cumsum(np.pad(total, padding), axis=axis, dtype=np.int64)
         n = total.shape[axis]
-        upper, lower = np.arange(n) + 2 * reach + 1, np.arange(n)
+        upper = np.arange(n) + 2 * reach + 1
+        lower = np.arange(n)
         total = (np.take(run, upper, axis=axis) - np.take(run, lower, axis=axis)).astype(np.int16)
     return total
 
@@ -170,11 +173,9 @@ def is_foliage(cells: Cells, limits: Limits) -> Mask:
 
 def _is_pole(cells: Cells, limits: Limits) -> Mask:
     """Return which cells are thin to all sides, high, and alone."""
-    long_m, top, around = (
-        cells.measures[:, 1],
-        cells.measures[:, 5] * limits.cells.storey_m,
-        cells.measures[:, 6],
-    )
+    long_m = cells.measures[:, 1]
+    top = cells.measures[:, 5] * limits.cells.storey_m
+    around = cells.measures[:, 6]
     own = limits.poles
     found: Mask = (long_m < own.thin_m) & (top >= own.least_m) & (around <= own.around)
     return found & (cells.sums[:, 0] >= own.shots)
@@ -207,12 +208,17 @@ class Bodies:
         body = kernels.join_cells(cells.grid, cells.where, is_low)
         # bodies have the number of their first cell
         number = np.cumsum(body == np.arange(len(body))) - 1
-        of_cell, n_bodies = number[body[is_low]], int(number[-1]) + 1 if len(number) else 0
+        of_cell = number[body[is_low]]
+        n_bodies = int(number[-1]) + 1 if len(number) else 0
         sums = _sums_of(cells, is_low, of_cell, n_bodies, thresholds.cell_m)
         n = sums[:, 0]
-        x, y = sums[:, 1] / n, sums[:, 2] / n
-        xx, xy, yy = sums[:, 3] / n - x * x, sums[:, 4] / n - x * y, sums[:, 5] / n - y * y
-        half, away = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        x = sums[:, 1] / n
+        y = sums[:, 2] / n
+        xx = sums[:, 3] / n - x * x
+        xy = sums[:, 4] / n - x * y
+        yy = sums[:, 5] / n - y * y
+        half = 0.5 * (xx + yy)
+        away = np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
         length, width = (
             UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0)
         )
@@ -220,7 +226,8 @@ class Bodies:
         counts = np.bincount(at, cells.sums[is_low, 0], n_bodies * N_LEVELS).reshape(-1, N_LEVELS)
         sight = np.full(n_bodies, np.inf)
         np.minimum.at(sight, of_cell, sight_m[is_low])
-        smooth, upright = sums[:, 6] / np.maximum(sums[:, 7], 1.0), sums[:, 8] / n
+        smooth = sums[:, 6] / np.maximum(sums[:, 7], 1.0)
+        upright = sums[:, 8] / n
         return cls(
             is_low, of_cell, n, length, width, smooth, upright, np.cumsum(counts, axis=1), sight
         )
@@ -247,10 +254,14 @@ def _sums_of(
     cells: Cells, use: Mask, of_body: NDArray[np.intp], n_bodies: int, cell_m: float
 ) -> F64:
     """Return the sums of bodies, (bodies, 9) float64, places from the corner of the grid [m]."""
-    own, place = cells.sums[use], (cells.where[use] + 0.5) * cell_m
-    n, x, y = own[:, 0], own[:, 1], own[:, 2]
+    own = cells.sums[use]
+    place = (cells.where[use] + 0.5) * cell_m
+    n = own[:, 0]
+    x = own[:, 1]
+    y = own[:, 2]
     moved = own.copy()
-    moved[:, 1], moved[:, 2] = x + n * place[:, 0], y + n * place[:, 1]
+    moved[:, 1] = x + n * place[:, 0]
+    moved[:, 2] = y + n * place[:, 1]
     moved[:, 3] += 2 * place[:, 0] * x + n * place[:, 0] ** 2
     moved[:, 4] += place[:, 0] * y + place[:, 1] * x + n * place[:, 0] * place[:, 1]
     moved[:, 5] += 2 * place[:, 1] * y + n * place[:, 1] ** 2

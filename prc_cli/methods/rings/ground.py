@@ -25,7 +25,9 @@ WHOLE_TURN = 0.97
 """Share of a turn from which on the last sector of a block is beside the first."""
 NEAR_M = 25.0
 """The plane is fitted up to this distance [m]."""
-HIGHEST_M, LOWEST_M, BIN_M = -0.3, -6.0, 0.1
+HIGHEST_M = -0.3
+LOWEST_M = -6.0
+BIN_M = 0.1
 """Heights of the ground below a scanner, and the width of a bin of them [m]."""
 TRIMS_M = (0.6, 0.35, 0.2, 0.2)
 """Heights this near to the plane fit the next one [m]."""
@@ -41,7 +43,8 @@ LEANS_RAD = math.radians(12.0)
 """A plane that leans more is levelled first: sectors and columns of space are upright [rad] ..."""
 LEVEL = 0.4
 """... and one that less than this share of the lowest heights agrees with is not trusted before others were tried."""
-TRIED_RAD, N_WAYS = np.radians([12.0, 24.0, 36.0, 48.0]), 12
+TRIED_RAD = np.radians([12.0, 24.0, 36.0, 48.0])
+N_WAYS = 12
 """Leans that are tried, each to so many sides [rad]."""
 CLEAR = 1.3
 """So many times more heights agree with a plane that leans."""
@@ -49,7 +52,8 @@ MOST_LEAN_RAD = math.radians(50.0)
 """Planes that lean more are walls [rad]."""
 
 Matrix = tuple[tuple[float, float, float], ...]
-ROUNDS, CORRECTIONS = 8, 2
+ROUNDS = 8
+CORRECTIONS = 2
 """Rounds of smoothing, and how often the surface is corrected."""
 
 
@@ -94,7 +98,8 @@ class Polar:
     @classmethod
     def of(cls, xyz_m: F32, thresholds: GroundThresholds) -> Polar:
         """Return the places of shots, (lines, M, 3) float32 [m]."""
-        x, y = xyz_m[..., 0], xyz_m[..., 1]
+        x = xyz_m[..., 0]
+        y = xyz_m[..., 1]
         place = np.sqrt(np.sqrt(x * x + y * y)) * np.float32(BINS_PER_ROOT_M)
         # a line looks where its shots lie
         along_x, along_y = (np.nansum(axis, axis=1, dtype=np.float64) for axis in (x, y))
@@ -205,8 +210,10 @@ def _up_or_down(polar: Polar, thresholds: GroundThresholds, up: float | None) ->
     """Return the plane below, or the one above where z points down."""
     if up is not None:
         return Lowest.of(polar, up, thresholds)
-    below, above = Lowest.of(polar, 1.0, thresholds), Lowest.of(polar, -1.0, thresholds)
-    n_below, n_above = below.plane.n_cells, above.plane.n_cells
+    below = Lowest.of(polar, 1.0, thresholds)
+    above = Lowest.of(polar, -1.0, thresholds)
+    n_below = below.plane.n_cells
+    n_above = above.plane.n_cells
     if n_above <= max(UPSIDE_DOWN * n_below, FEWEST):
         return below
     if n_below < max(BOTH * n_above, FEWEST):
@@ -225,7 +232,8 @@ def _levelled(
             turn = _matrix(turning(lean * np.array([math.cos(way), math.sin(way), 0.0])))
             other = _up_or_down(Polar.of(turned(xyz_m, turn), thresholds), thresholds, up)
             if other.plane.n_cells > best.plane.n_cells:
-                best, best_turn = other, turn
+                best = other
+                best_turn = turn
     is_clear = best.plane.n_cells > CLEAR * level.plane.n_cells
     plane = best.plane if is_clear else level.plane
     # from the axes that were tried to those of the plane, in two steps

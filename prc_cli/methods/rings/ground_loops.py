@@ -31,7 +31,8 @@ def lowest_heights(
         for i in range(m):
             if not place[line, i] < n_bins:
                 continue
-            low, z = three[line // sector_lines, int(place[line, i])], up * float(xyz_m[line, i, 2])
+            low = three[line // sector_lines, int(place[line, i])]
+            z = up * float(xyz_m[line, i, 2])
             if z < low[0]:
                 low[0], low[1], low[2] = z, low[0], low[1]
             elif z < low[1]:
@@ -63,8 +64,11 @@ def walk_outwards(
     float64, and whether they were seen, bool.
     """
     n_sectors, n_bins = off_m.shape
-    height, seen = np.empty((n_sectors, n_bins)), np.zeros((n_sectors, n_bins), np.bool_)
-    last, at, slope = np.zeros(n_sectors), np.full(n_sectors, middle_m[0]), np.zeros(n_sectors)
+    height = np.empty((n_sectors, n_bins))
+    seen = np.zeros((n_sectors, n_bins), np.bool_)
+    last = np.zeros(n_sectors)
+    at = np.full(n_sectors, middle_m[0])
+    slope = np.zeros(n_sectors)
     for b in range(n_bins):
         for s in range(n_sectors):
             total = weight = 0.0
@@ -78,20 +82,23 @@ def walk_outwards(
         for s in range(n_sectors):
             if off_m[s, b] != off_m[s, b]:
                 continue
-            gap, above = middle_m[b] - at[s], float(off_m[s, b]) - height[s, b]
+            gap = middle_m[b] - at[s]
+            above = float(off_m[s, b]) - height[s, b]
             reach = min(gap, thresholds.gap_m)
             if above > thresholds.step_m + thresholds.rise * reach:
                 continue
             if above < -thresholds.step_m - thresholds.fall * reach:
                 continue
-            height[s, b], seen[s, b] = float(off_m[s, b]), True
+            height[s, b] = float(off_m[s, b])
+            seen[s, b] = True
             if gap > 0:
                 steep = min(
                     max((height[s, b] - last[s]) / gap, -thresholds.slope), thresholds.slope
                 )
                 share = min(gap / (gap + thresholds.follow_m), thresholds.follow)
                 slope[s] += share * (steep - slope[s])
-            last[s], at[s] = height[s, b], middle_m[b]
+            last[s] = height[s, b]
+            at[s] = middle_m[b]
     return height, seen
 
 
@@ -108,7 +115,8 @@ def smooth_surface(
     for _ in range(rounds):
         for s in range(n_sectors):
             for b in range(n_bins):
-                total, sum_of = weight[s, b] * height_m[s, b], weight[s, b]
+                total = weight[s, b] * height_m[s, b]
+                sum_of = weight[s, b]
                 if b > 0:
                     total += stiff * found[s, b - 1]
                     sum_of += stiff
@@ -150,13 +158,15 @@ def heights_above(
     n_lines, m = place.shape
     n_sectors, n_bins = surface_m.shape
     above = np.empty((n_lines, m), np.float32)
-    total, number = np.zeros((n_sectors, n_bins)), np.zeros((n_sectors, n_bins))
+    total = np.zeros((n_sectors, n_bins))
+    number = np.zeros((n_sectors, n_bins))
     row = np.empty(n_bins)
     for line in range(n_lines):
         # the surface in this line, between the middles of two sectors
         along = (line + 0.5) / sector_lines - 0.5
         first = math.floor(along)
-        low, high = max(int(first), 0), min(int(first) + 1, n_sectors - 1)
+        low = max(int(first), 0)
+        high = min(int(first) + 1, n_sectors - 1)
         for b in range(n_bins):
             row[b] = _between(surface_m[low, b], surface_m[high, b], along - first)
         own = line // sector_lines

@@ -159,7 +159,8 @@ class Rings(Classifier[F64, RingsState]):
         self, block: ScanBlock, scanner: F64, turn: Turn, wanted: Wanted
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
-        k, key = self.params.lines_per_block, "rings.lines_per_block"
+        k = self.params.lines_per_block
+        key = "rings.lines_per_block"
         check_block(
             block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key
         )
@@ -172,10 +173,12 @@ class Rings(Classifier[F64, RingsState]):
             return found, found[1].plane
 
         polar, low = turn.hand_on(PLANE, step)
-        plane, above_m = low.plane, above_ground(polar, low, limits.ground)
+        plane = low.plane
+        above_m = above_ground(polar, low, limits.ground)
         sunken = sunken_shots(polar, above_m, limits.sunken)
         # mirror images are no part of surfaces
-        solid, solid_m = polar.without(sunken), np.where(sunken, np.float32(np.nan), above_m)
+        solid = polar.without(sunken)
+        solid_m = np.where(sunken, np.float32(np.nan), above_m)
         marks = mark_shots(solid, solid_m, limits)
         range_m = block.range_m if block.frame is None else np.sqrt((xyz_m * xyz_m).sum(axis=2))
         lonely = lonely_shots(range_m, block.intensity, limits)
@@ -223,7 +226,8 @@ def coordinates_of(block: ScanBlock, beam_rad: F64) -> F32:
             block.xyz_m if block.frame is None else block.frame.own(block.xyz_m)
         )
     azimuth = USUAL_STEP_RAD * (block.first_line + np.arange(block.n_lines))[:, None]
-    across, height = block.range_m * np.abs(np.sin(beam_rad)), -block.range_m * np.cos(beam_rad)
+    across = block.range_m * np.abs(np.sin(beam_rad))
+    height = -block.range_m * np.cos(beam_rad)
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1).astype(
         np.float32
     )
@@ -260,7 +264,8 @@ def _highest_rise(beam_rad: F64, plane: GroundPlane, azimuth_rad: F64) -> F64:
         axis=1,
     )
     x, y, z = (ring @ np.array(plane.turn).T).T
-    azimuth, rise = np.arctan2(y, x), plane.up * z / np.maximum(np.hypot(x, y), 1e-3)
+    azimuth = np.arctan2(y, x)
+    rise = plane.up * z / np.maximum(np.hypot(x, y), 1e-3)
     order = np.argsort(azimuth)
     found: F64 = np.interp(azimuth_rad, azimuth[order], rise[order], period=2 * math.pi)
     return found

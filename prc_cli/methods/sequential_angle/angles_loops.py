@@ -94,7 +94,8 @@ def _directions(up: F64, along: F64, m: int) -> None:
     (t - 1) / (t + 1) more.
     """
     for i in range(m):
-        y, x = up[i], along[i]
+        y = up[i]
+        x = along[i]
         base = math.sqrt(x * x + y * y) + abs(x)
         tangent = y / base if base > 0.0 else 0.0
         steep = tangent > _EIGHTH
@@ -154,7 +155,8 @@ def signed_angles(
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
     ahead = np.full((n_rows, n), -1, np.int32)
     least = thresholds.least_chord_m * thresholds.least_chord_m
-    depth_m, reach = thresholds.depth_m, thresholds.max_shots
+    depth_m = thresholds.depth_m
+    reach = thresholds.max_shots
     r = np.empty(n, np.float64)
     x = np.empty(n, np.float64)
     y = np.empty(n, np.float64)
@@ -185,16 +187,16 @@ def signed_angles(
                 if follows
                 else _first_far(r, x, y, z, i, i - 1, max(i - 1 - reach, -1), -1, least, depth_m)
             )
-            dx, dy, dz = x[end] - x[i], y[end] - y[i], z[end] - z[i]
+            dx = x[end] - x[i]
+            dy = y[end] - y[i]
+            dz = z[end] - z[i]
             turn = 0.0
             if back >= 0:
                 turn = dx * (x[i] - x[back]) + dy * (y[i] - y[back]) + dz * (z[i] - z[back])
             sign[n_chords] = -1.0 if turn < 0.0 else 1.0
-            angle[n_chords], length[n_chords], begin[n_chords] = (
-                dz,
-                dx * dx + dy * dy + dz * dz,
-                beam[i],
-            )
+            angle[n_chords] = dz
+            length[n_chords] = dx * dx + dy * dy + dz * dz
+            begin[n_chords] = beam[i]
             n_chords += 1
             ahead[row, beam[i]] = beam[end]
         _to_degrees(angle, length, n_chords)
@@ -237,8 +239,10 @@ def line_angles(range_m: F32_2, ahead: I32_2, surface: U8_2, beam_rad: F64_2) ->
     known = np.full((n_sides, n), -1, np.int32)
     sine = np.empty((n_sides, n), np.float64)
     cosine = np.empty((n_sides, n), np.float64)
-    here, there = np.empty(n, np.float64), np.empty(n, np.float64)
-    up, along = np.empty(n, np.float64), np.empty(n, np.float64)
+    here = np.empty(n, np.float64)
+    there = np.empty(n, np.float64)
+    up = np.empty(n, np.float64)
+    along = np.empty(n, np.float64)
     beam = np.empty(n, np.int32)
     for row in range(n_rows):
         side = row % n_sides
@@ -249,13 +253,13 @@ def line_angles(range_m: F32_2, ahead: I32_2, surface: U8_2, beam_rad: F64_2) ->
                 continue
             if known[side, k] != far:
                 step = beam_rad[side, far] - beam_rad[side, k]
-                known[side, k], sine[side, k], cosine[side, k] = far, math.sin(step), math.cos(step)
-            here[m], there[m], up[m], along[m] = (
-                range_m[row, k],
-                range_m[row, far],
-                sine[side, k],
-                cosine[side, k],
-            )
+                known[side, k] = far
+                sine[side, k] = math.sin(step)
+                cosine[side, k] = math.cos(step)
+            here[m] = range_m[row, k]
+            there[m] = range_m[row, far]
+            up[m] = sine[side, k]
+            along[m] = cosine[side, k]
             beam[m] = k
             m += 1
         # angle of the chord with the beam to its beginning, 0 to pi (eq. 2 with atan2)

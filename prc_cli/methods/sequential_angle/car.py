@@ -246,13 +246,15 @@ def car_search(found: Cars, lines: VerticalLines) -> CarSearch:
     array([[0, 1, 1, 0, 2, 0]])
     """
     shape = lines.range_m.shape
-    beam, at = np.arange(shape[1], dtype=np.int32), found.trigger[:, None]
+    beam = np.arange(shape[1], dtype=np.int32)
+    at = found.trigger[:, None]
     trigger = np.where(
         beam < at, TriggerSide.BEFORE, np.where(beam > at, TriggerSide.AFTER, TriggerSide.AT)
     )
     trigger[(at < 0)[:, 0]] = TriggerSide.NONE
     trigger[beam >= lines.n_beams[:, None]] = TriggerSide.NONE
-    divided, pieces = found.intervals.divided, found.intervals.pieces
+    divided = found.intervals.divided
+    pieces = found.intervals.pieces
     # rows are in order, so that the first interval of a row is found by bisection
     number = np.arange(len(divided)) - np.searchsorted(divided[:, 0], divided[:, 0]) + 1
     interval = spread(divided, number, shape)

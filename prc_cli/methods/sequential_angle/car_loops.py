@@ -48,7 +48,8 @@ def _powers(values: F64_1, first: int, n_frequencies: int, power: F64_1) -> None
     if odd:
         one[:] = values[0]
     for i in range(odd, n, 2):  # two samples a round, so that nothing has to be moved
-        x, y = values[i], values[i + 1]
+        x = values[i]
+        y = values[i + 1]
         for k in range(n_frequencies):
             newer = x + turn[k] * one[k] - two[k]
             one[k] = y + turn[k] * newer - one[k]
@@ -127,11 +128,15 @@ def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThr
     return stable
 
 
-_MISSING, _VEGETATION = int(Surface.MISSING), int(Surface.VEGETATION)
-_HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
+_MISSING = int(Surface.MISSING)
+_VEGETATION = int(Surface.VEGETATION)
+_HORIZONTAL = int(Surface.HORIZONTAL)
+_VERTICAL = int(Surface.VERTICAL)
 
 
-_Z, _RANGE, _DISTANCE = 2, 3, 4
+_Z = 2
+_RANGE = 3
+_DISTANCE = 4
 """Columns of the points of a row: x, y, z, range, horizontal distance [m]."""
 _BACK_M = 1.0
 """What is no farther than this behind a point, after a jump, is the same object, seen again ..."""
@@ -216,11 +221,9 @@ def _gather(
     first = int(np.int64(-1))
     before = _VERTICAL
     skipped = van = int(np.int64(0))
-    limit_m, sill_m, glass_m = (
-        ground_m + thresholds.height_m,
-        ground_m + _SILL_M,
-        thresholds.glass_m,
-    )
+    limit_m = ground_m + thresholds.height_m
+    sill_m = ground_m + _SILL_M
+    glass_m = thresholds.glass_m
     for k in range(n):
         if k < skipped or range_m[row, k] != range_m[row, k]:
             continue
@@ -278,12 +281,11 @@ def _place(
     """Put the points of a row together from one of its returns on: what comes before divides nothing."""
     for i in range(first, size):
         k = beam[i]
-        points[i, 0], points[i, 1], points[i, _Z] = (
-            xyz_m[row, k, 0],
-            xyz_m[row, k, 1],
-            xyz_m[row, k, 2],
-        )
-        points[i, _RANGE], points[i, _DISTANCE] = range_m[row, k], horizontal_m[row, k]
+        points[i, 0] = xyz_m[row, k, 0]
+        points[i, 1] = xyz_m[row, k, 1]
+        points[i, _Z] = xyz_m[row, k, 2]
+        points[i, _RANGE] = range_m[row, k]
+        points[i, _DISTANCE] = horizontal_m[row, k]
 
 
 @helper
@@ -292,24 +294,21 @@ def _change_angle(
 ) -> float:
     """Return the signed angle of the chord that begins at a point [deg]; NaN when no point is far enough away."""
     k = beam[j]
-    x, y, z = (
-        np.float64(xyz_m[row, k, 0]),
-        np.float64(xyz_m[row, k, 1]),
-        np.float64(xyz_m[row, k, 2]),
-    )
+    x = np.float64(xyz_m[row, k, 0])
+    y = np.float64(xyz_m[row, k, 1])
+    z = np.float64(xyz_m[row, k, 2])
     for after in range(j + 1, min(j + reach, size - 1) + 1):
         k = beam[after]
-        dx, dy, dz = (
-            np.float64(xyz_m[row, k, 0]) - x,
-            np.float64(xyz_m[row, k, 1]) - y,
-            np.float64(xyz_m[row, k, 2]) - z,
-        )
+        dx = np.float64(xyz_m[row, k, 0]) - x
+        dy = np.float64(xyz_m[row, k, 1]) - y
+        dz = np.float64(xyz_m[row, k, 2]) - z
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         if length >= chord_m and length > 0.0:
             angle = math.degrees(math.acos(max(-1.0, min(1.0, dz / length))))
             for before in range(j - 1, max(j - reach, 0) - 1, -1):
                 k = beam[before]
-                bx, by = x - np.float64(xyz_m[row, k, 0]), y - np.float64(xyz_m[row, k, 1])
+                bx = x - np.float64(xyz_m[row, k, 0])
+                by = y - np.float64(xyz_m[row, k, 1])
                 bz = z - np.float64(xyz_m[row, k, 2])
                 back = math.sqrt(bx * bx + by * by + bz * bz)
                 if back >= chord_m and back > 0.0:
@@ -375,11 +374,9 @@ def _flat_stretch(
     The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the stretch is drawn out
     point by point for as long as it stays flat. That first point is sought from where it was for the K before.
     """
-    length_m, residual_m, slope = (
-        thresholds.flat_length_m,
-        thresholds.flat_residual_m,
-        thresholds.flat_slope,
-    )
+    length_m = thresholds.flat_length_m
+    residual_m = thresholds.flat_residual_m
+    slope = thresholds.flat_slope
     size = last + 1 - first
     farthest[size] = -np.inf
     longest = -np.inf
@@ -458,7 +455,8 @@ def _comes_back(points: F64, size: int, j: int, reach: int) -> bool:
 def _next_jump(points: F64, size: int, j: int, separation_m: float, reach: int) -> int:
     """Find the first point from one on that a jump away from the scanner follows, or the last one."""
     while j < size - 1:
-        dx, dy = points[j + 1, 0] - points[j, 0], points[j + 1, 1] - points[j, 1]
+        dx = points[j + 1, 0] - points[j, 0]
+        dy = points[j + 1, 1] - points[j, 1]
         dz = points[j + 1, 2] - points[j, 2]
         ahead = dx * points[j, 0] + dy * points[j, 1] > 0.0
         far = ahead and math.sqrt(dx * dx + dy * dy + dz * dz) > separation_m
@@ -475,7 +473,9 @@ def _with_room(found: I32, size: int) -> I32:
         return found
     larger = np.empty((2 * size, 3), np.int32)
     for i in range(size):
-        larger[i, 0], larger[i, 1], larger[i, 2] = found[i, 0], found[i, 1], found[i, 2]
+        larger[i, 0] = found[i, 0]
+        larger[i, 1] = found[i, 1]
+        larger[i, 2] = found[i, 2]
     return larger
 
 
@@ -544,7 +544,8 @@ def car_intervals(
                     code, points, begin, last, thresholds, sums, farthest
                 )
                 found = _with_room(found, n_found)
-                found[n_found, 0], found[n_found, 1] = row, beam[begin]
+                found[n_found, 0] = row
+                found[n_found, 1] = beam[begin]
                 found[n_found, 2] = beam[last if flat_from < 0 else flat_from]
                 n_found += 1
                 begin = last + 1
@@ -560,12 +561,11 @@ def _is_upright(sums: F64, n: int, residual_m: float, slope: float, noise_m: flo
 
     ``sums`` are those of z, h, z², zh and h², counted from the first point.
     """
-    mean_z, mean_h = sums[0] / n, sums[1] / n
-    zz, zh, hh = (
-        sums[2] / n - mean_z * mean_z,
-        sums[3] / n - mean_z * mean_h,
-        sums[4] / n - mean_h * mean_h,
-    )
+    mean_z = sums[0] / n
+    mean_h = sums[1] / n
+    zz = sums[2] / n - mean_z * mean_z
+    zh = sums[3] / n - mean_z * mean_h
+    hh = sums[4] / n - mean_h * mean_h
     upright = abs(zh) <= (slope + noise_m / math.sqrt(n * zz)) * zz
     return bool(upright and hh - zh * zh / zz <= residual_m * residual_m)
 
@@ -593,7 +593,8 @@ def _is_straight(
 ) -> bool:
     """Tell whether the straight line through the returns of a run is near them and nearly upright."""
     n = int(np.int64(0))
-    z_0, h_0 = np.float64(xyz_m[row, first, 2]), np.float64(horizontal_m[row, first])
+    z_0 = np.float64(xyz_m[row, first, 2])
+    h_0 = np.float64(horizontal_m[row, first])
     sums = np.zeros(5, np.float64)
     for j in range(first, after):
         if horizontal_m[row, j] != horizontal_m[row, j]:
@@ -698,7 +699,8 @@ def _mark_reliefs(
         if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:
             begin += 1
             continue
-        z_0, h_0 = np.float64(xyz_m[row, begin, 2]), np.float64(horizontal_m[row, begin])
+        z_0 = np.float64(xyz_m[row, begin, 2])
+        h_0 = np.float64(horizontal_m[row, begin])
         sums = np.zeros(5, np.float64)
         lowest = highest = 0.0
         last = begin
@@ -708,7 +710,8 @@ def _mark_reliefs(
             height = np.float64(xyz_m[row, j, 2]) - z_0
             here = np.float64(horizontal_m[row, j])
             _add(sums, height, here - h_0)
-            lowest, highest = min(lowest, height), max(highest, height)
+            lowest = min(lowest, height)
+            highest = max(highest, height)
             n_points += 1
             last = j
             j = _next_of_wall(surface, horizontal_m, row, j + 1, n, here, thresholds.return_points)
@@ -717,7 +720,8 @@ def _mark_reliefs(
             and highest - lowest >= thresholds.vertical_extent_m
         )
         if high and highest > lowest:
-            slope, noise_m = thresholds.straight_slope, thresholds.lean_noise_m
+            slope = thresholds.straight_slope
+            noise_m = thresholds.lean_noise_m
             if _is_upright(sums, n_points, thresholds.relief_m, slope, noise_m):
                 for k in range(begin, min(last + 1, stop)):
                     gone[k] = True
@@ -748,7 +752,9 @@ def cut_verticals(
     n_left = 0
     gone = np.zeros(surface.shape[1], np.bool_)
     for i in range(len(intervals)):
-        row, first, stop = intervals[i, 0], intervals[i, 1], intervals[i, 2] + 1
+        row = intervals[i, 0]
+        first = intervals[i, 1]
+        stop = intervals[i, 2] + 1
         n = n_beams[row]
         for k in range(first, stop):
             gone[k] = False
@@ -775,11 +781,15 @@ def cut_verticals(
                 begin = k if begin < 0 else begin
                 end = k
             elif begin >= 0:
-                left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+                left[n_left, 0] = row
+                left[n_left, 1] = begin
+                left[n_left, 2] = end
                 n_left += 1
                 begin = -1
         if begin >= 0:
-            left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+            left[n_left, 0] = row
+            left[n_left, 1] = begin
+            left[n_left, 2] = end
             n_left += 1
     return left[:n_left].copy()
 

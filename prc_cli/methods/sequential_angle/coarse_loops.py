@@ -83,18 +83,25 @@ def _densities(
     ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the library's one takes
     one by one. That of the largest is 1, so the other two go into the first two rows for it.
     """
-    mean_0, mean_1, mean_2 = means[0], means[1], means[2]
-    half_0, half_1, half_2 = half_precision[0], half_precision[1], half_precision[2]
-    log_0, log_1, log_2 = log_sigma[0], log_sigma[1], log_sigma[2]
+    mean_0 = means[0]
+    mean_1 = means[1]
+    mean_2 = means[2]
+    half_0 = half_precision[0]
+    half_1 = half_precision[1]
+    half_2 = half_precision[2]
+    log_0 = log_sigma[0]
+    log_1 = log_sigma[1]
+    log_2 = log_sigma[2]
     for i in range(m):
-        d_0, d_1, d_2 = values[i] - mean_0, values[i] - mean_1, values[i] - mean_2
-        a, b, c = (
-            -(d_0 * d_0) * half_0 - log_0,
-            -(d_1 * d_1) * half_1 - log_1,
-            -(d_2 * d_2) * half_2 - log_2,
-        )
+        d_0 = values[i] - mean_0
+        d_1 = values[i] - mean_1
+        d_2 = values[i] - mean_2
+        a = -(d_0 * d_0) * half_0 - log_0
+        b = -(d_1 * d_1) * half_1 - log_1
+        c = -(d_2 * d_2) * half_2 - log_2
         largest = max(a, b, c)
-        first, last = a == largest, b != largest and a != largest
+        first = a == largest
+        last = b != largest and a != largest
         density[0, i] = (b if first else a) - largest
         density[1, i] = (b if last else c) - largest
         top[i] = 0 if first else 2 if last else 1
@@ -112,7 +119,8 @@ def _densities(
         for i in range(m):
             density[state, i] *= scale[i]
     for i in range(m):
-        one, other = density[0, i], density[1, i]
+        one = density[0, i]
+        other = density[1, i]
         density[0, i] = 1.0 if top[i] == 0 else one
         density[1, i] = one if top[i] == 0 else 1.0 if top[i] == 1 else other
         density[2, i] = 1.0 if top[i] == 2 else other
@@ -207,7 +215,8 @@ def _next_confirmed(
     density: F64, samples: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds
 ) -> tuple[int, int, int]:
     """Find the next region from a sample on that tests between two bounds confirm, and end; as :func:`_next_region`."""
-    anew, once = bool(np.bool_(True)), bool(np.bool_(False))
+    anew = bool(np.bool_(True))
+    once = bool(np.bool_(False))
     verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
     if verdict == 0:
         return 0, -1, m
@@ -238,10 +247,8 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
 
     ``values`` (R, n) float32; returns (R, n) bool.
     """
-    h0, h1 = (
-        _Model(thresholds.h0, thresholds.initial_h0),
-        _Model(thresholds.h1, thresholds.initial_h1),
-    )
+    h0 = _Model(thresholds.h0, thresholds.initial_h0)
+    h1 = _Model(thresholds.h1, thresholds.initial_h1)
     sigmas = np.array(thresholds.sigmas_deg)
     n_rows, n = values.shape
     marked = np.zeros((n_rows, n), np.bool_)
@@ -255,7 +262,9 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
         thresholds.backdate,
     )
     density = np.empty((3, n), np.float64)
-    samples, power, top = np.empty(n, np.float64), np.empty(n, np.int64), np.empty(n, np.int64)
+    samples = np.empty(n, np.float64)
+    power = np.empty(n, np.int64)
+    top = np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
     for row in range(n_rows):
         m = begin = int(np.int64(0))
@@ -280,7 +289,11 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
     return marked
 
 
-_MISSING, _VEGETATION, _HORIZONTAL, _VERTICAL, _UNDECIDED = 0, 1, 2, 3, 4
+_MISSING = 0
+_VEGETATION = 1
+_HORIZONTAL = 2
+_VERTICAL = 3
+_UNDECIDED = 4
 """As :class:`prc_cli.core.classes.Surface` numbers them."""
 _MIDDLE = 45.0
 """Half way between a vertical (0) and a horizontal (90) surface [deg]."""
@@ -418,7 +431,8 @@ def _fullest(values: F64, begin: int, end: int, width: float) -> tuple[int, int]
         while stop < end and values[stop] - values[i] <= width:
             stop += 1
         if stop - i > most:
-            most, first = stop - i, i
+            most = stop - i
+            first = i
     return most, first
 
 
@@ -511,8 +525,10 @@ def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds)
     lowest = highest = z[begin]
     sum_z = sum_x = sum_zz = sum_zx = sum_xx = 0.0
     for i in range(begin, end):
-        lowest, highest = min(lowest, z[i]), max(highest, z[i])
-        up, away = z[i] - z[begin], x[i] - x[begin]
+        lowest = min(lowest, z[i])
+        highest = max(highest, z[i])
+        up = z[i] - z[begin]
+        away = x[i] - x[begin]
         sum_z += up
         sum_x += away
         sum_zz += up * up
@@ -521,12 +537,11 @@ def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds)
     if highest - lowest < thresholds.wall_extent_m or highest == lowest:
         return False
     n = end - begin
-    mean_z, mean_x = sum_z / n, sum_x / n
-    zz, zx, xx = (
-        sum_zz / n - mean_z * mean_z,
-        sum_zx / n - mean_z * mean_x,
-        sum_xx / n - mean_x * mean_x,
-    )
+    mean_z = sum_z / n
+    mean_x = sum_x / n
+    zz = sum_zz / n - mean_z * mean_z
+    zx = sum_zx / n - mean_z * mean_x
+    xx = sum_xx / n - mean_x * mean_x
     near = xx - zx * zx / zz <= thresholds.straight_m * thresholds.straight_m
     return bool(near and abs(zx) <= thresholds.slope * zz)
 
@@ -544,10 +559,12 @@ def _find_walls(
             continue
         nearest = farthest = x[begin]
         while i < m and code[i] == _VERTICAL and abs(x[i] - x[i - 1]) <= thresholds.break_m:
-            nearest, farthest = min(nearest, x[i]), max(farthest, x[i])
+            nearest = min(nearest, x[i])
+            farthest = max(farthest, x[i])
             i += 1
         if _is_wall(x, z, begin, i, thresholds):
-            first[n_walls], place[n_walls] = begin, 0.5 * (nearest + farthest)
+            first[n_walls] = begin
+            place[n_walls] = 0.5 * (nearest + farthest)
             n_walls += 1
     return n_walls
 
@@ -563,8 +580,12 @@ def behind_walls(
     """
     n_rows, n = surface.shape
     image = np.empty((n_rows, n), np.uint8)
-    x, z, code = np.empty(n, np.float64), np.empty(n, np.float64), np.empty(n, np.uint8)
-    beam, first, place = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.float64)
+    x = np.empty(n, np.float64)
+    z = np.empty(n, np.float64)
+    code = np.empty(n, np.uint8)
+    beam = np.empty(n, np.int32)
+    first = np.empty(n, np.int32)
+    place = np.empty(n, np.float64)
     for row in range(n_rows):
         m = n_green = int(np.int64(0))
         width = np.int64(n_beams[row])
@@ -572,8 +593,10 @@ def behind_walls(
             here = surface[row, k]
             image[row, k] = here
             if k < width and here != _MISSING:
-                x[m], z[m] = horizontal_m[row, k], xyz_m[row, k, 2]
-                beam[m], code[m] = k, here
+                x[m] = horizontal_m[row, k]
+                z[m] = xyz_m[row, k, 2]
+                beam[m] = k
+                code[m] = here
                 n_green += here == _VEGETATION
                 m += 1
         if n_green == 0:

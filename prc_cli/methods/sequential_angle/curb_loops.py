@@ -14,7 +14,11 @@ from prc_cli.core.types import F32, F32_1, F32_2, F32_3, I32, I32_1, U8, U8_2, M
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
-NONE, HIGH, REJECTED, CURB, FIRST_REGION = 0, 1, 2, 3, 4
+NONE = 0
+HIGH = 1
+REJECTED = 2
+CURB = 3
+FIRST_REGION = 4
 """Labels: not vertical; too high for a curb; decided, not a curb; decided, a curb; from here on regions undecided."""
 
 _MISSING = 0
@@ -68,7 +72,8 @@ def possible_curbs(
     bool; ``z_g`` (R,) float32, metres; returns (R,) int32, -1 = none.
     """
     n_rows, n = surface.shape
-    reach, under = thresholds.under_points, thresholds.under_m
+    reach = thresholds.under_points
+    under = thresholds.under_m
     beam = np.full(n_rows, -1, np.int32)
     farthest = np.empty(n + 1, np.float32)
     for row in range(n_rows):
@@ -125,12 +130,16 @@ def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
 @inlined
 def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> int:
     """Make two regions one."""
-    parent, last, low, high = table.parent, table.last, table.low, table.high
+    parent = table.parent
+    last = table.last
+    low = table.low
+    high = table.high
     if one == HIGH or other == HIGH:
         parent[one] = HIGH
         parent[other] = HIGH
         return HIGH
-    kept, gone = min(one, other), max(one, other)
+    kept = min(one, other)
+    gone = max(one, other)
     parent[gone] = kept
     low[kept] = min(low[one], low[other])
     high[kept] = max(high[one], high[other])
@@ -148,7 +157,9 @@ def _is_straight(
     table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, limit: float
 ) -> bool:
     """Tell whether the angle changes little from point to point of a region, in the median."""
-    parent, labels, side = table.parent, table.labels, table.side[region]
+    parent = table.parent
+    labels = table.labels
+    side = table.side[region]
     n_before = (len(labels) - len(signed)) // n_sides
     below = 0
     others = 0
@@ -217,10 +228,17 @@ def _connect_row(
     ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on; returns how many.
     """
     n = len(surface)
-    side, line = row % n_sides, row // n_sides
-    own, up = table.labels[row], table.labels[row - n_sides]
-    parent, low, high = table.parent, table.low, table.high
-    sides, first, last, possible = table.side, table.first, table.last, table.possible
+    side = row % n_sides
+    line = row // n_sides
+    own = table.labels[row]
+    up = table.labels[row - n_sides]
+    parent = table.parent
+    low = table.low
+    high = table.high
+    sides = table.side
+    first = table.first
+    last = table.last
+    possible = table.possible
     reach_2 = thresholds.grouping_m * thresholds.grouping_m
     n_new = 0
     for k in range(n):
@@ -282,16 +300,19 @@ def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int)
     for i in range(len(regions.side)):
         label = FIRST_REGION + i
         table.side[label] = regions.side[i]
-        table.first[label], table.last[label] = regions.first[i], regions.last[i]
+        table.first[label] = regions.first[i]
+        table.last[label] = regions.last[i]
         table.possible[label] = regions.possible[i]
-        table.low[label], table.high[label] = regions.low_m[i], regions.high_m[i]
+        table.low[label] = regions.low_m[i]
+        table.high[label] = regions.high_m[i]
     return table
 
 
 @helper
 def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) -> OpenRegions:
     """Return rows and regions for the next call: labels that stand for themselves, numbered as they come."""
-    labels, parent = table.labels, table.parent
+    labels = table.labels
+    parent = table.parent
     n_rows, n = labels.shape
     first_row = begin * n_sides
     left = np.empty((n_rows - first_row, n), np.int32)
@@ -325,7 +346,8 @@ def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) ->
             found.first[i] = table.first[label] - begin
             found.last[i] = table.last[label] - begin
             found.possible[i] = table.possible[label]
-            found.low_m[i], found.high_m[i] = table.low[label], table.high[label]
+            found.low_m[i] = table.low[label]
+            found.high_m[i] = table.high[label]
     return found
 
 
@@ -356,7 +378,10 @@ def connect_verticals(
             n_vertical += surface[row, k] == _VERTICAL
     n_ids = FIRST_REGION + len(regions.side)
     table = _open_table(regions, n_sides, n_lines, n_ids + n_vertical)
-    parent, first_line, last_line, labels = table.parent, table.first, table.last, table.labels
+    parent = table.parent
+    first_line = table.first
+    last_line = table.last
+    labels = table.labels
     undecided = np.empty((n_sides, n_ids + n_vertical), np.int32)
     n_undecided = np.zeros(n_sides, np.int64)
     for label in range(FIRST_REGION, n_ids):
@@ -365,7 +390,8 @@ def connect_verticals(
         n_undecided[side] += 1
 
     for row in range(n_rows):
-        side, line = row % n_sides, (n_before + row) // n_sides
+        side = row % n_sides
+        line = (n_before + row) // n_sides
         above = xyz[row - n_sides] if row >= n_sides else above_xyz[side]
         n_new = _connect_row(
             table,

@@ -218,13 +218,15 @@ def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, nois
     The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from the cross product.
     """
     other = ahead[one]
-    x, y, z = np.float64(xyz[one, 0]), np.float64(xyz[one, 1]), np.float64(xyz[one, 2])
-    dx, dy, dz = (
-        np.float64(xyz[other, 0]) - x,
-        np.float64(xyz[other, 1]) - y,
-        np.float64(xyz[other, 2]) - z,
-    )
-    cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+    x = np.float64(xyz[one, 0])
+    y = np.float64(xyz[one, 1])
+    z = np.float64(xyz[one, 2])
+    dx = np.float64(xyz[other, 0]) - x
+    dy = np.float64(xyz[other, 1]) - y
+    dz = np.float64(xyz[other, 2]) - z
+    cx = y * dz - z * dy
+    cy = z * dx - x * dz
+    cz = x * dy - y * dx
     cross = math.sqrt(cx * cx + cy * cy + cz * cz)
     chord_2 = dx * dx + dy * dy + dz * dz
     sigma = (
@@ -320,7 +322,8 @@ def _follow_peak(hist: I64, peak: int, q: int) -> int:
     A second one can only arise between it and the new sample, on either side of which both parts of the density rise,
     or fall, together.
     """
-    i, end = min(peak, q), max(peak, q)
+    i = min(peak, q)
+    end = max(peak, q)
     if i == end:
         return peak
     top = i
@@ -342,7 +345,9 @@ def _follow_peak(hist: I64, peak: int, q: int) -> int:
 @helper
 def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, int]:
     """Count the modes of so many samples at least, and return the bin of the maximum too, -1 = there are several."""
-    density, tops, counts = scratch.density, scratch.tops, scratch.counts
+    density = scratch.density
+    tops = scratch.tops
+    counts = scratch.counts
     _build(scratch.hist, density, lo, hi)
     n_modes = _walk(scratch.hist, density, lo, hi, tops, counts)
     _clear_density(density, lo, hi)
@@ -361,14 +366,17 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
     What every point goes through stands here, see :class:`_Row`. As long as the samples lie so close together that they
     have one mode, the least and the largest angle say so, and no bin is counted.
     """
-    surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
-    sampled, angles, hist = scratch.sampled, scratch.angles, scratch.hist
-    jump, n_fit, first_run, least = (
-        thresholds.jump_m,
-        thresholds.growth_points,
-        thresholds.first_run,
-        thresholds.mode_samples,
-    )
+    surface = row.surface
+    xyz = row.xyz
+    horizontal = row.horizontal
+    phihat = row.phihat
+    sampled = scratch.sampled
+    angles = scratch.angles
+    hist = scratch.hist
+    jump = thresholds.jump_m
+    n_fit = thresholds.growth_points
+    first_run = thresholds.first_run
+    least = thresholds.mode_samples
     size = len(hist) - 2 * HALF
     n_points = n_samples = renew_at = int(
         np.int64(0)
@@ -417,13 +425,15 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
         before = n_samples
         if not growing:
             n_samples = renew_at = int(np.int64(0))
-            least_deg, most_deg = np.inf, -np.inf
+            least_deg = np.inf
+            most_deg = -np.inf
         for i in range(n_points - 2 if growing else 0, n_points - 1):
             angle = np.float64(phihat[beams[i]])
             sampled[n_samples] = beams[i]
             angles[0, n_samples] = angle
             n_samples += angle == angle
-            lowest_deg, highest_deg = least_deg, most_deg
+            lowest_deg = least_deg
+            highest_deg = most_deg
             least_deg = angle if angle < least_deg else least_deg
             most_deg = angle if angle > most_deg else most_deg
         if growing and n_samples == before:
@@ -446,15 +456,19 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
                 width = b / PER_BANDWIDTH
                 if built:
                     _forget(hist, lo, hi)
-                lo, hi, built = _bin(least_deg, width, size), _bin(most_deg, width, size), False
+                lo = _bin(least_deg, width, size)
+                hi = _bin(most_deg, width, size)
+                built = False
             elif built or angle < lowest_deg or angle > highest_deg:
                 q = _bin(angle, width, size)
-                lo, hi = min(lo, q), max(hi, q)
+                lo = min(lo, q)
+                hi = max(hi, q)
                 hist[q] += built
             if hi - lo > CLEAR:
                 if not built:
                     _count(angles, n_samples, width, size, hist)
-                    built, peak = True, int(np.int64(-1))
+                    built = True
+                    peak = int(np.int64(-1))
                 if peak >= 0:
                     peak = _follow_peak(hist, peak, q)
                 if peak < 0:
@@ -515,8 +529,12 @@ def _extend(
     thresholds: GroundThresholds,
 ) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
-    surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
-    n_fit, guard = thresholds.growth_points, thresholds.growth_height_m
+    surface = row.surface
+    xyz = row.xyz
+    horizontal = row.horizontal
+    phihat = row.phihat
+    n_fit = thresholds.growth_points
+    guard = thresholds.growth_height_m
     k = int(np.int64(beams[n_points - 1] + 1))
     while k < n:
         if surface[k] == _MISSING:
@@ -551,16 +569,15 @@ def _extend(
 @helper
 def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scratch) -> float:
     """Return the main mode of the line angles of some points [deg]."""
-    angles, hist, density, tops, counts = (
-        scratch.angles,
-        scratch.hist,
-        scratch.density,
-        scratch.tops,
-        scratch.counts,
-    )
+    angles = scratch.angles
+    hist = scratch.hist
+    density = scratch.density
+    tops = scratch.tops
+    counts = scratch.counts
     size = len(hist) - 2 * HALF
     width = b / PER_BANDWIDTH
-    least_deg, most_deg = np.inf, -np.inf
+    least_deg = np.inf
+    most_deg = -np.inf
     n_samples = int(np.int64(0))
     for i in range(n_points):
         angle = np.float64(phihat[beams[i]])
@@ -568,7 +585,8 @@ def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scra
         n_samples += angle == angle
         least_deg = angle if angle < least_deg else least_deg
         most_deg = angle if angle > most_deg else most_deg
-    lo, hi = _bin(least_deg, width, size), _bin(most_deg, width, size)
+    lo = _bin(least_deg, width, size)
+    hi = _bin(most_deg, width, size)
     _count(angles, n_samples, width, size, hist)
     _build(hist, density, lo, hi)
     best = _main(counts, _walk(hist, density, lo, hi, tops, counts))
@@ -602,7 +620,8 @@ def _resume(
     scratch: _Scratch,
 ) -> int:
     """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
-    surface, guard = row.surface, thresholds.growth_height_m
+    surface = row.surface
+    guard = thresholds.growth_height_m
     start = k = int(np.int64(beams[n_points - 1] + 1))
     end = _end_of_run(surface, start, n, thresholds.bridge)
     crossed = False
@@ -662,7 +681,9 @@ def _height_bin(z: float) -> int:
 @helper
 def _reach(heights: _Heights, q: int) -> None:
     """Clear memory as far as a sample in a coarse bin needs it."""
-    hist, density, figures = heights.hist, heights.density, heights.figures[0]
+    hist = heights.hist
+    density = heights.density
+    figures = heights.figures[0]
     if figures["cleared_from"] == figures["cleared_to"]:
         figures["cleared_from"] = figures["cleared_to"] = q - HALF
     for i in range(q - HALF, figures["cleared_from"]):
@@ -676,10 +697,13 @@ def _reach(heights: _Heights, q: int) -> None:
 @helper
 def _coarse(heights: _Heights, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
-    histogram, hist, figures = heights.histogram, heights.hist, heights.figures[0]
+    histogram = heights.histogram
+    hist = heights.hist
+    figures = heights.figures[0]
     if figures["n"] > 0:
         _clear(hist, heights.density, figures["lo"], figures["hi"])
-    lo, hi = figures["first"] // width + HALF, figures["last"] // width + HALF
+    lo = figures["first"] // width + HALF
+    hi = figures["last"] // width + HALF
     _reach(heights, lo)
     _reach(heights, hi)
     n = int(np.int64(0))
@@ -687,7 +711,10 @@ def _coarse(heights: _Heights, width: int) -> None:
         if histogram[i] > 0:
             hist[i // width + HALF] += histogram[i]
             n += histogram[i]
-    figures["n"], figures["width"], figures["lo"], figures["hi"] = n, width, lo, hi
+    figures["n"] = n
+    figures["width"] = width
+    figures["lo"] = lo
+    figures["hi"] = hi
     _build(hist, heights.density, lo, hi)
 
 
@@ -715,7 +742,8 @@ def _new_heights(histogram: I32, queue: I32, n_queued: int, share: float) -> _He
 @helper
 def _open_heights(heights: _Heights, share: float) -> None:
     """Find the ends of a histogram of heights, its (lower) median, its density."""
-    histogram, figures = heights.histogram, heights.figures[0]
+    histogram = heights.histogram
+    figures = heights.figures[0]
     n = int(np.int64(0))
     for begin in range(0, N_HEIGHTS, _AT_ONCE):
         there = 0
@@ -739,8 +767,10 @@ def _open_heights(heights: _Heights, share: float) -> None:
 @helper
 def _settle(heights: _Heights, n: int) -> None:
     """Bring the median of n heights to its place."""
-    histogram, figures = heights.histogram, heights.figures[0]
-    median, below = figures["median"], figures["below"]
+    histogram = heights.histogram
+    figures = heights.figures[0]
+    median = figures["median"]
+    below = figures["below"]
     rank = (n - 1) // 2
     while below > rank:
         median -= 1
@@ -780,7 +810,8 @@ def _add_height(heights: _Heights, new: int, share: float) -> None:
 @helper
 def _forget_height(heights: _Heights, old: int, share: float) -> None:
     """Take a height, not the last one, out of histogram, median and density."""
-    histogram, figures = heights.histogram, heights.figures[0]
+    histogram = heights.histogram
+    figures = heights.figures[0]
     histogram[old] -= 1
     width = figures["width"]
     q = old // width + HALF
@@ -831,7 +862,8 @@ def _main_height(
 
     Where the main mode is a roof, those of the ground below it.
     """
-    histogram, figures = heights.histogram, heights.figures[0]
+    histogram = heights.histogram
+    figures = heights.figures[0]
     if figures["n"] == 0:
         return 0, np.nan
     width = figures["width"]
@@ -880,7 +912,8 @@ def main_height(
         bins[i] = _height_bin(heights[i])
         histogram[bins[i]] += 1
     found = _new_heights(histogram, bins, int(np.int64(0)), share)
-    tops, counts = np.empty(N_HEIGHTS, np.int64), np.empty(N_HEIGHTS, np.int64)
+    tops = np.empty(N_HEIGHTS, np.int64)
+    counts = np.empty(N_HEIGHTS, np.int64)
     count, height = _main_height(found, tops, counts, roof_m, roof_share)
     return count, height, bins, histogram
 
@@ -968,28 +1001,35 @@ def ground_rows(
     n_rows, n = surface.shape
     size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
     scratch = _new_scratch(n, size, max(size, N_HEIGHTS))
-    tops, counts = scratch.tops, scratch.counts
+    tops = scratch.tops
+    counts = scratch.counts
     beams = np.empty(n + 1, np.int32)
     more = np.empty(n + 1, np.int32)
     n_recent = len(state.recent)
     queue = np.empty(n_recent + n_rows, np.int32)
     queue[:n_recent] = state.recent
-    memory, share, z_g = thresholds.memory_heights, thresholds.height_bandwidth, state.z_g
-    roof_m, roof_share = thresholds.roof_m, thresholds.roof_share
+    memory = thresholds.memory_heights
+    share = thresholds.height_bandwidth
+    z_g = state.z_g
+    roof_m = thresholds.roof_m
+    roof_share = thresholds.roof_share
     heights = _new_heights(state.histogram.copy(), queue, n_recent, share)
     figures = heights.figures[0]
     ground = np.zeros((n_rows, n), np.bool_)
     z_rows = np.empty(n_rows, np.float32)
-    side_m, follow_m = state.side_m.copy(), thresholds.follow_m
+    side_m = state.side_m.copy()
+    follow_m = thresholds.follow_m
     for i in range(n_rows):
         row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
         n_valid = int(np.int64(n_beams[i]))
         to_count = i >= state.n_in_histogram_ahead
         side = i % len(side_m)
-        z_row, accepted = np.nan, False
+        z_row = np.nan
+        accepted = False
         # the first potential ground is known
         n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
-        b, z_i = potential.bandwidth_deg[i], potential.height_m[i]
+        b = potential.bandwidth_deg[i]
+        z_i = potential.height_m[i]
         while n_points > 0:
             if (
                 to_count and figures["n"] < thresholds.start_heights

@@ -26,13 +26,12 @@ from prc_cli.core.types import (
 from prc_cli.kernels.cache import helper, kernel
 
 _NOTHING = _MISSING = int(Surface.MISSING)
-_HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
-_UNSEEN, _GROUND, _CAR, _CURB = (
-    int(Label.MISSING),
-    int(Label.GROUND),
-    int(Label.CAR),
-    int(Label.CURB),
-)
+_HORIZONTAL = int(Surface.HORIZONTAL)
+_VERTICAL = int(Surface.VERTICAL)
+_UNSEEN = int(Label.MISSING)
+_GROUND = int(Label.GROUND)
+_CAR = int(Label.CAR)
+_CURB = int(Label.CURB)
 _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
 
@@ -123,7 +122,9 @@ def arrange_lines(
             for k in range(n):
                 column = max(columns[side, k], 0)
                 r = range_m[line, column]
-                x, y, z = xyz_m[line, column, 0], xyz_m[line, column, 1], xyz_m[line, column, 2]
+                x = xyz_m[line, column, 0]
+                y = xyz_m[line, column, 1]
+                z = xyz_m[line, column, 2]
                 seen = (
                     np.float64(r) <= max_range_m
                     and not np.isnan(x + y + z)
@@ -134,7 +135,8 @@ def arrange_lines(
                 xyz[row, k, 1] = y if seen else nan
                 xyz[row, k, 2] = z if seen else nan
             for k in range(n):  # by itself, for vector instructions; NaN where the shot is missing
-                x_here, y_here = np.float64(xyz[row, k, 0]), np.float64(xyz[row, k, 1])
+                x_here = np.float64(xyz[row, k, 0])
+                y_here = np.float64(xyz[row, k, 1])
                 horizontal[row, k] = np.float32(np.sqrt(x_here * x_here + y_here * y_here))
     return ranges, xyz, horizontal
 
@@ -187,7 +189,8 @@ def mark_cars(
     marked = np.zeros(surface.shape, np.bool_)
     for i in range(len(intervals)):
         row = intervals[i, 0]
-        limit, low = limit_m[row], low_m[row]
+        limit = limit_m[row]
+        low = low_m[row]
         for k in range(intervals[i, 1], intervals[i, 2] + 1):
             on_ground = surface[row, k] == _HORIZONTAL and xyz_m[row, k, 2] < low
             marked[row, k] = horizontal_m[row, k] <= limit and not on_ground
@@ -243,7 +246,11 @@ def combine_classes(
     """
     n_rows, n = surface.shape
     labels = np.empty((n_rows, n), np.uint8)
-    zero, one, two, three, four = label_of[0], label_of[1], label_of[2], label_of[3], label_of[4]
+    zero = label_of[0]
+    one = label_of[1]
+    two = label_of[2]
+    three = label_of[3]
+    four = label_of[4]
     for row in range(n_rows):
         n_curb = 0
         for k in range(n):

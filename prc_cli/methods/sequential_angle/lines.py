@@ -90,7 +90,8 @@ def vertical_lines(
     ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None; ``beam_rad`` (M,) float64.
     """
     if xyz_m is None:
-        across, up = np.sin(beam_rad), -np.cos(beam_rad)
+        across = np.sin(beam_rad)
+        up = -np.cos(beam_rad)
         ranges, xyz, horizontal = kernels.arrange_plane(
             range_m, across, up, sides.columns, max_range_m
         )

@@ -179,7 +179,8 @@ class SequentialAngleState:
     """Lines waiting for their labels, in order."""
 
 
-GROUND, CURBS = Part[GroundSoFar]("ground"), Part[CurbsSoFar]("curbs")
+GROUND = Part[GroundSoFar]("ground")
+CURBS = Part[CurbsSoFar]("curbs")
 WAITING = Part[tuple[ScanBlock, ...]]("waiting")
 
 
@@ -264,7 +265,8 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         final = turn.hand_on(
             WAITING, lambda before: _take_lines((*before, block), len(found.labels))
         )
-        labelled, start = [], 0
+        labelled = []
+        start = 0
         for part in final:
             rows = slice(start, start + part.n_lines)
             start = rows.stop
@@ -375,7 +377,8 @@ def _labelled(
     labels, n_beyond = kernels.mark_beyond(block.range_m, labels)
     block = replace(block, next_m=None, tally=block.tally + ReadTally(n_beyond=n_beyond))
     # which lines become final together depends on the blocks: only the shot's own line may be used
-    further, limit_m = block.extra, thresholds.extra_return_m
+    further = block.extra
+    limit_m = thresholds.extra_return_m
     extra = label_extra_returns(
         block.range_m,
         labels,
@@ -441,10 +444,8 @@ def _start_ground(
     """Keep rows waiting until the first ground height is known (part b of the ground algorithm, sec. 5)."""
     if state.known is not None:
         return [rows], state
-    waiting, heights = (
-        (*state.waiting, rows),
-        np.concatenate([state.heights_m, rows.potential.height_m]),
-    )
+    waiting = (*state.waiting, rows)
+    heights = np.concatenate([state.heights_m, rows.potential.height_m])
     enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= thresholds.start_heights
     if not enough and len(heights) < state.n_most and not last:
         return [], replace(state, waiting=waiting, heights_m=heights)
@@ -457,8 +458,10 @@ def find_cars(
     part: OnGround, thresholds: SequentialAngleThresholds, *, stages: bool = False
 ) -> WithCars:
     """Find cars and possible curb points, which need only the ground height."""
-    rows, z_g = part.rows, part.height_m
-    lines, surface = rows.lines, rows.surface
+    rows = part.rows
+    z_g = part.height_m
+    lines = rows.lines
+    surface = rows.surface
     possible = possible_curbs(lines, surface, part.ground, z_g, thresholds.curb)
     found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, thresholds.car)
     seen = car_search(found, lines) if stages else CarSearch.none(len(z_g))
@@ -528,7 +531,8 @@ def in_columns(
     done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, thresholds: CurbThresholds
 ) -> U8:
     """Label final rows, and map them back to the columns of their scan lines."""
-    sides, m = beams.sides, len(beams.beam_rad)
+    sides = beams.sides
+    m = len(beams.beam_rad)
     if not done:
         return np.empty((0, m), np.uint8)
     curbs_of_all = curb[0] if len(curb) == 1 else np.concatenate(curb)
@@ -546,7 +550,8 @@ def stages_in_columns(done: Sequence[Undecided], labels: U8, beams: Beams) -> St
 
     ``labels`` (lines, M) uint8.
     """
-    sides, m = beams.sides, len(beams.beam_rad)
+    sides = beams.sides
+    m = len(beams.beam_rad)
     if not done:
         none = np.empty((0, m), np.uint8)
         return StageLabels(none, none, none.astype(np.float32), none, none.astype(np.uint16), none)

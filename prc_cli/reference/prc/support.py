@@ -11,7 +11,8 @@ def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, i
     """Make ranges out of bounds missing; see :func:`support_loops.clean_ranges`."""
     kept = (ranges > low) & (ranges <= high)
     lost = ranges[~kept & ~np.isnan(ranges)]
-    infinite, finite = np.isinf(lost), lost[np.isfinite(lost)]
+    infinite = np.isinf(lost)
+    finite = lost[np.isfinite(lost)]
     n_infinite, n_refused, n_positive = (
         int(np.count_nonzero(one)) for one in (infinite, finite <= 0, finite > 0)
     )

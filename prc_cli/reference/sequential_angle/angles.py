@@ -18,7 +18,8 @@ def signed_angles(
     ahead = np.full(range_m.shape, -1, np.int32)
     for row in range(len(range_m)):
         valid = [k for k in range(n_beams[row]) if np.isfinite(range_m[row, k])]
-        points, ranges = xyz_m[row].astype(np.float64), range_m[row].astype(np.float64)
+        points = xyz_m[row].astype(np.float64)
+        ranges = range_m[row].astype(np.float64)
         for i, k in enumerate(valid):
             after = first_far(points, ranges, k, valid[i + 1 :], thresholds)
             before = first_far(points, ranges, k, valid[:i][::-1], thresholds)

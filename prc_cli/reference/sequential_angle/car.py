@@ -48,7 +48,9 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
     return np.array(decisions, dtype=np.bool_)
 
 
-H, V, T = int(Surface.HORIZONTAL), int(Surface.VERTICAL), int(Surface.VEGETATION)
+H = int(Surface.HORIZONTAL)
+V = int(Surface.VERTICAL)
+T = int(Surface.VEGETATION)
 """Surface codes."""
 
 
@@ -148,7 +150,8 @@ def car_intervals(
         distance = horizontal_m[row, beams].astype(np.float64)
 
         changes = [j for j in range(1, len(beams)) if codes[j - 1 : j + 1] == [H, V]]
-        chord_m, reach = thresholds.change_chord_m, thresholds.change_reach
+        chord_m = thresholds.change_chord_m
+        reach = thresholds.change_reach
         angles = {
             j: change_angle(points, j, chord_m, reach) if chord_m > 0 else np.nan for j in changes
         }
@@ -226,7 +229,8 @@ class Line:
     ) -> list[int]:
         """Return those of the returns, T' first, that follow the window of a car; empty = it is none."""
         behind = next((i for i, k in enumerate(returns) if self.surface[k] != T), len(returns))
-        window, rest = returns[:behind], returns[behind:]
+        window = returns[:behind]
+        rest = returns[behind:]
         if not rest or self.surface[rest[0]] not in (H, V):
             return []
         near = self.distance[rest[0]] <= self.distance[last] + thresholds.glass_m

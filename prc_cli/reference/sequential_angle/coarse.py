@@ -99,7 +99,8 @@ def page_test(
     log_density: F64, zero: Model, one: Model, begin: int, threshold: float
 ) -> tuple[int, int] | None:
     """Return alarm and onset of the first change from model 0 to model 1, None if there is none."""
-    s, onset = 0.0, begin
+    s = 0.0
+    onset = begin
     state_0: F64 | None = None
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
@@ -109,7 +110,10 @@ def page_test(
         if s > threshold:
             return t, onset
         if s < 0:
-            s, onset, state_0, state_1 = 0.0, t + 1, None, None
+            s = 0.0
+            onset = t + 1
+            state_0 = None
+            state_1 = None
     return None
 
 
@@ -176,7 +180,8 @@ def horizontal_or_vertical(tilt: F64, thresholds: SurfaceThresholds) -> list[Sur
     vertical = not thresholds.start_horizontal and np.median(tilt[:5]) < 45.0
     label = Surface.VERTICAL if vertical else Surface.HORIZONTAL
     labels: list[Surface] = []
-    s, n_since_reset = 0.0, 0
+    s = 0.0
+    n_since_reset = 0
     for y in tilt:
         s += drifts[label] - y if label is Surface.HORIZONTAL else y - drifts[label]
         if s > limits[label]:

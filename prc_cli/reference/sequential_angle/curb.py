@@ -16,7 +16,8 @@ from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
-MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)
+MISSING = int(Surface.MISSING)
+VERTICAL = int(Surface.VERTICAL)
 
 
 def possible_curbs(
@@ -82,7 +83,9 @@ class Growing:
         self.of: dict[tuple[int, int, int], Region] = {}
         """Region of every vertical point, by side, line and beam."""
         for row, k in zip(*np.nonzero(regions.labels), strict=True):
-            side, line, label = int(row) % n_sides, int(row) // n_sides, int(regions.labels[row, k])
+            side = int(row) % n_sides
+            line = int(row) // n_sides
+            label = int(regions.labels[row, k])
             region = known[label - 4] if label >= 4 else Region(side, fate=FATES[label])
             region.points.add((line, int(k)))
             self.of[side, line, int(k)] = region
@@ -132,7 +135,8 @@ class Growing:
             group = {k for k, own in zip(beams, group_of, strict=True) if own == number}
             joined = Region(side, {(line, k) for k in group}, possible=possible in group)
             z = [float(here[k, 2]) for k in group]
-            joined.low, joined.high = min(z), max(z)
+            joined.low = min(z)
+            joined.high = max(z)
             for region in {id(region): region for k in group for region in touched[k]}.values():
                 joined.points |= region.points
                 joined.possible |= region.possible
@@ -178,7 +182,8 @@ def connect_verticals(
     """Connect vertical points; see :func:`curb_loops.connect_verticals`."""
     growing = Growing(n_sides, regions, thresholds)
     n = surface.shape[1]
-    n_before, n_new = len(regions.labels) // n_sides, len(surface) // n_sides
+    n_before = len(regions.labels) // n_sides
+    n_new = len(surface) // n_sides
     n_lines = n_before + n_new
     points = np.concatenate([above_xyz, xyz]).astype(np.float64).reshape(n_new + 1, n_sides, n, 3)
     angles = np.full((n_lines + thresholds.min_lines, n_sides, n), np.nan)
@@ -187,7 +192,8 @@ def connect_verticals(
         angles[-len(known) :] = known
     angles = angles[thresholds.min_lines :]
     for row in range(len(surface)):
-        side, new = row % n_sides, row // n_sides
+        side = row % n_sides
+        new = row // n_sides
         line = n_before + new
         beams = np.flatnonzero(surface[row] == VERTICAL).tolist()
         growing.add_row(

@@ -21,9 +21,12 @@ from prc_cli.methods.sequential_angle.thresholds import (
 
 EIGHTHS = 8
 """Bins in a bandwidth."""
-LOWEST_M, PER_METRE, N_HEIGHTS = -310, 500, 185_000
+LOWEST_M = -310
+PER_METRE = 500
+N_HEIGHTS = 185_000
 """Height where the histogram of heights begins, its bins in a metre, and how many they are."""
-HORIZONTAL, MISSING = int(Surface.HORIZONTAL), int(Surface.MISSING)
+HORIZONTAL = int(Surface.HORIZONTAL)
+MISSING = int(Surface.MISSING)
 
 
 def weight(bins_away: int) -> int:
@@ -152,7 +155,8 @@ class Row:
                 later = [k for k in self.valid(last) if self.surface[k] == HORIZONTAL]
                 if not later:
                     return [], math.nan
-                points, beam = [], later[0]
+                points = []
+                beam = later[0]
             points = [beam] if points and self.jumps(points, beam) else [*points, beam]
             last = beam
             if len(points) == self.thresholds.first_run:
@@ -163,7 +167,9 @@ class Row:
 
     def one_line(self, points: list[int]) -> tuple[list[int], float]:
         """Return the points whose line angles have one mode, beginning with the given ones."""
-        first, size, b = True, 0, math.nan
+        first = True
+        size = 0
+        b = math.nan
         while True:
             sampled = self.sampled(points[:-1])
             one = len(sampled) >= self.thresholds.mode_samples
@@ -195,8 +201,10 @@ class Row:
     def fits(self, beams: list[int], beam: int, guard: float) -> bool:
         """Tell whether a point lies on the local line."""
         last = beams[-self.thresholds.growth_points :]
-        x, z = self.horizontal[last], self.xyz[last, 2]
-        mean_x, mean_z = np.cumsum(x)[-1] / len(x), np.cumsum(z)[-1] / len(z)
+        x = self.horizontal[last]
+        z = self.xyz[last, 2]
+        mean_x = np.cumsum(x)[-1] / len(x)
+        mean_z = np.cumsum(z)[-1] / len(z)
         sxx = np.cumsum((x - mean_x) ** 2)[-1]
         slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
         return bool(
@@ -240,8 +248,10 @@ def potential_heights(
         row = Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i], n_beams[i], thresholds)
         beams, b = row.potential(0)
         if beams:
-            first[i], last[i] = beams[0], beams[-1]
-            bandwidth[i], height[i] = b, row.height(beams)
+            first[i] = beams[0]
+            last[i] = beams[-1]
+            bandwidth[i] = b
+            height[i] = row.height(beams)
     return PotentialGround(first, last, bandwidth, height)
 
 
@@ -323,7 +333,8 @@ def ground_rows(
     thresholds: GroundThresholds,
 ) -> tuple[Mask, F32, GroundState]:
     """Verify and grow ground (part b); see :func:`ground_loops.ground_rows`."""
-    memory, share = thresholds.memory_heights, thresholds.height_bandwidth
+    memory = thresholds.memory_heights
+    share = thresholds.height_bandwidth
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
     heights = (
@@ -337,9 +348,11 @@ def ground_rows(
         side = i % len(side_m)
         z_row = math.nan
         accepted = False
-        first, last = potential.first[i], potential.last[i]
+        first = potential.first[i]
+        last = potential.last[i]
         beams = [k for k in np.flatnonzero(surface[i] == HORIZONTAL).tolist() if first <= k <= last]
-        b, z_i = float(potential.bandwidth_deg[i]), float(potential.height_m[i])
+        b = float(potential.bandwidth_deg[i])
+        z_i = float(potential.height_m[i])
         while beams and not accepted:
             if to_count and len(heights) < thresholds.start_heights:
                 heights = [*heights, to_bin(z_i)][-memory:]

@@ -108,7 +108,8 @@ def combine_classes(
         if not here.any():
             labels[row, car[row]] = Label.CAR
             continue
-        distance, height = horizontal_m[row].astype(np.float64), xyz_m[row, :, 2].astype(np.float64)
+        distance = horizontal_m[row].astype(np.float64)
+        height = xyz_m[row, :, 2].astype(np.float64)
         nearest = distance[here].min()
         top = height[here & (distance - nearest <= 0.3)].max()
         for one in runs_of_cars(surface[row], car[row]):

@@ -46,8 +46,10 @@ def _label(scene: ForestScene, xyz: F64) -> U8:
     labels = np.full(len(xyz), Label.NOISE, dtype=np.uint8)
     if not len(xyz):
         return labels
-    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
-    middle, reach = (low + high) / 2, float(np.hypot(*(high - low))) / 2
+    low = xyz[:, :2].min(axis=0)
+    high = xyz[:, :2].max(axis=0)
+    middle = (low + high) / 2
+    reach = float(np.hypot(*(high - low))) / 2
     stems = scene.stems_near(float(middle[0]), float(middle[1]), reach + _SEARCH_M)
     if not len(stems):
         return labels

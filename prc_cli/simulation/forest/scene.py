@@ -39,7 +39,9 @@ class Floor:
     """Makes the floor of a cell."""
 
     def __init__(self, params: ForestSceneParams, terrain: Terrain, rows: Rows) -> None:
-        self._params, self._terrain, self._rows = params, terrain, rows
+        self._params = params
+        self._terrain = terrain
+        self._rows = rows
 
     def growth(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
         """Return what grows in a cell."""
@@ -114,7 +116,10 @@ class Floor:
         width = 0.15 + tall * chance.uniform(0.12, 0.25, len(place))
         density = 2.0 * self._params.leaf_density * chance.uniform(0.6, 1.4, (len(place), 3))
         keep = self._off_path(place, width)
-        place, tall, width, density = place[keep], tall[keep], width[keep], density[keep]
+        place = place[keep]
+        tall = tall[keep]
+        width = width[keep]
+        density = density[keep]
         up = np.zeros_like(place)
         up[:, 2] = tall
         foot = 0.004 + 0.008 * tall
@@ -149,10 +154,14 @@ class Floor:
         """Return stumps with their cut faces."""
         place = self._places(self._params.stumps_per_ha, i, j, chance)
         n = len(place)
-        radius, tall = chance.uniform(0.08, 0.22, n), chance.uniform(0.15, 0.5, n)
+        radius = chance.uniform(0.08, 0.22, n)
+        tall = chance.uniform(0.15, 0.5, n)
         keep = self._off_path(place, radius)
-        place, radius, tall = place[keep], radius[keep], tall[keep]
-        foot, top = place.copy(), place.copy()
+        place = place[keep]
+        radius = radius[keep]
+        tall = tall[keep]
+        foot = place.copy()
+        top = place.copy()
         foot[:, 2] -= 0.15
         top[:, 2] += tall
         sides = cones(foot, top, 1.25 * radius, radius, Material.DEAD_WOOD)

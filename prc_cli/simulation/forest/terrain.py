@@ -54,11 +54,9 @@ class Rows:
     """
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:
-        self._length_m, self._spacing_m, self._wander_m = (
-            params.row_length_m,
-            params.row_spacing_m,
-            params.wander_m,
-        )
+        self._length_m = params.row_length_m
+        self._spacing_m = params.row_spacing_m
+        self._wander_m = params.wander_m
         self._seed = seed
         self._bends = max(1, round(self._length_m / _WAVE_M))
         self._share = np.linspace(0.0, 1.0, int(self._length_m / _TABLE_STEP_M) + 2)
@@ -77,7 +75,8 @@ class Rows:
         share = np.interp(rest, self._walked, self._share)
         aside, slope = self._bend(share)
         side = self._side(row)
-        along, across = share * self._length_m, side * aside
+        along = share * self._length_m
+        across = side * aside
         turned = forth * np.arctan(side * slope)
 
         radius = self._spacing_m / 2
@@ -111,7 +110,8 @@ class Rows:
 
     def _bend(self, share: F64) -> tuple[F64, F64]:
         """Return how far a row strays at a share of it, and its slope; both are 0 at its ends."""
-        window, phase = np.sin(np.pi * share), 2 * np.pi * self._bends * share + 0.7
+        window = np.sin(np.pi * share)
+        phase = 2 * np.pi * self._bends * share + 0.7
         aside = self._wander_m * window**2 * np.sin(phase)
         inner = 2 * np.cos(np.pi * share) * np.sin(phase) + 2 * self._bends * window * np.cos(phase)
         return aside, self._wander_m * np.pi * window * inner / self._length_m
@@ -163,13 +163,17 @@ class Terrain:
     def height(self, x: F64, y: F64) -> F64:
         """Return the height on the triangles, where things stand."""
         step = self.step_m
-        i, j = np.floor(x / step), np.floor(y / step)
-        u, v = x / step - i, y / step - j
-        z00, z11 = self.level(i * step, j * step), self.level((i + 1) * step, (j + 1) * step)
+        i = np.floor(x / step)
+        j = np.floor(y / step)
+        u = x / step - i
+        v = y / step - j
+        z00 = self.level(i * step, j * step)
+        z11 = self.level((i + 1) * step, (j + 1) * step)
         below = v <= u
         # the third corner lies beside the diagonal on either side
         z = self.level((i + below) * step, (j + ~below) * step)
-        low, high = np.minimum(u, v), np.maximum(u, v)
+        low = np.minimum(u, v)
+        high = np.maximum(u, v)
         return z00 + (high - low) * (z - z00) + low * (z11 - z00)
 
     def triangles(self, i: int, j: int) -> F64:
@@ -180,7 +184,10 @@ class Terrain:
             np.arange(j * n, (j + 1) * n + 1, dtype=np.float64) * self.step_m,
         )
         nodes = np.stack([columns, rows, self.level(columns, rows)], axis=-1)
-        a, b, c, d = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
+        a = nodes[:-1, :-1]
+        b = nodes[:-1, 1:]
+        c = nodes[1:, 1:]
+        d = nodes[1:, :-1]
         return np.stack(
             [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)], axis=2
         ).reshape(-1, 3, 3)

@@ -169,7 +169,10 @@ class Stand:
     """Knows the trees of every cell, which keep apart by Matérn's second hard-core process (1960, ch. 3)."""
 
     def __init__(self, params: ForestSceneParams, seed: int, terrain: Terrain, rows: Rows) -> None:
-        self._params, self._seed, self._terrain, self._rows = params, seed, terrain, rows
+        self._params = params
+        self._seed = seed
+        self._terrain = terrain
+        self._rows = rows
         wanted = params.stems_per_ha / 10_000
         self.apart_m = min(math.sqrt(_PACKING / (math.pi * wanted)), CELL_M / 2) if wanted else 0.0
         """No two stems are closer than this [m]."""
@@ -222,7 +225,8 @@ class Stand:
 
 def _two_normals(chance: F64) -> F64:
     """Turn pairs of uniform numbers into vectors whose length has the mean square 1 (Box and Muller 1958)."""
-    length, angle = np.sqrt(-np.log1p(-chance[:, 0])), 2 * np.pi * chance[:, 1]
+    length = np.sqrt(-np.log1p(-chance[:, 0]))
+    angle = 2 * np.pi * chance[:, 1]
     vectors: F64 = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return vectors
 
@@ -363,7 +367,8 @@ def _crowns(
     tall = np.broadcast_to(length[:, None] / habit.tufts * habit.tuft_height, width.shape)
     half = np.stack([width, width * chance.uniform(0.7, 1.0, width.shape), tall], axis=-1)
     # above the top is no leaf, and below the headroom none bars the path
-    low, high = base[:, None] + stems.base[:, 2:], (stems.base[:, 2] + stems.height)[:, None] + 0.3
+    low = base[:, None] + stems.base[:, 2:]
+    high = (stems.base[:, 2] + stems.height)[:, None] + 0.3
     half[..., 2] = np.minimum(
         half[..., 2], np.minimum(high - centre[..., 2], centre[..., 2] - low).clip(0.15)
     )

@@ -49,8 +49,10 @@ def tree(
     )
     radius = min(radius, widest)
     lean = rng.uniform(-0.03, 0.03, 2).tolist()
-    top, middle = bole + 0.75 * crown, bole + 0.5 * crown
-    foot, fork = frame.at(0.0, 0.0, -0.2), frame.at(lean[0] * bole, lean[1] * bole, bole)
+    top = bole + 0.75 * crown
+    middle = bole + 0.5 * crown
+    foot = frame.at(0.0, 0.0, -0.2)
+    fork = frame.at(lean[0] * bole, lean[1] * bole, bole)
     tip = frame.at(lean[0] * top, lean[1] * top, top)
     pile.cone((foot, fork), (1.15 * trunk, 0.8 * trunk), Material.TRUNK)
     pile.cone((fork, tip), (0.8 * trunk, 0.15 * trunk), Material.BRANCH)
@@ -65,7 +67,8 @@ def tree(
         up = bole + crown * (0.28 + 0.42 * ((i * 2) % kind.balls) / max(kind.balls - 1, 1))
         size = radius * rng.uniform(0.42, 0.56)
         away = radius - size
-        u, v = away * np.cos(around), away * np.sin(around)
+        u = away * np.cos(around)
+        v = away * np.sin(around)
         ball = frame.at(u, v, up)
         tall = max(min(size * rng.uniform(0.8, 1.2), up - bole + 0.3), 0.4)
         pile.ellipsoid(ball, (size, size, tall), 0.0, Material.LEAVES, density)
@@ -165,7 +168,8 @@ def pole(pile: Pile, frame: Frame) -> None:
 def wires(pile: Pile, start: Frame, end: Frame) -> None:
     """Hang wires from pole to pole, each in four straight parts."""
     for v in (-0.7, 0.0, 0.7):
-        a, b = start.at(0.0, v, 7.55), end.at(0.0, v, 7.55)
+        a = start.at(0.0, v, 7.55)
+        b = end.at(0.0, v, 7.55)
         knots = []
         for i in range(5):
             f = i / 4
@@ -184,7 +188,8 @@ def boundary(
     wanted: Literal["any", "hedge", "fence"] = "any",
 ) -> None:
     """Add what ends a garden at the sidewalk: a hedge, wall or fence, or nothing."""
-    kind, high = rng.random(), rng.random()
+    kind = rng.random()
+    high = rng.random()
     if wanted != "any":
         kind = 0.0 if wanted == "hedge" else 0.45 if kind < 0.5 else 0.80
     low, end = span

@@ -90,7 +90,8 @@ def style_of(rng: np.random.Generator, kind: str, width: float, setback: float) 
 
 def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Generator) -> None:
     low, high = lot.span
-    middle, width = 0.5 * (low + high), high - low
+    middle = 0.5 * (low + high)
+    width = high - low
     across = side.side * (BUILDING_LINE_M + lot.setback)
     if lot.kind == "yard":
         far = BUILDING_LINE_M + rng.uniform(20.0, 32.0)
@@ -101,7 +102,8 @@ def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Gen
         build(pile, frame, style_of(rng, "terrace", width + rng.uniform(0.0, 8.0), 1.0), rng)
         return
     if lot.kind == "passage":
-        frame, top = frame_at(ground, middle, across, side.side), rng.uniform(7.0, 11.0)
+        frame = frame_at(ground, middle, across, side.side)
+        top = rng.uniform(7.0, 11.0)
         pile.box(frame, ((-0.5 * width, 0.5 * width), (0.0, 10.0), (3.1, top)), Material.WALL)
         behind = frame_at(ground, middle, side.side * (BUILDING_LINE_M + 28.0), side.side)
         pile.box(behind, ((-8.0, 8.0), (0.0, 8.0), (_BASE_M, rng.uniform(4.0, 9.0))), Material.WALL)
@@ -109,7 +111,8 @@ def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Gen
     if lot.kind == "house":
         # the driveway or a path leads past the house
         gap = 3.8 if lot.driveway is not None else 2.0
-        middle, width = middle + 0.5 * (0.8 - gap), width - gap - 0.8
+        middle = middle + 0.5 * (0.8 - gap)
+        width = width - gap - 0.8
     build(
         pile,
         frame_at(ground, middle, across, side.side),
@@ -134,13 +137,16 @@ def _along_side_street(
 
 def build(pile: Pile, frame: Frame, style: Style, rng: np.random.Generator) -> None:
     """Add a house."""
-    half, top, back = 0.5 * style.width, style.top, style.recess + _CURTAIN_M
+    half = 0.5 * style.width
+    top = style.top
+    back = style.recess + _CURTAIN_M
     pile.box(frame, ((-half, half), (back, style.depth), (_BASE_M, top)), Material.WALL)
     _front(pile, frame, style, door=int(rng.integers(len(style.middles))))
     if style.gable:
         _gable(pile, frame, style, rise=style.depth * rng.uniform(0.3, 0.5))
         if rng.random() < 0.6:
-            u, v = rng.uniform(-0.35, 0.35) * style.width, 0.5 * style.depth + 1.0
+            u = rng.uniform(-0.35, 0.35) * style.width
+            v = 0.5 * style.depth + 1.0
             pile.box(
                 frame, ((u - 0.35, u + 0.35), (v - 0.3, v + 0.3), (top, top + 4.2)), Material.WALL
             )
@@ -159,9 +165,11 @@ def build(pile: Pile, frame: Frame, style: Style, rng: np.random.Generator) -> N
 
 def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
     """Piers, bands, glass and door."""
-    half, deep = 0.5 * style.width, style.recess
+    half = 0.5 * style.width
+    deep = style.recess
     edges = [(middle - style.window[0], middle + style.window[0]) for middle in style.middles]
-    low, end = -half, half
+    low = -half
+    end = half
     for i, (u0, u1) in enumerate([*edges, (end, end)]):
         # the first and the last pier close the house beside the panes
         outer = i in (0, len(edges))
@@ -184,7 +192,8 @@ def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
         above = storey * style.storey + 0.9 if storey < style.storeys else style.top
         pile.box(frame, (inside, (0.0, deep), (head, above)), Material.WALL)
         head = above + style.window[1]
-    (u0, u1), top = inside, style.top
+    (u0, u1) = inside
+    top = style.top
     pile.face(
         frame, ((u0, deep, 0.0), (u1, deep, 0.0), (u1, deep, top), (u0, deep, top)), Material.GLASS
     )
@@ -192,10 +201,13 @@ def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
 
 def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
     """Roof with its ridge along the street, eaves that stand out, and the triangles of wall under it."""
-    half, middle, out = 0.5 * style.width + 0.02, 0.5 * style.depth, 0.4
+    half = 0.5 * style.width + 0.02
+    middle = 0.5 * style.depth
+    out = 0.4
     drop = out * rise / middle
     for eaves in (-out, style.depth + out):
-        low, high = style.top - drop, style.top + rise
+        low = style.top - drop
+        high = style.top + rise
         corners = (
             (-half, eaves, low),
             (half, eaves, low),

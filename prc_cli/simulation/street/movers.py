@@ -60,8 +60,10 @@ def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
     u = rng.random(6).tolist()
     if u[0] < vans:
         return _van(u)
-    half, tyre = 1.9 + 0.45 * u[1], 0.31 + 0.02 * u[2]
-    roof, hatch = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0), u[4] < 0.6
+    half = 1.9 + 0.45 * u[1]
+    tyre = 0.31 + 0.02 * u[2]
+    roof = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0)
+    hatch = u[4] < 0.6
     waist = 0.62 * roof
     rear = -half + (0.10 if hatch else 0.75)
     deck = (
@@ -88,7 +90,8 @@ def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
 
 
 def _van(u: list[float]) -> Model:
-    half, roof = 2.5 + 0.3 * u[1], 1.95 + 0.55 * u[3]
+    half = 2.5 + 0.3 * u[1]
+    roof = 1.95 + 0.55 * u[3]
     deck = ((-half, 1.10), (half - 0.85, 1.10), (half - 0.15, 0.85), (half, 0.50))
     cabin = (-half + 0.02, -half + 0.12, half - 1.55, half - 0.75)
     return Model(
@@ -110,7 +113,8 @@ def car(pile: Pile, frame: Frame, model: Model) -> None:
 
 def _body(pile: Pile, frame: Frame, model: Model) -> None:
     """Flanks with arches over the wheels, bonnet and boot, ends."""
-    arch, above = model.tyre + 0.05, 2 * model.tyre + 0.04
+    arch = model.tyre + 0.05
+    above = 2 * model.tyre + 0.04
     low = [(-model.half, model.clearance + 0.1)]
     for axle in model.axles:
         low += [
@@ -139,7 +143,8 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
         corners = (u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0)
         pile.face(frame, corners, Material.CAR_BODY)
     for end in (-model.half, model.half):
-        foot, top = low[0][1], model.waist(end)
+        foot = low[0][1]
+        top = model.waist(end)
         corners = (
             (end, -model.wide, foot),
             (end, model.wide, foot),
@@ -152,29 +157,38 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
 def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
     """Windows all around under a roof, and what is seen through them: seats."""
     back, roof_back, roof_front, front = model.cabin
-    wide, narrow = model.wide - 0.04, model.wide - model.lean
+    wide = model.wide - 0.04
+    narrow = model.wide - model.lean
 
     def corner(foot: float, top: float, side: float, up: float) -> Point:
         """Point of a pillar between its foot (0) and the roof (1)."""
-        low, v = model.waist(foot) - 0.02, wide + up * (narrow - wide)
+        low = model.waist(foot) - 0.02
+        v = wide + up * (narrow - wide)
         return frame.at(foot + up * (top - foot), side * v, low + up * (model.roof - low))
 
     side_glass = Material.CAR_GLASS if model.glazed else Material.CAR_BODY
-    rear, fore = (back, roof_back), (front, roof_front)
+    rear = (back, roof_back)
+    fore = (front, roof_front)
     for side in (-1.0, 1.0):
         levels = ((0.0, 0.88, side_glass), (0.88, 1.0, Material.CAR_BODY))
         for low, high, material in levels:
-            a, b = corner(*rear, side, low), corner(*fore, side, low)
-            c, d = corner(*fore, side, high), corner(*rear, side, high)
+            a = corner(*rear, side, low)
+            b = corner(*fore, side, low)
+            c = corner(*fore, side, high)
+            d = corner(*rear, side, high)
             pile.quad((a, b, c, d), material)
         if not model.glazed:
             _door_pane(pile, frame, model, side)
     for pillar, material in ((fore, Material.CAR_GLASS), (rear, side_glass)):
-        a, b = corner(*pillar, -1.0, 0.0), corner(*pillar, 1.0, 0.0)
-        c, d = corner(*pillar, 1.0, 1.0), corner(*pillar, -1.0, 1.0)
+        a = corner(*pillar, -1.0, 0.0)
+        b = corner(*pillar, 1.0, 0.0)
+        c = corner(*pillar, 1.0, 1.0)
+        d = corner(*pillar, -1.0, 1.0)
         pile.quad((a, b, c, d), material)
-    a, b = corner(*rear, -1.0, 1.0), corner(*rear, 1.0, 1.0)
-    c, d = corner(*fore, 1.0, 1.0), corner(*fore, -1.0, 1.0)
+    a = corner(*rear, -1.0, 1.0)
+    b = corner(*rear, 1.0, 1.0)
+    c = corner(*fore, 1.0, 1.0)
+    d = corner(*fore, -1.0, 1.0)
     pile.quad((a, b, c, d), Material.CAR_BODY)
     if model.glazed:
         for u in (roof_front - 0.3, 0.5 * (back + roof_front) + 0.2):
@@ -184,7 +198,8 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
 
 def _door_pane(pile: Pile, frame: Frame, model: Model, side: float) -> None:
     """Side window of a van's cabin, a little before its flank."""
-    back, front = model.cabin[2] - 0.35, model.cabin[3] - 0.25
+    back = model.cabin[2] - 0.35
+    front = model.cabin[3] - 0.25
     share = [0.12, 0.62]
     rise = model.roof - model.waist(back)
 
@@ -192,18 +207,17 @@ def _door_pane(pile: Pile, frame: Frame, model: Model, side: float) -> None:
         wide = model.wide - 0.04 + (model.wide - model.lean - model.wide + 0.04) * up
         return frame.at(u, side * (wide + 0.01), model.waist(u) + up * rise)
 
-    a, b, c, d = (
-        spot(back, share[0]),
-        spot(front, share[0]),
-        spot(front - 0.4, share[1]),
-        spot(back, share[1]),
-    )
+    a = spot(back, share[0])
+    b = spot(front, share[0])
+    c = spot(front - 0.4, share[1])
+    d = spot(back, share[1])
     pile.quad((a, b, c, d), Material.CAR_GLASS)
 
 
 def lorry(pile: Pile, frame: Frame, length: float) -> None:
     """Add a small lorry: a cabin with a windscreen before a box on wheels."""
-    half, wide = 0.5 * length, 1.15
+    half = 0.5 * length
+    wide = 1.15
     pile.box(
         frame, ((-half, half - 1.9), (-wide - 0.05, wide + 0.05), (1.0, 3.3)), Material.CAR_BODY
     )
@@ -296,7 +310,9 @@ class Movers:
     """Those that move, wherever and whenever."""
 
     def __init__(self, ground: Ground, seed: int, params: StreetSceneParams) -> None:
-        self._ground, self._seed, self._streams = ground, seed, streams_of(params)
+        self._ground = ground
+        self._seed = seed
+        self._streams = streams_of(params)
         self._place = lru_cache(1024)(self._draw_place)
         self._bodies = lru_cache(256)(self._make)
 
@@ -324,7 +340,8 @@ class Movers:
         return (number + 0.8 * float(self._rng(stream, number).random())) * stream.spacing
 
     def _make(self, stream: Stream, number: int, step: int) -> Bodies:
-        rng, time_s = self._rng(stream, number), (step + 0.5) * stream.step_s
+        rng = self._rng(stream, number)
+        time_s = (step + 0.5) * stream.step_s
         s = (number + 0.8 * rng.random()) * stream.spacing + stream.speed * time_s
         return _mover(self._ground, self._seed, stream, number, s, time_s, rng)
 

@@ -64,7 +64,8 @@ class Kerb:
 
     def free(self, s: float, reach: float) -> bool:
         """Whether nothing stands within ``reach`` along the strip at the curb, nor a low curb or a side street."""
-        low, high = s - reach, s + reach
+        low = s - reach
+        high = s + reach
         if low < self.plan.start or high > self.plan.start + PIECE_M:
             return False
         closed = list(self.side.dropped) + (
@@ -118,7 +119,8 @@ def build_kerbs(
 
 def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
     """Cars along the curb: places of six metres, free at side streets, driveways and crossings."""
-    side, start = kerb.side, kerb.plan.start
+    side = kerb.side
+    start = kerb.plan.start
     closed = [(low - 0.3, high + 0.3) for low, high in side.dropped]
     if side.junction is not None:
         closed.append((side.junction.bend[0] - 2.0, side.junction.bend[1] + 2.0))
@@ -127,7 +129,9 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
     after_lorry = False
     for i in range(count):
         low = start + 6.0 * i
-        model, chance, turn = movers.draw_model(rng, kerb.params.vans), rng.random(4), rng.random()
+        model = movers.draw_model(rng, kerb.params.vans)
+        chance = rng.random(4)
+        turn = rng.random()
         long = bool(chance[0] < 0.03 and i + 1 < count)
         high = low + (12.0 if long else 6.0)
         blocked = any(high > span[0] and low < span[1] for span in closed)
@@ -161,7 +165,10 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
 
 def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
     """Lamps, lights and signs at junctions, shelters, bins and cabinets; people who stand about."""
-    pile, plan, side, start = kerb.pile, kerb.plan, kerb.side, kerb.plan.start
+    pile = kerb.pile
+    plan = kerb.plan
+    side = kerb.side
+    start = kerb.plan.start
     town = plan.character in ("terraces", "boulevard")
     if (plan.piece + (side.side > 0)) % 2 == 0:
         free = [s for s in (start + 3.5, start + 26.0) if kerb.free(s, 0.6)]
@@ -177,14 +184,16 @@ def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
         if chance[4 + i] < 0.55 and kerb.claim(s, 0.8):
             things(pile, kerb.frame(s, ROAD_HALF_M + 0.5 + 0.3 * i), rng)
     for _ in range(int(rng.poisson(0.8 * kerb.params.people))):
-        s, yaw = start + PIECE_M * rng.random(), rng.uniform(0.0, 2.0 * np.pi)
+        s = start + PIECE_M * rng.random()
+        yaw = rng.uniform(0.0, 2.0 * np.pi)
         if side.junction is None or not side.junction.bend[0] < s < side.junction.bend[1]:
             movers.person(pile, replace(kerb.frame(s, BUILDING_LINE_M - 0.45), yaw=yaw), rng, 0.0)
 
 
 def _at_junction(kerb: Kerb, rng: np.random.Generator, *, town: bool) -> None:
     """Lights or signs before the junction, bollards beside the crossing."""
-    plan, side = kerb.plan, kerb.side
+    plan = kerb.plan
+    side = kerb.side
     if plan.junction is None or plan.crossing is None:
         return
     s = plan.junction.bend[0] - 0.9 if side.side < 0 else plan.junction.bend[1] + 0.9
@@ -210,7 +219,8 @@ def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
     kind = trees.AVENUE if kerb.plan.character == "boulevard" else trees.STREET
     for i in range(4):
         s = kerb.plan.start + 7.5 * (i + 0.5) + rng.uniform(-0.8, 0.8)
-        wanted, birch = rng.random() < share, rng.random() < 0.2
+        wanted = rng.random() < share
+        birch = rng.random() < 0.2
         if not wanted or not kerb.claim(s, 0.6):
             continue
         near = [
@@ -227,7 +237,8 @@ def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
 def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
     """Boundary, trees, bushes and the car of a garden or yard."""
     low, high = lot.span
-    middle, yard = 0.5 * (low + high), lot.kind == "yard"
+    middle = 0.5 * (low + high)
+    yard = lot.kind == "yard"
     if not yard and lot.setback < 1.5:
         return
     gaps = [lot.driveway] if lot.driveway is not None else []
@@ -246,7 +257,8 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         _boundary(kerb),
     )
     for share in (0.22, 0.55):
-        wanted, away = rng.random() < kerb.params.trees, rng.uniform(0.4, 0.6)
+        wanted = rng.random() < kerb.params.trees
+        away = rng.uniform(0.4, 0.6)
         room = min(away * depth - 0.7, (1.0 - away) * depth - 0.4, 4.0)
         s = low + share * (high - low) + (0.0 if yard else 0.5)
         if wanted and room > 0.9 and not any(gap[0] - 0.6 < s < gap[1] + 0.6 for gap in gaps):
@@ -270,10 +282,8 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         )
     if lot.driveway is not None and rng.random() < 0.4:
         model = movers.draw_model(rng)
-        s, d = (
-            0.5 * sum(lot.driveway),
-            BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0),
-        )
+        s = 0.5 * sum(lot.driveway)
+        d = BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
         frame = frame_at(kerb.ground, s, kerb.side.side * d, tilted=True)
         fall = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
         # the bonnet points into the garden: u away from the street, v along it
@@ -297,10 +307,8 @@ def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
     low, high = lot.span
     away = BUILDING_LINE_M + 1.3 + float(kerb.variety.random()) * (min(depth, 9.0) - 2.6)
     for i in range(int((high - low) / 6.0)):
-        model, u = (
-            movers.draw_model(kerb.variety, kerb.params.vans),
-            kerb.variety.random(2).tolist(),
-        )
+        model = movers.draw_model(kerb.variety, kerb.params.vans)
+        u = kerb.variety.random(2).tolist()
         if u[0] > 0.8:
             continue
         s = low + 6.0 * i + 3.0 + 0.3 * u[1]
@@ -328,6 +336,7 @@ def _wires(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, se
 def _wired(seed: int, piece: int, choice: str) -> int:
     """Side of the street on which poles stand, 0 = none."""
     rng = generator(seed, Purpose.WIRES, piece // PIECES_IN_BLOCK)
-    chance, side = rng.random(), 1 if rng.random() < 0.5 else -1
+    chance = rng.random()
+    side = 1 if rng.random() < 0.5 else -1
     fitting = character_of(seed, piece, choice) in ("residential", "suburb")
     return side if fitting and chance < 0.6 else 0

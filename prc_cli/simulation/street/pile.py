@@ -33,7 +33,9 @@ class Frame:
 
     def at(self, u: float, v: float, w: float) -> Point:
         """World coordinates of a point [m]."""
-        c, s, side = math.cos(self.yaw), math.sin(self.yaw), self.mirror * v
+        c = math.cos(self.yaw)
+        s = math.sin(self.yaw)
+        side = self.mirror * v
         return (
             self.x + c * u - s * side,
             self.y + s * u + c * side,
@@ -118,22 +120,18 @@ def outlines(bodies: Bodies) -> F64:
     """Bounds in plan."""
     numbers = bodies.numbers
     result = np.empty((len(bodies), 4))
-    triangle, cone = bodies.shape == Shape.TRIANGLE, bodies.shape == Shape.CONE
+    triangle = bodies.shape == Shape.TRIANGLE
+    cone = bodies.shape == Shape.CONE
     for axis in (0, 1):
         corners = numbers[triangle][:, [axis, axis + 3, axis + 6]]
-        result[triangle, axis], result[triangle, axis + 2] = (
-            corners.min(axis=1),
-            corners.max(axis=1),
-        )
-        ends, reach = numbers[cone][:, [axis, axis + 3]], numbers[cone][:, 6:8].max(axis=1)
-        result[cone, axis], result[cone, axis + 2] = (
-            ends.min(axis=1) - reach,
-            ends.max(axis=1) + reach,
-        )
+        result[triangle, axis] = corners.min(axis=1)
+        result[triangle, axis + 2] = corners.max(axis=1)
+        ends = numbers[cone][:, [axis, axis + 3]]
+        reach = numbers[cone][:, 6:8].max(axis=1)
+        result[cone, axis] = ends.min(axis=1) - reach
+        result[cone, axis + 2] = ends.max(axis=1) + reach
         rest = ~triangle & ~cone
         around = np.hypot(numbers[rest, 3], numbers[rest, 4])
-        result[rest, axis], result[rest, axis + 2] = (
-            numbers[rest, axis] - around,
-            numbers[rest, axis] + around,
-        )
+        result[rest, axis] = numbers[rest, axis] - around
+        result[rest, axis + 2] = numbers[rest, axis] + around
     return result

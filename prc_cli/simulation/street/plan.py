@@ -199,7 +199,8 @@ def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
     """Lay out a piece."""
     start = piece * PIECE_M
     character = character_of(seed, piece, choice)
-    junction, crossing = junction_of(seed, piece), None
+    junction = junction_of(seed, piece)
+    crossing = None
     if junction is not None:
         early = junction.s < start + 0.5 * PIECE_M
         # its ramps end where the curb begins to bend
@@ -214,12 +215,10 @@ def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
 def junction_of(seed: int, piece: int) -> Junction | None:
     """Return the junction of a piece, if it has one: one in four has."""
     rng = generator(seed, Purpose.BLOCK, piece // PIECES_IN_BLOCK, side=-1)
-    which, shift, half, sides = (
-        int(rng.integers(1, 3)),
-        rng.uniform(-4, 4),
-        rng.uniform(3.2, 4.2),
-        rng.integers(3),
-    )
+    which = int(rng.integers(1, 3))
+    shift = rng.uniform(-4, 4)
+    half = rng.uniform(3.2, 4.2)
+    sides = rng.integers(3)
     if piece % PIECES_IN_BLOCK != which:
         return None
     return Junction(
@@ -241,7 +240,8 @@ def _side(
     setback_m: float,
 ) -> Side:
     rng = generator(seed, Purpose.LOTS, piece, side)
-    low, high = _border(seed, piece, side), _border(seed, piece + 1, side)
+    low = _border(seed, piece, side)
+    high = _border(seed, piece + 1, side)
     own = junction if junction is not None and junction.on(side) else None
     stretches = [(low, high)] if own is None else [(low, own.open[0]), (own.open[1], high)]
     lots = [lot for stretch in stretches for lot in _lots(rng, stretch, character)]
@@ -295,7 +295,8 @@ def _lots(rng: np.random.Generator, stretch: Span, character: Character) -> list
 
 
 def _kind(rng: np.random.Generator, character: Character, width: float) -> tuple[str, float]:
-    chance, depth = rng.random(), rng.random()
+    chance = rng.random()
+    depth = rng.random()
     if character == "terraces":
         kind = "passage" if chance < 0.08 else "yard" if chance < 0.14 else "terrace"
         return kind, 0.0 if depth < 0.7 else 0.3

@@ -81,7 +81,8 @@ class Centreline:
         f = (within / _STEP_M - i)[:, None]
         ends = self.heading(i * _STEP_M), self.heading((i + 1) * _STEP_M)
         t0, t1 = (_STEP_M * np.stack([np.cos(end), np.sin(end)], axis=1) for end in ends)
-        p0, p1 = self._table[i], self._table[i + 1]
+        p0 = self._table[i]
+        p1 = self._table[i + 1]
         # cubic of Hermite
         inside = (
             (1 + 2 * f) * (1 - f) ** 2 * p0
@@ -103,13 +104,15 @@ class Centreline:
         """Distance along the street of the place that is nearest to a point, to a metre [m]."""
         shift = self._table[-1]
         first = np.floor((x_m * shift[0] + y_m * shift[1]) / (shift @ shift))
-        best, result = np.inf, 0.0
+        best = np.inf
+        result = 0.0
         for turn in (first - 1.0, first, first + 1.0):
             gap = self._table + turn * shift - (x_m, y_m)
             way = np.einsum("ij,ij->i", gap, gap)
             i = int(np.argmin(way))
             if way[i] < best:
-                best, result = float(way[i]), float(turn * PERIOD_M + i * _STEP_M)
+                best = float(way[i])
+                result = float(turn * PERIOD_M + i * _STEP_M)
         return result
 
 
@@ -218,7 +221,8 @@ class Ground:
     def _land(self, mesh: _Mesh, side: Side, base: list[float], plan: Plan) -> None:
         """Front gardens, courtyards and what lies behind the houses, but for side streets."""
         ways = [lot.driveway for lot in side.lots if lot.driveway is not None]
-        junction, top = side.junction, self.curb_m
+        junction = side.junction
+        top = self.curb_m
         more = [s for way in ways for s in way]
         if junction is not None:
             more += [*junction.open, *_edges(junction)]
@@ -244,9 +248,12 @@ class _Mesh:
     """Turns places of the street into corners: straight between the stations."""
 
     def __init__(self, ground: Ground, start: float, pile: Pile) -> None:
-        self.ground, self.start, self.pile = ground, start, pile
+        self.ground = ground
+        self.start = start
+        self.pile = pile
         self.s: F64 = start + STATION_M * np.arange(int(PIECE_M / STATION_M) + 1, dtype=np.float64)
-        line, crown = ground.line, np.zeros(self.s.shape)
+        line = ground.line
+        crown = np.zeros(self.s.shape)
         heading = line.heading(self.s)
         self._rows: list[list[float]] = np.column_stack(
             [
@@ -275,7 +282,8 @@ class _Mesh:
 
     def strip(self, along: Span, across: Span, up: float, material: Material) -> None:
         """Add a strip at a height above the road."""
-        (s0, s1), (d0, d1) = along, across
+        (s0, s1) = along
+        (d0, d1) = across
         corners = (
             self.point(s0, d0, up),
             self.point(s1, d0, up),
@@ -288,7 +296,9 @@ class _Mesh:
         self, stops: list[tuple[float, float, float, float, float]], side: Side, *, verge: bool
     ) -> None:
         """Add gutter corners, curb, verge and sidewalk along stops (s and d of the curb's foot and top, its height)."""
-        top, gutter, back = self.ground.curb_m, side.side * ROAD_HALF_M, side.side * BUILDING_LINE_M
+        top = self.ground.curb_m
+        gutter = side.side * ROAD_HALF_M
+        back = side.side * BUILDING_LINE_M
         lines = []
         for s_foot, d_foot, s_top, d_top, curb in stops:
             inner = d_top + (BUILDING_LINE_M - d_top) * _RAMP_M / (BUILDING_LINE_M - ROAD_HALF_M)
@@ -326,11 +336,10 @@ class _Mesh:
                 self.strip((s0, s1), (d0, d1), top, Material.GRASS)
             corners = [(s, d0) for s in places] + [(s, d1) for s in reversed(places)]
             for (s0, from_d), (s1, to_d) in zip(corners, corners[1:] + corners[:1], strict=True):
-                a, b = (
-                    self.point(s0, from_d, self.ground.curb_m),
-                    self.point(s1, to_d, self.ground.curb_m),
-                )
-                c, d = self.point(s1, to_d, top), self.point(s0, from_d, top)
+                a = self.point(s0, from_d, self.ground.curb_m)
+                b = self.point(s1, to_d, self.ground.curb_m)
+                c = self.point(s1, to_d, top)
+                d = self.point(s0, from_d, top)
                 self.pile.quad((a, b, c, d), Material.CURB)
 
 
@@ -343,7 +352,8 @@ def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
             if high < side.junction.s
             else (side.junction.bend[1], high)
         )
-    low, high = max(low, base[0]), min(high, base[-1])
+    low = max(low, base[0])
+    high = min(high, base[-1])
     found = []
     for d0, d1 in [*side.dropped, (high + DROP_M, high)]:
         end = min(d0 - DROP_M, high)
@@ -372,7 +382,8 @@ def _stops(
 ) -> list[tuple[float, float, float, float, float]]:
     """Places along a curb: s and d of its foot, s and d of its top, its height [m]; d without its sign."""
     low, high = stretch
-    straight_low, straight_high = low, high
+    straight_low = low
+    straight_high = high
     arc: list[tuple[float, float, float, float, float]] = []
     junction = side.junction
     if junction is not None:
@@ -380,8 +391,10 @@ def _stops(
         middle = junction.bend[0] if end < 0 else junction.bend[1]
         straight_low, straight_high = (low, middle) if end < 0 else (middle, high)
         for a in np.linspace(0.0, 0.5 * np.pi, 5).tolist():
-            foot, top = CORNER_M, CORNER_M - _BATTER_M
-            into, out = float(np.sin(a)), float(np.cos(a))
+            foot = CORNER_M
+            top = CORNER_M - _BATTER_M
+            into = float(np.sin(a))
+            out = float(np.cos(a))
             centre = ROAD_HALF_M + CORNER_M
             arc.append(
                 (
@@ -393,7 +406,8 @@ def _stops(
                 )
             )
         arc = arc if end < 0 else arc[::-1]
-    knots, heights = [], []
+    knots = []
+    heights = []
     for d0, d1 in side.dropped:
         knots += [d0 - DROP_M, d0, d1, d1 + DROP_M]
         heights += [curb_m, _LOW_CURB_M, _LOW_CURB_M, curb_m]
@@ -417,7 +431,8 @@ def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> N
     """Add the road of a side street, with a crown that grows out of the main road, and its curbs."""
     corner = ROAD_HALF_M + CORNER_M
     across = [ROAD_HALF_M, corner, BUILDING_LINE_M, _FRONT_M, FAR_M]
-    low, high = junction.s - junction.half, junction.s + junction.half
+    low = junction.s - junction.half
+    high = junction.s + junction.half
     inner = mesh.s[(mesh.s > low) & (mesh.s < high)].tolist()
     along = sorted({low, *inner, junction.s, high})
 
@@ -435,8 +450,10 @@ def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> N
             mesh.pile.quad((a, b, c, d), Material.ASPHALT)
     for foot, top in ((low, low - _BATTER_M), (high, high + _BATTER_M)):
         for d0, d1 in itertools.pairwise(across):
-            a, b = mesh.point(foot, side * d0, 0.0), mesh.point(foot, side * d1, 0.0)
-            c, d = mesh.point(top, side * d1, curb_m), mesh.point(top, side * d0, curb_m)
+            a = mesh.point(foot, side * d0, 0.0)
+            b = mesh.point(foot, side * d1, 0.0)
+            c = mesh.point(top, side * d1, curb_m)
+            d = mesh.point(top, side * d0, curb_m)
             mesh.pile.quad((a, b, c, d), Material.CURB)
 
 

@@ -44,19 +44,25 @@ LEAST_MEDIAN_M = 0.15
 """Least median range that a unit is offered for [m]."""
 NOTHING_ELSE = 0.95
 """Where nearly all ranges are equal nothing was measured, or the scan was made up."""
-CODE_M, MIN_RANGE_M = 0.03, 0.05
+CODE_M = 0.03
+MIN_RANGE_M = 0.05
 """No scanner on a vehicle measures ranges below the first [m]; the second leaves them out."""
 CODED = 0.01
 """Share of ranges that are equal to the largest: chance gives one in thousands."""
-HIGH_M, FAR_MEDIAN_M = 150.0, 5000.0
+HIGH_M = 150.0
+FAR_MEDIAN_M = 5000.0
 """Median ranges that are doubtful, and that not even an aircraft has [m]: 3 to 20 m are usual."""
 COUNTED = 0.01
 """Share of ranges beyond any scanner from which numbers are misread."""
 LEAST_RETURNS = 0.02
 """Share of shots with a range below which lines and columns, or ranges, are probably wrong."""
-COARSE_M, ROUNDED_DIGITS, LEAST_ROUNDED, ALL_ROUNDED = 0.03, 4, 5000, 0.98
+COARSE_M = 0.03
+ROUNDED_DIGITS = 4
+LEAST_ROUNDED = 5000
+ALL_ROUNDED = 0.98
 """Steps of rounded ranges [m]: scanners state them to 1 to 10 mm; thresholds on surfaces begin at a few centimetres."""
-LEAST_RETURNED, LEAST_RING_LINES = 1000, 32
+LEAST_RETURNED = 1000
+LEAST_RING_LINES = 32
 """With fewer returns, or lines, rings are not counted."""
 MOST_COUNTED = 1 << 16
 """Ranges that the median is taken of."""
@@ -283,7 +289,8 @@ def check_ranges(seen: Seen) -> Finding | None:
     known = _known_ranges(seen)
     if len(known) < LEAST_RECORDS:
         return None
-    far, median = float(np.mean(known > FAR_M)), float(np.median(known))
+    far = float(np.mean(known > FAR_M))
+    median = float(np.median(known))
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"

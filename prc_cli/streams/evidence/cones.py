@@ -49,7 +49,8 @@ class ConeSample:
     def spread_rad(self) -> tuple[float, float] | None:
         """Return the spread of elevation within rings as coordinates are used, and in the frame that suits best."""
         if self.found_rad is None and self.xyz_m:
-            xyz_m, ring = np.concatenate(self.xyz_m), np.concatenate(self.ring)
+            xyz_m = np.concatenate(self.xyz_m)
+            ring = np.concatenate(self.ring)
             if len(ring) >= FEWEST_SHOTS and len(np.unique(ring)) >= FEWEST_RINGS:
                 spread = spread_of_cones(xyz_m, ring, is_fitted=False)
                 # cones need no other frame

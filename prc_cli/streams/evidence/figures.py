@@ -21,7 +21,8 @@ N_WINDOWS = 8
 """Windows kept; half of them is the least once a stream is long."""
 WINDOW_SHOTS = 1 << 17
 """Approximate shots of a window."""
-LEAST_LINES, MOST_LINES = 32, 4096
+LEAST_LINES = 32
+MOST_LINES = 4096
 """Lines of a window: enough to see a period, and not the whole of a stream of short lines."""
 MOST_SHOTS = 1 << 22
 """Most shots of a window; longer lines give smaller windows."""
@@ -106,10 +107,13 @@ MOVED = 0.9
 """Share of the pairs that are more alike than those that tell whether anything moves."""
 SMOOTH = 0.01
 """Ranges that differ by less than a hundredth lie on the same surface."""
-ROUGH, AS_FAR, LEAST_ROUGH = 0.05, 0.2, 100
+ROUGH = 0.05
+AS_FAR = 0.2
+LEAST_ROUGH = 100
 """Shots off the middle of their neighbours by so much are leaves or edges; they are seen again where the next line is
 nearer than so much of that; fewer tell nothing."""
-LIKE, MOST_ALONE = 0.02, 0.5
+LIKE = 0.02
+MOST_ALONE = 0.5
 """Shots are as far as one another within this share; flakes are fewer than this share of all shots."""
 AROUND_SHOT = tuple(
     (line, column) for line in (-1, 0, 1) for column in (-1, 0, 1) if line or column
@@ -204,7 +208,9 @@ def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
 
     Where shots are shuffled, or numbers misread, most shots are alone: there is nothing to leave out.
     """
-    cleared, n_lonely, n_known = [], 0, 0
+    cleared = []
+    n_lonely = 0
+    n_known = 0
     for window in windows:
         lonely = _alone(window.range_m)
         n_lonely += int(np.count_nonzero(lonely))
@@ -380,7 +386,8 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
         for one in places
     ]
     for i in range(len(places) - 1):
-        first, second = profiles[i], profiles[i + 1]
+        first = profiles[i]
+        second = profiles[i + 1]
         n = len(first)
         offs = _offs_of_shifts(first, second)
         if not offs[0] > 0:
@@ -388,7 +395,8 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
         best = int(np.nanargmin(offs))
         share = (best if best <= n // 2 else best - n) / n
         if abs(share) >= LEAST_TURN:
-            line, gain = places[i + 1].first_line, float(offs[best] / offs[0])
+            line = places[i + 1].first_line
+            gain = float(offs[best] / offs[0])
             found.append(Turned(line, -share, gain, line - places[i].first_line))
     if not found:
         return None

@@ -21,10 +21,13 @@ from prc_cli.streams.down import MOST_LINES, DownGuess, guess_down, spread_rows,
 from prc_cli.streams.evidence.figures import Seen
 from prc_cli.streams.evidence.table import verdict
 
-DOWN, ANGLE_STEP, UNITS = "down", "angle-step", "units"
+DOWN = "down"
+ANGLE_STEP = "angle-step"
+UNITS = "units"
 """Names of the checks."""
 
-DOWN_DOUBTFUL_RAD, DOWN_AGAINST_RAD = math.radians(11.0), math.radians(20.0)
+DOWN_DOUBTFUL_RAD = math.radians(11.0)
+DOWN_AGAINST_RAD = math.radians(20.0)
 """Largest angle between the direction in use and the one that the ranges show: the guess is off by up to 2 deg in
 streets and 8 deg in forests."""
 LOOKS_DOWN_RAD = math.radians(30.0)
@@ -59,9 +62,12 @@ costs fused .02 of the mean F1 of streets, one of 20 % .11, in forests .43 (``py
 USUAL_M = 2.0
 """Scans are scaled to this depth, so that planes are found in any unit; of the units that are possible, the one that
 brings the scanner nearest to this height is offered."""
-LOW_M, HIGH_M = 0.4, 5.0
-BLIND_LOW_M, BLIND_HIGH_M = 0.3, 6.0
-LOWEST_M, HIGHEST_M = 0.1, 50.0
+LOW_M = 0.4
+HIGH_M = 5.0
+BLIND_LOW_M = 0.3
+BLIND_HIGH_M = 6.0
+LOWEST_M = 0.1
+HIGHEST_M = 50.0
 """Depths of the ground: outside the first are doubtful; where down is not known outside the second, because a slant
 makes the depth larger; outside the third against."""
 
@@ -175,7 +181,8 @@ _MEASURED = "--set input.angles=measured"
 
 def _even_step(beam_rad: F64) -> float | None:
     """Return the angle from column to column of even beams, without its sign; None where they are not even."""
-    beam, column = np.unwrap(beam_rad), np.arange(len(beam_rad))
+    beam = np.unwrap(beam_rad)
+    column = np.arange(len(beam_rad))
     if len(beam) < 2:
         return None
     step = float(beam[-1] - beam[0]) / (len(beam) - 1)
@@ -192,7 +199,8 @@ def check_height(seen: Seen) -> Finding | None:
     lines = _lines(seen)
     if not len(lines):
         return None
-    low, high = LOW_M, HIGH_M
+    low = LOW_M
+    high = HIGH_M
     angle = seen.beam_rad if seen.beam_rad is not None else seen.angle_rad
     if angle is None:
         # whatever the angles are: the ground is the nearest plane, and its depth its least range
@@ -204,11 +212,13 @@ def check_height(seen: Seen) -> Finding | None:
     if seen.beam_rad is None:
         if not guess.is_sure:
             return None
-        low, high = BLIND_LOW_M, BLIND_HIGH_M
+        low = BLIND_LOW_M
+        high = BLIND_HIGH_M
     elif abs(math.remainder(guess.down_rad, 2 * math.pi)) > DOWN_AGAINST_RAD:
         return None
     depth = guess.depth_m / scale * seen.info.down(seen.scanner)[1]
-    is_usual, is_possible = low <= depth <= high, LOWEST_M <= depth <= HIGHEST_M
+    is_usual = low <= depth <= high
+    is_possible = LOWEST_M <= depth <= HIGHEST_M
     told = verdict(doubtful=not is_usual, against=not is_possible)
     found = f"the scanner is {depth:.3g} m above the ground"
     scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if told else []

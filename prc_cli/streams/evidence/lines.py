@@ -117,7 +117,9 @@ SAMPLE_BYTES = 1 << 18
 TYPES = ("f4", "f8", "u2", "u4", "i4")
 SCALES_M = (1.0, 0.001, 0.01)
 """Metres, millimetres, centimetres."""
-MEDIAN_M, USUAL_M, FARTHEST_M = 8.0, (0.5, 80.0), 5000.0
+MEDIAN_M = 8.0
+USUAL_M = (0.5, 80.0)
+FARTHEST_M = 5000.0
 """The median range of streets and forests, about; that of any scan; the farthest range of any."""
 MOST_ODD = 0.01
 """Share of numbers that are no range, nor stand for a missing one (0 or NaN)."""
@@ -165,7 +167,8 @@ def other_reading(path: Path, points_per_line: int | None = None) -> Reading | N
         first = max(size // 2 - SAMPLE_BYTES // 2, 0) // 8 * 8
         handle.seek(first)
         data = handle.read(SAMPLE_BYTES + 8)
-    best, least = None, READABLE
+    best = None
+    least = READABLE
     for kind, endian in product(TYPES, ("little", "big")):
         stored = np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
         for phase in range(stored.itemsize):
@@ -173,7 +176,8 @@ def other_reading(path: Path, points_per_line: int | None = None) -> Reading | N
             scale, share = _as_ranges(values)
             if share < least:
                 header = _header_bytes(size, stored.itemsize, phase, points_per_line)
-                best, least = Reading(kind, endian, header, scale, bool((values == 0).any())), share
+                best = Reading(kind, endian, header, scale, bool((values == 0).any()))
+                least = share
     return best
 
 
@@ -226,10 +230,12 @@ def with_other_reading(finding: Finding, path: str, points_per_line: int | None)
 
 LEAST_LINES = 24
 """Shorter streams are not judged."""
-ORDER_DOUBTFUL, ORDER_AGAINST = 0.3, 0.7
+ORDER_DOUBTFUL = 0.3
+ORDER_AGAINST = 0.7
 """Likeness of neighbouring shots, as a share of that of random shots: at most 0.05 in all scans at hand, 1 in shuffled
 ones and in misread numbers."""
-LINE_DOUBTFUL, LINE_AGAINST = 0.12, 0.4
+LINE_DOUBTFUL = 0.12
+LINE_AGAINST = 0.4
 """The same of neighbouring lines: at most 0.03 in all scans at hand."""
 SECOND = 0.5
 """A second neighbour this much more like a shot than the first: every other shot or line is of something else. In scans
@@ -248,7 +254,8 @@ MOST_UNLIKE = 0.06
 """Likeness of the lines of a period where M cannot be compared: at most 0.02 in the same scans."""
 PERIOD_SHOTS = 1 << 17
 """Shots in which a period is looked for."""
-FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
+FOLD_DOUBTFUL = 1.05
+FOLD_AGAINST = 1.2
 """How much better another line length must agree along the stream: at most 0.9 in all scans at hand, with M off by one
 1.16 to 7."""
 SHIFTS = 400
@@ -271,10 +278,12 @@ FOLD_SHORT = 1.25
 FOLD_LONG = 12
 """Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
 things shift as much."""
-FOLD_RANDOM, FOLD_NOTHING = 0.8, 0.97
+FOLD_RANDOM = 0.8
+FOLD_NOTHING = 0.97
 """Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
-MOVED_SAME, MOVED_AGAINST = 1.6, 1.4
+MOVED_SAME = 1.6
+MOVED_AGAINST = 1.4
 """Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
 shuffled lines and while standing."""
 MOVED_NOISE = 15.0
@@ -317,7 +326,8 @@ def check_shot_order(figures: Figures) -> Finding | None:
 
 def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
     """Ask whether lines repeat after M shots; where all columns ``turned`` at one place, M is right."""
-    m, first = seen.points_per_line, figures.line[0]
+    m = seen.points_per_line
+    first = figures.line[0]
     if figures.random < SMOOTH:
         return None
     ratio = _share_of_random(first, figures) if seen.n_lines >= LEAST_LINES else math.nan
@@ -331,7 +341,8 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         return _repeating(true, m)
     if not np.isfinite(ratio):
         return None
-    name, expected = "line-length", f"lines of M = {m} shots that are alike"
+    name = "line-length"
+    expected = f"lines of M = {m} shots that are alike"
     near = [m + off for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1]
     other = _next_alike(seen, near) if m <= FRAME_SHOTS else None
     if other is not None and other != m:
@@ -359,10 +370,8 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
         told = verdict(doubtful=True, against=folded[m] > FOLD_NOTHING)
         return Finding(name, told, found, f"at most {FOLD_RANDOM:g}", hint)
-    found, expected = (
-        f"neighbouring lines differ {ratio:.2g} times as much as random shots",
-        f"below {LINE_DOUBTFUL:g}",
-    )
+    found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
+    expected = f"below {LINE_DOUBTFUL:g}"
     told = verdict(doubtful=ratio >= LINE_DOUBTFUL, against=ratio >= LINE_AGAINST)
     return Finding(name, told, found, expected, hint if told else "")
 
@@ -386,7 +395,8 @@ def is_shifted(turned: Turned | None, points_per_line: int) -> bool:
     """Tell whether all columns shift at a single place; a wrong M shifts them from every line to the next."""
     if turned is None or turned.gain >= TURNED or turned.n_places > 1:
         return False
-    n_shots, near = abs(turned.share) * points_per_line, SHIFT_NEAR * points_per_line
+    n_shots = abs(turned.share) * points_per_line
+    near = SHIFT_NEAR * points_per_line
     return all(abs(n_shots - wrong * turned.distance) > near for wrong in range(1, FOLD_REACH + 1))
 
 
@@ -416,10 +426,8 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
 
 
 def _repeating(period: int, m: int) -> Finding:
-    found, expected = (
-        f"the ranges repeat after {period} shots, not after {m}",
-        f"lines of M = {m} shots that are alike",
-    )
+    found = f"the ranges repeat after {period} shots, not after {m}"
+    expected = f"lines of M = {m} shots that are alike"
     return Finding(
         "line-length", Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}"
     )
@@ -472,7 +480,8 @@ def _longest(seen: Seen) -> F32:
 
 def _is_as_alike(seen: Seen, period: int) -> bool:
     """Return whether shots a period apart are as alike as those M apart; where these are too few, alike at all."""
-    logs, m = np.log(_longest(seen)), seen.points_per_line
+    logs = np.log(_longest(seen))
+    m = seen.points_per_line
     of_period, of_m = (likeness(logs[:-lag], logs[lag:]) for lag in (period, m))
     return of_period <= (AS_ALIKE * of_m if np.isfinite(of_m) else MOST_UNLIKE)
 

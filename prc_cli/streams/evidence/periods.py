@@ -99,7 +99,8 @@ def _autocorrelation(signal: F64, n_lags: int, valid: F64 | None = None) -> F64:
         products /= len(signal) - np.arange(n_lags + 1)
         scaled: F64 = products / products[0] if products[0] > 0 else np.zeros(n_lags + 1)
         return scaled
-    of_valid, of_energy = fft.rfft(valid, size), fft.rfft(signal * signal, size)
+    of_valid = fft.rfft(valid, size)
+    of_energy = fft.rfft(signal * signal, size)
     # energies of the earlier and the later shots of valid pairs
     earlier = fft.irfft(np.conj(of_energy) * of_valid, size)[: n_lags + 1]
     later = fft.irfft(np.conj(of_valid) * of_energy, size)[: n_lags + 1]
@@ -282,7 +283,8 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
     if not shot_s > 0:
         return None
     stop = int(np.searchsorted(time_s, time_s[0] + MAX_BINS * shot_s))
-    time_s, use = time_s[:stop], np.flatnonzero(use)[:stop]
+    time_s = time_s[:stop]
+    use = np.flatnonzero(use)[:stop]
     # a rounded stamp stands for the shots fired after it
     spread_s, _, _ = spread_stamps(time_s, 1 / shot_s, StampState())
     bins = np.maximum.accumulate(np.rint((spread_s - time_s[0]) / shot_s).astype(np.int64))
@@ -325,7 +327,8 @@ def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
     (50.0, 100, 0)
     """
     use = np.isfinite(time_s) & np.isfinite(angle_rad)
-    time_s, angle_rad = time_s[use], angle_rad[use]
+    time_s = time_s[use]
+    angle_rad = angle_rad[use]
     if len(time_s) < LEAST_RETURNS or np.any(np.diff(time_s) < 0):
         return None
     shot_s = shot_period(time_s)
@@ -468,7 +471,8 @@ def _first_peak(correlation: F64, most: int) -> int | None:
 
 def _refine_period(correlation: F64, lag: int) -> float:
     """Return the period in shots, from peaks at ever longer multiples of it."""
-    period, multiple = float(lag), 1
+    period = float(lag)
+    multiple = 1
     while True:
         at = round(period * multiple)
         reach = max(round(0.01 * lag / multiple), 3)
@@ -496,6 +500,7 @@ def _begin(bins: np.ndarray, period: float, filled: F64) -> float:
     low = share <= share.min() + 0.1 * (share.max() - share.min())
     doubled = np.concatenate([low, low])
     edge = np.flatnonzero(np.diff(np.concatenate([[False], doubled, [False]]).astype(np.int8)))
-    starts, stops = edge[::2], edge[1::2]
+    starts = edge[::2]
+    stops = edge[1::2]
     longest = int(np.argmax(stops - starts))
     return float((starts[longest] + stops[longest]) / 2 % n_cells / n_cells * period)

@@ -16,18 +16,22 @@ import numpy as np
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64
 
-SAMPLE_LINES, MOST_LINES = 64, 256
+SAMPLE_LINES = 64
+MOST_LINES = 256
 """Lines with returns that are looked at, and where these leave it open."""
 MAX_CELLS = 1 << 22
 """Most cells that are read to find these lines."""
 REACH_RAD = math.radians(0.6)
 """Angle to the two shots of the line, one column at least."""
-JOINED_M, JOINED_STEPS = 0.3, 6.0
+JOINED_M = 0.3
+JOINED_STEPS = 6.0
 """Shots are on one surface if the two are at most this far apart, or this many times their distance across the beam."""
-SMOOTH_M, SMOOTH_PER_M = 0.015, 0.002
+SMOOTH_M = 0.015
+SMOOTH_PER_M = 0.002
 """A smooth shot is this near to the line, and so much farther per metre of range: roads are rough to 5 mm, ranges of
 coarse scanners to 10 mm, plants to 5 cm."""
-LOW_RAD, LOW_M = math.radians(75.0), 15.0
+LOW_RAD = math.radians(75.0)
+LOW_M = 15.0
 """The ground is looked for this near to straight down, in this range."""
 HIGH_M = 40.0
 """Range of what stands higher than the scanner."""
@@ -35,7 +39,8 @@ LEAST_LOW = 1000
 """Fewer shots on the ground are too few to tell."""
 LEAST_HIGH_SHARE = 0.01
 """With fewer shots on high things, of all cells, nothing stands there."""
-FOREST_SCORE, OPEN_SCORE = 0.98, 0.05
+FOREST_SCORE = 0.98
+OPEN_SCORE = 0.05
 """The smooth share of the ground, and a third of that of what stands higher: 0.99 and more in streets, forests have
 0.5 to 0.97. Chosen on 31 simulated streets (of four scanners) and 10 forests. So near to it more lines are looked at:
 coarse noisy scanners have 0.978 in 64 lines of a street, 1.02 and more in 256."""
@@ -69,11 +74,13 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     k = max(round(REACH_RAD / step), 1) if step > 0 else 1
     if range_m.shape[1] <= 2 * k:
         return Place("unknown", "the lines are too short to tell a street from a forest")
-    middle_m, beam = range_m[:, k:-k].astype(np.float64), beam_rad[k:-k]
+    middle_m = range_m[:, k:-k].astype(np.float64)
+    beam = beam_rad[k:-k]
     joined, smooth = _smooth(range_m, beam_rad, k, step)
     low = joined & (np.abs(beam) < LOW_RAD) & (middle_m < LOW_M)
     high = ~np.isnan(middle_m) & (-np.cos(beam) > 0) & (middle_m < HIGH_M)
-    n_low, n_high = int(np.count_nonzero(low)), int(np.count_nonzero(high))
+    n_low = int(np.count_nonzero(low))
+    n_high = int(np.count_nonzero(high))
     if n_low < LEAST_LOW:
         return Place(
             "unknown", "too few neighbouring shots lie on the ground to tell a street from a forest"
@@ -108,9 +115,11 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
 def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return which shots have both others on one surface, and which of all are smooth; without k columns each side."""
     r = range_m.astype(np.float64)
-    y, z = r * np.sin(beam_rad), -r * np.cos(beam_rad)
+    y = r * np.sin(beam_rad)
+    z = -r * np.cos(beam_rad)
     middle_m = r[:, k:-k]
-    across, up = y[:, 2 * k :] - y[:, : -2 * k], z[:, 2 * k :] - z[:, : -2 * k]
+    across = y[:, 2 * k :] - y[:, : -2 * k]
+    up = z[:, 2 * k :] - z[:, : -2 * k]
     length = np.hypot(across, up)
     beside = np.abs((y[:, k:-k] - y[:, : -2 * k]) * up - (z[:, k:-k] - z[:, : -2 * k]) * across)
     # comparisons with NaN are false: missing shots are neither
@@ -125,7 +134,8 @@ def place_of_blocks(blocks: Iterator[ScanBlock]) -> Place:
     rows: list[F32] = []
     beam_rad: F64 | None = None
     first: Place | None = None
-    scanner, n_cells = None, 0
+    scanner = None
+    n_cells = 0
     for block in blocks:
         scanner = block.scanner if scanner is None else scanner
         if block.scanner != scanner:

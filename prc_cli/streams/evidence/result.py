@@ -28,21 +28,25 @@ from prc_cli.streams.evidence.table import verdict, worst_of
 
 MAX_SCANNERS = 4
 """Most scanners whose labels are looked at."""
-MAX_LINES, MAX_COLUMNS = 512, 128
+MAX_LINES = 512
+MAX_COLUMNS = 128
 """Most lines and columns kept of a scanner: 0.3 MB."""
-LEAST_LINES, LEAST_RETURNS = 32, 1000
+LEAST_LINES = 32
+LEAST_RETURNS = 1000
 """Fewer kept lines, or fewer returns in them, are too few to tell."""
 LEAST_SHARE = 0.5
 """Kept columns have at least this share of the returns that all have, unless columns are empty at regular steps."""
 DOWN_RAD = math.radians(60.0)
 """What lies this near to straight down is ground, or stands on it."""
-NEAR_M, BELOW_M = 20.0, 1.0
+NEAR_M = 20.0
+BELOW_M = 1.0
 """Returns this near should not lie this far below the ground."""
 FAR_SHARE = 0.01
 """Least share of returns that are farther than a room is wide."""
 LEAST_GROUND = 3
 """Ground returns on a side of a line for its height there."""
-LEAST_LEVEL, LEAST_SPREAD_M = 8, 0.3
+LEAST_LEVEL = 8
+LEAST_SPREAD_M = 0.3
 """Ground returns of a line for its lean, and their standard deviation to the side."""
 STRETCH_LINES = 16
 """Kept lines of a stretch: 16 to 32 stretches in all but short streams."""
@@ -80,7 +84,8 @@ class _Kept:
 
     def add(self, item: LabelledBlock) -> None:
         """Keep what is wanted of the next lines."""
-        line, stop = item.block.first_line, item.block.first_line + item.block.n_lines
+        line = item.block.first_line
+        stop = item.block.first_line + item.block.n_lines
         while True:
             line = -(-line // self.stride) * self.stride
             if line >= stop:
@@ -185,7 +190,8 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
     yield _noise(there, noise, sample.labels == Label.UNCLASSIFIED, usual)
     if len(sample.line) < LEAST_LINES:
         return
-    solid, level = there & ~noise, np.isin(sample.labels, usual.level)
+    solid = there & ~noise
+    level = np.isin(sample.labels, usual.level)
     yield from _indoors(solid, sample.range_m, usual)
     below = solid
     if sample.beam_rad is not None:
@@ -206,9 +212,11 @@ def _percent(share: float) -> str:
 def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> Finding:
     """Compare the shares of noise and of what has no class with those of the method."""
     n = int(np.count_nonzero(there))
-    noisy, without = int(np.count_nonzero(noise)) / n, int(np.count_nonzero(unclassified)) / n
+    noisy = int(np.count_nonzero(noise)) / n
+    without = int(np.count_nonzero(unclassified)) / n
     if without > usual.unclassified_share and noisy <= usual.noise_share:
-        found, most = f"{_percent(without)} of the returns have no class", usual.unclassified_share
+        found = f"{_percent(without)} of the returns have no class"
+        most = usual.unclassified_share
         return Finding(
             "noise-share", Verdict.DOUBTFUL, found, f"at most {_percent(most)}", _LOOK_AT_INPUT
         )
@@ -273,10 +281,15 @@ def _ground_below(
     solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: UsualLabels
 ) -> Iterator[Finding]:
     """Ask whether what lies below the scanner is ground."""
-    where, seen, least = " within 60 deg of down", below, usual.level_share
+    where = " within 60 deg of down"
+    seen = below
+    least = usual.level_share
     if np.count_nonzero(below) < LEAST_RETURNS:
         # ground that is above the scanner does not count
-        where, seen, least, level = "", solid, usual.ground_share, level & is_lower
+        where = ""
+        seen = solid
+        least = usual.ground_share
+        level = level & is_lower
     n = int(np.count_nonzero(seen))
     if n < LEAST_RETURNS or least <= 0:
         return
@@ -296,10 +309,12 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
     ground = scene.ground[:, scene.is_down]
     n = np.count_nonzero(ground, axis=1)
     rows = n >= LEAST_LEVEL
-    ground, n = ground[rows], n[rows]
+    ground = ground[rows]
+    n = n[rows]
     aside = np.where(ground, scene.aside_m[rows][:, scene.is_down], 0)
     up = np.where(ground, scene.up_m[rows][:, scene.is_down], 0)
-    middle, height = aside.sum(axis=1) / n, up.sum(axis=1) / n
+    middle = aside.sum(axis=1) / n
+    height = up.sum(axis=1) / n
     spread = (aside * aside).sum(axis=1) / n - middle * middle
     together = (aside * up).sum(axis=1) / n - middle * height
     wide = spread > LEAST_SPREAD_M**2
@@ -325,7 +340,8 @@ def _nadir(sample: _Sample, lean_rad: float) -> str:
 
 def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
     """Ask for things below the ground, left and right of every line."""
-    n_near, n_below = 0, 0
+    n_near = 0
+    n_below = 0
     for is_side in (scene.is_left, ~scene.is_left):
         side = is_side & scene.is_down
         ground = scene.ground[:, side]
@@ -333,7 +349,9 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
         rows = n_ground >= LEAST_GROUND
         if not rows.any():
             continue
-        up, ground, n_ground = scene.up_m[rows][:, side], ground[rows], n_ground[rows]
+        up = scene.up_m[rows][:, side]
+        ground = ground[rows]
+        n_ground = n_ground[rows]
         # all else sorts behind the ground
         heights = np.sort(np.where(ground, up, np.float32(np.inf)), axis=1)
         middle_m = np.take_along_axis(heights, (n_ground // 2)[:, None], axis=1)
@@ -364,10 +382,8 @@ def _along(
         return counts
 
     expected = "ground and little noise all along"
-    ground, noisy = (
-        _share(per_stretch(below & level), per_stretch(below)),
-        _share(per_stretch(noise), per_stretch(there)),
-    )
+    ground = _share(per_stretch(below & level), per_stretch(below))
+    noisy = _share(per_stretch(noise), per_stretch(there))
     known = ground[np.isfinite(ground)]
     usually = float(np.quantile(known, 0.75)) if len(known) else 0.0
     solid = np.convolve(per_stretch(there & ~noise), np.ones(LONG_STRETCHES), "valid")
@@ -395,7 +411,8 @@ def _along(
 def _share(part: F64, whole: F64) -> F64:
     """Return shares pooled over as many stretches as make a long one; NaN where there are too few returns."""
     kernel = np.ones(LONG_STRETCHES)
-    parts, wholes = np.convolve(part, kernel, "valid"), np.convolve(whole, kernel, "valid")
+    parts = np.convolve(part, kernel, "valid")
+    wholes = np.convolve(whole, kernel, "valid")
     unknown = np.full(len(parts), np.nan)
     shares: F64 = np.divide(
         parts, wholes, out=unknown, where=wholes >= LEAST_RETURNS * LONG_STRETCHES / LEAST_STRETCHES
@@ -412,7 +429,8 @@ def longest_run(mask: Mask) -> tuple[int, int]:
     (0, 0)
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    starts, ends = edges[::2], edges[1::2]
+    starts = edges[::2]
+    ends = edges[1::2]
     if not len(starts):
         return 0, 0
     at = int(np.argmax(ends - starts))

@@ -78,7 +78,9 @@ class EvidenceStream(Brief):
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        self._scanners, self._tally, self._repeats = {}, ReadTally(), LineRepeats()
+        self._scanners = {}
+        self._tally = ReadTally()
+        self._repeats = LineRepeats()
         for block in self.source.blocks():
             if self._see(block) and self.refuses:
                 refuse(self.info.path, self.question(is_whole=False)())
@@ -94,11 +96,9 @@ class EvidenceStream(Brief):
         one = self._scanners.get(block.scanner)
         if one is None:
             one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
-        one.angle_rad, one.beam_rad, one.has_rings = (
-            block.angle_rad,
-            block.beam_rad,
-            block.has_rings,
-        )
+        one.angle_rad = block.angle_rad
+        one.beam_rad = block.beam_rad
+        one.has_rings = block.has_rings
         one.cones.add(block)
         one.n_lines += block.n_lines
         one.n_shots += block.range_m.size
@@ -111,8 +111,10 @@ class EvidenceStream(Brief):
 
     def seen(self) -> tuple[Seen, ...]:
         """Return what has been seen so far, by scanner."""
-        info, every = self.info, self._scanners.values()
-        n_shots, n_missing = sum(one.n_shots for one in every), sum(one.n_missing for one in every)
+        info = self.info
+        every = self._scanners.values()
+        n_shots = sum(one.n_shots for one in every)
+        n_missing = sum(one.n_missing for one in every)
         return tuple(
             Seen(
                 info=info,
@@ -241,7 +243,8 @@ class LiveEvidence:
                     asked = None
                 n_full = self._watch.see(block)
                 if n_full > n_asked and asked is None:
-                    n_asked, asked = n_full, beside.submit(self._watch.question(is_whole=False))
+                    n_asked = n_full
+                    asked = beside.submit(self._watch.question(is_whole=False))
                 yield block
             if asked is not None:
                 self.hear(asked.result())

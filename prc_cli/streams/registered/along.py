@@ -166,8 +166,10 @@ def _with_bearings(
         turn = np.angle((pieces.weight * np.exp(1j * away)).sum(axis=1))
         off = np.remainder(away - turn[:, None] + math.pi, 2.0 * math.pi) - math.pi
         residuals.append(masked_median(np.hypot(length * off, directions.across_m), pieces.weight))
-        cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
-        main, second = directions.frame[:, :, 0], sense * directions.frame[:, :, 1]
+        cosine = np.cos(turn)[:, None]
+        sine = np.sin(turn)[:, None]
+        main = directions.frame[:, :, 0]
+        second = sense * directions.frame[:, :, 1]
         frames.append(
             np.stack(
                 [

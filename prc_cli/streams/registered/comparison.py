@@ -17,7 +17,8 @@ from prc_cli.streams.registered.path import FoundPath
 
 COARSE_S = 0.2
 """Step of the clock in the search over a whole drive [s]."""
-COARSE_SAMPLES, MOST_SAMPLES = 240, 20_000
+COARSE_SAMPLES = 240
+MOST_SAMPLES = 20_000
 """Positions of the path in that search, and in the fit."""
 BATCH = 512
 """Clocks that are tried at once."""
@@ -30,11 +31,13 @@ FAR_HEIGHT_M = 10.0
 FOOT_M = 0.3048
 MUCH_NEARER = 0.1
 """Share of the distance that another unit must leave."""
-MOST_CLOCKS, APART_S = 5, 1.0
+MOST_CLOCKS = 5
+APART_S = 1.0
 """Clocks from which the fit begins, and how far they are apart [s]: a street may be passed twice."""
 ALIKE_FITS = 1.5
 """Fits that leave less than this multiple of the least are alike."""
-LEAST_CLOCK_S, CERTAIN = 5e-4, 3.0
+LEAST_CLOCK_S = 5e-4
+CERTAIN = 3.0
 """Clocks agree within this [s], and within this multiple of the standard deviation."""
 ROUNDS = 20
 FIRST_SCALE_M = 1.0
@@ -48,7 +51,8 @@ TELLING_S = 0.02
 """A clock that is told less well than this is not told [s]."""
 STRAIGHT_M = 1.0
 """A path that leaves its straight line by less (standard deviation) has no shape [m]."""
-ALIKE_M, ALIKE_SHARE = 2.0, 0.03
+ALIKE_M = 2.0
+ALIKE_SHARE = 0.03
 """Shapes are alike within this, or this share of their extent: a lever arm turns with the vehicle."""
 MOST_DEGREES = (180.0, 90.0)
 LEAST_METRES = 1000.0
@@ -188,7 +192,8 @@ def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
 def _clocks(sample: _Sample, trajectory: Positions) -> F64:
     """Return the clocks that are tried, all at which enough of the path is covered; 0 is one of them."""
     first_s, last_s = sample.time_s[[0, -1]]
-    low, high = first_s - trajectory.time_s[-1], last_s - trajectory.time_s[0]
+    low = first_s - trajectory.time_s[-1]
+    high = last_s - trajectory.time_s[0]
     step = max(COARSE_S, (high - low) / 1_000_000)
     clocks: F64 = step * np.arange(
         math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64
@@ -226,7 +231,8 @@ def _finer_clock(
         distance = _distances(sample, trajectory, clocks)
         place = int(np.argmin(distance))
         if distance[place] < distance_m - 1e-4:
-            clock_s, distance_m = float(clocks[place]), float(distance[place])
+            clock_s = float(clocks[place])
+            distance_m = float(distance[place])
     return clock_s, distance_m
 
 
@@ -399,7 +405,8 @@ class _Shape:
 
     def said(self) -> str:
         """Return it in words."""
-        scale, turn = abs(self.factor), math.degrees(math.atan2(self.factor.imag, self.factor.real))
+        scale = abs(self.factor)
+        turn = math.degrees(math.atan2(self.factor.imag, self.factor.real))
         if abs(scale - 1.0) > 0.02:
             return f"its unit is another, {scale:.4f} m, and its coordinate system"
         x, y, z = (round(value, 1) + 0.0 for value in self.moved_m)

@@ -136,7 +136,8 @@ class Drive:
 
     def assumptions(self) -> tuple[Assumption, ...]:
         """Return what was found, for ``prc info`` and the run record."""
-        scan, figures = self.scans[0], self.figures[0]
+        scan = self.scans[0]
+        figures = self.figures[0]
         turning = scan.turning
         why = "the rotation, the path and the ranges that fit the points and their times"
         told = [
@@ -197,7 +198,9 @@ def reconstruct(
     findings = judge(
         path, passes.figures, passes.n_unplaced, sum(len(spool) for spool in spools.values())
     )
-    scans, tracks, figures = tuple(passes.scans), tuple(passes.tracks), tuple(passes.figures)
+    scans = tuple(passes.scans)
+    tracks = tuple(passes.tracks)
+    figures = tuple(passes.figures)
     return Drive(tuple(heads), scans, tracks, figures, findings, passes.n_unplaced, split)
 
 
@@ -283,7 +286,8 @@ def _reconstruct_head(
 
 def _scan_of(points: Spool, part: slice, track: Track, rates: _Rates) -> Scan:
     """Return the scan of a pass, its columns by the times where they are fine enough."""
-    turning, clock = rates.turning, rates.clock
+    turning = rates.turning
+    clock = rates.clock
     first = points.read(part.start, min(part.stop, part.start + BLOCK_POINTS))
     fine = make_scan(
         track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False

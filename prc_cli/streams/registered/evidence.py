@@ -16,21 +16,27 @@ from prc_cli.streams.registered.scan import Scan
 
 CHECK = "path"
 """Name of the check."""
-MOST_RESIDUAL_M, WORST_RESIDUAL_M = 0.03, 0.15
+MOST_RESIDUAL_M = 0.03
+WORST_RESIDUAL_M = 0.15
 """Median distance of points from their beams: doubtful, refused [m]."""
-LEAST_ON_BEAM, WORST_ON_BEAM = 0.8, 0.4
+LEAST_ON_BEAM = 0.8
+WORST_ON_BEAM = 0.4
 LEAST_IN_FRONT = 0.97
-MOST_BRIDGED, BRIDGED_M = 0.2, 0.1
+MOST_BRIDGED = 0.2
+BRIDGED_M = 0.1
 """Share of lines whose station is less certain than this, which stand on their neighbours [m]."""
-MOST_SPEED_M_S, WORST_SPEED_M_S = 45.0, 90.0
-MOST_HOLES, WORST_HOLES = 0.15, 0.75
+MOST_SPEED_M_S = 45.0
+WORST_SPEED_M_S = 90.0
+MOST_HOLES = 0.15
+WORST_HOLES = 0.75
 """Share of cells that are empty between two neighbouring points of one surface."""
 MOST_UNPLACED = 0.01
 STATION_STEPS_S = 0.5
 """Speeds are measured over this time [s]."""
 HOLE_CELLS = 8
 """Longer gaps are no holes of a surface."""
-HOLE_M, HOLE_SHARE = 0.1, 0.02
+HOLE_M = 0.1
+HOLE_SHARE = 0.02
 """Points on both sides of a hole differ in range by at most this [m], and this share of it for every cell."""
 
 

@@ -66,7 +66,8 @@ def find_firings(time_s: F64, ring: I64, ahead_rad: F64, turn_hz: float) -> Firi
     """
     known = ring >= 0
     order = np.argsort(ring[known], kind="stable")
-    number, fired = ring[known][order], time_s[known][order]
+    number = ring[known][order]
+    fired = time_s[known][order]
     step = np.diff(fired)[np.diff(number) == 0]
     step = step[step > 0]
     if len(step) < MIN_STEPS:

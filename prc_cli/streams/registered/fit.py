@@ -36,7 +36,8 @@ ARC_GAIN = 0.3
 """Lines are arcs where that lowers the residual of whole lines to this share."""
 LEAST_TRUSTED = 3
 """Trusted windows that a path needs."""
-SEGMENT_KNOTS, OVERLAP_KNOTS = 800, 200
+SEGMENT_KNOTS = 800
+OVERLAP_KNOTS = 200
 """Knots that are smoothed at once, and how many of them neighbouring segments share."""
 ON_BEAM = 5.0
 """A point lies on its beam within this many median residuals."""
@@ -94,7 +95,8 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
             len(of_arcs.time_s)
             and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual
         ):
-            turning, windows = arcs, of_arcs
+            turning = arcs
+            windows = of_arcs
     for _ in range(3):
         drift = drift_hz(windows)
         turning = turning.faster(drift)
@@ -139,7 +141,8 @@ def knot_times(windows: Windows, turning: Turning) -> F64:
     """Return evenly spaced times from a line before the first window to a line after the last, (k,) [s]."""
     line_s = 1.0 / turning.line_hz
     step = max(line_s, KNOT_S)
-    first_s, last_s = windows.time_s[0] - line_s, windows.time_s[-1] + line_s
+    first_s = windows.time_s[0] - line_s
+    last_s = windows.time_s[-1] + line_s
     n_knots = max(math.ceil((last_s - first_s) / step) + 1, 4)
     times: F64 = first_s + step * np.arange(n_knots)
     return times
@@ -157,15 +160,18 @@ def _windows(pieces: PassPieces, turning: Turning, spacing_s: float) -> Windows 
 
 def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator[tuple[F64, F64]]:
     """Cut pieces where scan lines begin."""
-    rest_s, rest_m = np.empty(0), np.empty((0, 3))
+    rest_s = np.empty(0)
+    rest_m = np.empty((0, 3))
     for time_s, xyz_m in pieces:
-        time_s, xyz_m = np.concatenate([rest_s, time_s]), np.concatenate([rest_m, xyz_m])
+        time_s = np.concatenate([rest_s, time_s])
+        xyz_m = np.concatenate([rest_m, xyz_m])
         line_s = 1.0 / turning.line_hz
         begin_s = turning.origin_s + math.floor((time_s[-1] - turning.origin_s) / line_s) * line_s
         cut = int(np.searchsorted(time_s, begin_s))
         if cut:
             yield time_s[:cut], xyz_m[:cut]
-        rest_s, rest_m = time_s[cut:], xyz_m[cut:]
+        rest_s = time_s[cut:]
+        rest_m = xyz_m[cut:]
     if len(rest_s):
         yield rest_s, rest_m
 
@@ -211,9 +217,11 @@ def segments(pieces: PassPieces, knots_s: F64) -> Iterator[tuple[int, int, F64, 
     n = len(knots_s)
     first = 0
     last = min(SEGMENT_KNOTS, n - 1)
-    held_s, held_m = np.empty(0), np.empty((0, 3))
+    held_s = np.empty(0)
+    held_m = np.empty((0, 3))
     for time_s, xyz_m in pieces():
-        held_s, held_m = np.concatenate([held_s, time_s]), np.concatenate([held_m, xyz_m])
+        held_s = np.concatenate([held_s, time_s])
+        held_m = np.concatenate([held_m, xyz_m])
         while last < n - 1 and held_s[-1] > knots_s[last]:
             stop = int(np.searchsorted(held_s, knots_s[last]))
             yield first, last, held_s[:stop], held_m[:stop]
@@ -222,7 +230,8 @@ def segments(pieces: PassPieces, knots_s: F64) -> Iterator[tuple[int, int, F64, 
             if n - 1 - last < OVERLAP_KNOTS:
                 last = n - 1
             begin = int(np.searchsorted(held_s, knots_s[first]))
-            held_s, held_m = held_s[begin:], held_m[begin:]
+            held_s = held_s[begin:]
+            held_m = held_m[begin:]
     yield first, n - 1, held_s, held_m
 
 

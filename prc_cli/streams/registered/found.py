@@ -43,7 +43,9 @@ def _paths_of_passes(drive: Drive) -> tuple[FoundPath, ...]:
 
 
 def _path_of_pass(drive: Drive, number: int) -> FoundPath:
-    scan, track, figures = drive.scans[number], drive.tracks[number], drive.figures[number]
+    scan = drive.scans[number]
+    track = drive.tracks[number]
+    figures = drive.figures[number]
     knots = scan.knots
     first_s, last_s = figures.points_s
     inside = (knots.time_s > first_s) & (knots.time_s < last_s)

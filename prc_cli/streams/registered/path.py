@@ -26,7 +26,8 @@ LEAST_SCALE_M = 0.01
 MOST_FINE_ROUNDS = 10
 STEEPEST = 0.1
 """Steepest cone: mirrors are a few tenths of a degree off."""
-LONGEST_STEP_M, LONGEST_TURN_RAD = 3.0, 0.3
+LONGEST_STEP_M = 3.0
+LONGEST_TURN_RAD = 0.3
 """Longer steps of a knot are cut."""
 SPEED_S = 0.1
 """Beyond the first and last knot the speed of this time goes on [s]."""
@@ -146,7 +147,9 @@ def rotation_matrices(vectors: F64) -> F64:
     angle = np.linalg.norm(vectors, axis=1)
     axis = vectors / np.maximum(angle, 1e-15)[:, None]
     cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    cross[:, 0, 1] = -axis[:, 2]
+    cross[:, 0, 2] = axis[:, 1]
+    cross[:, 1, 2] = -axis[:, 0]
     cross -= np.swapaxes(cross, 1, 2)
     sine = np.sin(angle)[:, None, None]
     versine = (1.0 - np.cos(angle))[:, None, None]
@@ -171,7 +174,8 @@ def observe(knots_s: F64, time_s: F64, xyz_m: F64, bearing_rad: F64, n_points: i
         Points between two knots at most.
     """
     border = np.searchsorted(time_s, knots_s)
-    begin, count = border[:-1], np.diff(border)
+    begin = border[:-1]
+    count = np.diff(border)
     place = np.arange(n_points)[None, :]
     step = np.maximum(count / n_points, 1.0)[:, None]
     index = begin[:, None] + ((place + 0.5) * step).astype(np.int64)
@@ -294,8 +298,11 @@ def _normal_equations(
     local = offset @ knots.frame[:-1]
     part = share[:, :, None] * turn[:, None, :]
     local = local - np.cross(part, local - 0.5 * np.cross(part, local))
-    x, y, z = local[:, :, 0], local[:, :, 1], local[:, :, 2]
-    cosine, sine = observed.cosine, observed.sine
+    x = local[:, :, 0]
+    y = local[:, :, 1]
+    z = local[:, :, 2]
+    cosine = observed.cosine
+    sine = observed.sine
     range_m = cosine * x + sine * y
     in_plane = cosine * y - sine * x
     across = z - slope * range_m
@@ -352,7 +359,8 @@ def _normal_equations(
 def _add_smoothness(blocks: F64, gradient: F64, knots: Knots, turn: F64, scale_m: float) -> None:
     """Add what changes of speed and turn cost, relative to residuals of a point."""
     step = np.diff(knots.time_s)
-    before, after = step[:-1], step[1:]
+    before = step[:-1]
+    after = step[1:]
     span = 0.5 * (before + after)
     # a change of speed over the mean step, as a length; points count per residual scale of a centimetre
     usual_m = SPEED_CHANGE_M_S2 * span

@@ -123,7 +123,8 @@ def resect(planes: Planes, xyz_m: F64, bearing_rad: F64, weight: F64, sense: int
     offset = xyz_m - planes.centre_m[:, None, :]
     qx = np.einsum("wni,wi->wn", offset, main)
     qy = np.einsum("wni,wi->wn", offset, across)
-    cosine, sine = np.cos(bearing_rad), np.sin(bearing_rad)
+    cosine = np.cos(bearing_rad)
+    sine = np.sin(bearing_rad)
     design = np.stack([qx * sine - qy * cosine, qx * cosine + qy * sine, -sine, cosine], axis=2)
     robust = weight
     for _ in range(RESECTION_ROUNDS):
@@ -138,7 +139,8 @@ def resect(planes: Planes, xyz_m: F64, bearing_rad: F64, weight: F64, sense: int
             np.einsum("wni,wi->wn", design, np.concatenate([turn, turned_station], axis=1))
         )
         robust = weight / (1.0 + (residual / RESECTION_SCALE_M) ** 2)
-    c, s = turn[:, 0], turn[:, 1]
+    c = turn[:, 0]
+    s = turn[:, 1]
     station_x = c * turned_station[:, 0] - s * turned_station[:, 1]
     station_y = s * turned_station[:, 0] + c * turned_station[:, 1]
     ahead = (c[:, None] * cosine - s[:, None] * sine) * (qx - station_x[:, None])

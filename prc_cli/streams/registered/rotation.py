@@ -14,7 +14,8 @@ import numpy as np
 from prc_cli.core.types import F64
 from prc_cli.streams.registered.resection import Planes, Stations, fit_planes, resect
 
-SLOWEST_HZ, FASTEST_HZ = 4.0, 450.0
+SLOWEST_HZ = 4.0
+FASTEST_HZ = 450.0
 """Turns a second that are tried."""
 GRID = 140
 """Rates on the first, geometric grid."""
@@ -26,9 +27,13 @@ PIECE_LENGTHS_S = (0.004, 0.012, 0.03)
 """Lengths of pieces that are tried, the usual one first: a slow scanner needs longer ones."""
 REFINEMENTS = (0.04, 0.01, 0.0025, 0.0006)
 """Half widths of the finer grids, as a share of the rate."""
-CLEAR_CONTRAST, CLEAR_RESIDUAL_M, CLEAR_IN_FRONT = 10.0, 0.03, 0.98
+CLEAR_CONTRAST = 10.0
+CLEAR_RESIDUAL_M = 0.03
+CLEAR_IN_FRONT = 0.98
 """A rotation is clear beyond these."""
-LEAST_CONTRAST, MOST_RESIDUAL_M, LEAST_IN_FRONT = 4.0, 0.15, 0.9
+LEAST_CONTRAST = 4.0
+MOST_RESIDUAL_M = 0.15
+LEAST_IN_FRONT = 0.9
 """No rotation fits where one of these is not met: 0.29 m in an airborne strip, 0.1 m with times in steps of 100 us."""
 MOST_RATE_OFF = 1e-3
 """Rates of turns and of lines that differ by less are the same."""

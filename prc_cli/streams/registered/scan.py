@@ -144,7 +144,8 @@ class Scan:
 
 def down_bearings(knots: Knots) -> tuple[F64, float]:
     """Return the bearing of straight down at every knot (k,) [rad], and the cosine of the plane's tilt."""
-    first, second = knots.frame[:, 2, 0], knots.frame[:, 2, 1]
+    first = knots.frame[:, 2, 0]
+    second = knots.frame[:, 2, 1]
     return np.unwrap(np.arctan2(-second, -first)), float(np.median(np.hypot(first, second)))
 
 

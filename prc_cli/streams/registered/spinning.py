@@ -42,7 +42,8 @@ from prc_cli.streams.registered.turning import (
     turned,
 )
 
-SLOWEST_HZ, FASTEST_HZ = 3.0, 40.0
+SLOWEST_HZ = 3.0
+FASTEST_HZ = 40.0
 N_RATES = 90
 """Rates of the first search: steps of 3 %, over which a head turns 5 degrees amiss at the ends of a turn."""
 N_CLOSER = 17
@@ -64,7 +65,8 @@ SCALES_M = np.geomspace(1.0, 0.01, 25)
 """Residuals at which the weight of a point halves, for a fit that chooses among rings [m]."""
 FOLLOW_SCALES_M = (np.geomspace(1.0, 0.1, 6),) * 4 + (np.geomspace(0.1, 0.01, 5),) * 2
 """The same for rings that look ahead by different, known angles: every point follows the nearest of them [m]."""
-NEAR_M, WIDE_M = 0.03, 0.3
+NEAR_M = 0.03
+WIDE_M = 0.3
 MIN_CONTRAST = 6.0
 """Points near their half plane, for each expected from those around, if a window is to count: 1 = chance, at most 10;
 windows of a VLP-32C that follow a fifth of its rings reach 9, others 4."""
@@ -162,13 +164,15 @@ def _full(windows: Windows) -> Windows:
 
 
 def _coarse_rate(time_s: F64, xyz_m: F64, middle: F64) -> float | NoScan:
-    best, hz = math.inf, 0.0
+    best = math.inf
+    hz = 0.0
     n_full = 0
     for rate in np.geomspace(SLOWEST_HZ, FASTEST_HZ, N_RATES):
         score, n_windows = _misfit(time_s, xyz_m, middle, float(rate))
         n_full = max(n_full, n_windows)
         if score < best:
-            best, hz = score, float(rate)
+            best = score
+            hz = float(rate)
     if n_full < 2:
         return NoScan(f"turns have fewer than {MIN_POINTS} points")
     if not math.isfinite(best):
@@ -253,13 +257,15 @@ def _drift_hz(windows: Windows, poses: Poses, hz: float) -> float:
     bearing = np.exp(1j * np.arctan2(velocity[moving, 1], velocity[moving, 0]))
     since = windows.time_s[moving] - windows.time_s[moving].mean()
     # rings that look ahead by different angles: a window may follow any of them
-    most, step = MAX_RATE_ERROR * hz, 0.1 / max(float(np.ptp(since)), 1.0)
+    most = MAX_RATE_ERROR * hz
+    step = 0.1 / max(float(np.ptp(since)), 1.0)
     drift = 0.0
     for _ in range(3):
         grid = drift + np.arange(-most, most + step, step)
         agreement = np.abs((bearing * np.exp(2j * np.pi * grid[:, None] * since)).mean(axis=1))
         drift = float(grid[int(np.argmax(agreement))])
-        most, step = 2.0 * step, step / 10.0
+        most = 2.0 * step
+        step = step / 10.0
     return drift if agreement.max() > MIN_COHERENCE else 0.0
 
 
@@ -325,7 +331,8 @@ class Rings:
     def groups_rad(self) -> F64:
         """Return the angles by which rings look ahead, each once, about their mean, rising [rad]."""
         order = np.argsort(self.ahead_rad)
-        ahead, weight = self.ahead_rad[order], np.maximum(self.n_points[order], 1)
+        ahead = self.ahead_rad[order]
+        weight = np.maximum(self.n_points[order], 1)
         group = np.cumsum(np.diff(ahead, prepend=ahead[0]) > MIN_APART_RAD)
         total = np.bincount(group, weight)
         groups: F64 = np.bincount(group, weight * ahead) / total
@@ -387,7 +394,8 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
     windows = _full(cut_windows(time_s, xyz_m, middle, 1.0 / rate.hz, N_FITTED))
     azimuth = windows.azimuth(rate.hz, rate.origin_s)
     fit = lock(windows, azimuth)
-    windows, azimuth = windows.where(fit.is_locked), azimuth[fit.is_locked]
+    windows = windows.where(fit.is_locked)
+    azimuth = azimuth[fit.is_locked]
     if len(azimuth) < 2:
         return NoScan("no windows fit")
     poses = _with_heights(fit.poses.where(fit.is_locked), windows)
@@ -402,8 +410,12 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
         use = windows.use & (distance > nearest)
         if round_ == 0:
             agree = _agreeing(elevation, use, width_rad)
-            windows, poses, azimuth = windows.where(agree), poses.where(agree), azimuth[agree]
-            local, elevation, use = local[agree], elevation[agree], use[agree]
+            windows = windows.where(agree)
+            poses = poses.where(agree)
+            azimuth = azimuth[agree]
+            local = local[agree]
+            elevation = elevation[agree]
+            use = use[agree]
         peaks = _ring_elevations(elevation[use], width_rad)
         if len(peaks) < 2:
             return NoScan(f"{len(peaks)} rings, expected 2 or more: points of one plane")
@@ -428,14 +440,16 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
 def measure_rings(local_m: F64, number: I64, rings: Rings) -> Rings:
     """Measure the elevation of every ring anew from points whose rings are known."""
     elevation = np.arctan2(local_m[:, 2], np.hypot(local_m[:, 0], local_m[:, 1]))
-    tangent, spread = rings.tangent.copy(), rings.spread_rad.copy()
+    tangent = rings.tangent.copy()
+    spread = rings.spread_rad.copy()
     order = np.argsort(number, kind="stable")
     border = np.searchsorted(number[order], np.arange(rings.n_rings + 1))
     for ring in range(rings.n_rings):
         seen = elevation[order[border[ring] : border[ring + 1]]]
         if len(seen) >= MIN_RING_POINTS:
             middle = float(np.median(seen))
-            tangent[ring], spread[ring] = math.tan(middle), float(np.median(np.abs(seen - middle)))
+            tangent[ring] = math.tan(middle)
+            spread[ring] = float(np.median(np.abs(seen - middle)))
     return replace(rings, tangent=tangent, spread_rad=spread, n_points=np.diff(border))
 
 
@@ -479,7 +493,8 @@ def _with_heights(poses: Poses, windows: Windows) -> Poses:
     axis = poses.frame[:, :, 2]
     upright = np.where(np.abs(axis[:, 2]) > MIN_UPRIGHT, axis[:, 2], np.inf)
     level_m_s = -poses.velocity_m_s[:, 2] / upright
-    best, chosen = -math.inf, poses
+    best = -math.inf
+    chosen = poses
     for speed in (np.zeros(len(axis)), level_m_s):
         moving = replace(poses, velocity_m_s=poses.velocity_m_s + speed[:, None] * axis)
         local = moving.local(windows)
@@ -491,7 +506,8 @@ def _with_heights(poses: Poses, windows: Windows) -> Poses:
         sharpness = float(np.median([sharp for _, sharp in found]))
         if sharpness > best:
             height = np.array([height for height, _ in found])[:, None]
-            best, chosen = sharpness, replace(moving, station_m=moving.station_m + height * axis)
+            best = sharpness
+            chosen = replace(moving, station_m=moving.station_m + height * axis)
         if np.median(np.abs(level_m_s)) < SLOW_M_S:
             break
     return chosen
@@ -713,8 +729,10 @@ def _filled_middles(time_s: F64, middle: F64, length_s: float) -> F64:
     begin = np.searchsorted(time_s, middle - 0.5 * length_s)
     end = np.searchsorted(time_s, middle + 0.5 * length_s)
     middle, begin, end = middle[end > begin], begin[end > begin], end[end > begin]
-    first, last = time_s[begin], time_s[end - 1]
-    early, late = first - (middle - 0.5 * length_s), middle + 0.5 * length_s - last
+    first = time_s[begin]
+    last = time_s[end - 1]
+    early = first - (middle - 0.5 * length_s)
+    late = middle + 0.5 * length_s - last
     moved = np.where(early > late, first + 0.5 * length_s, last - 0.5 * length_s)
     middle = np.where(np.maximum(early, late) > FULL * length_s, moved, middle)
     ordered = np.sort(middle)
@@ -730,7 +748,8 @@ def _foretold_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
     before = -1
     for i in np.flatnonzero(fit.is_locked).tolist():
         axis = poses.frame[i, :, 2]
-        z, far = local[i, windows.use[i], 2], level[i, windows.use[i]]
+        z = local[i, windows.use[i], 2]
+        far = level[i, windows.use[i]]
         height: float | None = None
         if before >= 0 and (since := windows.time_s[i] - windows.time_s[before]) < LONGEST_STEP_S:
             foretold = (
@@ -770,7 +789,8 @@ def _steered(windows: Windows, azimuth: F64, poses: Poses, rings: Rings) -> Pose
     level = np.hypot(local[:, :, 0], local[:, :, 1])
     station = poses.station_m.copy()
     for i in range(len(station)):
-        z, far = local[i, windows.use[i], 2], level[i, windows.use[i]]
+        z = local[i, windows.use[i], 2]
+        far = level[i, windows.use[i]]
         height = _ring_height(z[:N_HEIGHT], far[:N_HEIGHT], 0.0, rings)
         station[i] += (0.0 if height is None else height) * poses.frame[i, :, 2]
     return replace(poses, station_m=station)
@@ -820,7 +840,8 @@ def _exchanged(path: HeadPath, index: I64, part: HeadPath) -> HeadPath:
         values[index] = new
         return values
 
-    old, new = path.poses, part.poses
+    old = path.poses
+    new = part.poses
     poses = Poses(
         put(old.station_m, new.station_m),
         put(old.velocity_m_s, new.velocity_m_s),
@@ -843,12 +864,14 @@ def _moved_on(path: HeadPath, windows: Windows) -> Poses:
     if not len(trusted):
         return path.poses
     behind = np.searchsorted(path.time_s[trusted], path.time_s)
-    left, right = trusted[np.maximum(behind - 1, 0)], trusted[np.minimum(behind, len(trusted) - 1)]
+    left = trusted[np.maximum(behind - 1, 0)]
+    right = trusted[np.minimum(behind, len(trusted) - 1)]
     is_left = path.time_s - path.time_s[left] < path.time_s[right] - path.time_s
     source = np.where(path.is_trusted, np.arange(len(path.time_s)), np.where(is_left, left, right))
     since = (path.time_s - path.time_s[source])[:, None]
     poses = path.poses
-    velocity, turning = poses.velocity_m_s[source], poses.rate_rad_s[source]
+    velocity = poses.velocity_m_s[source]
+    turning = poses.rate_rad_s[source]
     centre = windows.centre_m
     station = poses.station_m[source] + centre[source] - centre + since * velocity
     return Poses(station, velocity, poses.frame[source] @ rotations(since * turning), turning)

@@ -30,10 +30,12 @@ from prc_cli.streams.registered.spool import Spool
 PIECE_POINTS = 1 << 20
 """Points whose lines are found at once."""
 NO_COLUMN = -1
-LEAST_CLEAR, WORST_CLEAR = 0.9, 0.5
+LEAST_CLEAR = 0.9
+WORST_CLEAR = 0.5
 """Share of points that lie clearly on one ring, doubtful and refused below: half of them do by chance."""
 LEAST_STATIONS = 5
-COURSE_S, STANDS_M_S = 1.0, 0.2
+COURSE_S = 1.0
+STANDS_M_S = 0.2
 """The course is that over this time [s]; slower platforms keep it [m/s]."""
 _CELL = (
     ("scan_line", "i4"),
@@ -83,7 +85,8 @@ class SpinningDrive:
 
     def assumptions(self) -> tuple[Assumption, ...]:
         """Return what was found, for ``prc info`` and the run record."""
-        head, figures = self.heads[0], self.figures[0]
+        head = self.heads[0]
+        figures = self.figures[0]
         firing_hz = 1.0 / head.firings.period_s
         off = f"points lie {figures.residual_m:.3f} m off their beams (median)"
         told = [
@@ -148,10 +151,14 @@ class _Pass:
     def path(self, scanner: int, number: int) -> FoundPath:
         """Return the path, from the first to the last point, certain to what neighbouring windows scatter."""
         known_s = np.concatenate(self.time_s)
-        station, axis = np.concatenate(self.station_m), np.concatenate(self.axis)
+        station = np.concatenate(self.station_m)
+        axis = np.concatenate(self.axis)
         rising = np.flatnonzero(np.diff(known_s, prepend=-np.inf) > 0)
-        known_s, station, axis = known_s[rising], station[rising], axis[rising]
-        first_s, last_s = self.points_s[0], self.points_s[-1]
+        known_s = known_s[rising]
+        station = station[rising]
+        axis = axis[rising]
+        first_s = self.points_s[0]
+        last_s = self.points_s[-1]
         time_s = np.concatenate(
             [[first_s], known_s[(known_s > first_s) & (known_s < last_s)], [last_s]]
         )
@@ -227,7 +234,8 @@ def course_frames(time_s: F64, xyz_m: F64) -> F64:
     first = int(np.argmax(moves)) if moves.any() else 0
     place = np.where(last >= 0, last, first)
     course = moved[place] / np.maximum(length[place], 1e-9)[:, None]
-    zero, one = np.zeros(len(time_s)), np.ones(len(time_s))
+    zero = np.zeros(len(time_s))
+    one = np.ones(len(time_s))
     forward = np.stack([course[:, 0], course[:, 1], zero], axis=1)
     left = np.stack([-course[:, 1], course[:, 0], zero], axis=1)
     return np.stack([forward, left, np.stack([zero, zero, one], axis=1)], axis=2)
@@ -252,7 +260,9 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
     heads: list[SpinningHead] = []
     figures: list[PathFigures] = []
     paths: list[FoundPath] = []
-    n_points, n_lost, n_clear = 0, 0, 0
+    n_points = 0
+    n_lost = 0
+    n_clear = 0
     for scanner, points in sorted(spools.items()):
         head = find_head(*sample(points))
         if isinstance(head, NoScan):

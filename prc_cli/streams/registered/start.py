@@ -143,7 +143,8 @@ def _joined(parts: list[Stations]) -> Stations:
 
 def turned_back(frame: F64, back_rad: F64) -> F64:
     """Return frames (w, 3, 3) whose bearings are larger by some angles (w,)."""
-    cosine, sine = np.cos(back_rad)[:, None], np.sin(back_rad)[:, None]
+    cosine = np.cos(back_rad)[:, None]
+    sine = np.sin(back_rad)[:, None]
     first = cosine * frame[:, :, 0] - sine * frame[:, :, 1]
     second = sine * frame[:, :, 0] + cosine * frame[:, :, 1]
     return np.stack([first, second, frame[:, :, 2]], axis=2)
@@ -156,7 +157,9 @@ def trusted_windows(time_s: F64, stations: Stations) -> Mask:
     places = np.flatnonzero(fits)
     if len(places) < 3:
         return fits
-    frame, position, when = stations.frame[places], stations.position_m[places], time_s[places]
+    frame = stations.frame[places]
+    position = stations.position_m[places]
+    when = time_s[places]
     n = len(places)
     near = np.clip(np.arange(n)[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, n - 1)
     usual = _nearest_rotations(np.median(frame[near], axis=1))
@@ -213,7 +216,8 @@ def drift_hz(windows: Windows) -> float:
 
     A platform stays level on average, so in the frame of the beam straight down stays where it is.
     """
-    frame, when = windows.stations.frame[windows.trusted], windows.time_s[windows.trusted]
+    frame = windows.stations.frame[windows.trusted]
+    when = windows.time_s[windows.trusted]
     if len(when) < 4:
         return 0.0
     down = np.unwrap(np.arctan2(-frame[:, 2, 1], -frame[:, 2, 0]))

@@ -100,17 +100,24 @@ def rotations(vectors: F64) -> F64:
     angle = np.linalg.norm(vectors, axis=1)
     axis = vectors / np.maximum(angle, 1e-15)[:, None]
     cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    cross[:, 0, 1] = -axis[:, 2]
+    cross[:, 0, 2] = axis[:, 1]
+    cross[:, 1, 2] = -axis[:, 0]
     cross -= np.swapaxes(cross, 1, 2)
-    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    sine = np.sin(angle)[:, None, None]
+    versine = (1.0 - np.cos(angle))[:, None, None]
     matrices: F64 = np.eye(3) + sine * cross + versine * (cross @ cross)
     return matrices
 
 
 def _cross(first: F64, second: F64) -> F64:
     # np.cross takes several times as long
-    x, y, z = first[..., 0], first[..., 1], first[..., 2]
-    u, v, w = second[..., 0], second[..., 1], second[..., 2]
+    x = first[..., 0]
+    y = first[..., 1]
+    z = first[..., 2]
+    u = second[..., 0]
+    v = second[..., 1]
+    w = second[..., 2]
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
@@ -175,7 +182,8 @@ def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) ->
 
     The component of station and velocity along the axis stays 0: half planes through the axis do not tell it.
     """
-    cosine, sine = np.cos(azimuth)[:, :, None], np.sin(azimuth)[:, :, None]
+    cosine = np.cos(azimuth)[:, :, None]
+    sine = np.sin(azimuth)[:, :, None]
     since = windows.since_s[:, :, None]
     points = windows.xyz_m
     rows = np.concatenate(
@@ -238,7 +246,8 @@ def refine(
         (w, n) float64, tangent of the elevation of every point's ring; NaN = none. Without it, nothing tells the
         height along the axis: it stays as it is.
     """
-    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    cosine = np.cos(azimuth)
+    sine = np.sin(azimuth)
     zero = np.zeros_like(cosine)
     since = windows.since_s[:, :, None]
     side = np.stack([-sine, cosine, zero], axis=2)
@@ -246,7 +255,8 @@ def refine(
     prior = np.zeros(12)
     prior[6:9] = 1.0 / SPIN_RAD_S**2
     if slope is None:
-        prior[5], prior[11] = 1e4, 1e2
+        prior[5] = 1e4
+        prior[11] = 1e2
     for scale in scales_m:
         frame = poses.frame
         moved = poses.station_m[:, None, :] + since * poses.velocity_m_s[:, None, :]
@@ -266,7 +276,8 @@ def refine(
             across = np.stack([out * local[:, :, 0], out * local[:, :, 1], upright], axis=2)
             weight = known / (scale**2 + cone**2)
             second = _equations(still, turn_by(across, angle), since, cone, weight)
-            normal, gradient = normal + second[0], gradient + second[1]
+            normal = normal + second[0]
+            gradient = gradient + second[1]
         velocity = (poses.velocity_m_s[:, None, :] @ frame)[:, 0, :]
         unknown = np.concatenate([np.zeros((len(frame), 6)), poses.rate_rad_s, velocity], axis=1)
         gradient = gradient + prior * unknown

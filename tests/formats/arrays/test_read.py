@@ -68,10 +68,8 @@ def test_rows_that_are_rings_are_exchanged(
     tmp_path: Path, chunk: int, given: str, order: Literal["C", "F"]
 ) -> None:
     """Rings x azimuth was taken for lines: PRC, or refused."""
-    elevation, azimuth = (
-        np.deg2rad(np.linspace(-25, 2, 16))[:, None],
-        np.linspace(0, 2 * np.pi, 90)[None],
-    )
+    elevation = np.deg2rad(np.linspace(-25, 2, 16))[:, None]
+    azimuth = np.linspace(0, 2 * np.pi, 90)[None]
     ranges = (np.arange(16 * 90).reshape(16, 90) / 100 + 2).astype(np.float32)
     arrays: dict[str, Any] = {"range_m": ranges, "intensity": 2 * ranges}
     if given == "xyz":

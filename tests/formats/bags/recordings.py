@@ -14,7 +14,8 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.typesys import Stores, get_typestore
 
-N_LINES, M = 12, 40
+N_LINES = 12
+M = 40
 PERIOD_NS = 20_000_000
 START_NS = 1_700_000_000 * 10**9
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
@@ -46,7 +47,9 @@ def ranges(seed: int = 1) -> np.ndarray:
     rng = np.random.default_rng(seed)
     found = 4 + np.sin(np.linspace(0, 3, M)) + rng.normal(0, 0.01, (N_LINES, M))
     found[rng.random((N_LINES, M)) < 0.1] = np.inf
-    found[0, 3], found[1, 3], found[2, 3] = np.nan, 200.0, 0.0
+    found[0, 3] = np.nan
+    found[1, 3] = 200.0
+    found[2, 3] = 0.0
     return found.astype(np.float32)
 
 
@@ -178,7 +181,8 @@ def cloud(
     ]
     is_big = any(kind.str[0] == ">" for kind, *_ in table.dtype.fields.values())
     data = np.frombuffer(table.tobytes(), np.uint8)
-    step, width = table.dtype.itemsize, len(table) // height
+    step = table.dtype.itemsize
+    width = len(table) // height
     own = types["sensor_msgs/msg/PointCloud2"]
     head = header(STORES[version], time_ns, frame)
     return own(head, height, width, fields, is_big, step, step * width, data, True)

@@ -16,7 +16,9 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.streams.order import WatchedStream
 from tests.formats.bags import recordings as made
 
-N_LINES, N_RINGS, TURN_LINES = 400, 8, 200
+N_LINES = 400
+N_RINGS = 8
+TURN_LINES = 200
 TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 
 
@@ -28,7 +30,8 @@ def shots(seed: int = 5) -> dict[str, np.ndarray]:
     )
     range_m = rng.uniform(5, 6, N_LINES * N_RINGS)
     range_m[rng.random(len(range_m)) < 0.2] = np.nan
-    azimuth, elevation = -column * 2 * np.pi / TURN_LINES, np.deg2rad(-14 + 4 * ring)
+    azimuth = -column * 2 * np.pi / TURN_LINES
+    elevation = np.deg2rad(-14 + 4 * ring)
     flat = range_m * np.cos(elevation)
     xyz = np.stack(
         [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
@@ -113,7 +116,8 @@ def test_two_scanners_in_one_cloud_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_numbers_of_rings_may_have_gaps(tmp_path: Path, numbers: np.ndarray, note: str) -> None:
-    drive, path = shots(), tmp_path / "a.mcap"
+    drive = shots()
+    path = tmp_path / "a.mcap"
     stream = BagStream(record(path, drive, numbers), InputConfig())
     block = join(list(stream.blocks()))
     np.testing.assert_allclose(block.range_m, drive["range"].reshape(N_LINES, N_RINGS), rtol=1e-5)

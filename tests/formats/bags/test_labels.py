@@ -62,7 +62,8 @@ def clouds(version: int, point: list[tuple[str, str]]) -> list[made.Sent]:
 
 def echoes(version: int) -> list[made.Sent]:
     lists = [[3.0, 5.0], [], [7.0], [4.0, 9.0, 0.0], [200.0], []]
-    store, times = made.STORES[version], [made.START_NS + i * made.PERIOD_NS for i in range(3)]
+    store = made.STORES[version]
+    times = [made.START_NS + i * made.PERIOD_NS for i in range(3)]
     kind = "sensor_msgs/msg/MultiEchoLaserScan"
     return [made.Sent("/scan", kind, at, made.echoes(store, at, lists, lists)) for at in times]
 
@@ -76,8 +77,10 @@ def recorded(folder: Path, name: str, suffix: str, **options: Any) -> Path:
 
 def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
     """Write random classes of a bag; return those of every record."""
-    rng, rules = np.random.default_rng(seed), InputConfig(**options)
-    blocks, tally = [], ReadTally()
+    rng = np.random.default_rng(seed)
+    rules = InputConfig(**options)
+    blocks = []
+    tally = ReadTally()
     for block in BagStream(source, rules).blocks():
         labels = rng.choice(np.array(common.URBAN, np.uint8), block.range_m.shape)
         labels[np.isnan(block.range_m)] = Label.MISSING
@@ -123,7 +126,8 @@ def test_labels_read_back_equal_and_all_else_stays(tmp_path: Path, name: str, su
     output = out_folder(tmp_path) / f"drive{suffix}"
     codes = write(source, output)
     np.testing.assert_array_equal(read_codes(output), codes)
-    before, after = by_topic(source), by_topic(output)
+    before = by_topic(source)
+    after = by_topic(output)
     added = {name for name in after if name.endswith("/labels")}
     assert added == {f"{topic}/labels" for topic in before if topic in ("/scan", "/a", "/b")}
     for topic in set(before) - {"/points"}:
@@ -188,12 +192,14 @@ def test_other_readers_find_points_and_codes(tmp_path: Path, suffix: str) -> Non
 
 def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     table = np.zeros(6, np.dtype([*POINT, ("label", "<u2")]))
-    table["x"], table["label"] = np.arange(6), 7
+    table["x"] = np.arange(6)
+    table["label"] = 7
     message = made.cloud(2, 5, table, height=2)
     step = table.dtype.itemsize
     padded = np.zeros((2, 3 * step + 10), np.uint8)
     padded[:, : 3 * step] = np.frombuffer(table.tobytes(), np.uint8).reshape(2, -1)
-    message.data, message.row_step = padded.ravel(), 3 * step + 10
+    message.data = padded.ravel()
+    message.row_step = 3 * step + 10
     store = made.STORES[2]
     data = bytes(store.serialize_cdr(message, message.__msgtype__))
     found = store.deserialize_cdr(
@@ -210,7 +216,8 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
 def test_nothing_is_left_of_a_run_that_ends_early(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
-    source, folder = recorded(tmp_path, "lasers", suffix), out_folder(tmp_path)
+    source = recorded(tmp_path, "lasers", suffix)
+    folder = out_folder(tmp_path)
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -233,10 +240,12 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["ros/sick_lms1xx_ros1.bag", "cartographer/b0_short.bag"])
 def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
-    source, output = real_data / name, tmp_path / "out.bag"
+    source = real_data / name
+    output = tmp_path / "out.bag"
     codes = write(source, output)
     np.testing.assert_array_equal(read_codes(output), codes)
-    before, after = by_topic(source), by_topic(output)
+    before = by_topic(source)
+    after = by_topic(output)
     assert {topic: after[topic] for topic in before} == before
     assert ClassCodes().code(Label.GROUND) in codes
     with AnyReader([output]) as reader:
@@ -278,7 +287,8 @@ def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
     ],
 )
 def test_an_output_is_compressed_as_the_input_is(tmp_path: Path, suffix: str, packed: str) -> None:
-    source, output = tmp_path / f"in{suffix}", out_folder(tmp_path) / f"out{suffix}"
+    source = tmp_path / f"in{suffix}"
+    output = out_folder(tmp_path) / f"out{suffix}"
     if suffix == ".bag":
         made.write_bag(source, made.lasers(1), packed)
     elif suffix == ".mcap":
@@ -293,7 +303,8 @@ def test_an_output_is_compressed_as_the_input_is(tmp_path: Path, suffix: str, pa
 
 def test_a_recording_in_several_files_is_one_stream(tmp_path: Path) -> None:
     sent = made.lasers(2)
-    whole, folder = made.write_db3(tmp_path / "whole.db3", sent), tmp_path / "split"
+    whole = made.write_db3(tmp_path / "whole.db3", sent)
+    folder = tmp_path / "split"
     folder.mkdir()
     names = [
         made.write_db3(folder / f"rec_{i}.db3", sent[5 * i : 5 * i + 5]).name for i in range(3)

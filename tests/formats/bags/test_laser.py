@@ -38,7 +38,8 @@ def test_scans_with_a_beam_less_have_an_empty_cell(tmp_path: Path) -> None:
         tmp_path, [(row[: made.M - k % 3], {}) for k, row in enumerate(ranges)]
     )
     wanted = clean(ranges)
-    wanted[1::3, -1:], wanted[2::3, -2:] = np.nan, np.nan
+    wanted[1::3, -1:] = np.nan
+    wanted[2::3, -2:] = np.nan
     np.testing.assert_array_equal(block.range_m, wanted)
     n_beams = [made.M - k % 3 for k in range(made.N_LINES)]
     assert block.records()[-1, 0] == sum(n_beams[:-1])

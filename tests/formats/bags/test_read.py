@@ -50,7 +50,8 @@ def read(path: Path, **changes: Any) -> tuple[BagStream, list[ScanBlock]]:
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_container_gives_the_same_lines(tmp_path: Path, name: str) -> None:
     stream, blocks = read(WRITERS[name](tmp_path / name))
-    block, sent = join(blocks), made.ranges()
+    block = join(blocks)
+    sent = made.ranges()
     wanted = np.where((sent >= 0.1) & (sent <= 100.0), sent, np.nan)
     np.testing.assert_array_equal(block.range_m, wanted)
     np.testing.assert_array_equal(block.records(), np.arange(sent.size).reshape(sent.shape))
@@ -199,7 +200,8 @@ def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
 
 
 def test_set_ups_that_change_are_refused(tmp_path: Path) -> None:
-    store, sent = made.STORES[2], made.lasers(2)
+    store = made.STORES[2]
+    sent = made.lasers(2)
     later = made.START_NS + 40 * made.PERIOD_NS
     for changes, expected in (
         (
@@ -295,11 +297,15 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(
     (path,) = (real_data / "ros" / name).glob("*.db3")
     stream, blocks = read(path, **{"return": "last"})
     block = join(blocks)
-    n_lasers, order, unit, per_packet = 16, list(range(0, 16, 2)) + list(range(1, 16, 2)), 0.002, 12
+    n_lasers = 16
+    order = list(range(0, 16, 2)) + list(range(1, 16, 2))
+    unit = 0.002
+    per_packet = 12
     rows = []
     bag = Bag(path)
     for message in bag.messages(bag.counts):
-        data, at = message.data, 4
+        data = message.data
+        at = 4
         at += 8 + 4 + struct.unpack_from("<I", data, at + 8)[0]
         at += -(at - 4) % 4
         (n,) = struct.unpack_from("<I", data, at)
@@ -323,7 +329,8 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(
                 rows += [
                     [_two(packet, start, range(15, -1, -1), 4) for start in two] for two in starts
                 ]
-                unit, per_packet = 0.004, 4
+                unit = 0.004
+                per_packet = 4
     distance = np.array(rows, np.float64) * unit
     assert distance.shape == (block.n_lines, 2, n_lasers)
     farther = distance.max(axis=1)
@@ -359,7 +366,8 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
 ) -> None:
     """The points beside a bag are those of one of its scans, as tier4/nebula decodes them (VLS-128: of another bag)."""
     folder = real_data / "nebula" / name
-    (path,), (cloud,) = folder.glob("*.db3"), folder.glob("*.pcd")
+    (path,) = folder.glob("*.db3")
+    (cloud,) = folder.glob("*.pcd")
     block = join(read(path)[1])
     assert block.points_per_line == m
     assert float(np.isnan(block.range_m).mean()) == pytest.approx(missing, abs=1e-3)
@@ -390,7 +398,8 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     at = np.concatenate([azimuth.ravel(), azimuth[block.extra.line, block.extra.column]])
     off: list[float] = []
     for number, one in enumerate(rings):
-        mine, its = (ring == one) & np.isfinite(ranges), np.flatnonzero(nearest == number)[::20]
+        mine = (ring == one) & np.isfinite(ranges)
+        its = np.flatnonzero(nearest == number)[::20]
         # cells by their range in millimetres, then the one of the nearest azimuth
         order = np.argsort(ranges[mine])
         low, high = (np.searchsorted(ranges[mine][order], length[its] + by) for by in (-1e-3, 1e-3))
@@ -408,7 +417,9 @@ def _two(packet: bytes, at: int, order: Any, step: int) -> list[int]:
 def test_packets_of_a_message_have_records_of_their_own(tmp_path: Path) -> None:
     topic = Topic("/packets", VELODYNE, is_cdr=False)
     reader = _TopicReader(tmp_path / "a.bag", topic, {}, InputConfig())
-    packets, record, blocks = vlp16(6), 0, []
+    packets = vlp16(6)
+    record = 0
+    blocks = []
     for first in (0, 3):
         body = b"".join(struct.pack("<II", 9, n) + packets[first + n] for n in range(3))
         data = struct.pack("<IIII", 0, 9, 0, 3) + b"vlp" + struct.pack("<I", 3) + body
@@ -433,7 +444,8 @@ def drive(n: int = 300, m: int = 8, seed: int = 5) -> dict[str, np.ndarray]:
     range_m[rng.random(n * m) < 0.2] = np.nan
     order = np.array([0, 4, 1, 5, 2, 6, 3, 7])
     time_s = column * 5e-4 + order[ring] * 5e-5
-    azimuth, elevation = time_s * 2 * np.pi / 0.1, np.deg2rad(-14 + 4 * ring)
+    azimuth = time_s * 2 * np.pi / 0.1
+    elevation = np.deg2rad(-14 + 4 * ring)
     flat = range_m * np.cos(elevation)
     xyz = np.stack(
         [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
@@ -517,7 +529,8 @@ def test_a_cloud_has_the_cells_of_its_packets(real_data: Path, tmp_path: Path, n
 
 def _equal(a: np.ndarray, b: np.ndarray, k: int) -> float:
     """Share of shots that are the same where one image is k lines behind the other."""
-    a, b = a[max(k, 0) :], b[max(-k, 0) :]
+    a = a[max(k, 0) :]
+    b = b[max(-k, 0) :]
     n = min(len(a), len(b))
     has = np.isfinite(a[:n]) | np.isfinite(b[:n])
     # the beams of an Ouster begin 16 mm beside the origin of its coordinates

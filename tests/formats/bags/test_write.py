@@ -39,10 +39,12 @@ def whole(path: Path) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_lines_of_a_profiler_come_back_bit_for_bit(tmp_path: Path, suffix: str) -> None:
     settings = load_settings("street", options=WALK)
-    bag, archive = tmp_path / f"walk{suffix}", tmp_path / "walk.npz"
+    bag = tmp_path / f"walk{suffix}"
+    archive = tmp_path / "walk.npz"
     simulate("street", bag, settings)
     simulate("street", archive, settings)
-    expected, found = np.load(archive), whole(bag)
+    expected = np.load(archive)
+    found = whole(bag)
     assert np.array_equal(found["range_m"], expected["range_m"], equal_nan=True)
     assert np.array_equal(found["intensity"], expected["intensity"], equal_nan=True)
     assert found["time_s"] == pytest.approx(expected["time_s"], abs=2e-8)
@@ -55,7 +57,8 @@ def test_lines_of_a_profiler_come_back_bit_for_bit(tmp_path: Path, suffix: str) 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_simulated_scanner_is_classified_and_compared(tmp_path: Path, suffix: str) -> None:
-    bag, labels = tmp_path / f"spin{suffix}", tmp_path / "labels.npy"
+    bag = tmp_path / f"spin{suffix}"
+    labels = tmp_path / "labels.npy"
     made = simulate("street", bag, load_settings("street", options=SPIN))
     done = runner().invoke(cli, ["classify", str(bag), str(labels), "-q"])
     assert done.exit_code in (0, 4), done.output
@@ -73,7 +76,8 @@ def test_clouds_have_the_shots_in_the_order_of_their_times(tmp_path: Path) -> No
     with AnyReader([bag]) as reader:
         (connection,) = reader.connections
         assert (connection.topic, connection.msgtype) == ("/points", "sensor_msgs/msg/PointCloud2")
-        times, codes = [], []
+        times = []
+        codes = []
         for _, _, data in reader.messages():
             cloud = reader.deserialize(data, connection.msgtype)
             assert [field.name for field in cloud.fields] == [
@@ -102,10 +106,12 @@ def test_clouds_have_the_shots_in_the_order_of_their_times(tmp_path: Path) -> No
 
 def test_staggered_rings_are_put_back_into_their_lines(tmp_path: Path) -> None:
     settings = load_settings("street", options=SPIN)
-    bag, archive = tmp_path / "spin.mcap", tmp_path / "spin.npz"
+    bag = tmp_path / "spin.mcap"
+    archive = tmp_path / "spin.npz"
     simulate("street", bag, settings)
     simulate("street", archive, settings)
-    expected, found = np.load(archive)["range_m"], whole(bag)["range_m"]
+    expected = np.load(archive)["range_m"]
+    found = whole(bag)["range_m"]
     # firings of the first and last lines, whose other rings were not fired
     inner = found[6:-6]
     assert np.array_equal(np.isnan(inner), np.isnan(expected))
@@ -117,10 +123,8 @@ def test_an_archive_of_a_spinning_scanner_is_in_order(tmp_path: Path) -> None:
     done = runner().invoke(cli, ["info", str(tmp_path / "spin.npz")])
     assert "yes, rings can classify it" in done.output
     convert(tmp_path / "spin.npz", tmp_path / "again.bag", load_config())
-    expected, found = (
-        np.load(tmp_path / "spin.npz")["range_m"],
-        whole(tmp_path / "again.bag")["range_m"],
-    )
+    expected = np.load(tmp_path / "spin.npz")["range_m"]
+    found = whole(tmp_path / "again.bag")["range_m"]
     assert np.count_nonzero(~np.isnan(found)) == np.count_nonzero(~np.isnan(expected))
 
 
@@ -132,7 +136,8 @@ def test_what_no_message_can_hold(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="which it holds itself"):
         settings = load_settings("street", options=WALK)
         simulate("street", tmp_path / "a.bag", settings, beside=Beside(labels=tmp_path / "a.npy"))
-    n, m = 6, 300
+    n = 6
+    m = 300
     angle = np.linspace(-1.0, 1.0, m) ** 3
     np.savez(
         tmp_path / "uneven.npz",
@@ -167,9 +172,11 @@ def test_shots_without_a_time_lie_between_others(tmp_path: Path, suffix: str) ->
     def change(time_s: np.ndarray) -> None:
         time_s[3, :5] = time_s[3, -7:] = time_s[4, 100] = np.nan
 
-    source, bag = with_times(tmp_path, change), tmp_path / f"o{suffix}"
+    source = with_times(tmp_path, change)
+    bag = tmp_path / f"o{suffix}"
     convert(source, bag, load_config(options={"input": {"order": "trust"}}))
-    found, expected = whole(bag)["time_s"], np.load(source)["time_s"]
+    found = whole(bag)["time_s"]
+    expected = np.load(source)["time_s"]
     known = np.isfinite(expected)
     assert found[known] == pytest.approx(expected[known], abs=2e-8)
 

@@ -45,7 +45,8 @@ def read(source: RecordSource, names: tuple[str, ...]) -> dict[str, Array]:
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
-    path, made = tmp_path / "a.ply", columns()
+    path = tmp_path / "a.ply"
+    made = columns()
     path.write_bytes(ply(made, form))
     source = opened(path)
     assert source.n_records == N
@@ -209,7 +210,8 @@ def test_the_profiler_of_ign(real_data: Path, number: int) -> None:
 
 
 DATA = ("ascii", "binary", "binary_compressed")
-N_LINES, M = 13, 40
+N_LINES = 13
+M = 40
 
 
 def pcd_columns() -> dict[str, Array]:

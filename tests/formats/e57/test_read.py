@@ -87,7 +87,8 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
 def test_chunks_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int
 ) -> None:
-    points, other = grid_points(9, 7), grid_points(4, 12, 2)
+    points = grid_points(9, 7)
+    other = grid_points(4, 12, 2)
     fields = [reordered(e57_fields(points), order) for order in orders(points).values()]
     scans = [Scan(item, rotation=(0.8, 0.4, 0.2, 0.4)) for item in (*fields, e57_fields(other))]
     path = write_e57(tmp_path / "a.e57", scans)
@@ -263,7 +264,8 @@ def same(left: Any, right: Any) -> bool:
 def test_ranges_and_intensities_come_back_bit_for_bit(tmp_path: Path, further: bool) -> None:
     blocks = [block(first, 1, further=further) for first in (0, 6, 12)]
     assert write(tmp_path / "a.e57", blocks, returns=further) == ()
-    before, after = join(blocks), join(list(open_stream(tmp_path / "a.e57").blocks()))
+    before = join(blocks)
+    after = join(list(open_stream(tmp_path / "a.e57").blocks()))
     assert same(before.range_m, after.range_m)
     assert same(before.intensity, after.intensity)
     assert same(np.sort(before.extra.range_m), np.sort(after.extra.range_m))

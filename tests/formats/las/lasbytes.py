@@ -48,9 +48,14 @@ def n_points(data: bytes) -> int:
 
 def parse(path: Path) -> Parsed:
     data = path.read_bytes()
-    size, start, n_vlrs = field(data, 94, "H"), field(data, 96, "I"), field(data, 100, "I")
-    length, form, compressed = field(data, 105, "H"), data[104] & 0x3F, bool(data[104] & 0x80)
-    vlrs, at = [], size
+    size = field(data, 94, "H")
+    start = field(data, 96, "I")
+    n_vlrs = field(data, 100, "I")
+    length = field(data, 105, "H")
+    form = data[104] & 0x3F
+    compressed = bool(data[104] & 0x80)
+    vlrs = []
+    at = size
     for _ in range(n_vlrs):
         end = at + 54 + field(data, at + 20, "H")
         vlrs.append(data[at:end])

@@ -32,13 +32,15 @@ def nodes(path: Path) -> dict[tuple[int, int, int, int], int]:
 @pytest.mark.parametrize("point_format", [6, 7, 8])
 @pytest.mark.parametrize("two_pages", [False, True])
 def test_the_index_stays_valid(tmp_path: Path, point_format: int, two_pages: bool) -> None:
-    source, output = tmp_path / "in.copc.laz", tmp_path / "out.copc.laz"
+    source = tmp_path / "in.copc.laz"
+    output = tmp_path / "out.copc.laz"
     points = make_copc(source, point_format, two_pages=two_pages)
     labels = random_labels(len(points))
     record = write(output, source, record_blocks(labels))
     assert not any("COPC" in text for text in record.notices)
     assert nodes(output) == nodes(source)
-    old, new = laspy.read(str(source)), laspy.read(str(output))
+    old = laspy.read(str(source))
+    new = laspy.read(str(output))
     assert not np.array_equal(old.classification, new.classification)
     classes = np.array(new.classification)
     for name in old.point_format.dimension_names:
@@ -64,7 +66,8 @@ def test_the_index_stays_valid(tmp_path: Path, point_format: int, two_pages: boo
 
 
 def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
-    source, output = tmp_path / "in.copc.laz", tmp_path / "out.laz"
+    source = tmp_path / "in.copc.laz"
+    output = tmp_path / "out.laz"
     n = len(make_copc(source))
     data = bytearray(source.read_bytes())
     las = read_header(source)
@@ -97,7 +100,8 @@ def make_copc(
     """Write an octree of two levels; returns the points in file order."""
     rng = np.random.default_rng(seed)
     header = laspy.LasHeader(version="1.4", point_format=point_format)
-    header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.zeros(3)
     las = laspy.LasData(header)
     las.xyz = rng.uniform(0, 16, (n, 3))
     las.gps_time = np.sort(rng.uniform(0, 9, n))
@@ -108,7 +112,8 @@ def make_copc(
     cell = (las.x >= 8).astype(int) + 2 * (las.y >= 8) + 4 * (las.z >= 8) + 1
     cell[rng.random(n) < 0.1] = 0
     order = np.argsort(cell, kind="stable")
-    points, cell = las.points.array[order], cell[order]
+    points = las.points.array[order]
+    cell = cell[order]
     sizes = np.bincount(cell, minlength=9)
     vlr = lazrs.LazVlr.new_for_compression(point_format, 0, True)
     header.vlrs.append(laspy.VLR("copc", 1, "copc info", bytes(160)))
@@ -116,7 +121,8 @@ def make_copc(
     header.are_points_compressed = True
     header.point_count = n
     header.number_of_points_by_return = np.bincount(las.return_number, minlength=16)[1:16]
-    header.mins, header.maxs = las.xyz.min(axis=0), las.xyz.max(axis=0)
+    header.mins = las.xyz.min(axis=0)
+    header.maxs = las.xyz.max(axis=0)
     out = io.BytesIO()
     header.write_to(out)
     start = out.tell()

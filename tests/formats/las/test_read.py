@@ -30,7 +30,8 @@ def make(path: Path, point_format: int = 6, n: int = 200, **kwargs: Any) -> lasp
     """Write a file with every dimension filled at random; returns what laspy holds."""
     version = kwargs.pop("version", VERSION[point_format])
     header = laspy.LasHeader(point_format=point_format, version=version)
-    header.scales, header.offsets = np.array([0.001, 0.002, 0.01]), np.array([1000.0, -5.0, 0.5])
+    header.scales = np.array([0.001, 0.002, 0.01])
+    header.offsets = np.array([1000.0, -5.0, 0.5])
     for extra in kwargs.pop("extra", ()):
         header.add_extra_dim(extra)
     for vlr in kwargs.pop("vlrs", ()):
@@ -120,10 +121,8 @@ def test_spared_intensity_is_there_wherever_it_may_decide(
         return_number=np.minimum(number, 1),
         number_of_returns=number,
     )
-    source, plain = (
-        LasSource(tmp_path / "drive.laz", 33_333),
-        LasSource(tmp_path / "drive.laz", 33_333),
-    )
+    source = LasSource(tmp_path / "drive.laz", 33_333)
+    plain = LasSource(tmp_path / "drive.laz", 33_333)
     source.skip_intensity()
     names = ("time", "number_of_returns", "intensity")
     chunks = list(source.chunks(names))
@@ -428,12 +427,11 @@ def test_any_damage_ends_in_one_line_or_in_records(
     try:
         source = LasSource(path)
         source.describe()
-        n_read, n_promised = (
-            sum(chunk.n for chunk in source.chunks(source.dimensions)),
-            source.n_records,
-        )
+        n_read = sum(chunk.n for chunk in source.chunks(source.dimensions))
+        n_promised = source.n_records
     except InputError as error:
-        n_read, n_promised = str(error).count("\n"), 0
+        n_read = str(error).count("\n")
+        n_promised = 0
     assert n_read == n_promised
 
 

@@ -62,7 +62,8 @@ def rewrite(
 @pytest.mark.parametrize(("before", "after"), [(".las", ".laz"), (".laz", ".las")])
 @pytest.mark.parametrize("form", range(11))
 def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: str) -> None:
-    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    source = tmp_path / f"in{before}"
+    output = tmp_path / f"out{after}"
     minor = 4 if form in (1, 5, 6, 7, 8, 9, 10) else None
     old = make_las(
         source,
@@ -91,7 +92,8 @@ def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: s
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 @pytest.mark.parametrize("form", range(6))
 def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: str) -> None:
-    source, output = tmp_path / "in.las", tmp_path / f"out{suffix}"
+    source = tmp_path / "in.las"
+    output = tmp_path / f"out{suffix}"
     old = make_las(
         source, form, raw_points=True, vlrs=VLRS[1:], user_bytes=b"user", header_user_bytes=b"mine"
     )
@@ -120,7 +122,8 @@ def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: st
 
 
 def _same_dimensions(source: Path, output: Path, form: int) -> None:
-    old, new = laspy.read(source), laspy.read(output)
+    old = laspy.read(source)
+    new = laspy.read(output)
     for name in old.point_format.dimension_names:
         if name in ("classification", "scan_angle_rank"):
             continue
@@ -153,7 +156,8 @@ def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("after", [".las", ".laz"])
 @pytest.mark.parametrize("before", [".las", ".laz"])
 def test_foreign_bytes_behind_the_points_are_kept(tmp_path: Path, before: str, after: str) -> None:
-    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    source = tmp_path / f"in{before}"
+    output = tmp_path / f"out{after}"
     make_las(source, 6, gap=b"foreign bytes, no record of any kind", evlrs=EVLRS)
     rewrite(source, output)
     data = output.read_bytes()
@@ -165,7 +169,8 @@ def test_foreign_bytes_behind_the_points_are_kept(tmp_path: Path, before: str, a
 @pytest.mark.parametrize("after", [".las", ".laz"])
 def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str) -> None:
     """laszip's third version mixes up waveform packets of several scanner channels."""
-    source, output = tmp_path / "in.las", tmp_path / f"out{after}"
+    source = tmp_path / "in.las"
+    output = tmp_path / f"out{after}"
     old = make_las(source, 9, raw_points=True)
     start = field(old.data, 96, "I")
     data = bytearray(old.data)
@@ -191,7 +196,8 @@ def test_a_changed_input_is_noticed(tmp_path: Path) -> None:
 
 
 def test_a_record_too_long_for_a_vlr_is_shortened_there_only(tmp_path: Path) -> None:
-    source, output = tmp_path / "in.las", tmp_path / "out.las"
+    source = tmp_path / "in.las"
+    output = tmp_path / "out.las"
     make_las(source, 6)
     record = run_record(config={"key": "x" * 70_000})
     write(output, source, record_blocks(random_labels(300)), record)
@@ -219,7 +225,8 @@ def test_a_real_file_with_its_own_classes_comes_back_whole(real_data: Path, tmp_
     ]
     write(tmp_path / "out.laz", source, record_blocks(labels, 500), codes=codes)
     new = parse(tmp_path / "out.laz")
-    start, new_start = field(old.data, 96, "I"), field(new.data, 96, "I")
+    start = field(old.data, 96, "I")
+    new_start = field(new.data, 96, "I")
     assert new.data[new_start + 8 :] == old.data[start + 8 :]
 
 
@@ -276,7 +283,8 @@ def test_copies_hold_them_and_all_else_stays(tmp_path: Path, form: int, suffix: 
     write(tmp_path / f"out{suffix}", tmp_path / f"in{suffix}", stems(), user_names=NAMES)
     write(tmp_path / f"plain{suffix}", tmp_path / f"in{suffix}", stems(), user_names={})
     assert entries(tmp_path / f"out{suffix}") == NAMES
-    out, plain = parse(tmp_path / f"out{suffix}"), parse(tmp_path / f"plain{suffix}")
+    out = parse(tmp_path / f"out{suffix}")
+    plain = parse(tmp_path / f"plain{suffix}")
     ours = [vlr for vlr in out.vlrs if vlr[2:].startswith(b"LASF_Spec\0") and vlr[18:20] == b"\0\0"]
     assert len(ours) == 1
     assert ours[0][54:] == b"".join(
@@ -312,7 +320,8 @@ def test_another_name_gives_way_and_is_told(tmp_path: Path) -> None:
 
 
 SOURCE = Path("drive.bin")
-LINES, M = 12, 30
+LINES = 12
+M = 30
 
 
 def stream(seed: int = 0, **fields: Any) -> tuple[list[LabelledBlock], np.ndarray, np.ndarray]:
@@ -395,7 +404,8 @@ def test_bytes_do_not_depend_on_blocks_or_batches(
 def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
     tmp_path: Path, before: str, after: str
 ) -> None:
-    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    source = tmp_path / f"in{before}"
+    output = tmp_path / f"out{after}"
     vlrs = (
         vlr_bytes(b"LASF_Projection", 2112, b"PROJCS[\xe9]\0"),
         vlr_bytes(b"M\xfcller", 77, bytes(range(256))),

@@ -139,7 +139,8 @@ def test_chunks_whose_heads_lie_are_left_to_the_decoder(
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, suffix: str) -> None:
-    source, output = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    source = tmp_path / f"in{suffix}"
+    output = tmp_path / f"out{suffix}"
     make_las(source, 6)
     with (
         pytest.raises(InputError, match="changed while it was read"),
@@ -154,18 +155,17 @@ def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, s
 
 def random_laz(path: Path, rng: np.random.Generator) -> None:
     """Any format, chunk size and records: rare return numbers such as 0 of 0, runs of channels and of classes."""
-    form, n, extra = (
-        int(rng.choice([6, 7, 8])),
-        int(rng.choice([1, 2, 49, 50, 51, 300])),
-        bool(rng.integers(2)),
-    )
+    form = int(rng.choice([6, 7, 8]))
+    n = int(rng.choice([1, 2, 49, 50, 51, 300]))
+    extra = bool(rng.integers(2))
     evlrs = [evlr_bytes(b"nobody", 5, b"abc" * 9)] if rng.integers(2) else []
     plain = path.with_suffix(".las")
     make_las(
         plain, form, n=n, seed=int(rng.integers(1000)), extra=extra, evlrs=evlrs, raw_points=True
     )
     data = bytearray(plain.read_bytes())
-    start, length = field(bytes(data), 96, "I"), field(bytes(data), 105, "H")
+    start = field(bytes(data), 96, "I")
+    length = field(bytes(data), 105, "H")
     records: Raw = np.frombuffer(data, np.uint8)[start : start + n * length].reshape(n, length)
     records[:, 14] = rng.choice([0x11, 0x21, 0x22, 0x00, 0x01, 0x10, 0x12, 0xFF], n)
     records[:, 15] = np.repeat(rng.integers(0, 4, n) << 4, 10)[:n]

@@ -137,7 +137,8 @@ def hesai(
     start, size, channels, n_blocks, head, shot, mode_at, time_at = HESAI[name]
     rng = np.random.default_rng(5)
     returns = 2 if mode == 0x39 else 1
-    packets, every = [], []
+    packets = []
+    every = []
     for i in range(n):
         packet = bytearray(size)
         packet[: len(start)] = start

@@ -230,7 +230,8 @@ def compare(block: ScanBlock, points: np.ndarray, turned_deg: float, off_m: floa
     has = np.isfinite(block.range_m)
     assert has.sum() == len(points)
     for ring in range(block.points_per_line):
-        mine, of = has[:, ring], points[:, 6] == ring
+        mine = has[:, ring]
+        of = points[:, 6] == ring
         assert mine.any() == of.any()
         xyz = block.xyz_m[mine, ring]
         off = np.arctan2(-xyz[:, 0], xyz[:, 1]) - np.arctan2(points[of, 1], points[of, 0])
@@ -260,7 +261,8 @@ def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path: Path, model: in
             json.dumps({"num_lasers": 64, "distance_resolution": 0.002, "lasers": lasers})
         )
         config.calibration = velodyne_decoder.Calibration.read(str(calibration))
-        config.model, changes = velodyne_decoder.Model.HDL64E_S2, {"metadata": str(calibration)}
+        config.model = velodyne_decoder.Model.HDL64E_S2
+        changes = {"metadata": str(calibration)}
     _, block = read(path, max_gap_lines=10**6, **changes)
     points = np.concatenate([points for _, points in velodyne_decoder.read_pcap(str(path), config)])
     compare(block, points, 0.2, 0.02)
@@ -332,7 +334,8 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
     assert block.xyz_m is not None
     has = np.isfinite(block.range_m)
     for ring in np.unique(points[:, 6]).astype(int):
-        mine, of = has[:, ring], points[:, 6] == ring
+        mine = has[:, ring]
+        of = points[:, 6] == ring
         # beams do not begin on the axis: up to 12 mm (VLP-16) and 18 mm (HDL-32E) in height
         np.testing.assert_allclose(block.xyz_m[mine, ring, 2], points[of, 2], atol=0.018)
         assert np.ptp(block.time_s[mine, ring] - device[of]) < 2e-6
@@ -348,7 +351,8 @@ def test_the_ouster_sample_is_decoded_cell_by_cell(real_data: Path, tmp_path: Pa
     """Against a plain loop over the bytes of every packet, and the sensor's own destaggering."""
     path = real_data / "pcap" / "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
     table = json.loads(path.with_suffix(".json").read_text())
-    data, at = path.read_bytes(), 24
+    data = path.read_bytes()
+    at = 24
     image = np.zeros((3, 128, 1024), np.int64)
     stamp = np.zeros((3, 1024), np.int64)
     first = None

@@ -15,7 +15,8 @@ from prc_cli.streams.open import open_input
 def write(path: Path, n_turns: int) -> Path:
     """Sixteen rings, 360 firing columns a turn, in the order of their times."""
     column, ring = (index.ravel() for index in np.indices((360 * n_turns, 16)))
-    azimuth, elevation = np.deg2rad(column + 0.25), np.deg2rad(2.0 * ring - 15)
+    azimuth = np.deg2rad(column + 0.25)
+    elevation = np.deg2rad(2.0 * ring - 15)
     range_m = 8 + np.sin(3 * azimuth)
     flat = range_m * np.cos(elevation)
     xyz = np.stack(

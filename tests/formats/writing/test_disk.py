@@ -67,7 +67,8 @@ def test_records_are_read_in_any_order(
     monkeypatch.setattr(module, "PAGE_BYTES", page_bytes)
     kind = np.dtype([("x", "<f8"), ("code", "<i4")])
     rows = np.zeros(1000, kind)
-    rows["x"], rows["code"] = np.arange(1000) / 7, np.arange(1000)
+    rows["x"] = np.arange(1000) / 7
+    rows["code"] = np.arange(1000)
     wanted = np.array([[990, 1, -1, 2, 500], [1000, 7, 8, 501, 1]])
     expected = np.where((wanted >= 0) & (wanted < 1000), wanted, -5)
     with module.DiskColumn(tmp_path / "rows", kind, (np.nan, -5)) as column:

@@ -24,7 +24,8 @@ from prc_cli.jobs.classify import classify
 from prc_cli.jobs.simulate import simulate
 from prc_cli.simulation.settings import load_settings
 
-LINES, M = 30, 200
+LINES = 30
+M = 200
 SETTINGS = {"scanner": {"points_per_line": M}, "lines": LINES, "trajectory": {"stop_every_m": 0.0}}
 
 
@@ -114,7 +115,8 @@ def test_every_stream(tmp_path: Path, suffix: str) -> None:
     "suffix", sorted(set(by_suffix("labels")) - {".las", ".laz", ".bag", ".mcap", ".db3"})
 )
 def test_labels(tmp_path: Path, suffix: str) -> None:
-    source, path = tmp_path / "in.npz", tmp_path / f"o{suffix}"
+    source = tmp_path / "in.npz"
+    path = tmp_path / f"o{suffix}"
     simulate("street", source, load_settings("street", options=SETTINGS))
     classify(
         source,

@@ -83,7 +83,8 @@ def config() -> LoadedConfig:
 def tasks_in(folder: Path, lines: dict[str, int], m: int = M) -> list[Task]:
     tasks = []
     for seed, (name, n_lines) in enumerate(lines.items()):
-        source, output = folder / "in" / name, folder / "out" / f"{name}.labels.npy"
+        source = folder / "in" / name
+        output = folder / "out" / f"{name}.labels.npy"
         source.parent.mkdir(parents=True, exist_ok=True)
         output.parent.mkdir(parents=True, exist_ok=True)
         if not source.exists():
@@ -169,8 +170,10 @@ def test_file_that_hangs_is_given_up(
 ) -> None:
     tasks = tasks_in(tmp_path, {"hangs.npy": 20, **{f"{i}.npy": 20 for i in range(4)}})
     load_classifier(config())  # compiling loops is no progress either
-    real, let_go = dask_engine.run_item, threading.Event()
-    stall_s, ahead_s = 1e5, iter(range(0, 10**12, 200_000))
+    real = dask_engine.run_item
+    let_go = threading.Event()
+    stall_s = 1e5
+    ahead_s = iter(range(0, 10**12, 200_000))
     found: dict[str, Done | Failed] = {}
 
     def clock() -> float:
@@ -239,7 +242,8 @@ def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_pa
     (task,) = tasks_in(tmp_path, {"a.npy": 20})
 
     class Lost:
-        status, n_callbacks = "finished", 0
+        status = "finished"
+        n_callbacks = 0
 
         def result(self, timeout: float) -> Any:
             raise TimeoutError

@@ -302,7 +302,8 @@ def test_random_damage_is_one_clear_error_or_none(folder: Path, tmp_path: Path, 
             journal.start(task(f"{number}.laz"), "worker")
             journal.finish(failed(f"{number}.laz") if number % 3 else done(f"{number}.laz"))
         journal.end_run(0, {"done": 10})
-    sound, rng = (folder / "journal.sqlite").read_bytes(), random.Random(seed)
+    sound = (folder / "journal.sqlite").read_bytes()
+    rng = random.Random(seed)
     for _ in range(12):
         data = bytearray(sound)
         for _ in range(rng.choice((1, 4, 30))):

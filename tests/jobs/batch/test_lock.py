@@ -221,7 +221,8 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     monkeypatch.setattr(subject, "LOOK_S", 0.01)
     dead = Owner()
     for n_steps in count(1):
-        folder, inside = tmp_path / f"{n_steps}", list[Lock]()
+        folder = tmp_path / f"{n_steps}"
+        inside = list[Lock]()
         if found != "nothing":
             leave((folder / "lock.json"), dead)
         with ExitStack() as stack:

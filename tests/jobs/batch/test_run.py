@@ -59,7 +59,8 @@ def work(task: Task, attempt: int) -> Outcome:
 def finished(task: Task, **labels: int) -> Done:
     task.output.parent.mkdir(parents=True, exist_ok=True)
     task.output.write_bytes(task.source.read_bytes())
-    status, written = task.source.stat(), task.output.stat()
+    status = task.source.stat()
+    written = task.output.stat()
     return Done(
         task.name,
         InputPrint(status.st_size, status.st_mtime_ns, "0"),
@@ -371,7 +372,8 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
 @pytest.mark.parametrize("journal", [True, False])
 def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool) -> None:
     """With a journal every run sees it; without one ``--adopt`` does."""
-    archive, out = tmp_path / "in", tmp_path / "out"
+    archive = tmp_path / "in"
+    out = tmp_path / "out"
     archive.mkdir()
     for name in ("a.npz", "b.npz"):
         write_npz(archive / name, street(80))

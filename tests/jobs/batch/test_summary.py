@@ -204,7 +204,8 @@ def kinds_in_code() -> set[str]:
         constants: dict[str, str] = {}
         for node in ast.walk(tree):
             if isinstance(node, ast.Assign):
-                target, value = node.targets[0], node.value
+                target = node.targets[0]
+                value = node.value
                 pairs = (
                     zip(target.elts, value.elts, strict=False)
                     if (isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple))

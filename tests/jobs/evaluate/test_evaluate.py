@@ -123,7 +123,8 @@ def write_las(
     source: I64 | None = None,
 ) -> None:
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.floor(xyz.min(axis=0))
     header.add_extra_dim(laspy.ExtraBytesParams("record", np.int64))
     if crs is not None:
         pyproj = pytest.importorskip("pyproj")
@@ -237,7 +238,8 @@ def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
     for name, chosen in (("a", [0, 1, 2, 3, 4]), ("b", [3, 4, 1])):
         las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
         las.x = las.y = las.z = np.zeros(len(chosen))
-        las.gps_time, las.return_number = time_s[chosen], number[chosen]
+        las.gps_time = time_s[chosen]
+        las.return_number = number[chosen]
         las.classification = np.array([2, 5, 2, 6, 2], np.uint8)[chosen]
         las.write(tmp_path / f"{name}.las")
     found = run(tmp_path / "a.las", tmp_path / "b.las", match="time")
@@ -488,7 +490,8 @@ def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
     image = street()
     np.savez(tmp_path / "s.npz", range_m=image, angle_deg=np.rad2deg(angles()))
     config = load_config(preset="urban")
-    cloud, left = tmp_path / f"s{other}", tmp_path / f"l{labels}"
+    cloud = tmp_path / f"s{other}"
+    left = tmp_path / f"l{labels}"
     classify(tmp_path / "s.npz", cloud, config)
     if labels == "grid.csv":
         convert(cloud, left)
@@ -508,7 +511,8 @@ def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
 GROUND_CAR = ClassMapping(
     ignore=(0,), predicted={"ground": (2,), "noise": (7,)}, reference={"car": (65,), "ground": (2,)}
 )
-GREY, WHITE = (222, 222, 222), (255, 255, 255)
+GREY = (222, 222, 222)
+WHITE = (255, 255, 255)
 
 
 def colour(name: str) -> tuple[int, ...]:
@@ -535,12 +539,15 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
     )
     assert one == "Predicted, lines 0-2 of predicted.npy"
     assert first.shape == second.shape == differ.shape
-    rows, columns = (np.array([0, -1]), np.array([0, first.shape[1] // 2, -1]))
+    rows = np.array([0, -1])
+    columns = np.array([0, first.shape[1] // 2, -1])
     cells = [
         [[tuple(image[r, c].tolist()) for c in columns] for r in rows]
         for image in (first, second, differ)
     ]
-    ground, noise, car = colour("ground"), colour("noise"), colour("car")
+    ground = colour("ground")
+    noise = colour("noise")
+    car = colour("car")
     assert cells[0] == [[ground, ground, WHITE], [noise, ground, ground]]
     assert cells[1] == [[ground, car, ground], [ground, WHITE, ground]]
     assert cells[2] == [[GREY, ground, WHITE], [noise, WHITE, GREY]]
@@ -549,7 +556,8 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
 
 def test_records_without_their_missing_shots_are_drawn_in_their_cells(tmp_path: Path) -> None:
     """LAS holds no shots without return: its records are no image."""
-    m, n = 40, 30
+    m = 40
+    n = 30
     line, column = np.divmod(np.arange(n * m), m)
     returned = np.random.default_rng(3).random(n * m) < 0.7
     las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
@@ -588,7 +596,8 @@ def test_records_without_their_missing_shots_are_drawn_in_their_cells(tmp_path: 
 def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
     tmp_path: Path, *, rising: bool, folder: bool
 ) -> None:
-    m, n = 60, 40
+    m = 60
+    n = 40
     beam = np.deg2rad(np.linspace(20, 120, m))
     beam = beam if rising else beam[::-1]
     # a scanner 2 m over the ground, and a wall 15 m away
@@ -596,7 +605,8 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
         np.where(np.cos(beam) > 0.01, 2.0 / np.maximum(np.cos(beam), 0.01), 99.0),
         15.0 / np.sin(beam),
     )
-    x, z = range_m * np.sin(beam), -range_m * np.cos(beam)
+    x = range_m * np.sin(beam)
+    z = -range_m * np.cos(beam)
     rows = [
         f"{range_m[k]:.4f},{x[k]:.4f},{0.01 * line:.4f},{z[k]:.4f},{line},{k}"
         for line in range(n)

@@ -101,7 +101,8 @@ def noted(found: Evaluation, text: str) -> str:
 
 @pytest.mark.slow
 def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
-    noise, said = town.codes == 7, town.labels == 7
+    noise = town.codes == 7
+    said = town.labels == 7
     true = (noise & said).sum() / noise.sum(), (noise & said).sum() / said.sum()
     for options in ({"max": 0.5}, {"max": 0.5, "inside": "0,0,100,21"}):
         found = run(folder, unmatched="noise", tolerance=options.pop("max"), **options)
@@ -135,7 +136,8 @@ def test_an_area_leaves_out_the_rest(town: Town, folder: Path, tmp_path: Path, k
             json.dumps({"type": "FeatureCollection", "features": [feature]})
         )
         area = str(tmp_path / "a.geojson")
-    x, y = np.round(town.xyz[:, 0], 3), np.round(town.xyz[:, 1], 3)
+    x = np.round(town.xyz[:, 0], 3)
+    y = np.round(town.xyz[:, 1], 3)
     n = int(((x >= 10) & (x <= 30) & (y >= 0) & (y <= 12)).sum())
     found = run(folder, inside=area, unmatched="noise", tolerance=0.3)
     assert found.match.n_predicted == len(x)
@@ -267,7 +269,8 @@ def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Pa
         )
 
 
-LINES, M = 60, 91
+LINES = 60
+M = 91
 ANGLE_DEG = np.linspace(-90, 90, M)
 MOUNT = "3,25,-10,0.5,-0.2,0.4"
 

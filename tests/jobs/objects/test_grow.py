@@ -22,7 +22,8 @@ def item(labels: U8, range_m: F32, first_line: int = 0, xyz: bool = False) -> La
 
 def grown(labels: U8, range_m: F32, cut: int = 1000, registered: F64 | None = None) -> list[Thing]:
     """Grow the objects of an image that arrives in blocks of ``cut`` lines."""
-    grower, found = Grower(3, RULES), []
+    grower = Grower(3, RULES)
+    found = []
     for start in range(0, len(labels), cut):
         rows = slice(start, start + cut)
         part = item(labels[rows], range_m[rows], start)
@@ -62,7 +63,8 @@ def test_stems_are_told_once_each(cut: int) -> None:
     assert first.nearest_m == pytest.approx(5.0, abs=1e-3)
     assert first.angle_deg == pytest.approx(90.0, abs=0.6)
     assert (second.first_line, second.side_m) == (15, pytest.approx(8.0, abs=1e-5))
-    low, high = 2.0 - 8.0 / np.tan(BEAM[20]), 2.0 - 8.0 / np.tan(BEAM[99])
+    low = 2.0 - 8.0 / np.tan(BEAM[20])
+    high = 2.0 - 8.0 / np.tan(BEAM[99])
     assert (second.base_m, second.top_m) == (
         pytest.approx(low, abs=1e-4),
         pytest.approx(high, abs=1e-4),
@@ -100,7 +102,9 @@ def test_two_parts_become_one_where_they_meet() -> None:
 def test_coordinates_are_the_middle_of_the_known_ones() -> None:
     labels, range_m = scene()
     xyz = np.zeros((*labels.shape, 3))
-    xyz[..., 0], xyz[..., 1], xyz[..., 2] = 100.0, np.arange(len(labels))[:, None], np.nan
+    xyz[..., 0] = 100.0
+    xyz[..., 1] = np.arange(len(labels))[:, None]
+    xyz[..., 2] = np.nan
     xyz[3:, :, 2] = 7.0
     first, _ = grown(labels, range_m, 4, xyz)
     assert (first.x, first.z) == (100.0, 7.0)

@@ -25,7 +25,8 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
     kind : (n_lines, 1501) uint8
     """
     rng = np.random.default_rng(seed)
-    side, down = np.sin(BEAM), np.cos(BEAM)
+    side = np.sin(BEAM)
+    down = np.cos(BEAM)
     with np.errstate(divide="ignore"):
         road = np.where(down > 0, HEIGHT_M / down, np.inf)
         sidewalk = np.where(down > 0, (HEIGHT_M - 0.12) / down, np.inf)
@@ -39,7 +40,8 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
         (flank * down > HEIGHT_M - 1.5) & (flank * down < HEIGHT_M - 0.25), flank, np.inf
     )
     car = np.minimum(car, np.where((roof * side > 2.0) & (roof * side < 3.7), roof, np.inf))
-    ranges, kind = np.empty((n_lines, len(BEAM))), np.empty((n_lines, len(BEAM)), np.uint8)
+    ranges = np.empty((n_lines, len(BEAM)))
+    kind = np.empty((n_lines, len(BEAM)), np.uint8)
     for line in range(n_lines):
         leaves = hedge + rng.exponential(0.25, len(BEAM))
         leaves[leaves * down < HEIGHT_M - 1.9] = np.inf
@@ -53,9 +55,11 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
         ranges[line] = np.min(every, axis=0)
     ranges += rng.normal(0, noise_m, ranges.shape)
     strays = rng.random(ranges.shape) < 0.01
-    ranges[strays], kind[strays] = rng.uniform(1, 60, int(strays.sum())), STRAY
+    ranges[strays] = rng.uniform(1, 60, int(strays.sum()))
+    kind[strays] = STRAY
     sky = ~np.isfinite(ranges) | (ranges > 60)
-    ranges[sky], kind[sky] = np.nan, SKY
+    ranges[sky] = np.nan
+    kind[sky] = SKY
     return ranges.astype(np.float32), kind
 
 

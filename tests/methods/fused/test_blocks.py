@@ -62,7 +62,8 @@ def test_on_a_street(scanner: str) -> None:
     }
     scan = open_simulation("street", load_settings("street", options=options), threads=1).scan
     blocks = list(scan.blocks())
-    angle_rad, down_rad = blocks[0].angle_rad, scan.info.down_rad
+    angle_rad = blocks[0].angle_rad
+    down_rad = scan.info.down_rad
     assert angle_rad is not None
     assert down_rad is not None
     beam_rad = (angle_rad - down_rad + np.pi) % (2 * np.pi) - np.pi
@@ -125,10 +126,8 @@ def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
 
 def test_lines_may_begin_with_either_half() -> None:
     odd = np.arange(len(BEAM)) % 2 == 1
-    first, second = (
-        wall(np.where(odd, 0.5, 0.0))[:30],
-        wall(np.where(odd, -0.5, 0.0), lines=60)[30:],
-    )
+    first = wall(np.where(odd, 0.5, 0.0))[:30]
+    second = wall(np.where(odd, -0.5, 0.0), lines=60)[30:]
     found = in_step(np.concatenate([first, second]))
     whole = wall(np.zeros(len(BEAM)), lines=60)
     off = np.abs(found - whole).max(axis=1)

@@ -22,7 +22,8 @@ from tests.methods.fused.street_lines import (
 )
 
 SCANNER = FusedScanner.of(BEAM)
-SIDE, DOWN = np.sin(BEAM), np.cos(BEAM)
+SIDE = np.sin(BEAM)
+DOWN = np.cos(BEAM)
 
 
 def classified(ranges: F32, **limits: Any) -> U8:
@@ -64,7 +65,8 @@ def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) ->
 
 def van(ranges: F32) -> tuple[F32, Mask]:
     """Put a van of 2.4 m with 20 cm of air beneath beside the road, seen from the side alone."""
-    flank, hit = surface(3.0, 0.2, 2.4), np.zeros(ranges.shape, np.bool_)
+    flank = surface(3.0, 0.2, 2.4)
+    hit = np.zeros(ranges.shape, np.bool_)
     hit[10:40] = flank < np.where(np.isnan(ranges[10:40]), np.inf, ranges[10:40])
     noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
     return np.where(hit, flank + noise, ranges).astype(np.float32), hit
@@ -72,7 +74,8 @@ def van(ranges: F32) -> tuple[F32, Mask]:
 
 def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
     ranges, hit = van(street[0])
-    found, missed = classified(ranges), classified(ranges, flanks=None)
+    found = classified(ranges)
+    missed = classified(ranges, flanks=None)
     assert (found[hit] == Label.CAR).mean() > 0.9
     assert (missed[hit] == Label.BUILDING).mean() > 0.4
     facade = (street[1] == BUILDING) & ~hit
@@ -84,7 +87,8 @@ def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
     with np.errstate(divide="ignore"):
         lid = np.where(DOWN > 0, (HEIGHT_M - 1.4) / DOWN, np.inf)
     lid = np.where((lid * SIDE > 4.6) & (lid * SIDE < 4.6 + deep_m), lid, np.inf)
-    box, hit = np.minimum(surface(4.6, 0.12, 1.4), lid), np.zeros(ranges.shape, np.bool_)
+    box = np.minimum(surface(4.6, 0.12, 1.4), lid)
+    hit = np.zeros(ranges.shape, np.bool_)
     hit[lines] = np.isfinite(box)
     noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
     found = np.where(hit, box + noise, ranges).astype(np.float32)
@@ -108,12 +112,11 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
 
 
 def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
-    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
-    legs, trunk, head = (
-        surface(-3.15, 0.0, 0.85),
-        surface(-3.0, 0.85, 1.5),
-        surface(-3.1, 1.5, 1.75),
-    )
+    ranges = street[0].copy()
+    hit = np.zeros(street[0].shape, np.bool_)
+    legs = surface(-3.15, 0.0, 0.85)
+    trunk = surface(-3.0, 0.85, 1.5)
+    head = surface(-3.1, 1.5, 1.75)
     person = np.minimum(np.minimum(legs, trunk), head)
     hit[20:24] = np.isfinite(person)
     noise = np.random.default_rng(3).normal(0, 0.005, ranges.shape)
@@ -129,7 +132,8 @@ def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
 def test_what_stands_alone_is_a_wall_only_if_flat(
     street: tuple[F32, U8], radius_m: float | None, label: Label
 ) -> None:
-    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
+    ranges = street[0].copy()
+    hit = np.zeros(street[0].shape, np.bool_)
     for line in range(18, 30):  # between the car's lines and the ends
         off = (line - 23.5) / 6
         thing = surface(-3.3 + (radius_m * np.sqrt(1 - off**2) if radius_m else 0.0), 0.0, 4.0)

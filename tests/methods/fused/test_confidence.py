@@ -85,7 +85,8 @@ def test_stray_points_take_confidence_from_a_road() -> None:
 
 def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
     ranges = street_lines(140)[0]
-    line, column = np.array([10, 10], np.int32), np.array([200, 200], np.int32)
+    line = np.array([10, 10], np.int32)
+    column = np.array([200, 200], np.int32)
     far = np.array([ranges[10, 200] + 0.01, 90.0], np.float32)
     block = ScanBlock(
         0,

@@ -73,7 +73,8 @@ def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
 
 def test_noise_is_alone_or_below_the_ground() -> None:
     ranges = image(ground())
-    sky, soil = int(np.flatnonzero(SKY)[3]), int(np.argmin(np.abs(BEAM - 0.5)))
+    sky = int(np.flatnonzero(SKY)[3])
+    soil = int(np.argmin(np.abs(BEAM - 0.5)))
     ranges[4, sky] = 17.0
     ranges[4, soil] *= 1.4
     labels = labels_of(ranges)

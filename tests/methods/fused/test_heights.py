@@ -103,7 +103,8 @@ def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:
-    ranges, degrees = street_lines(60)[0], np.rad2deg(BEAM)
+    ranges = street_lines(60)[0]
+    degrees = np.rad2deg(BEAM)
     ranges[0] = np.where((degrees > 100) & (degrees < 110), -0.3 / np.cos(BEAM), np.nan)
     found = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[
         1:, np.abs(degrees) < 45

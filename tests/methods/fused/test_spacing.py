@@ -52,7 +52,8 @@ def labelled(ranges: F32, k: int = 64, scanner: FusedScanner = SCANNER) -> tuple
         {"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}}
     )
     turn = OneByOne(initial_state(scanner))
-    parts, strides = [], []
+    parts = []
+    strides = []
     for first in range(0, len(ranges), k):
         following = ranges[first + k : first + k + SPACED_LINES]
         parts.append(classify_block(ranges[first : first + k], following, scanner, turn, params))
@@ -68,7 +69,8 @@ def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
     normal, kind = drive(np.arange(48))
     usual = share(labelled(normal)[0], kind, VEGETATION, Label.VEGETATION)
     slow, kind = drive(np.arange(48 * 12) // 12)
-    aware, not_aware = labelled(slow)[0], labelled(slow, scanner=ALONE)[0]
+    aware = labelled(slow)[0]
+    not_aware = labelled(slow, scanner=ALONE)[0]
     assert share(aware, kind, VEGETATION, Label.VEGETATION) > usual - 0.02
     assert share(aware, kind, BUILDING, Label.BUILDING) > 0.97
     assert share(not_aware, kind, VEGETATION, Label.VEGETATION) < usual - 0.02
@@ -132,7 +134,8 @@ def street() -> tuple[F32, U8]:
 
 
 def test_what_is_mirrored_by_a_car_is_noise(street: tuple[F32, U8]) -> None:
-    ranges, kind = street[0].copy(), street[1]
+    ranges = street[0].copy()
+    kind = street[1]
     flank = (kind == CAR) & (np.abs(ranges * np.sin(BEAM) - 2.0) < 0.05)
     flank[:19] = flank[29:] = False
     chosen = np.random.default_rng(5).random(ranges.shape)
@@ -140,23 +143,27 @@ def test_what_is_mirrored_by_a_car_is_noise(street: tuple[F32, U8]) -> None:
     ranges[flank & (chosen < 0.4)] *= 1.15
     mirrored = flank & (chosen > 0.95)
     ranges[mirrored] *= 1.5
-    found, former = classified(ranges), classified(ranges, mirror_m=NEVER)
+    found = classified(ranges)
+    former = classified(ranges, mirror_m=NEVER)
     assert noise_share(found, mirrored, Label.NOISE) > 0.95
     assert noise_share(former, mirrored, Label.NOISE) < 0.8
     assert noise_share(found, flank & ~mirrored, Label.CAR) > 0.9
 
 
 def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> None:
-    ranges, kind = street[0].copy(), street[1]
+    ranges = street[0].copy()
+    kind = street[1]
     rng = np.random.default_rng(8)
     height = -ranges * np.cos(BEAM) + HEIGHT_M
-    chosen, wall = rng.random(ranges.shape), (kind == BUILDING) & (height > 1) & (height < 5)
+    chosen = rng.random(ranges.shape)
+    wall = (kind == BUILDING) & (height > 1) & (height < 5)
     # bars before a wall: no surface is smooth enough for a spike
     behind = np.arange(ranges.shape[1]) // 4 % 2 == 0
     ranges[wall & behind] += 0.6
     alone = wall & ~behind & (chosen > 0.997)
     ranges[alone] -= 0.25
-    found, former = classified(ranges), classified(ranges, alone_texture=NEVER)
+    found = classified(ranges)
+    former = classified(ranges, alone_texture=NEVER)
     assert noise_share(former, alone, Label.NOISE) == 0.0
     assert noise_share(found, alone, Label.NOISE) > 0.6
     assert noise_share(found, wall & ~alone, Label.NOISE) < 0.01
@@ -165,7 +172,8 @@ def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> Non
 def test_labels_of_the_wider_window_do_not_depend_on_blocks(street: tuple[F32, U8]) -> None:
     ranges = street[0]
     whole = classified(ranges)
-    params, state = FusedParams(lines_per_block=5), OneByOne(initial_state(SCANNER))
+    params = FusedParams(lines_per_block=5)
+    state = OneByOne(initial_state(SCANNER))
     parts = []
     for first in range(0, len(ranges), 5):
         block = ScanBlock(first, ranges[first : first + 5], next_m=ranges[first + 5 : first + 45])

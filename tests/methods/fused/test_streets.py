@@ -65,7 +65,9 @@ def classify_block(
 
 def classified(ranges: F32, params: FusedParams = PARAMS, **limits: Any) -> U8:
     scanner = with_limits(SCANNER, **limits)
-    state, parts, k = initial_state(scanner), [], params.lines_per_block
+    state = initial_state(scanner)
+    parts = []
+    k = params.lines_per_block
     for first in range(0, len(ranges), k):
         following = ranges[first + k : first + k + 5]
         labels, state = classify_block(ranges[first : first + k], following, state, params, scanner)
@@ -84,7 +86,8 @@ def street() -> tuple[F32, U8]:
 
 
 def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
-    labels, kind = classified(street[0]), street[1]
+    labels = classified(street[0])
+    kind = street[1]
     found = recalls(labels, kind)
     for one, least in (
         (GROUND, 0.99),
@@ -100,7 +103,8 @@ def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
 
 def noise_along(ranges: F32, params: SensorParams, k: int = 128) -> list[float]:
     """Return what is known of the noise at every line, of a stream in blocks of k lines."""
-    noise, found = NoiseAlong(), []
+    noise = NoiseAlong()
+    found = []
     following = np.concatenate([ranges, np.full((47, len(BEAM)), np.nan, np.float32)])
     for first in range(0, len(ranges), k):
         n_lines = min(k, len(ranges) - first)
@@ -168,7 +172,8 @@ def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -> None:
-    ranges, params = street[0], FusedParams(lines_per_block=16)
+    ranges = street[0]
+    params = FusedParams(lines_per_block=16)
     cuts = [0, 1, 7, 30, 31, 60]
     blocks = (ScanBlock(a, ranges[a:b], beam_rad=BEAM, is_last=b == 60) for a, b in pairwise(cuts))
     labels = np.concatenate([item.labels for item in label_blocks(blocks, params, threads=2)])
@@ -179,7 +184,8 @@ def test_every_line_has_the_noise_measured_up_to_it() -> None:
     """Of a drive that begins beneath trees."""
     ranges = np.tile(street_lines(64)[0], (4, 1))
     ranges[:128] += np.random.default_rng(8).exponential(0.1, ranges[:128].shape).astype(np.float32)
-    turn, found = OneByOne(initial_state(SCANNER)), []
+    turn = OneByOne(initial_state(SCANNER))
+    found = []
     for first in range(0, len(ranges), 64):
         block = ScanBlock(
             first, ranges[first : first + 64], next_m=ranges[first + 64 : first + 64 + 47]

@@ -36,7 +36,8 @@ def run_blocks(
     range_m: F32, params: PrcParams, extra_lines: int = 0
 ) -> list[tuple[PrcTrace, PrcState]]:
     """Classify a stream as the program does, k lines and the least look-ahead at a time; the state after each."""
-    k, width = params.lines_per_block, range_m.shape[1]
+    k = params.lines_per_block
+    width = range_m.shape[1]
     ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines
     state = initial_state(width)
     found = []
@@ -122,7 +123,8 @@ def random_params(rng: Generator) -> PrcParams:
 
 def random_stream(rng: Generator) -> F32:
     """Patches at a few ranges, ramps, strays and gaps, on a grid of 1/1000 or 1/16 m, some lines without returns."""
-    n_lines, width = int(rng.integers(1, 22)), int(pick(rng, 1, 2, 3, 4, 5, 8, 17, 33))
+    n_lines = int(rng.integers(1, 22))
+    width = int(pick(rng, 1, 2, 3, 4, 5, 8, 17, 33))
     grid = pick(rng, 0.001, 0.0625)
     levels = np.array([5.0, 5.5, 6.0, 8.0, 5.1])
     patch = (int(rng.integers(1, 6)), int(rng.integers(1, 9)))

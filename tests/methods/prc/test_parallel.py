@@ -34,7 +34,8 @@ def run_threads(
 def test_threads_change_nothing(threads: int) -> None:
     for seed in range(120):
         rng = np.random.default_rng(9000 + seed)
-        params, stream = random_params(rng), random_stream(rng)
+        params = random_params(rng)
+        stream = random_stream(rng)
         expected, segments = run_stream(stream, params)
         labels, ids = run_threads(stream, params, threads, segments=True)
         np.testing.assert_array_equal(labels, expected)
@@ -50,10 +51,12 @@ def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
     """Patches take numbers of their own only then; the order of the others, which ties go by, is the same."""
     for seed in range(200):
         rng = np.random.default_rng(70_000 + seed)
-        params, stream = random_params(rng), random_stream(rng)
+        params = random_params(rng)
+        stream = random_stream(rng)
         expected, _ = run_stream(stream, params)
         state = initial_state(stream.shape[1])
-        k, ahead = params.lines_per_block, TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
+        k = params.lines_per_block
+        ahead = TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
         for first in range(0, len(stream), k):
             following = stream[first + k : first + k + ahead]
             trace, state = trace_block(

@@ -30,7 +30,8 @@ from tests.oracles import prc_method as oracle_prc
 
 def assert_equals_oracle(seed: int) -> set[int]:
     rng = np.random.default_rng(seed)
-    params, stream = random_params(rng), random_stream(rng)
+    params = random_params(rng)
+    stream = random_stream(rng)
     labels, segments = run_stream(stream, params)
     expected_labels, expected_segments = oracle_prc.classify_stream(
         stream, to_settings(params, stream.shape[1])

@@ -278,7 +278,8 @@ class TestReading8HoleFilling:
 
     @staticmethod
     def fill(s: list[list[int]], g: list[list[int]]) -> list[list[int]]:
-        supported, holes = np.array(s, dtype=bool), np.array(g, dtype=bool)
+        supported = np.array(s, dtype=bool)
+        holes = np.array(g, dtype=bool)
         width = supported.shape[1]
         image = components(supported, holes, np.zeros(width, np.int64), 1, ComponentsParams()).image
         return image.tolist()  # type: ignore[no-any-return]

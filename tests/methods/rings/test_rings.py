@@ -19,7 +19,9 @@ from prc_cli.methods.base import Wanted
 from prc_cli.methods.rings.pipeline import RingsParams, is_fan, upside_down
 from tests.cli.conftest import Prc
 
-N_LINES, N_RINGS, HEIGHT_M = 1800, 32, 1.8
+N_LINES = 1800
+N_RINGS = 32
+HEIGHT_M = 1.8
 ELEVATION = np.deg2rad(np.linspace(-25.0, 10.0, N_RINGS))
 BEAM: F64 = np.pi / 2 + ELEVATION
 AZIMUTH: F64 = 2 * np.pi * np.arange(N_LINES) / N_LINES
@@ -52,7 +54,8 @@ def scene(
             (6, np.where(z > 0, (ceiling_m - HEIGHT_M) / z, np.inf)),
         ):
             nearer = distance < ranges
-            body[nearer], ranges[nearer] = kind, distance[nearer]
+            body[nearer] = kind
+            ranges[nearer] = distance[nearer]
     ranges = np.where(body > 0, ranges + random.normal(0, 0.01, ranges.shape), np.nan)
     xyz = ranges[..., None] * own
     return ranges.astype(np.float32), xyz.astype(np.float32), body
@@ -60,12 +63,15 @@ def scene(
 
 def _box(x: F64, y: F64, z: F64, *sides: tuple[float, float]) -> F64:
     """Distance of an upright box, sides in metres, heights above the ground."""
-    near, far = np.full(x.shape, 0.0), np.full(x.shape, np.inf)
+    near = np.full(x.shape, 0.0)
+    far = np.full(x.shape, np.inf)
     for way, (low, high) in zip(
         (x, y, z), (*sides[:2], tuple(h - HEIGHT_M for h in sides[2])), strict=True
     ):
-        one, two = low / way, high / way
-        near, far = np.maximum(near, np.minimum(one, two)), np.minimum(far, np.maximum(one, two))
+        one = low / way
+        two = high / way
+        near = np.maximum(near, np.minimum(one, two))
+        far = np.minimum(far, np.maximum(one, two))
     return np.where(near < far, near, np.inf)
 
 
@@ -116,7 +122,8 @@ def labels(made: tuple[F32, F32, U8]) -> U8:
 def test_bodies_have_their_class(
     made: tuple[F32, F32, U8], labels: U8, body: int, label: Label, recall: float, precision: float
 ) -> None:
-    true, found = made[2] == body, labels == label
+    true = made[2] == body
+    found = labels == label
     assert (true & found).sum() / true.sum() > recall
     assert (true & found).sum() / found.sum() > precision
     assert ((labels == Label.MISSING) == (made[2] == 0)).all()
@@ -324,7 +331,8 @@ def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
         (5, (70, 71), 0.82),
         (65, (10, 13, 16, 18, 20, 252), 0.75),
     ):
-        true, found = np.isin(reference, names), (codes == code) & known
+        true = np.isin(reference, names)
+        found = (codes == code) & known
         assert 2 * (true & found).sum() / (true.sum() + found.sum()) > least, code
     shots = np.fromfile(frame, np.float32).reshape(-1, 4)
     shots[:, 1:3] *= -1
@@ -340,7 +348,8 @@ def test_a_sweep_of_two_scanners_in_a_feather_file(
 ) -> None:
     """One hangs upside down; the file is in the frame of the vehicle."""
     feather = pytest.importorskip("pyarrow.feather")
-    sweep, output = real_data / "av2" / "315966265259836000.feather", tmp_path / "labels.npy"
+    sweep = real_data / "av2" / "315966265259836000.feather"
+    output = tmp_path / "labels.npy"
     result = prc("classify", sweep, output, "--range", "origin:1.35,0,1.585")
     assert result.code == 0, result.err
     found = np.load(output).ravel() == 2

@@ -15,7 +15,9 @@ from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.methods.sequential_angle.lines import VerticalLines, split_sides, vertical_lines
 
-H, V, T = 2, 3, 1
+H = 2
+V = 3
+T = 1
 Segment = tuple[float, float, float, float, int]
 """x, z to x, z [m], and the surface."""
 ROAD_Z = -1.8
@@ -83,13 +85,15 @@ def scan(
     """Scan one cross section a line; beams from 2 to 150 degrees from straight down."""
     rng = np.random.default_rng(seed)
     angle = np.deg2rad(np.linspace(2.0, 150.0, n))
-    east, down = np.sin(angle), -np.cos(angle)
+    east = np.sin(angle)
+    down = -np.cos(angle)
     n_rows = len(profiles) * n_sides
     ranges = np.full((n_rows, n), np.inf)
     surface = np.zeros((n_rows, n), np.uint8)
     for row in range(n_rows):
         for x0, z0, x1, z1, kind in profiles[row // n_sides]:
-            dx, dz = x1 - x0, z1 - z0
+            dx = x1 - x0
+            dz = z1 - z0
             across = east * dz - down * dx
             with np.errstate(all="ignore"):
                 r = (x0 * dz - z0 * dx) / across
@@ -170,7 +174,8 @@ def street_lines(
         :class:`Surface` of what was hit.
     """
     beam_rad = np.deg2rad(np.arange(20.0, 150.0, step_deg))
-    across, up = np.sin(beam_rad), -np.cos(beam_rad)
+    across = np.sin(beam_rad)
+    up = -np.cos(beam_rad)
     n = len(beam_rad)
     ranges = np.full((n_lines, n), np.inf)
     truth = np.zeros((n_lines, n), np.uint8)
@@ -206,14 +211,16 @@ def street_lines(
         hit(line, distance, (b * b > a * c) & (distance < (b + root) / a), Surface.VEGETATION)
 
     for line in range(n_lines):
-        curb, wall = rng.uniform(4, 8), rng.uniform(16, 22)
+        curb = rng.uniform(4, 8)
+        wall = rng.uniform(16, 22)
         walk = -HEIGHT + 0.15
         floor(line, -HEIGHT, 0, curb)
         face(line, curb, -HEIGHT, walk)
         floor(line, walk, curb, wall)
         if rng.random() < 0.8:
             face(line, wall, walk, rng.uniform(8, 14))
-        bush, trunk = rng.uniform(9, 10.5), rng.uniform(12, 14)
+        bush = rng.uniform(9, 10.5)
+        trunk = rng.uniform(12, 14)
         if rng.random() < 0.7:
             foliage(line, (bush, walk + 0.5), (rng.uniform(0.5, 0.9), rng.uniform(0.5, 0.8)), 0.25)
         if rng.random() < 0.8:
@@ -336,7 +343,8 @@ def see(
 
 
 def make_lines(range_m: F32, beam_rad: F64) -> VerticalLines:
-    h, z = range_m * np.sin(beam_rad), -range_m * np.cos(beam_rad)
+    h = range_m * np.sin(beam_rad)
+    z = -range_m * np.cos(beam_rad)
     xyz = np.stack([h, 0 * h, z], axis=-1).astype(np.float32)
     n_beams = np.full(len(range_m), len(beam_rad), np.int32)
     return VerticalLines(

@@ -65,7 +65,8 @@ def straight_line(rng: Generator) -> tuple[F64, F64, float]:
     """Beams and ranges of shots on one straight line with gaps, and the line's angle from straight down."""
     while True:
         beam = np.arange(300) * STEP + rng.uniform(0, np.pi - 300 * STEP)
-        point, direction = rng.uniform(-20, 20, 2), rng.uniform(0, np.pi)
+        point = rng.uniform(-20, 20, 2)
+        direction = rng.uniform(0, np.pi)
         normal = np.array([-np.sin(direction), np.cos(direction)])
         across = np.stack([np.cos(beam), np.sin(beam)], axis=-1) @ normal
         ranges = (point @ normal) / across
@@ -80,7 +81,8 @@ def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
     for _ in range(200):
         beam, ranges, direction = straight_line(rng)
         pairs = list(zip(beam, beam[1:], ranges, ranges[1:], strict=False))
-        phi, along_beam = np.sin(np.diff(beam)), np.cos(np.diff(beam)) - ranges[:-1] / ranges[1:]
+        phi = np.sin(np.diff(beam))
+        along_beam = np.cos(np.diff(beam)) - ranges[:-1] / ranges[1:]
         HELPERS._directions.py_func(phi, along_beam, len(phi))
         geometric = [oracle_angles.angle_at_first(*pair) for pair in pairs]
         np.testing.assert_allclose(phi, geometric, rtol=0, atol=4e-13)
@@ -89,14 +91,17 @@ def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
         assert min(abs(along[0] - direction), abs(abs(along[0] - direction) - np.pi)) < 1e-9
         n_blunt += bool((phi > np.pi / 2).any())
         blunt = phi > np.pi / 2
-        step, ratio = np.diff(beam), ranges[:-1] / ranges[1:]
+        step = np.diff(beam)
+        ratio = ranges[:-1] / ranges[1:]
         bare = np.arctan(np.sin(step) / (np.cos(step) - ratio))
         assert (np.abs(bare - phi)[blunt] > 1).all()
         np.testing.assert_allclose(bare[~blunt], phi[~blunt], atol=1e-9)
     assert 50 < n_blunt < 150
 
 
-T, H, V = 1, 2, 3
+T = 1
+H = 2
+V = 3
 
 
 def label(

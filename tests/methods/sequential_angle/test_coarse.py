@@ -71,7 +71,8 @@ def test_street(
 
 @pytest.mark.parametrize("spacing_sigmas", [1.0, 2.0, 4.0, 8.0])
 def test_a_wall_hit_head_on_is_not_vegetation(rng: Generator, spacing_sigmas: float) -> None:
-    noise, n = 0.005, 600
+    noise = 0.005
+    n = 600
     up = (np.arange(n) - n / 2) * spacing_sigmas * noise
     points = np.stack([10 + rng.normal(0, noise, (20, n)), np.tile(up, (20, 1))], axis=-1)
     found = classified(lines_through(points), noise, 4, CoarseThresholds())
@@ -122,13 +123,15 @@ def increment(differences: F64, sigma_deg: float = 30.0) -> F64:
 
 def page(g: F64, begin: int, threshold: float) -> tuple[int, int]:
     """Alarm and onset of Page's test, both len(g) if there is no alarm."""
-    total, onset = 0.0, begin
+    total = 0.0
+    onset = begin
     for t in range(begin, len(g)):
         total += g[t]
         if total > threshold:
             return t, onset
         if total < 0:
-            total, onset = 0.0, t + 1
+            total = 0.0
+            onset = t + 1
     return len(g), len(g)
 
 
@@ -164,7 +167,8 @@ def test_foliage_of_a_street(foliage_rng: Generator) -> None:
     signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
     dense = dense_vegetation(angle_differences(signed), FOLIAGE)
     image = car_surface(signed, dense, lines, SurfaceThresholds())
-    found, vegetation = image == Surface.VEGETATION, truth == Surface.VEGETATION
+    found = image == Surface.VEGETATION
+    vegetation = truth == Surface.VEGETATION
     # measured on 100 lines: precision .93, recall .74, false positives 1.1 %
     assert (found & vegetation).sum() / found.sum() > 0.88
     assert 0.55 < (found & vegetation).sum() / vegetation.sum() < 0.85

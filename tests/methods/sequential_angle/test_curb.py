@@ -66,7 +66,8 @@ def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8,
     """Lines of one side drawn with ``#`` for vertical points at one height, a grid of ``step`` metres."""
     surface = np.array([[3 if c == "#" else 2 for c in row] for row in picture], np.uint8)
     rows, n = surface.shape
-    x, y = np.arange(n) * step + 5, np.arange(rows)[:, None] * step
+    x = np.arange(n) * step + 5
+    y = np.arange(rows)[:, None] * step
     xyz = np.stack(np.broadcast_arrays(x, y, np.float64(-1.7)), axis=-1).astype(np.float32)
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
     lines = VerticalLines(
@@ -159,7 +160,8 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
         shown += int(whole.sum())
         for cuts in (range(1, 40), np.sort(rng.integers(0, 41, 6)).tolist()):
             edges = [0, *(cut * n_sides for cut in cuts), len(scene.surface)]
-            state, parts = start, []
+            state = start
+            parts = []
             for first, end in pairwise(edges):
                 part = scene.rows(first, end)
                 found, state = curbs(
@@ -181,7 +183,8 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
 @pytest.mark.parametrize("n", [0, 1, 3])
 @pytest.mark.parametrize("n_new", [0, 1, 2, 3, 4, 9])
 def test_the_last_rows_stay(n: int, n_new: int) -> None:
-    before, new = np.arange(n, dtype=np.float32), 10 + np.arange(n_new, dtype=np.float32)
+    before = np.arange(n, dtype=np.float32)
+    new = 10 + np.arange(n_new, dtype=np.float32)
     assert (
         _tail(before, new).tolist()
         == np.concatenate([before, new])[len(before) + n_new - n :].tolist()

@@ -53,7 +53,9 @@ def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     means, sigmas, h0, h1 = (
         np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1)
     )
-    found, in_states, power = np.empty(n := len(values)), np.empty((3, n)), np.empty(n, np.int64)
+    found = np.empty(n := len(values))
+    in_states = np.empty((3, n))
+    power = np.empty(n, np.int64)
     HELPERS._densities.py_func(
         values, n, means, 0.5 / sigmas**2, np.log(sigmas), in_states, power, np.empty(n, np.int64)
     )
@@ -76,7 +78,8 @@ def log_likelihood(values: F64, params: MarkovThresholds, h: Matrix, initial: Ro
     """Logarithm of the likelihood of a model: the sum over all paths of states."""
     density = norm.logpdf(values[:, None], params.means_deg, params.sigmas_deg)
     with np.errstate(divide="ignore"):
-        log_h, log_initial = np.log(h), np.log(initial)
+        log_h = np.log(h)
+        log_initial = np.log(initial)
     paths = []
     for path in product(range(3), repeat=len(values)):
         steps = sum(log_h[i, j] for i, j in pairwise(path))
@@ -108,7 +111,8 @@ def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: MarkovT
 def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator) -> None:
     """Restarts and onset found anew for every start, from whole stretches rather than step by step."""
     params = made(MarkovThresholds, backdate=False)
-    onsets, alarms = [], []
+    onsets = []
+    alarms = []
     for _ in range(25):
         values = np.where(rng.random(200) < 0.3, -90, 90) + rng.normal(0, 20, 200)
         values[: rng.integers(0, 60)] = 90
@@ -178,7 +182,8 @@ def chain(rng: Generator, matrix: tuple[tuple[float, float, float], ...], n: int
 def test_sum_is_the_largest_log_likelihood_ratio_of_any_end_of_the_chain() -> None:
     """S at beam k is max(0, max over j < k of ln P1(j+1..k | j) / P0(j+1..k | j)), product by product."""
     rng = np.random.default_rng(7)
-    h0, h1 = np.array(PARAMS.h0), np.array(PARAMS.h1)
+    h0 = np.array(PARAMS.h0)
+    h1 = np.array(PARAMS.h1)
     for _ in range(200):
         states = chain(rng, PARAMS.h1 if rng.random() < 0.5 else PARAMS.h0, 14)
         numbers = ["HVM".index(state) for state in states]

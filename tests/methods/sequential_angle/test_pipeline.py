@@ -79,7 +79,8 @@ def run(
 def both_sides(block: ScanBlock) -> ScanBlock:
     """A profiler's stream out of a static scan: line i and line i + half a turn are the two sides of one line."""
     half = block.n_lines // 2
-    near, far = slice(0, half), slice(half, 2 * half)
+    near = slice(0, half)
+    far = slice(half, 2 * half)
     assert block.beam_rad is not None
     assert block.xyz_m is not None
     return replace(
@@ -132,7 +133,9 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
     block, _ = scan()
     assert block.beam_rad is not None
     beams = Beams.of(block.beam_rad)
-    ground, n_heights, known_at = initial_state(beams, PARAMS).ground, 0, 0
+    ground = initial_state(beams, PARAMS).ground
+    n_heights = 0
+    known_at = 0
     for part in cuts(block):
         rows = within_lines(part.range_m, part.xyz_m, beams, PARAMS)
         n_heights += int(np.isfinite(rows.potential.height_m).sum())

@@ -12,7 +12,8 @@ from prc_cli.core.types import F64
 from prc_cli.streams.evidence.cones import ConeSample, check_cones
 from prc_cli.streams.evidence.figures import Seen
 
-N_LINES, N_RINGS = 400, 32
+N_LINES = 400
+N_RINGS = 32
 
 
 def ring_shots(width_deg: float) -> F64:

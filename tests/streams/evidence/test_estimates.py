@@ -117,7 +117,8 @@ def test_rates_are_found_where_they_are_right(line_hz: float, m: int, quantum: f
 
 def las_of_times(path: Path, time: Array, xyz: Array) -> None:
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, 0.001), np.round(xyz.mean(axis=0))
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.round(xyz.mean(axis=0))
     las = laspy.LasData(header)
     las.x, las.y, las.z = xyz.T
     las.gps_time = time
@@ -133,7 +134,8 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
         2.0 / np.maximum(np.cos(angle), 0.05), 9.0 / np.maximum(np.abs(np.sin(angle)), 0.05)
     )
     xyz = np.stack([5 * time, range_m * np.sin(angle), 2 - range_m * np.cos(angle)], axis=1)
-    path, track = tmp_path / "a.laz", tmp_path / "t.csv"
+    path = tmp_path / "a.laz"
+    track = tmp_path / "t.csv"
     las_of_times(path, time, xyz)
     track.write_text("time,x,y,z\n" + "".join(f"{t},{5 * t},0,2\n" for t in (999.0, 1001.0)))
     found = inspect(path, LoadedConfig(RunConfig()))
@@ -171,7 +173,8 @@ def test_the_real_profiler(real_data: Path) -> None:
     assert abs(found.points_per_line - 5099) <= 2
 
 
-M, LINES = 1000, 200
+M = 1000
+LINES = 200
 
 
 def run(arguments: list[str]) -> object:
@@ -256,7 +259,8 @@ def test_the_refusal_names_the_options_that_mend_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What is named can be typed, and labels the scan."""
-    dump, labels = tmp_path / "scan.bin", tmp_path / "labels.npy"
+    dump = tmp_path / "scan.bin"
+    labels = tmp_path / "labels.npy"
     misread_street().astype(">f4").tofile(dump)
     command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
     assert run(command) == 1
@@ -272,7 +276,8 @@ def test_the_refusal_names_the_options_that_mend_it(
 def forest_lines(n_lines: int, *, stems: bool = True) -> F32:
     """Patches of plants of 0.2 m, leaves on both sides, and a few stems."""
     rng = np.random.default_rng(4)
-    side, down = np.sin(BEAM), np.cos(BEAM)
+    side = np.sin(BEAM)
+    down = np.cos(BEAM)
     with np.errstate(divide="ignore"):
         plants = rng.uniform(0, 0.2, (n_lines, len(BEAM))) * (np.arange(len(BEAM)) // 30 % 2)
         floor = np.where(down > 0, (1.8 - plants) / down, np.inf)
@@ -476,11 +481,13 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
         / of(lambda rows: [(a, b) for a in rows.ravel()[::7] for b in rows.ravel()[::11]])
         < 2.0
     )
-    n, lonely = 0, 0
+    n = 0
+    lonely = 0
     for row in (row for rows in logs for row in rows):
         for k in range(2, m - 2):
             beside = [(k - 2, k - 1), (k - 1, k + 1), (k + 1, k + 2)]
             if all(abs(row[a] - row[b]) < 0.01 for a, b in beside):
-                n, lonely = n + 1, lonely + bool(np.isnan(row[k]))
+                n = n + 1
+                lonely = lonely + bool(np.isnan(row[k]))
     assert 50 < lonely < n == found.n_between
     assert found.lonely_missing == lonely / n

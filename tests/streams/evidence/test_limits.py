@@ -28,7 +28,9 @@ from prc_cli.streams.evidence.geometry import check_angle_step, check_down, chec
 from prc_cli.streams.evidence.lines import check_line_length, check_line_order, check_shot_order
 from prc_cli.streams.evidence.periods import PeriodEstimate
 
-FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
+FINE = Verdict.FINE
+DOUBTFUL = Verdict.DOUBTFUL
+AGAINST = Verdict.AGAINST
 USUAL = Figures(
     random=2.0,
     shot=(0.02, 0.04),

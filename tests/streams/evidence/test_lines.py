@@ -29,7 +29,9 @@ class Arrays:
     """A stream of a range image, in blocks of some lines."""
 
     def __init__(self, ranges: F32, lines: int = 100, tally: ReadTally | None = None) -> None:
-        self.ranges, self.lines, self.tally = ranges, lines, tally or ReadTally()
+        self.ranges = ranges
+        self.lines = lines
+        self.tally = tally or ReadTally()
         self.info = StreamInfo("drive.npy", "array", ranges.shape[1], None, None)
 
     def blocks(self):  # type: ignore[no-untyped-def]
@@ -77,7 +79,8 @@ def two_scanners(ranges: F32) -> F32:
     """Lines of two scanners, in turns."""
     half = len(ranges) // 2
     both = np.empty((2 * half, ranges.shape[1]), np.float32)
-    both[::2], both[1::2] = ranges[:half], np.roll(ranges[half : 2 * half], M // 3, axis=1)
+    both[::2] = ranges[:half]
+    both[1::2] = np.roll(ranges[half : 2 * half], M // 3, axis=1)
     return both
 
 
@@ -85,7 +88,8 @@ def shot_by_shot(ranges: F32) -> F32:
     """Shots of two scanners, in turns."""
     half = len(ranges) // 2
     both = np.empty((half, 2 * ranges.shape[1]), np.float32)
-    both[:, ::2], both[:, 1::2] = ranges[:half], np.roll(ranges[half : 2 * half], M // 3, axis=1)
+    both[:, ::2] = ranges[:half]
+    both[:, 1::2] = np.roll(ranges[half : 2 * half], M // 3, axis=1)
     return both
 
 
@@ -188,7 +192,8 @@ def test_the_first_evidence_ends_a_long_stream() -> None:
 
 
 def test_of_several_scanners_the_worst_is_told() -> None:
-    good, bad = scan(), rng().permutation(scan().ravel()).reshape(-1, M)
+    good = scan()
+    bad = rng().permutation(scan().ravel()).reshape(-1, M)
 
     class Both(Arrays):
         def blocks(self):  # type: ignore[no-untyped-def]

@@ -145,7 +145,8 @@ def test_too_little_to_tell_gives_no_finding(shape: tuple[int, int]) -> None:
 def test_findings_do_not_depend_on_the_blocks(cuts: set[int], off_deg: float) -> None:
     range_m, labels = MANY
     whole = ScanBlock(0, range_m, beam_rad=ANGLE[::4] - np.deg2rad(off_deg), angle_rad=ANGLE[::4])
-    one, many = ResultWatch(STREET), ResultWatch(STREET)
+    one = ResultWatch(STREET)
+    many = ResultWatch(STREET)
     one.see(LabelledBlock(whole, labels, NO_EXTRA))
     for start, stop in pairwise([0, *sorted(cuts), len(labels)]):
         many.see(LabelledBlock(cut(whole, start, stop), labels[start:stop], NO_EXTRA))
@@ -190,7 +191,9 @@ def test_a_simulated_street_with_down_told_wrong(off_deg: float, is_fine: bool) 
     assert (not doubted({one.check: one for one in watch.findings()})) == is_fine
 
 
-FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
+FINE = Verdict.FINE
+DOUBTFUL = Verdict.DOUBTFUL
+AGAINST = Verdict.AGAINST
 USUAL = UsualLabels(0.25, 0.5, 0.25, (Label.GROUND,), 0.5, 0.5, 0.25, 5.0, 0.25)
 G, B, N, U, C, V = (
     int(one)
@@ -233,7 +236,9 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
         sides: dict[bool, list[tuple[bool, float]]] = {True: [], False: []}
         counts = np.zeros(4)
         for range_m, label, beam in zip(ranges, labels, one.beam_rad.tolist(), strict=True):
-            is_there, is_noise, is_down = label != 0, label == N, abs(beam) < math.radians(60)
+            is_there = label != 0
+            is_noise = label == N
+            is_down = abs(beam) < math.radians(60)
             is_solid = is_there and not is_noise
             n["there"] += is_there
             n["noise"] += is_noise
@@ -249,7 +254,8 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
                 is_there,
             )
             if is_solid and is_down and range_m < 20.0:
-                is_ground, up = label in (G, C), -range_m * math.cos(beam)
+                is_ground = label in (G, C)
+                up = -range_m * math.cos(beam)
                 sides[beam < 0].append((is_ground, up))
                 if is_ground:
                     ground.append((range_m * math.sin(beam), up))
@@ -266,7 +272,8 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
         if row // 16 < len(stretches):
             stretches[row // 16] += counts
     found = {}
-    without, noise = n["without"] / n["there"], n["noise"] / n["there"]
+    without = n["without"] / n["there"]
+    noise = n["noise"] / n["there"]
     if without > usual.unclassified_share and noise <= usual.noise_share:
         found["noise-share"] = DOUBTFUL, f"{_percent(without)} of the returns have no class"
     else:
@@ -326,7 +333,8 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
         ]
         first, last = max(runs, key=lambda run: (run[1] - run[0], -run[0]), default=(0, 0))
         if 0 < last - first < len(bad):
-            start, stop = one.line[first * 16], one.line[(last + 2) * 16 - 1] + 1
+            start = one.line[first * 16]
+            stop = one.line[(last + 2) * 16 - 1] + 1
             found["classes-along"] = verdict, f"{said} in lines {start} to {stop}"
             break
     return found

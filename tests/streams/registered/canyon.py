@@ -8,11 +8,15 @@ import numpy as np
 
 from prc_cli.core.types import F64, I64
 
-LINE_HZ, SHOTS = 50.0, 900
+LINE_HZ = 50.0
+SHOTS = 900
 SHOT_HZ = LINE_HZ * SHOTS
 SLANT_RAD = np.deg2rad(20.0)
 """The lower part of the scan plane points back."""
-LEFT_M, RIGHT_M, HEIGHT_M, ROOF_M = 9.0, -6.0, 2.2, 11.0
+LEFT_M = 9.0
+RIGHT_M = -6.0
+HEIGHT_M = 2.2
+ROOF_M = 11.0
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ def station(time_s: F64) -> F64:
 
 def frame(time_s: F64) -> F64:
     """Return bearing 0 (down), bearing 90 degrees (left) and the axis at times (n,), (n, 3, 3)."""
-    yaw, roll = 0.05 * np.sin(1.3 * time_s), 0.02 * np.sin(5.0 * time_s)
+    yaw = 0.05 * np.sin(1.3 * time_s)
+    roll = 0.02 * np.sin(5.0 * time_s)
     n = len(time_s)
     down = np.tile([-np.sin(SLANT_RAD), 0.0, -np.cos(SLANT_RAD)], (n, 1))
     left = np.tile([0.0, 1.0, 0.0], (n, 1))
@@ -61,8 +66,10 @@ def frame(time_s: F64) -> F64:
 
 
 def _yawed(vector: F64, yaw: F64) -> F64:
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    x, y = vector[:, 0], vector[:, 1]
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    x = vector[:, 0]
+    y = vector[:, 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, vector[:, 2]], axis=1)
 
 
@@ -85,7 +92,8 @@ def canyon(
     shot = np.arange(round(duration_s * SHOT_HZ))
     time_s = start_s + shot / SHOT_HZ
     bearing = 2.0 * np.pi * LINE_HZ * (shot / SHOT_HZ) + np.pi
-    axes, origin = frame(time_s), station(time_s)
+    axes = frame(time_s)
+    origin = station(time_s)
     direction = np.cos(bearing)[:, None] * axes[:, :, 0] + np.sin(bearing)[:, None] * axes[:, :, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = -origin[:, 2] / direction[:, 2]

@@ -11,10 +11,13 @@ import pyproj
 
 from prc_cli.core.types import F64
 
-LINES_HZ, SHOTS_HZ = 50.0, 20_000.0
+LINES_HZ = 50.0
+SHOTS_HZ = 20_000.0
 DURATION_S = 4.0
 HEIGHT_M = 2.1
-LEFT_M, RIGHT_M, CEILING_M = 4.0, -6.0, 5.0
+LEFT_M = 4.0
+RIGHT_M = -6.0
+CEILING_M = 5.0
 CORNER_M = (384_000.0, 6_672_000.0, 12.0)
 """Where the corridor begins, in EPSG:32635."""
 EPSG = 32635
@@ -45,7 +48,8 @@ def make_corridor(*, begin_s: float = 100.0, gap_s: float = 0.0) -> Corridor:
     # no beam is level or upright
     angle = 2.0 * np.pi * LINES_HZ * since + 0.001
     # the scan plane leans back by 20 degrees and looks a little to the side
-    lean, aside = np.radians(20.0), np.radians(3.0)
+    lean = np.radians(20.0)
+    aside = np.radians(3.0)
     axis = np.array([np.cos(lean) * np.cos(aside), np.cos(lean) * np.sin(aside), -np.sin(lean)])
     left = np.array([-np.sin(aside), np.cos(aside), 0.0])
     up = np.cross(axis, left)
@@ -67,7 +71,8 @@ def write_cloud(
 ) -> Path:
     """Write coordinates and times alone, in the order of x; in units of some metres."""
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [0.001] * 3, np.floor(cloud.xyz_m.min(axis=0) / metres)
+    header.scales = [0.001] * 3
+    header.offsets = np.floor(cloud.xyz_m.min(axis=0) / metres)
     if epsg is not None:
         header.add_crs(pyproj.CRS.from_epsg(epsg))
     las = laspy.LasData(header)

@@ -66,8 +66,10 @@ def station(time_s: F64) -> F64:
 
 def frame(time_s: F64, tilt_rad: float) -> F64:
     """Return the axes of the head at times (n,), (n, 3, 3), columns forward, left, up."""
-    yaw, pitch = np.arctan2(0.6 * np.cos(2.0 * time_s), 8.0), tilt_rad + 0.01 * np.sin(4.0 * time_s)
-    zero, one = np.zeros_like(yaw), np.ones_like(yaw)
+    yaw = np.arctan2(0.6 * np.cos(2.0 * time_s), 8.0)
+    pitch = tilt_rad + 0.01 * np.sin(4.0 * time_s)
+    zero = np.zeros_like(yaw)
+    one = np.ones_like(yaw)
     turn = np.stack(
         [np.cos(yaw), -np.sin(yaw), zero, np.sin(yaw), np.cos(yaw), zero, zero, zero, one], axis=1
     )

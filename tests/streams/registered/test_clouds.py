@@ -17,7 +17,10 @@ from prc_cli.core.types import F64, I64, Mask
 from prc_cli.simulation.settings import load_settings, open_simulation
 from tests.profiler import placed
 
-N_LINES, POINTS_PER_LINE, LINE_HZ, SEED = 160, 720, 48.0, 5201
+N_LINES = 160
+POINTS_PER_LINE = 720
+LINE_HZ = 48.0
+SEED = 5201
 PLACE_M = np.array([650_000.0, 6_860_000.0, 40.0])
 CLOCK_S = 3.0e8
 
@@ -87,10 +90,12 @@ def both(first: Cloud, second: Cloud) -> Cloud:
 def write(path: Path, cloud: Cloud) -> Path:
     """Write coordinates and times alone."""
     las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    las.header.scales, las.header.offsets = np.full(3, 0.001), np.floor(cloud.xyz_m.min(axis=0))
+    las.header.scales = np.full(3, 0.001)
+    las.header.offsets = np.floor(cloud.xyz_m.min(axis=0))
     las.x, las.y, las.z = cloud.xyz_m.T
     las.gps_time = cloud.time_s
-    las.return_number[:], las.number_of_returns[:] = 1, 1
+    las.return_number[:] = 1
+    las.number_of_returns[:] = 1
     las.write(path)
     return path
 

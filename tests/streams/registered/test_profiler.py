@@ -17,7 +17,8 @@ from tests.streams.registered.canyon import LINE_HZ, SHOT_HZ, SHOTS, canyon, fra
 
 def test_a_line_of_a_standing_scanner_tells_its_station_exactly() -> None:
     bearing = np.linspace(0.0, 4.5, 80)[None, :]
-    place, turn = np.array([3.0, -2.0, 1.5]), 0.4
+    place = np.array([3.0, -2.0, 1.5])
+    turn = 0.4
     ranges = np.minimum(5.0 / np.abs(np.cos(bearing + turn)), 8.0 / np.abs(np.sin(bearing + turn)))
     local = ranges[:, :, None] * np.stack(
         [np.cos(bearing + turn), np.sin(bearing + turn), np.zeros_like(bearing)], axis=2

@@ -64,7 +64,8 @@ def test_rate_and_rings_are_found(name: str) -> None:
 
 @pytest.mark.parametrize("name", HEADS)
 def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
-    points, found = cloud(name), head(name)
+    points = cloud(name)
+    found = head(name)
     assert isinstance(found, SpinningHead)
     scan, _ = scan_piece(points.time_s, points.xyz_m, found)
     assert np.mean(scan.column == points.ring) > 0.995
@@ -80,7 +81,8 @@ def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
 @pytest.mark.parametrize("name", HEADS)
 def test_stations_and_axis_are_found(name: str) -> None:
     _, _, tilt, sense = HEADS[name]
-    points, found = cloud(name), head(name)
+    points = cloud(name)
+    found = head(name)
     assert isinstance(found, SpinningHead)
     path = scan_piece(points.time_s, points.xyz_m, found)[0].path
     assert path.poses.station_m == pytest.approx(station(path.time_s), abs=0.02)
@@ -89,7 +91,8 @@ def test_stations_and_axis_are_found(name: str) -> None:
 
 
 def test_pieces_give_the_lines_of_the_whole() -> None:
-    points, found = cloud("even rings"), head("even rings")
+    points = cloud("even rings")
+    found = head("even rings")
     assert isinstance(found, SpinningHead)
     whole, _ = scan_piece(points.time_s, points.xyz_m, found)
     middle = len(points.time_s) // 2
