@@ -33,10 +33,12 @@ LimitsT = TypeVar("LimitsT", Limits, Forest)
 
 
 def changed(limits: LimitsT, **tables: Any) -> LimitsT:
-    """Return limits with others in some tables, ``walls={"height_m": 9.0}``, each of the type that it takes.
+    """Return limits with others in some tables, ``walls={"height_m".
 
-    A name instead of a number is another limit of the same table. A table that is left out already stays so.
-    """
+    9.0}``, each of the type that it takes.
+
+    A name instead of a number is another limit of the same table. A table that is left out already
+    stays so."""
     own: Tables = {}
     for table, values in tables.items():
         before = getattr(limits, table)

@@ -3,8 +3,8 @@
     python -m benchmarks.angles > docs/figures/angles.md        # reads ../shared/data or $PRC_DATA; 5 minutes
     python -m benchmarks.angles docs/images/angles.svg          # the picture of docs/fused.md
 
-Seeds 9311-9350, on which nothing was chosen; the limits of the estimator were chosen on 9401-9618 and the real scans.
-"""
+Seeds 9311-9350, on which nothing was chosen; the limits of the estimator were chosen on 9401-9618
+and the real scans."""
 
 from __future__ import annotations
 
@@ -155,7 +155,10 @@ def steps() -> None:
 
 
 def classified(scan: Scan, *told: str) -> tuple[Verdict | None, str]:
-    """Classify ranges and M, with what else is told; return the verdict and the names of the doubts."""
+    """Classify ranges and M, with what else is told.
+
+    Return the verdict and the names of the doubts.
+    """
     n, m = scan.range_m.shape
     with tempfile.TemporaryDirectory() as name:
         dump = Path(name) / "ranges.bin"

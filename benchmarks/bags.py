@@ -3,9 +3,9 @@
     python -m benchmarks.bags            # 20 s of a VLP-16 and of a laser scanner of 541 beams
     python -m benchmarks.bags --large    # and ten times as long, for the memory
 
-Times are the least of three runs in this process; memory is the most that a process of its own takes. Files are in
-the system's cache. prc reads every file twice: once for what is in it, once for the shots.
-"""
+Times are the least of three runs in this process; memory is the most that a process of its own
+takes. Files are in the system's cache. prc reads every file twice: once for what is in it, once for
+the shots."""
 
 from __future__ import annotations
 

@@ -2,10 +2,9 @@
 
     python -m benchmarks.batch
 
-60 small LAZ files (one simulated street, copied). CPU seconds (children included) and wall time are the least of
-several rounds, each of which runs every way in turn (one process per file only in the first). The outputs of all ways
-are compared: their bytes are equal.
-"""
+60 small LAZ files (one simulated street, copied). CPU seconds (children included) and wall time are
+the least of several rounds, each of which runs every way in turn (one process per file only in the
+first). The outputs of all ways are compared: their bytes are equal."""
 
 from __future__ import annotations
 

@@ -5,12 +5,11 @@
     python -m benchmarks.car --oakland   # the section on Oakland's registered points, in the same page
     python -m benchmarks.car --large 20000000 40000000   # memory of the nearest match alone, printed
 
-The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40 m, shuffled,
-cleaned of single points and thinned to one point in 5 cm, as an office delivers it. The CAR is made of what anybody
-can install: the cloth simulation filter (``pip install prc-cli[peers]``) finds the ground, and the shape of 16
-neighbours (SciPy) tells buildings from vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices
-have better.
-"""
+The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40
+m, shuffled, cleaned of single points and thinned to one point in 5 cm, as an office delivers it.
+The CAR is made of what anybody can install: the cloth simulation filter (``pip install
+prc-cli[peers]``) finds the ground, and the shape of 16 neighbours (SciPy) tells buildings from
+vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices have better."""
 
 from __future__ import annotations
 
@@ -67,7 +66,10 @@ def prc(*arguments: object) -> tuple[Any, float, float]:
 
 
 def registered(las: laspy.LasData, seed: int = 1) -> F64:
-    """Return coordinates with the error of a trajectory: another one every second, and lines between."""
+    """Return coordinates with the error of a trajectory.
+
+    Another one every second, and lines between.
+    """
     time_s = np.asarray(las.gps_time)
     random = np.random.default_rng(seed)
     knots = np.arange(time_s.min() - 1, time_s.max() + 2)
@@ -126,7 +128,10 @@ def write_tiles(folder: Path, xyz: F64, codes: I64, seed: int = 2) -> None:
 
 
 def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float]]:
-    """Write the drive, what the office delivers with the true classes, and the CAR; return time and memory."""
+    """Write the drive, what the office delivers with the true classes, and the CAR.
+
+    Return time and memory.
+    """
     used = {}
     drive = folder / "drive.laz"
     used["simulate"] = prc("simulate", "street", drive, "--length", length, "--seed", seed, "-q")[

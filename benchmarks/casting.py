@@ -3,9 +3,9 @@
     python -m pip install embreex          # anywhere; left out if missing
     python -m benchmarks.casting
 
-Embree has only float32 triangles: cones become prisms of 8 sides, boxes 12 and ellipsoids 128 triangles, leaves closed
-hulls, and nothing moves. Both cast the same rays of the same 64 lines; times are processor time of one thread.
-"""
+Embree has only float32 triangles: cones become prisms of 8 sides, boxes 12 and ellipsoids 128
+triangles, leaves closed hulls, and nothing moves. Both cast the same rays of the same 64 lines;
+times are processor time of one thread."""
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ def unit_box() -> F64:
 
 
 def unit_sphere() -> F64:
-    """Triangles of a ball of radius 1, (128, 3, 3): the faces of an octahedron cut in four, twice."""
+    """Triangles of a ball of radius 1, (128, 3, 3).
+
+    The faces of an octahedron cut in four, twice.
+    """
     corners = [
         np.array([[x, 0, 0], [0, y, 0], [0, 0, z]], np.float64)
         for x in (-1, 1)

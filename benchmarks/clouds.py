@@ -2,10 +2,9 @@
 
     python -m benchmarks.clouds [--copies 40]
 
-The stream is IGN's profiler drive (``riegl/sample_riegl_18_01.ply`` of the real scans) repeated line after line: 18
-properties, big-endian, with returns that are listed again. Memory is that of ``prc classify`` in a process of its own,
-at two sizes. The least of three times counts.
-"""
+The stream is IGN's profiler drive (``riegl/sample_riegl_18_01.ply`` of the real scans) repeated
+line after line: 18 properties, big-endian, with returns that are listed again. Memory is that of
+``prc classify`` in a process of its own, at two sizes. The least of three times counts."""
 
 from __future__ import annotations
 

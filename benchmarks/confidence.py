@@ -1,4 +1,6 @@
-"""The confidence of the fused method: its table, and how often labels of every confidence are right.
+"""The confidence of the fused method.
+
+Its table, and how often labels of every confidence are right.
 
     python -m benchmarks.confidence calibrate           # makes prc_cli/methods/fused/confidence.json
     python -m benchmarks.confidence check               # reliability on other streets and forests, for choosing
@@ -6,10 +8,10 @@
     python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
     python -m benchmarks.confidence speed               # processor time, and how much the size of blocks matters
 
-Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2901 to 2999 and on the labelled real scans of
-../shared/data or $PRC_DATA. A label is right if it is the class of the reference, as for ``prc evaluate --mapping
-street``: people and wires, which have no class, are never right.
-"""
+Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2901 to 2999 and on the
+labelled real scans of ../shared/data or $PRC_DATA. A label is right if it is the class of the
+reference, as for ``prc evaluate --mapping street``: people and wires, which have no class, are
+never right."""
 
 from __future__ import annotations
 
@@ -84,7 +86,10 @@ class Judged:
 
 
 def specs(environment: Environment, first: int) -> Iterator[Simulated]:
-    """Return the simulated scans that begin with a seed: the drives of the contest, through other streets."""
+    """Return the simulated scans that begin with a seed.
+
+    The drives of the contest, through other streets.
+    """
     for turn in range(ROUNDS[first]):
         if environment == "urban":
             for k, spec in enumerate(data.TEST_STREETS):
@@ -179,7 +184,10 @@ def table_of(
 
 
 def top_share(shots: U8, right: Mask, weight: F64, share: float = TOP) -> float:
-    """Return how many are right of the given share with the most confidence; of equals, each counts in part."""
+    """Return how many are right of the given share with the most confidence.
+
+    Of equals, each counts in part.
+    """
     n = np.bincount(shots, weight, minlength=101)[::-1]
     good = np.bincount(shots, weight * right, minlength=101)[::-1]
     taken = np.clip(share * n.sum() - (np.cumsum(n) - n), 0.0, n)
@@ -264,7 +272,10 @@ def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 
 def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
-    """Print what every measure is worth: calibrated anew without its answers, on the streets for choosing."""
+    """Print what every measure is worth.
+
+    Calibrated anew without its answers, on the streets for choosing.
+    """
     for environment in environments:
         judged = judged_of(environment, CALIBRATION)
         others = judged_of(environment, CHECK)
@@ -294,7 +305,10 @@ of confidence and share of right labels, over the values of the byte."""
 
 
 def reliability(judged: Sequence[Judged]) -> list[tuple[str, float, float, float]]:
-    """Return spans of confidence: name, mean confidence, share of right ones [per cent], share of all shots."""
+    """Return spans of confidence.
+
+    Name, mean confidence, share of right ones [per cent], share of all shots.
+    """
     shots, right, weight = pooled(judged)
     rows = []
     for low, end in pairwise(BINS):
@@ -339,7 +353,10 @@ def print_reliability(judged: Sequence[Judged]) -> None:
 
 
 def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
-    """Return the reliability curves as a picture, .svg: confidence across, share of right labels up."""
+    """Return the reliability curves as a picture, .svg.
+
+    Confidence across, share of right labels up.
+    """
     side = 360
     edge = 50
     colours = ("#0072b2", "#d55e00", "#009e73")

@@ -4,9 +4,9 @@
     python -m benchmarks.contest --quick                      # papers and fused on three scans, no filters, no pictures
     python -m benchmarks.contest tables peers                 # some of the parts
 
-Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds run if installed (``pip install
-.[peers]``). Results are cached in --cache by the content of scan, configuration and code.
-"""
+Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds run if installed
+(``pip install .[peers]``). Results are cached in --cache by the content of scan, configuration and
+code."""
 
 from __future__ import annotations
 
@@ -222,7 +222,10 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 
 
 def scores_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
-    """Return the F1 of a class, or of cars, poles and curbs, in the scans that hold enough of it; empty: not known."""
+    """Return the F1 of a class, or of cars, poles and curbs, in the scans that hold enough of it.
+
+    Empty: not known.
+    """
     counts = judged(own, items, name)
     if counts:
         return [f1(each) for each in counts] if any(each[1] for each in counts) else []

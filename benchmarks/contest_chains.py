@@ -1,4 +1,7 @@
-"""Chains of filters of registered clouds: with parameters of their authors, and tuned on the streets for tuning."""
+"""Chains of filters of registered clouds.
+
+With parameters of their authors, and tuned on the streets for tuning.
+"""
 
 from __future__ import annotations
 

@@ -1,13 +1,14 @@
 """Scans of the contest: simulated by seed, or real ones from ../shared/data or $PRC_DATA, in one form.
 
-Every scan has the measurements of a scanner (ranges, angles, times, intensities, further returns), the reference class
-of every shot, and registered coordinates. Methods of the stream do not get the coordinates.
+Every scan has the measurements of a scanner (ranges, angles, times, intensities, further returns),
+the reference class of every shot, and registered coordinates. Methods of the stream do not get the
+coordinates.
 
     python -m benchmarks.contest_data train FOLDER       # streets and forests for tuning, seeds 9001-9199
     python -m benchmarks.contest_data real FOLDER        # the real scans in the same form
 
-Seeds 7201-7399 are for reporting; nothing is tuned on them. 7001-7199 were looked at after every change and are spent.
-"""
+Seeds 7201-7399 are for reporting; nothing is tuned on them. 7001-7199 were looked at after every
+change and are spent."""
 
 from __future__ import annotations
 
@@ -38,7 +39,9 @@ LINES_AT_ONCE = 256
 STRAY_SHARE = 0.25
 STRAY_M = 0.3
 FARTHEST_M = 100.0
-"""Background light of pulsed scanners, missing in the simulator: this share lies around its surface with this standard
+"""Background light of pulsed scanners, missing in the simulator.
+
+This share lies around its surface with this standard
 deviation [m], the rest anywhere up to a distance [m]."""
 
 
@@ -157,7 +160,10 @@ class Simulated:
 
 PULSED = ("sick-push-broom", "profiler-1mhz", "scanstation2")
 DARK: dict[str, Any] = {"pane_share": 1.0, "ghost_share": 0.0}
-"""Glass returns the pulse itself, so that no range comes from a reflection; mixed ranges at edges remain."""
+"""Glass returns the pulse itself, so that no range comes from a reflection.
+
+Mixed ranges at edges remain.
+"""
 OWN_NOISE = 0.01
 """Share of mixed ranges and ghosts in a street without background light."""
 PRESET_NOISE = 0.036
@@ -524,7 +530,10 @@ def oakland(strip: int) -> Scan:
 
 
 def oakland_noisy(strip: int) -> Scan:
-    """Return a real strip with background at some of its returns: its label is 7, noise, as in simulated scans."""
+    """Return a real strip with background at some of its returns.
+
+    Its label is 7, noise, as in simulated scans.
+    """
     scan = oakland(strip)
     random = np.random.default_rng(strip)
     there = ~np.isnan(scan.range_m)
@@ -623,9 +632,9 @@ def view(path: Path) -> Scan:
 def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
     """Estimate the position of the scanner at every line of an upright profiler, (lines, 3) [m].
 
-    In the scan plane a return lies ``range * sin`` sideways and ``range * cos`` below the scanner: the offset of
-    heights gives its height, a line fit of positions over the sideways distance the rest.
-    """
+    In the scan plane a return lies ``range * sin`` sideways and ``range * cos`` below the scanner:
+    the offset of heights gives its height, a line fit of positions over the sideways distance the
+    rest."""
     places = np.full((len(range_m), 3), np.nan)
     aside = range_m * np.sin(angle_rad)
     below = range_m * np.cos(angle_rad)

@@ -1,4 +1,7 @@
-"""Real scans of the contest without a reference: what ``prc classify IN OUT`` says of them, and pictures."""
+"""Real scans of the contest without a reference.
+
+What ``prc classify IN OUT`` says of them, and pictures.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""Scans of the contest as files of a user: what a scanner writes, and nothing of where straight down is.
+"""Scans of the contest as files of a user.
 
-Profilers: ``.npz`` with ranges, times, intensities and scan angles that count from the first column; with several
-returns a dump of records, one per return. The KITTI frame is the file itself with its sample configuration, whose
-coordinates are relative to the scanner; range views hold the elevations of their rings.
-"""
+What a scanner writes, and nothing of where straight down is.
+
+Profilers: ``.npz`` with ranges, times, intensities and scan angles that count from the first
+column; with several returns a dump of records, one per return. The KITTI frame is the file itself
+with its sample configuration, whose coordinates are relative to the scanner; range views hold the
+elevations of their rings."""
 
 from __future__ import annotations
 

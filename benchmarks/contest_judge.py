@@ -63,7 +63,10 @@ CURB_M = 0.1
 BLOCKS = 20
 """Number of blocks of lines that are counted apart."""
 LEAST_SHARE = 0.005
-"""Least share of judged returns for a class to exist in a scan: below it, the score depends on a few shots."""
+"""Least share of judged returns for a class to exist in a scan.
+
+Below it, the score depends on a few shots.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,10 @@ class Verdict:
         )
 
     def score(self, name: str) -> float:
-        """Return a score by its name in ``prc evaluate --fail-under``, such as ``f1.ground``; NaN if undefined."""
+        """Return a score by its name in ``prc evaluate --fail-under``, such as ``f1.ground``.
+
+        NaN if undefined.
+        """
         found = all_scores(self.counts[None], self.rows, self.columns)
         return float(found[name][0]) if name in found else float("nan")
 
@@ -190,9 +196,9 @@ def judge_things(scan: Scan, codes: NDArray[np.integer]) -> dict[str, list[float
     Returns
     -------
     dict
-        By class: shots that agree, that are predicted, and of the reference. A curb agrees if one of the other side is
-        within 10 cm; in the first count those of the reference, in the second scaled so that the share is the
-        precision.
+        By class: shots that agree, that are predicted, and of the reference. A curb agrees if one
+        of the other side is within 10 cm; in the first count those of the reference, in the second
+        scaled so that the share is the precision.
     """
     there = ~np.isnan(scan.range_m) & ~np.isin(scan.codes, UNKNOWN.get(scan.mapping, [0]))
     predicted = codes[there]

@@ -1,4 +1,7 @@
-"""Methods of the contest on the stream: presets of this program, and the fused method without single steps."""
+"""Methods of the contest on the stream.
+
+Presets of this program, and the fused method without single steps.
+"""
 
 from __future__ import annotations
 
@@ -114,7 +117,9 @@ TO_THE_TOP = (
         mappings=frozenset({"cylinders"}),
     ),
 )
-"""The same with the height of stems: the cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
+"""The same with the height of stems.
+
+The cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
 plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
 
 
@@ -165,10 +170,12 @@ def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Label
 
 
 def label_scan(scan: Scan, method: Method) -> Labelled:
-    """Run a method over a scan as a user does: the scan as a file, straight down not told, ``prc classify -q``.
+    """Run a method over a scan as a user does.
 
-    Where that is refused, straight down is told, as the refusal says. What is refused still has no labels.
-    """
+    The scan as a file, straight down not told, ``prc classify -q``.
+
+    Where that is refused, straight down is told, as the refusal says. What is refused still has no
+    labels."""
     config = method.config(scan)
     if config.config.is_decided:
         load_classifier(config)

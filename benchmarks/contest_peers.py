@@ -1,7 +1,8 @@
 """Filters of registered clouds, run on the points of the contest with full 3-D coordinates, each in its own process.
 
-Optional: ``pip install .[peers]`` installs cloth-simulation-filter, pypatchworkpp and open3d; missing packages are
-reported. SMRF is implemented here after Pingel et al. (2013), because pip has no package of it.
+Optional: ``pip install .[peers]`` installs cloth-simulation-filter, pypatchworkpp and open3d;
+missing packages are reported. SMRF is implemented here after Pingel et al. (2013), because pip has
+no package of it.
 
     python -m benchmarks.contest_peers POINTS.npz OUT.npz STEP [STEP ...]     # one chain; a step is JSON
 """
@@ -108,9 +109,8 @@ def patchwork(
 ) -> Mask:
     """Patchwork++ (Lee et al. 2022), its authors' package, which takes clouds around the scanner one by one.
 
-    A frame holds the points of some metres of the drive, with the scanner in its middle at the origin and z up, because
-    a single line of a profiler has too little ground.
-    """
+    A frame holds the points of some metres of the drive, with the scanner in its middle at the
+    origin and z up, because a single line of a profiler has too little ground."""
     module = import_module("pypatchworkpp")
     params = module.Parameters()
     params.verbose = False
@@ -143,7 +143,10 @@ def patchwork(
 def smrf(
     points: Points, cell_m: float, slope: float, window_m: float, threshold_m: float, scaler: float
 ) -> Mask:
-    """Simple morphological filter (Pingel et al. 2013): an opened surface of lowest points, then a threshold."""
+    """Simple morphological filter (Pingel et al. 2013).
+
+    An opened surface of lowest points, then a threshold.
+    """
     xyz = points.xyz_m
     low = xyz[:, :2].min(axis=0)
     cell = np.floor((xyz[:, :2] - low) / cell_m).astype(np.int64)
@@ -182,7 +185,10 @@ def _objects(surface: F64, slope: float, cell_m: float, most: int) -> Mask:
 
 
 def _filled(surface: F64) -> F64:
-    """Fill cells without a height from those around: linearly within them, with the nearest beyond."""
+    """Fill cells without a height from those around.
+
+    Linearly within them, with the nearest beyond.
+    """
     interpolate = import_module("scipy.interpolate")
     known = ~np.isnan(surface)
     if known.all():

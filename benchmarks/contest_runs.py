@@ -63,7 +63,10 @@ FOREST_CYLINDERS = "forests, reference of cylinders"
 FOREST_NOISY = "forests, 3 cm of noise"
 SLOW = "slow drives"
 VIEWS = {"kitti": "KITTI views", "nuscenes": "nuScenes views", "vlp32": "VLP-32 views"}
-"""By kind; those with odd numbers, the even ones chose parameters of rings. VLP-32 views chose none."""
+"""By kind; those with odd numbers, the even ones chose parameters of rings.
+
+VLP-32 views chose none.
+"""
 SLOW_DRIVES = ("normal", "1/4", "1/16", "stop and go")
 PEER_SEEDS = (7201, 7202, 7205, 7208, 7209, 7210)
 """Streets for the filters of registered clouds, which take minutes instead of seconds."""
@@ -296,7 +299,10 @@ def as_image(scan: Scan, codes: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], N
 
 
 def _run_chain(folder: Path, steps: list[dict[str, Any]]) -> Path:
-    """Run a chain of filters in a separate process, unless cached; start from its cached first steps if any."""
+    """Run a chain of filters in a separate process, unless cached.
+
+    Start from its cached first steps if any.
+    """
     output = _output_of(folder, steps)
     before = _output_of(folder, steps[:-1])
     if output.exists():

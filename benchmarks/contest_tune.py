@@ -2,9 +2,9 @@
 
     python -m benchmarks.contest_tune
 
-Prints the mean F1 over the streets for settings around those of the authors: of noise for noise filters, of ground for
-ground filters, which run after the best noise filter. ``contest_chains.py`` has the best.
-"""
+Prints the mean F1 over the streets for settings around those of the authors: of noise for noise
+filters, of ground for ground filters, which run after the best noise filter. ``contest_chains.py``
+has the best."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from benchmarks.contest_runs import as_image, points_of
 SPECS = tuple(
     replace(spec, length_m=30.0) for spec in data.TRAIN if spec.seed in (9001, 9004, 9006)
 )
-"""The first parts of three streets: the choice does not depend on length, and radius filters are slow."""
+"""The first parts of three streets.
+
+The choice does not depend on length, and radius filters are slow.
+"""
 GRIDS: dict[str, list[dict[str, Any]]] = {
     "statistical": [
         {"neighbours": n, "sigmas": s}

@@ -2,10 +2,9 @@
 
     python -m benchmarks.down [SEED]                    # first seed, default 8201
 
-Limits were chosen on seeds 9501 to 9531 and 7701 to 7731. A guess is right within 15 degrees; it is refused where
-another direction comes near. The windows are 64 lines spread over 640, as for a file, and 64 in a row, as for a short
-one.
-"""
+Limits were chosen on seeds 9501 to 9531 and 7701 to 7731. A guess is right within 15 degrees; it is
+refused where another direction comes near. The windows are 64 lines spread over 640, as for a file,
+and 64 in a row, as for a short one."""
 
 from __future__ import annotations
 

@@ -4,9 +4,8 @@
     python -m benchmarks.files --lines 46426       # 100 million (text stays at 10)
     python -m benchmarks.files --cold              # inputs are dropped from the cache before every run (Linux)
 
-All jobs run in this process, in turn; the least time counts. Every output is flushed to disk. The last rows are
-classifier and fingerprint alone, a lower limit for any pipeline.
-"""
+All jobs run in this process, in turn; the least time counts. Every output is flushed to disk. The
+last rows are classifier and fingerprint alone, a lower limit for any pipeline."""
 
 from __future__ import annotations
 

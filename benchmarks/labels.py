@@ -4,9 +4,9 @@
     python -m benchmarks.labels --seeds 8901-8906 --only push-broom
     python -m benchmarks.labels --against OTHER/bin/python       # another checkout too: after, and the difference
 
-The first seeds chose nothing and were run once for the page of figures; limits were chosen on :data:`SPENT`. The scene
-of a street goes with its seed. A class counts in a scan with at least 200 shots of it.
-"""
+The first seeds chose nothing and were run once for the page of figures; limits were chosen on
+:data:`SPENT`. The scene of a street goes with its seed. A class counts in a scan with at least 200
+shots of it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ WOODS = ("mixed", "pine-heath", "dense-spruce")
 MAPPINGS = {"forest": str(contest_judge.MAPPINGS["forest"]), "oakland": "street_oakland"}
 """Where the mapping of a scan does not score every class."""
 NAMES = {"horizontal": "ground", "vertical": "building"}
-"""Of the reference of a tripod: trunks, poles and curbs are vertical there, roofs horizontal; noise is not judged."""
+"""Of the reference of a tripod.
+
+Trunks, poles and curbs are vertical there, roofs horizontal; noise is not judged.
+"""
 LEAST_SHOTS = 200
 WHOLE_TURN = {"azimuth_step_deg": 0.46}
 STREETS: dict[str, Simulated] = {
@@ -48,7 +51,10 @@ STREETS: dict[str, Simulated] = {
         "", 0, 783, scanner="scanstation2", kind="street-scan", mount=WHOLE_TURN, noise=0.05
     ),
 }
-"""Drives of so many metres, and tripods of so many lines; without noise, only mixed ranges at edges remain."""
+"""Drives of so many metres, and tripods of so many lines.
+
+Without noise, only mixed ranges at edges remain.
+"""
 Making = Callable[[], Scan]
 
 
@@ -73,7 +79,10 @@ def scans(seeds: list[int], only: str) -> Iterator[tuple[str, str, Making]]:
 
 
 def written(scan: Scan, folder: Path) -> tuple[contest_files.ScanFile, Path]:
-    """Write a scan as ``prc classify`` takes it, and its reference class of every record; return both."""
+    """Write a scan as ``prc classify`` takes it, and its reference class of every record.
+
+    Return both.
+    """
     file = contest_files.write(scan, folder)
     reference = folder / "reference.npy"
     if file.record is None:
@@ -89,7 +98,10 @@ def written(scan: Scan, folder: Path) -> tuple[contest_files.ScanFile, Path]:
 
 
 def f1_of(python: str, scan: Scan, folder: Path) -> dict[str, float]:
-    """Classify a scan and evaluate it as a user does, by the package of a Python; return the F1 of every class."""
+    """Classify a scan and evaluate it as a user does, by the package of a Python.
+
+    Return the F1 of every class.
+    """
     file, reference = written(scan, folder)
     labels = folder / "labels.npy"
     labels.unlink(missing_ok=True)

@@ -5,9 +5,9 @@
     python -m benchmarks.las --format 1          # LAZ of an old point format: every record is compressed again
 
 All jobs run in this process, in turn; the least time counts. The input is a drive past a
-simulated street, point format 6 with time, angle, intensity and the dimensions of a scan line, chunks of 50 000
-records. Outputs are new files. ``classify`` flushes its output to disk, so LAS has a second row with a flush.
-"""
+simulated street, point format 6 with time, angle, intensity and the dimensions of a scan line,
+chunks of 50 000 records. Outputs are new files. ``classify`` flushes its output to disk, so LAS has
+a second row with a flush."""
 
 from __future__ import annotations
 
@@ -45,9 +45,8 @@ def read_and_write(source: Path, output: Path) -> None:
 def read_fields(source: Path, *, intensity: bool = True) -> None:
     """Decompress the layers that PRC uses: returns, time, intensity and the extra bytes.
 
-    Intensity decides between the returns of a shot. In a file without further returns, such as this one, ``classify``
-    does not decompress it.
-    """
+    Intensity decides between the returns of a shot. In a file without further returns, such as this
+    one, ``classify`` does not decompress it."""
     layers = laspy.DecompressionSelection
     wanted = layers.base() | layers.GPS_TIME | layers.ALL_EXTRA_BYTES | layers.XY_RETURNS_CHANNEL
     if intensity:

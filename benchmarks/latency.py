@@ -2,9 +2,8 @@
 
     python -m benchmarks.latency
 
-Every block is written after the labels of the block before have arrived, so that nothing queues: the latency is the
-time from the last byte of a block to the labels that waited for it.
-"""
+Every block is written after the labels of the block before have arrived, so that nothing queues:
+the latency is the time from the last byte of a block to the labels that waited for it."""
 
 from __future__ import annotations
 

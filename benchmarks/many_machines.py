@@ -2,12 +2,13 @@
 
     python -m benchmarks.many_machines                   # about 5 million shots a job
     python -m benchmarks.many_machines --lines 9286      # 20 million
-    python -m benchmarks.many_machines plan --rate 1.3 --read 5.9 --written 5.9 --records 1e13 --cores 512
+    python -m benchmarks.many_machines plan --rate 1.3 --read 5.9 --written 5.9 --records 1e13
+    --cores 512
 
-The last one only computes hours and cost from a row of the first. The others run in one thread of this process and give
-the least processor time of several runs, so that other work on the machine matters little. Inputs are in the cache of
-the system: disk and network times come on top, see the bytes.
-"""
+The last one only computes hours and cost from a row of the first. The others run in one thread of
+this process and give the least processor time of several runs, so that other work on the machine
+matters little. Inputs are in the cache of the system: disk and network times come on top, see the
+bytes."""
 
 from __future__ import annotations
 

@@ -2,12 +2,12 @@
 
 ``python -m benchmarks.objects [--seed N] [--streets] [--preset NAME]``
 
-The list holds the trees of the forest, and the posts and signs of the street, as the scene is built of them.
-One counts as seen where enough of its shots are in the scan, by the simulator's classes. A told object is right where
-one of the list is near to the middle of its registered coordinates; the distance of a stem is to its axis at that
-height, so half its width is part of it. A car that moves is in no list: it is right where shots of cars are near. A
-curb is right along the lines where the simulator has curb in the same columns.
-"""
+The list holds the trees of the forest, and the posts and signs of the street, as the scene is built
+of them. One counts as seen where enough of its shots are in the scan, by the simulator's classes. A
+told object is right where one of the list is near to the middle of its registered coordinates; the
+distance of a stem is to its axis at that height, so half its width is part of it. A car that moves
+is in no list: it is right where shots of cars are near. A curb is right along the lines where the
+simulator has curb in the same columns."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ LINKED_M = {"pole": 0.5, "car": 1.5}
 """Bodies this near are of one thing."""
 BODIES = {"pole": (Material.POLE, Material.SIGN), "car": (Material.CAR_BODY,)}
 SHOTS_M = 1.0
-"""A told car that is none of the list is right if a shot of a car is this near to its middle: it moves."""
+"""A told car that is none of the list is right if a shot of a car is this near to its middle.
+
+It moves.
+"""
 CURB_COLUMNS = 20
 """Columns beside a told curb in which the simulator's counts."""
 SCENES = {

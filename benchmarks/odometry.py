@@ -1,12 +1,13 @@
-"""What classes are worth to an odometry: simulated drives of spinning scanners, with and without some classes.
+"""What classes are worth to an odometry.
+
+Simulated drives of spinning scanners, with and without some classes.
 
     python -m benchmarks.odometry                    # writes docs/figures/odometry.md, docs/images/odometry_paths.png
     python -m benchmarks.odometry --frames 100 --seeds 11 12 13 --scenes snow --page /tmp/page.md
     python -m benchmarks.odometry --kitti FOLDER     # frames of KITTI and nothing else: does it run?
 
-Labels are those of ``prc classify`` with nothing told, frame by frame; ``prc thin`` leaves out the same points. No
-limit of prc or of a library was chosen on these scenes.
-"""
+Labels are those of ``prc classify`` with nothing told, frame by frame; ``prc thin`` leaves out the
+same points. No limit of prc or of a library was chosen on these scenes."""
 
 from __future__ import annotations
 

@@ -1,12 +1,14 @@
-"""Two passes of one place without GNSS: strips of profilers by ICP, forests by ICP and by their stems.
+"""Two passes of one place without GNSS.
+
+Strips of profilers by ICP, forests by ICP and by their stems.
 
     python -m benchmarks.odometry_passes             # writes docs/figures/odometry_passes.md
     python -m benchmarks.odometry_passes --seeds 81 --streets 60 --walk 10 --page /tmp/page.md
 
-The second pass is of the same world at another speed, so that its lines, its noise and the moving cars are others. Its
-trajectory drifts as with an IMU alone: an error of acceleration and one of the turn rate, other ones with every seed.
-The first pass is the map. Labels are those of ``prc classify`` with nothing told, stems those of ``prc objects``.
-"""
+The second pass is of the same world at another speed, so that its lines, its noise and the moving
+cars are others. Its trajectory drifts as with an IMU alone: an error of acceleration and one of the
+turn rate, other ones with every seed. The first pass is the map. Labels are those of ``prc
+classify`` with nothing told, stems those of ``prc objects``."""
 
 from __future__ import annotations
 
@@ -260,7 +262,10 @@ def pairs_by_pattern(ours_m: F64, theirs_m: F64) -> I64:
 
 
 def matched(ours_m: F64, theirs_m: F64) -> F64 | None:
-    """Return the matrix that brings stems onto others, (4, 4), by RANSAC over pairs; None where none agree."""
+    """Return the matrix that brings stems onto others, (4, 4), by RANSAC over pairs.
+
+    None where none agree.
+    """
     pairs = pairs_by_pattern(ours_m[:, :2], theirs_m[:, :2])
     if len(pairs) < 3:
         return None

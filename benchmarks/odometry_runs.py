@@ -1,8 +1,8 @@
 """Odometry of frames by KISS-ICP, GenZ-ICP and small_gicp, as their own examples run them, and how far it is off.
 
-Every frame is straightened before by the motion of the two frames before it (constant velocity), the same way for all:
-KITTI's frames carry no times, and the time of a point follows from its azimuth.
-"""
+Every frame is straightened before by the motion of the two frames before it (constant velocity),
+the same way for all: KITTI's frames carry no times, and the time of a point follows from its
+azimuth."""
 
 from __future__ import annotations
 
@@ -24,11 +24,17 @@ from scipy.spatial.transform import Rotation
 from prc_cli.core.types import F64, I64
 
 FAILED_M = 2.0
-"""A run fails where a pose is farther from its true one [m], both counted from the first pose; or where it stops."""
+"""A run fails where a pose is farther from its true one [m], both counted from the first pose.
+
+Or where it stops.
+"""
 FAILED_SHARE = 0.05
 """The same as a share of the way; the greater counts."""
 PARTS_M = (5.0, 10.0, 20.0, 40.0)
-"""Lengths of the parts of KITTI's t_rel and r_rel; KITTI's own, 100 to 800 m, are longer than the drives."""
+"""Lengths of the parts of KITTI's t_rel and r_rel.
+
+KITTI's own, 100 to 800 m, are longer than the drives.
+"""
 DOWN_M = 0.25
 VOXEL_M = 1.0
 """small_gicp: as its example of odometry, points one in 0.25 m, voxels of the map 1 m."""
@@ -38,7 +44,10 @@ N_TURNS = 15
 """Class to class: largest distance of a pair [m], frames of the map, iterations."""
 
 Step = Callable[[F64, I64], F64]
-"""Takes a frame, (n, 3) float64, and the classes of its points, (n,) int64; returns its pose, (4, 4)."""
+"""Takes a frame, (n, 3) float64, and the classes of its points, (n,) int64.
+
+Returns its pose, (4, 4).
+"""
 
 
 def kiss() -> Step:
@@ -91,7 +100,10 @@ class Small:
 
 
 class ClassToClass:
-    """Points to planes of the ten frames before, pairs within a class; trees and normals are small_gicp's."""
+    """Points to planes of the ten frames before, pairs within a class.
+
+    Trees and normals are small_gicp's.
+    """
 
     def __init__(self) -> None:
         self.pose = np.eye(4)
@@ -157,7 +169,10 @@ _ALL = {**LIBRARIES, CLASS_TO_CLASS: ClassToClass}
 
 
 def straightened(points: F64, delta: F64) -> F64:
-    """Return points as seen from the middle of the turn, (n, 3); a turn begins at azimuth 0 and goes to the left."""
+    """Return points as seen from the middle of the turn, (n, 3).
+
+    a turn begins at azimuth 0 and goes to the left.
+    """
     after = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi) / (2 * np.pi) - 0.5
     turn = Rotation.from_matrix(delta[:3, :3]).as_rotvec()
     return Rotation.from_rotvec(after[:, None] * turn).apply(points) + after[:, None] * delta[:3, 3]
@@ -239,7 +254,10 @@ def _rigid(pose: F64) -> F64:
 
 
 def _kitti(truth: F64, found: F64) -> tuple[float, float]:
-    """Return the mean errors of parts of the way that begin at every frame: translation [%], rotation [deg/m]."""
+    """Return the mean errors of parts of the way that begin at every frame.
+
+    Translation [%], rotation [deg/m].
+    """
     way_m = np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))]
     )

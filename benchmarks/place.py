@@ -2,9 +2,9 @@
 
 ``python -m benchmarks.place [--seed N]``
 
-Every 64 lines of simulated streets and forests (the held-out scans of :mod:`benchmarks.trust_scans`: seeds, scanners
-and mountings that chose no limit), of the Oakland strips, the RIEGL strip and the park are asked. Down is told.
-"""
+Every 64 lines of simulated streets and forests (the held-out scans of
+:mod:`benchmarks.trust_scans`: seeds, scanners and mountings that chose no limit), of the Oakland
+strips, the RIEGL strip and the park are asked. Down is told."""
 
 from __future__ import annotations
 

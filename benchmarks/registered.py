@@ -1,14 +1,16 @@
-"""Labels of registered clouds beside the labels of their raw streams: ``--range points`` and nothing else.
+"""Labels of registered clouds beside the labels of their raw streams.
+
+``--range points`` and nothing else.
 
     python -m benchmarks.registered --work FOLDER > docs/figures/registered.md      # all cases
     python -m benchmarks.registered --work FOLDER --only tile drives                # cases whose names contain a word
     python -m benchmarks.registered --list
 
-A cloud has coordinates (1 mm), times, intensities and return numbers of a simulated drive, without ranges, lines and
-columns. The drive as it was simulated is the raw stream. A part of a cloud is compared with the raw stream without the
-records outside this part. FOLDER keeps the inputs, and the labels of the raw streams: use a new one after a change of
-a method. Every command runs in its own process. Cases of real files read ../shared/data or $PRC_DATA.
-"""
+A cloud has coordinates (1 mm), times, intensities and return numbers of a simulated drive, without
+ranges, lines and columns. The drive as it was simulated is the raw stream. A part of a cloud is
+compared with the raw stream without the records outside this part. FOLDER keeps the inputs, and the
+labels of the raw streams: use a new one after a change of a method. Every command runs in its own
+process. Cases of real files read ../shared/data or $PRC_DATA."""
 
 from __future__ import annotations
 
@@ -348,7 +350,10 @@ def masked(points: Path, cloud: Cloud, name: str, *, options: Options = POINTS) 
 
 
 def scores(codes: U8, truth: U8) -> dict[str, float]:
-    """Return F1 of every class and the macro average; curbs are ground, without stems they are vegetation."""
+    """Return F1 of every class and the macro average.
+
+    Curbs are ground, without stems they are vegetation.
+    """
     codes = _merged(codes, truth)
     truth = _merged(truth, truth)
     f1 = {}
@@ -583,7 +588,10 @@ def whole(name: str, work: Path) -> list[Part]:
 
 
 def in_space(cloud: Cloud) -> Cloud:
-    """Sort points by small squares on the map, as tiles are sorted; the order within a square is random."""
+    """Sort points by small squares on the map, as tiles are sorted.
+
+    The order within a square is random.
+    """
     square = np.floor(cloud.xyz_m[:, :2]).astype(np.int64)
     chance = np.random.default_rng(1).random(len(square))
     return cloud.take(np.lexsort((chance, square[:, 0], square[:, 1])))
@@ -849,7 +857,9 @@ RIEGL = tuple(f"riegl/sample_riegl_18_0{number}.ply" for number in range(1, 6))
 
 
 def riegl(work: Path) -> list[Part]:
-    """Return the five RIEGL files as one cloud with coordinates and times; their own labels are the reference.
+    """Return the five RIEGL files as one cloud with coordinates and times.
+
+    Their own labels are the reference.
 
     Without amplitudes nothing tells the strongest return of a shot: both take the first one.
     """

@@ -2,10 +2,9 @@
 
     python -m benchmarks.rings [NAME ...] > docs/figures/rings.md     # frames whose names begin so; all by default
 
-Every frame is a file of its own, read by ``prc_cli.classify`` with nothing told. Ground is judged in three ways: with
-vegetation left out, with vegetation lower than 1.3 m below the scanner as ground (both as in the papers on Patchwork),
-and with vegetation as a class of its own.
-"""
+Every frame is a file of its own, read by ``prc_cli.classify`` with nothing told. Ground is judged
+in three ways: with vegetation left out, with vegetation lower than 1.3 m below the scanner as
+ground (both as in the papers on Patchwork), and with vegetation as a class of its own."""
 
 from __future__ import annotations
 
@@ -28,7 +27,10 @@ from prc_cli.core.types import F32, I64, U8, Mask
 
 IGNORED = 255
 OTHER = 1
-"""Reference codes of what is not judged, and of classes that no figure is of: people, cycles, signs."""
+"""Reference codes of what is not judged, and of classes that no figure is of.
+
+People, cycles, signs.
+"""
 GROUND, BUILDING, VEGETATION, CAR, POLE, NOISE = (
     ClassCodes().code(one)
     for one in (Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.CAR, Label.POLE, Label.NOISE)
@@ -89,7 +91,10 @@ CLASSES = {
         81: POLE,
     },
 }
-"""Classes by codes of the data sets; lorries and buses are cars, fences buildings, trunks vegetation."""
+"""Classes by codes of the data sets.
+
+Lorries and buses are cars, fences buildings, trunks vegetation.
+"""
 LOW_M = -1.3
 """Vegetation lower than this is ground in the second way [m]."""
 SCANNER_M = {"kitti": 1.73, "nuscenes": 1.84, "vlp32": 1.8, "av2_up": 1.97, "av2_down": 1.86}
@@ -114,7 +119,10 @@ class Frame:
 
 
 def frames(folder: Path) -> Iterator[Frame]:
-    """Write the files of all frames to a folder; even views chose limits, and the first of two others."""
+    """Write the files of all frames to a folder.
+
+    Even views chose limits, and the first of two others.
+    """
     for kind in ("kitti", "nuscenes", "vlp32"):
         for path in view_paths(kind):
             yield _view(path, kind, folder)
@@ -195,7 +203,10 @@ def _snow(name: str, folder: Path) -> Frame:
 
 
 def _argoverse(folder: Path) -> Iterator[Frame]:
-    """Write the two scanners of a sweep as PLY, each in its own frame: the lower one hangs upside down."""
+    """Write the two scanners of a sweep as PLY, each in its own frame.
+
+    The lower one hangs upside down.
+    """
     feather = import_module("pyarrow.feather")
     rotation = import_module("scipy.spatial.transform").Rotation
     home = DATA / "av2"

@@ -2,9 +2,8 @@
 
 python -m benchmarks.scaling [PICTURE.svg]
 
-Time of one core (one thread), the best of several runs. The street is simulated; noise replaces a share of its shots by
-uniform random ranges from 1 to 100 m.
-"""
+Time of one core (one thread), the best of several runs. The street is simulated; noise replaces a
+share of its shots by uniform random ranges from 1 to 100 m."""
 
 from __future__ import annotations
 
@@ -27,7 +26,10 @@ Points = list[tuple[float, float]]
 
 
 def best_times(jobs: dict[str, tuple[F32, PrcParams]]) -> dict[str, float]:
-    """Return the best time per shot of every stream [ns]; each round runs all, so that disturbances affect all."""
+    """Return the best time per shot of every stream [ns].
+
+    Each round runs all, so that disturbances affect all.
+    """
     best = dict.fromkeys(jobs, float("inf"))
     for _ in range(ROUNDS):
         for name, (ranges, params) in jobs.items():

@@ -1,10 +1,12 @@
-"""Figures of the sequential-angle classifier: simulated static scans beside the paper's Table 1, real scans, speed.
+"""Figures of the sequential-angle classifier.
+
+Simulated static scans beside the paper's Table 1, real scans, speed.
 
     python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md     # all but speed and memory, minutes
     python -m benchmarks.sequential_angle speed memory                           # tables of docs/figures/speed.md
 
-Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures.
-"""
+Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the
+same figures."""
 
 from __future__ import annotations
 
@@ -74,7 +76,10 @@ PAPER = {
 """Recall and precision, Stamos et al. (2012), Table 1."""
 
 FIRST_SEED = 901
-"""Held-out streets, not used to develop simulator and parameters; 1 to 16, 701 to 706 and 801 to 811 were."""
+"""Held-out streets, not used to develop simulator and parameters.
+
+1 to 16, 701 to 706 and 801 to 811 were.
+"""
 SEEDS = 11
 """Streets of the first rows: as many as scans in the paper."""
 TURNS = 4

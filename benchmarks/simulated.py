@@ -3,9 +3,8 @@
     python -m benchmarks.simulated > docs/figures/simulation.md     # everything, minutes
     python -m benchmarks.simulated urban speed                      # some of the parts
 
-Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures; no
-parameter of a classifier was chosen on them.
-"""
+Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the
+same figures; no parameter of a classifier was chosen on them."""
 
 from __future__ import annotations
 
@@ -92,7 +91,10 @@ WALK_M = 20.0
 
 SCAN_NAMES = ("vegetation", "vertical", "car", "horizontal")
 STAMOS = ((0.900, 0.789), (0.851, 0.980), (0.867, 0.962), (0.976, 0.631))
-"""Recall and precision, Stamos et al. (2012), Table 1; the overall accuracy follows from its counts."""
+"""Recall and precision, Stamos et al. (2012), Table 1.
+
+The overall accuracy follows from its counts.
+"""
 STAMOS_ALL = 0.876
 STATIONS = 11
 FINE_STATIONS = 2
@@ -102,7 +104,10 @@ COARSE_DEG = 0.46
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 STEPS = (0.5, 0.75, 0.9, 0.95)
 OAKLAND_DEG = (15.0, 123.0)
-"""Angles from nadir that all strips hold [degrees]; nearer to nadir ranges are below 2 m, and left out there."""
+"""Angles from nadir that all strips hold [degrees].
+
+Nearer to nadir ranges are below 2 m, and left out there.
+"""
 OAKLAND_SPEED_M_S = 8.3
 """Median way from line to line in the real strips is 0.16 m to 0.27 m, at 37.5 lines a second."""
 OAKLAND_SCENES: dict[str, dict[str, Any]] = {
@@ -315,7 +320,10 @@ class Walk:
 
 
 def walk(folder: Path, scene: str, seed: int) -> Walk:
-    """Simulate once, label twice: the same as with --reference truth and with --reference cylinders."""
+    """Simulate once, label twice.
+
+    The same as with --reference truth and with --reference cylinders.
+    """
     options = {"seed": seed, "length_m": WALK_M, "scene": {"name": scene}}
     simulation = open_simulation(
         "forest", load_settings("forest", options=options), with_world=True

@@ -3,10 +3,10 @@
     python -m benchmarks.slow            # seeds 1 to 5, for tuning
     python -m benchmarks.slow report     # seeds 1311 to 1316, which decided nothing
 
-Leaves of the simulator have no size: every shot meets others, however slow the drive. Here they have one: a slow drive
-is a normal one with lines in between, in which every shot is that of the line before or of the line after, one after
-the other; surfaces go on evenly between them. Every line has its own range noise and background light.
-"""
+Leaves of the simulator have no size: every shot meets others, however slow the drive. Here they
+have one: a slow drive is a normal one with lines in between, in which every shot is that of the
+line before or of the line after, one after the other; surfaces go on evenly between them. Every
+line has its own range noise and background light."""
 
 from __future__ import annotations
 

@@ -57,7 +57,10 @@ def street(n_lines: int, points_per_line: int) -> F32:
 def best_times(
     jobs: dict[str, tuple[Callable[[], object], int]], rounds: int
 ) -> Iterator[tuple[str, float, float]]:
-    """Name of every job and its best rates [million shots a second]: by the clock, and by the time of one core."""
+    """Name of every job and its best rates [million shots a second].
+
+    By the clock, and by the time of one core.
+    """
     walls: dict[str, list[float]] = {name: [] for name in jobs}
     cores: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(rounds):

@@ -2,9 +2,9 @@
 
     python -m benchmarks.startup
 
-CPU seconds include child processes; CPU and wall times are the least of several runs. Python bytecode is cached in a
-folder of the run, empty at first, as in an installation, whatever the environment says.
-"""
+CPU seconds include child processes; CPU and wall times are the least of several runs. Python
+bytecode is cached in a folder of the run, empty at first, as in an installation, whatever the
+environment says."""
 
 from __future__ import annotations
 

@@ -5,11 +5,11 @@
     python -m benchmarks.trust --set tuning             # scans on which limits may be chosen
     python -m benchmarks.trust --only "M wrong"         # rows whose name holds this text
 
-Every case is a file and a command line, run through ``prc classify -q`` in this process (``--processes``: in one of its
-own). Only the exit code, stderr and the labels count. A case is silent when the exit code is 0, no warning was printed,
-and macro F1 is more than 0.10 below the same scan rightly told. A scan that is rightly told and refused or doubted is a
-false alarm. Reads ../shared/data or $PRC_DATA for the real scans.
-"""
+Every case is a file and a command line, run through ``prc classify -q`` in this process
+(``--processes``: in one of its own). Only the exit code, stderr and the labels count. A case is
+silent when the exit code is 0, no warning was printed, and macro F1 is more than 0.10 below the
+same scan rightly told. A scan that is rightly told and refused or doubted is a false alarm. Reads
+../shared/data or $PRC_DATA for the real scans."""
 
 from __future__ import annotations
 
@@ -111,7 +111,10 @@ class Result:
     is_right: bool = False
     """Whether nothing was wrong: doubts and refusals are false alarms."""
     hint_works: bool | None = None
-    """Whether the option that is named, typed, gives the labels of the scan rightly told; None = none is named."""
+    """Whether the option that is named, typed, gives the labels of the scan rightly told.
+
+    None = none is named.
+    """
 
     @property
     def is_alarm(self) -> bool:
@@ -172,7 +175,10 @@ class Trial:
         return result
 
     def follow(self, case: Case, told: Told, done: Done, f1_right: float) -> bool | None:
-        """Type what a message says, then what the next one says; return whether that gives the right labels."""
+        """Type what a message says, then what the next one says.
+
+        Return whether that gives the right labels.
+        """
         works = None
         for _ in range(MOST_HINTS):
             typed = typed_by(done.stderr)
@@ -188,7 +194,9 @@ class Trial:
 
 
 def typed_by(stderr: str) -> tuple[str, ...]:
-    """Return the first options that a message names with their values; those that insist or need more are none.
+    """Return the first options that a message names with their values.
+
+    Those that insist or need more are none.
 
     >>> typed_by("error: a.bin: found M = 20, expected 10; give -M 10, or insist with --accept-doubt line-length")
     ('-M', '10')
@@ -345,7 +353,10 @@ def run_set(
 
 
 def chosen_windows(rows: list[Row], n: int, each: int, scan: str, seed: int) -> list[list[Row]]:
-    """Return the rows of every window: those for everywhere, the others at some windows by chance."""
+    """Return the rows of every window.
+
+    Those for everywhere, the others at some windows by chance.
+    """
     found: list[list[Row]] = [[] for _ in range(n)]
     for row in rows:
         random = random_of(seed, "where", row.name, scan)

@@ -1,7 +1,9 @@
-"""Cases of the benchmark of trust: what is wrong with a file or a command, as files and command lines of a user.
+"""Cases of the benchmark of trust.
 
-Nothing here knows how the program checks its input. A row writes the files of a case into a folder and returns the
-arguments of ``prc classify`` and the reference class of every label that comes out.
+What is wrong with a file or a command, as files and command lines of a user.
+
+Nothing here knows how the program checks its input. A row writes the files of a case into a folder
+and returns the arguments of ``prc classify`` and the reference class of every label that comes out.
 """
 
 from __future__ import annotations
@@ -24,7 +26,10 @@ from prc_cli.core.types import F32, F64, I64
 from prc_cli.jobs.convert import convert
 
 Shots: TypeAlias = dict[str, NDArray[Any]]
-"""Columns of records in the order of a file, with ``truth``: the reference class, 0 = not judged."""
+"""Columns of records in the order of a file, with ``truth``.
+
+The reference class, 0 = not judged.
+"""
 Random: TypeAlias = np.random.Generator
 
 METHODS: dict[str, tuple[str, ...]] = {
@@ -251,7 +256,10 @@ def text(window: Window, context: Context) -> Told:
 
 
 def las(window: Window, context: Context) -> Told:
-    """Write registered returns with scan angle, line, column and range: heights say where down is."""
+    """Write registered returns with scan angle, line, column and range.
+
+    Heights say where down is.
+    """
     shots = shots_of(window, returns_only=True)
     path = context.folder / "scan.las"
     header = laspy.LasHeader(point_format=6, version="1.4")
@@ -479,7 +487,10 @@ def millimetres_as_floats(window: Window, context: Context) -> Made:
 
 
 def header_as_shots(window: Window, context: Context) -> Made:
-    """A header that is not told, of as many bytes as some shots; the file ends with a whole line."""
+    """A header that is not told, of as many bytes as some shots.
+
+    The file ends with a whole line.
+    """
     n = int(context.random.integers(window.points_per_line // 8, window.points_per_line // 2))
     values = np.concatenate([np.zeros(n, np.float32), window.range_m.ravel()[:-n]])
     truth = np.concatenate([np.zeros(n, np.int64), window.codes.ravel()[:-n]])
@@ -694,7 +705,10 @@ def restart_sorted(window: Window, context: Context) -> Made:
 
 
 def two_scanners(window: Window, context: Context) -> Made:
-    """Two scanners in one file that are not split: lines and columns of both have the same numbers."""
+    """Two scanners in one file that are not split.
+
+    Lines and columns of both have the same numbers.
+    """
     shots = shots_of(window, returns_only=True)
     half = window.n_lines // 2
     shots = taken(shots, np.flatnonzero(shots["scan_line"] < 2 * half))
@@ -716,7 +730,10 @@ def two_scanners(window: Window, context: Context) -> Made:
 
 
 def each_line_again(times: int, every: int) -> Callable[[Window, Context], Made]:
-    """Repeat each line with fresh noise, and take every so many columns: a platform that stands again and again."""
+    """Repeat each line with fresh noise, and take every so many columns.
+
+    a platform that stands again and again.
+    """
 
     def make(window: Window, context: Context) -> Made:
         lines = slice(0, max(window.n_lines // times, 12))

@@ -1,9 +1,9 @@
 """Scans of the benchmark of trust: windows all along simulated drives and walks, and real scans.
 
-A window has what a scanner writes, and the truth: the class of every shot and the scan angle of straight down. Scan
-angles count from the first column, as an encoder does. Scans whose set is ``tuning`` may be used to choose limits;
-those of ``held-out`` (other seeds, other scanners and mountings, other strips) are only reported.
-"""
+A window has what a scanner writes, and the truth: the class of every shot and the scan angle of
+straight down. Scan angles count from the first column, as an encoder does. Scans whose set is
+``tuning`` may be used to choose limits; those of ``held-out`` (other seeds, other scanners and
+mountings, other strips) are only reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ FIRST_SEED: dict[Part, int] = {"tuning": 20_000, "held-out": 60_000}
 """Seeds of a set begin here; ``--seed N`` adds ``N * 1000``. No other benchmark uses these."""
 SEEDS_APART = 1000
 FEW_COLUMNS = 400
-"""Scanners with fewer shots a line are push-brooms: PRC runs with their parameters, and sequential-angle too."""
+"""Scanners with fewer shots a line are push-brooms.
+
+PRC runs with their parameters, and sequential-angle too.
+"""
 USUAL_M = 0.15
 """Drives whose lines are closer than this are slow already [m]."""
 OAKLAND_LINES_HZ = 37.5
@@ -136,7 +139,10 @@ class Source:
     is_labelled: bool = True
 
     def windows(self, n: int) -> list[Window]:
-        """Return windows that begin at even distances along the scan; the last one ends where the scan ends."""
+        """Return windows that begin at even distances along the scan.
+
+        The last one ends where the scan ends.
+        """
         scan = self.make()
         lines = len(scan.range_m)
         each = min(self.n_lines, lines)
@@ -192,7 +198,9 @@ def _times(scan: Scan) -> F64:
 
 
 def riegl() -> Scan:
-    """Return the real profiler drive: one column a step of the mirror, exact copies of returns left out.
+    """Return the real profiler drive.
+
+    One column a step of the mirror, exact copies of returns left out.
 
     Shots without return are no rows of the files; the angle says where they are missing.
     """

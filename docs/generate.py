@@ -1,11 +1,12 @@
 """Write the reference pages from the code, and the figures in prose from the tables of the benchmarks.
 
-``--check`` fails when a page on disk differs. Run ``python docs/generate.py`` after changing an option, a parameter or
-a class code, and after a benchmark wrote its page of figures.
+``--check`` fails when a page on disk differs. Run ``python docs/generate.py`` after changing an
+option, a parameter or a class code, and after a benchmark wrote its page of figures.
 
-A figure in prose is a link to the page of its table. The title of the link names the cell, and its text is written
-anew with as many digits as it has: ``[.527](figures/sequential_angle.md#readings-one-at-a-time
-"car.fourier.window = 0 > car recall")``.
+A figure in prose is a link to the page of its table. The title of the link names the cell, and its
+text is written anew with as many digits as it has:
+``[.527](figures/sequential_angle.md#readings-one-at-a-time "car.fourier.window = 0 > car
+recall")``.
 
 - The title holds as many leading cells of the row as are needed, with ``*`` for any text, then the column. Tables of
   two columns need no column.
@@ -14,8 +15,8 @@ anew with as many digits as it has: ``[.527](figures/sequential_angle.md#reading
   figure in brackets.
 - "least of" and "most of" before the row take the least and the most of all rows that fit.
 
-A table of prose whose rows are rows of figures has ``<!-- rows of PAGE.md#section -->`` above it: every row becomes the
-one with the same first cell in the first table there.
+A table of prose whose rows are rows of figures has ``<!-- rows of PAGE.md#section -->`` above it:
+every row becomes the one with the same first cell in the first table there.
 """
 
 from __future__ import annotations
@@ -179,7 +180,10 @@ def _description(label: Label) -> str:
 
 
 def checks_page() -> str:
-    """Return the reference of the checks: what each asks, its limit, the reason for it, and its blind spots."""
+    """Return the reference of the checks.
+
+    What each asks, its limit, the reason for it, and its blind spots.
+    """
     intro = """\
         # Checks
 
@@ -218,7 +222,10 @@ def reasons_page() -> str:
 
 
 def simulation_page() -> str:
-    """Return the reference of simulations: scanners side by side, then every parameter of every kind."""
+    """Return the reference of simulations.
+
+    Scanners side by side, then every parameter of every kind.
+    """
     intro = """\
         # Simulation
 
@@ -381,7 +388,10 @@ def _looked_up(found: tuple[Table, ...], title: str) -> float:
 
 
 def _places(columns: list[str], column: str) -> list[int]:
-    """Return the place of a column, or of the two of a quotient; none where the table has none of that name."""
+    """Return the place of a column, or of the two of a quotient.
+
+    None where the table has none of that name.
+    """
     names = [column] if column in columns else column.removeprefix("share of ").split(" / ")
     return [columns.index(name) for name in names] if set(names) <= set(columns) else []
 

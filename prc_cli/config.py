@@ -81,7 +81,10 @@ class RunConfig(MethodTables, _Input):
 
     @property
     def classifier(self) -> MethodParams:
-        """Parameters of the classifier that ``method`` names; undecided, of PRC, which needs the least of an input."""
+        """Parameters of the classifier that ``method`` names.
+
+        Undecided, of PRC, which needs the least of an input.
+        """
         params: MethodParams = (
             self.prc if self.method == "auto" else getattr(self, table_of(self.method))
         )
@@ -245,16 +248,19 @@ def load_config(
     Parameters
     ----------
     path : path, optional
-        TOML file; it may name a preset itself (``preset = "urban"``). Relative names inside it start at its folder.
+        TOML file; it may name a preset itself (``preset = "urban"``). Relative names inside it
+        start at its folder.
     preset : str, optional
         One of :data:`PRESETS`; wins over the preset that the file names.
     options : mapping, optional
-        Nested table that wins over everything else, for example ``{"prc": {"support": {"zeta_p": 0.1}}}``.
+        Nested table that wins over everything else, for example ``{"prc": {"support": {"zeta_p":
+        0.1}}}``.
 
     Raises
     ------
     ConfigError
-        Unknown preset or key (the nearest known one is named), value of the wrong kind or out of bounds.
+        Unknown preset or key (the nearest known one is named), value of the wrong kind or out of
+        bounds.
     InputError
         When the file cannot be read.
 
@@ -311,7 +317,9 @@ _PRESET = "preset "
 
 
 def preset_of(loaded: LoadedConfig) -> str | None:
-    """Return the preset that named the method, or whose labels the chosen method gives; None = there is none.
+    """Return the preset that named the method, or whose labels the chosen method gives.
+
+    None = there is none.
 
     >>> preset_of(load_config(preset="street-scan")), preset_of(load_config())
     ('street-scan', None)
@@ -473,7 +481,9 @@ def _nested(key: str, value: Any) -> dict[str, Any]:
 
 
 def parse_assignment(text: str) -> dict[str, Any]:
-    """Turn ``prc.support.zeta_p=0.1`` into a nested table; the value is TOML, a bare word is a string.
+    """Turn ``prc.support.zeta_p=0.1`` into a nested table.
+
+    The value is TOML, a bare word is a string.
 
     >>> parse_assignment("prc.surfaces.area=auto")
     {'prc': {'surfaces': {'area': 'auto'}}}
@@ -494,7 +504,9 @@ def _parse_value(text: str) -> Any:
 
 
 def options_of(loaded: LoadedConfig) -> list[str]:
-    """Return the words of a command line that set again what options and files set; files without their folders.
+    """Return the words of a command line that set again what options and files set.
+
+    Files without their folders.
 
     Presets are left out, and so is what only shapes the output.
 
@@ -581,7 +593,10 @@ def _toml_key(
 
 
 def _origin(source: str) -> str:
-    """Return a comment with the source; control characters in file names are escaped, so they cannot end it."""
+    """Return a comment with the source.
+
+    Control characters in file names are escaped, so they cannot end it.
+    """
     shown = "".join(
         character if character.isprintable() else ascii(character)[1:-1] for character in source
     )

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# The same examples in every run, so that a red run can be repeated; HYPOTHESIS_PROFILE=explore looks for new ones.
-# A kernel may be compiled inside an example, and the machine may be slow or busy: nothing is timed.
+# The same examples in every run, so that a red run can be repeated; HYPOTHESIS_PROFILE=explore
+# looks for new ones. A kernel may be compiled inside an example, and the machine may be slow or
+# busy: nothing is timed.
 settings.register_profile(
     "repeatable",
     derandomize=True,
@@ -26,7 +27,10 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the loops once, on all cores, before workers start; else each would compile them for itself."""
+    """Compile the loops once, on all cores, before workers start.
+
+    Else each would compile them for itself.
+    """
     if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
         from prc_cli.kernels import KERNELS, load_compiler
 

@@ -1,13 +1,14 @@
 """Put single faults into the program and see which of them no test notices.
 
-``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which test and which
-golden case runs which line (files kept from an earlier run are taken as they are), then takes seeded places in the
-rooms named by ``--rooms``, changes one operator or number at a time, and runs the tests, then the golden cases, that
-reach its statement. It prints what became of each and the share that was killed, by room; what failed is run once more
-without a fault, and does not count if it fails again. ``--list`` shows the places alone, ``--skip`` and ``--only`` run
-a part of them. A change elsewhere leaves the draw as it is. No file is changed: the fault is in the code of a forked
-process. Compiled loops are left out, as their twins hold them bit for bit; so are the constants named by ``SIZES``.
-"""
+``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which
+test and which golden case runs which line (files kept from an earlier run are taken as they are),
+then takes seeded places in the rooms named by ``--rooms``, changes one operator or number at a
+time, and runs the tests, then the golden cases, that reach its statement. It prints what became of
+each and the share that was killed, by room; what failed is run once more without a fault, and does
+not count if it fails again. ``--list`` shows the places alone, ``--skip`` and ``--only`` run a part
+of them. A change elsewhere leaves the draw as it is. No file is changed: the fault is in the code
+of a forked process. Compiled loops are left out, as their twins hold them bit for bit; so are the
+constants named by ``SIZES``."""
 
 from __future__ import annotations
 
@@ -136,8 +137,8 @@ def _code(
 ) -> Iterator[tuple[Any, tuple[int, int], bool]]:
     """Yield what is calculated, and the lines of the statement; not types, texts and sizes.
 
-    What is calculated on import counts as run by whatever runs the function or module that it belongs to.
-    """
+    What is calculated on import counts as run by whatever runs the function or module that it
+    belongs to."""
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns"):
             continue
@@ -260,7 +261,10 @@ def pytest_sessionfinish() -> None:
 
 
 def measure(data: Path) -> None:
-    """Run the suite and the golden cases once; keep which runs which line, and how long each takes."""
+    """Run the suite and the golden cases once.
+
+    Keep which runs which line, and how long each takes.
+    """
     setup = data.with_suffix(".ini")
     setup.write_text("[run]\nsource = prc_cli\nsigterm = true\n", encoding="utf-8")
     command = [
@@ -365,7 +369,10 @@ class Reached:
         ]
 
     def tests(self, mutant: Mutant) -> list[str]:
-        """Return the tests, or files of tests, that run a statement: the nearest first, of these the quickest first."""
+        """Return the tests, or files of tests, that run a statement.
+
+        The nearest first, of these the quickest first.
+        """
         found = {name for name in self._found(mutant) if not name.startswith(GOLDEN)}
         found = {name for name in found if "::" not in name or name.partition("::")[0] not in found}
         ranked = sorted(
@@ -436,7 +443,8 @@ def confirm(killers: list[str], golden: Path) -> set[str]:
 
 
 def _run_tests(tests: list[str], *options: str) -> int:
-    # pytest would import modules whose doctests are run by itself, without the fault, to rewrite assertions
+    # pytest would import modules whose doctests are run by itself, without the fault, to rewrite
+    # assertions
     return pytest.main(
         [
             "-q",
@@ -619,7 +627,8 @@ def main() -> None:
     reached = Reached(chosen.coverage)
     golden = chosen.coverage.with_suffix(".golden").absolute()
     found: dict[Mutant, tuple[bool, str]] = {}
-    # what is calculated on import is changed before it is imported, the body of a function when all is
+    # what is calculated on import is changed before it is imported, the body of a function when all
+    # is
     for number, mutant in sorted(numbered, key=lambda item: item[1].in_body):
         if mutant.in_body and "prc_cli.cli" not in sys.modules:
             load()

@@ -1,8 +1,8 @@
 """Waiting in tests: for an event, not for a fixed time, which slow machines would exceed.
 
-Every process that a test starts has a time limit that ends it. It receives Ctrl-C (SIGINT) and the end of a terminal
-(SIGHUP) even if the tests were started with them ignored: under nohup, by cron, or in the background of a shell.
-"""
+Every process that a test starts has a time limit that ends it. It receives Ctrl-C (SIGINT) and the
+end of a terminal (SIGHUP) even if the tests were started with them ignored: under nohup, by cron,
+or in the background of a shell."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 HANGS_S = 600.0
-"""What has not come by then never comes [s]. No test asks how fast a machine is: this only ends what hangs."""
+"""What has not come by then never comes [s].
+
+No test asks how fast a machine is: this only ends what hangs.
+"""
 
 
 def wait_until(is_so: Callable[[], object], what: str = "") -> None:
@@ -73,7 +76,9 @@ def run(
 def start(
     command: Sequence[str | os.PathLike[str]], *, timeout: float = HANGS_S, **options: Any
 ) -> Iterator[subprocess.Popen[Any]]:
-    """Start a program in a process group of its own; whatever of the group runs when the block ends is killed.
+    """Start a program in a process group of its own.
+
+    Whatever of the group runs when the block ends is killed.
 
     Parameters
     ----------
@@ -108,7 +113,10 @@ def popen(
 
 
 def _end_late(process: subprocess.Popen[Any], timeout: float) -> None:
-    """Kill a program that still runs after so long; in a thread, which ends soon after the program."""
+    """Kill a program that still runs after so long.
+
+    In a thread, which ends soon after the program.
+    """
     end = time.monotonic() + timeout
     while process.returncode is None:
         if time.monotonic() > end:

@@ -24,7 +24,10 @@ def jakarto(real_data: Path) -> tuple[Path, dict[str, np.ndarray]]:
 
 
 def scanner_positions(las: laspy.LasData, recovered: dict[str, np.ndarray]) -> F64:
-    """Scanner centre of every line from coordinates and recovered ranges (linear least squares): time, x, y, z."""
+    """Scanner centre of every line from coordinates and recovered ranges (linear least squares).
+
+    Time, x, y, z.
+    """
     xyz = np.column_stack([las.x, las.y, las.z])
     middle = xyz.mean(axis=0)
     rows = []
@@ -52,7 +55,10 @@ def write_trajectory(path: Path, positions: F64) -> None:
 
 
 def jakarto_input(trajectory: Path) -> dict[str, Any]:
-    """Return the ``[input]`` table for the sample: lines and columns by time, ranges by trajectory."""
+    """Return the ``[input]`` table for the sample.
+
+    Lines and columns by time, ranges by trajectory.
+    """
     return {
         "lines": f"time:{1 / JAKARTO_PERIOD_S!r}",
         "columns": f"time:{1 / SHOT_S!r}",
@@ -79,6 +85,9 @@ def placed(source: Path, loaded: LoadedConfig, n_records: int) -> tuple[I64, I64
 
 
 def steps_apart(line: I64, column: I64, recovered: dict[str, np.ndarray]) -> I64:
-    """Return how many shots each record lies beside its recovered cell; the phase of the mirror is taken out."""
+    """Return how many shots each record lies beside its recovered cell.
+
+    The phase of the mirror is taken out.
+    """
     steps = (line - recovered["line"]) * JAKARTO_M + column - recovered["column"]
     return np.abs(steps - int(np.median(steps)))

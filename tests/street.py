@@ -20,7 +20,10 @@ def angles() -> F64:
 
 
 def street(n_lines: int = N_LINES, seed: int = 1) -> F32:
-    """Ground 2 m below, facades at 8 and 11 m, bushes, open sky, stray shots: (n_lines, M) float32 [m]."""
+    """Ground 2 m below, facades at 8 and 11 m, bushes, open sky, stray shots.
+
+    (n_lines, M) float32 [m].
+    """
     rng = np.random.default_rng(seed)
     angle = angles()
     with np.errstate(divide="ignore"):

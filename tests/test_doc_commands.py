@@ -1,8 +1,7 @@
 """The commands of the documentation run, on small files of the names that it uses.
 
-Above a block of commands that is not run here stands why: ``<!-- not run: reason -->``, or ``<!-- run by FILE -->``.
-Pages of figures are written by the benchmark that has run their commands.
-"""
+Above a block of commands that is not run here stands why: ``<!-- not run: reason -->``, or ``<!--
+run by FILE -->``. Pages of figures are written by the benchmark that has run their commands."""
 
 from __future__ import annotations
 

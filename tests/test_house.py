@@ -59,7 +59,10 @@ COMPOUND = (
 
 
 def nesting(node: ast.AST) -> int:
-    """How many compound statements lie in each other within a node; an ``elif`` is as deep as its ``if``."""
+    """How many compound statements lie in each other within a node.
+
+    An ``elif`` is as deep as its ``if``.
+    """
     last = node.orelse if isinstance(node, ast.If) else []
     elifs = [one for one in last if isinstance(one, ast.If) and len(last) == 1]
     inner = (one for one in ast.iter_child_nodes(node) if not isinstance(one, ast.expr))
@@ -123,7 +126,10 @@ REPORTS = {"cli/evaluate.py", "jobs/objects/__init__.py"}
 
 
 def test_suffixes_of_formats_stay_in_their_room() -> None:
-    """Tables of suffixes derive from the records of formats; names that are put together may end in one."""
+    """Tables of suffixes derive from the records of formats.
+
+    Names that are put together may end in one.
+    """
     known = {
         suffix
         for one in formats()

@@ -34,7 +34,8 @@ def options(**inputs: object) -> LoadedConfig:
     return load_config(preset="urban", options={"input": inputs})
 
 
-# lower bounds a little under what is measured (docs/accuracy.md): a change that loses accuracy must be seen
+# lower bounds a little under what is measured (docs/accuracy.md): a change that loses accuracy must
+# be seen
 @pytest.mark.parametrize(
     ("strip", "published_ground", "ground", "vegetation", "building"),
     [(1, 0.93, 0.94, 0.51, 0.70), (2, 0.94, 0.95, 0.76, 0.67), (3, 0.94, 0.95, 0.76, None)],
@@ -101,8 +102,8 @@ def assert_only_classes_differ(before: Path, after: Path) -> None:
 def test_airborne_strip(real_data: Path, tmp_path: Path) -> None:
     source = real_data / "las" / "als_strip_labelled.laz"
     las = laspy.read(source)
-    # after a stray start of 661 records the times span 909.1 periods of 150 Hz; 843 jumps exceed 2 degrees, the
-    # other lines are the short ones where the edge of the flight is cut
+    # after a stray start of 661 records the times span 909.1 periods of 150 Hz; 843 jumps exceed 2
+    # degrees, the other lines are the short ones where the edge of the flight is cut
     time_s = np.asarray(las.gps_time)[661:]
     n_lines = 1 + int(np.ceil(np.ptp(time_s) * 150))
     assert n_lines == 911

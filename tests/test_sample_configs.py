@@ -1,4 +1,7 @@
-"""Sample configurations hold only differences from the defaults, with reasons; ``prc config presets`` lists them."""
+"""Sample configurations hold only differences from the defaults, with reasons.
+
+``prc config presets`` lists them.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,9 @@ REPEATED = {
     "forest.toml": {"prc.surfaces.gamma"},
     "kitti_frame.toml": {"method"},
 }
-"""Defaults that a sample repeats: published values, which a change of the defaults must not change, and the method that
+"""Defaults that a sample repeats.
+
+Published values, which a change of the defaults must not change, and the method that
 the table of one must not decide."""
 
 

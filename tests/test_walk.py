@@ -99,7 +99,8 @@ def test_laz_with_times_alone(here: Path, real_data: Path) -> None:
 def test_bag(here: Path, real_data: Path) -> None:
     shutil.copy(real_data / "ros/sick_lms1xx_ros1.bag", here / "scan.bag")
     walk = Walk()
-    # it was recorded in a room by a scanner that lies level: no direction is down, and fused says so
+    # it was recorded in a room by a scanner that lies level: no direction is down, and fused says
+    # so
     walk.type("prc info scan.bag")
     assert "one the floor, the other a ceiling" in walk.said
     walk.type("prc classify scan.bag scan_labels.npy --set input.nadir=0", code=4)
@@ -164,7 +165,10 @@ def test_kitti_frame(here: Path, real_data: Path) -> None:
 
 
 def write_registered(sources: list[Path], output: Path, positions: Path) -> None:
-    """Write returns as a mapping system delivers them, without ranges, lines and angles; and where the scanner was."""
+    """Write returns as a mapping system delivers them, without ranges, lines and angles.
+
+    And where the scanner was.
+    """
     columns: dict[str, list[np.ndarray]] = {}
     names = (
         "time",
@@ -184,7 +188,8 @@ def write_registered(sources: list[Path], output: Path, positions: Path) -> None
             for name in names:
                 columns.setdefault(name, []).append(np.asarray(chunk.values[name], np.float64))
     table = {name: np.concatenate(parts) for name, parts in columns.items()}
-    # the file repeats the first returns of a shot: of equal ones that with the highest count is the real one
+    # the file repeats the first returns of a shot: of equal ones that with the highest count is the
+    # real one
     order = np.lexsort((-table["number_of_returns"], table["return_number"], table["time"]))
     key = np.stack([table["time"][order], table["return_number"][order]])
     order = order[np.r_[True, np.any(np.diff(key) != 0, axis=0)]]

@@ -137,8 +137,9 @@ class LazyGroup(click.Group):
 def cli(debug: bool) -> None:
     """Classify raw mobile laser scanning streams before registration, shot by shot.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look
-    at it: a doubt, or in an archive unusual classes; of prc batch also 5 another run is at work.
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate
+    failed, 4 done, but look at it: a doubt, or in an archive unusual classes; of prc batch also 5
+    another run is at work.
     """
     context = click.get_current_context()
     begin_command(context.invoked_subcommand or "")
@@ -176,7 +177,8 @@ def main(args: list[str] | None = None) -> None:
             if not is_guarded:
                 drop_proofs()
     if args is None:
-        gc.freeze()  # skips Python's last garbage collection, a fifth of the time of a short command
+        # skips Python's last garbage collection, a fifth of the time of a short command
+        gc.freeze()
     sys.exit(code)
 
 
@@ -258,7 +260,10 @@ _LIMITS = {
 
 
 def _system_problem(error: OSError) -> str:
-    """Say what the system refused. Errors of files are handled where they occur: the rest is the terminal or a pipe."""
+    """Say what the system refused.
+
+    Errors of files are handled where they occur: the rest is the terminal or a pipe.
+    """
     why = error.strerror or str(error)
     if error.errno in _LIMITS:
         return f"{why}; {left_words()}; {_LIMITS[error.errno]}"
@@ -282,7 +287,10 @@ _heard: dict[int, float] = {}
 
 
 def _hear(number: int, error: BaseException) -> None:
-    """Raise for a signal, once for two of a kind at a time: systemd sends one, and the guard passes its own on."""
+    """Raise for a signal, once for two of a kind at a time.
+
+    Systemd sends one, and the guard passes its own on.
+    """
     now = time.monotonic()
     before = _heard.get(number, -math.inf)
     if now - before > REPEATED_S:

@@ -254,12 +254,13 @@ _TELLING = [
 def batch(**options: Any) -> None:
     """Classify every file of ARCHIVE that is not done yet into the same place of OUT.
 
-    Finished files are skipped; changed inputs, configurations and programs are done again. A run that was cut off
-    goes on where it was, and a second one in the same OUT does nothing (exit code 5). The journal lies in OUT/.prc.
-    The file of --config may hold [[override]] tables for some of the files.
+    Finished files are skipped; changed inputs, configurations and programs are done again. A run
+    that was cut off goes on where it was, and a second one in the same OUT does nothing (exit code
+    5). The journal lies in OUT/.prc. The file of --config may hold [[override]] tables for some of
+    the files.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage, 3 a gate failed, 4 look at it: a file is doubted, or its
-    classes are unlike those of earlier ones, 5 another run is at work in OUT.
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage, 3 a gate failed, 4 look at it: a file is
+    doubted, or its classes are unlike those of earlier ones, 5 another run is at work in OUT.
 
     \b
     Examples:

@@ -41,7 +41,10 @@ from prc_cli.jobs.batch.types import (
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""
 LOG_SCHEMA = 1
-"""Version of the form of the log; keys are added without a new number, never renamed or taken away."""
+"""Version of the form of the log.
+
+Keys are added without a new number, never renamed or taken away.
+"""
 
 
 def say(text: str) -> None:
@@ -162,7 +165,10 @@ class Final:
 
 
 class Teller:
-    """Says what happens: a line a finished file, or a bar on a terminal; quiet: only what is wrong."""
+    """Says what happens: a line a finished file, or a bar on a terminal.
+
+    Quiet: only what is wrong.
+    """
 
     def __init__(self, *, quiet: bool, verbose: bool, stamps: bool, bar: bool) -> None:
         from tqdm import tqdm
@@ -372,7 +378,9 @@ def print_end(
     only_failed: bool = False,
     trusting: bool = False,
 ) -> None:
-    """Print what a run did; quiet: a line, and only if something is wrong; listed: failures stand above already.
+    """Print what a run did; quiet.
+
+    a line, and only if something is wrong; listed: failures stand above already.
 
     A run that is ``trusting`` did not read the outputs of earlier ones.
     """

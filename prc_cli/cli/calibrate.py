@@ -138,18 +138,19 @@ def calibrate(
 ) -> None:
     """Measure the sensor of IN and derive the parameters that follow from it.
 
-    Noise, angular step, rounding and missing shots are measured on the stream itself; with a reference the parameters
-    are searched on a part of the lines and judged on the others. A stream that is doubted gives parameters that may be
-    wrong: exit code 4.
+    Noise, angular step, rounding and missing shots are measured on the stream itself; with a
+    reference the parameters are searched on a part of the lines and judged on the others. A stream
+    that is doubted gives parameters that may be wrong: exit code 4.
 
-    It is PRC that needs this. Where no method is named and the angles of the beams are known, prc classify takes fused,
-    which measures the sensor itself: nothing is calibrated then, and the configuration changes nothing.
+    It is PRC that needs this. Where no method is named and the angles of the beams are known, prc
+    classify takes fused, which measures the sensor itself: nothing is calibrated then, and the
+    configuration changes nothing.
 
     \b
     Examples:
       prc calibrate drive.laz --method prc -o drive.toml --plot drive.svg
-      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o strip.toml
-      prc classify drive.laz out.laz --config drive.toml
+      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o
+      strip.toml prc classify drive.laz out.laz --config drive.toml
     """
     form = form_of(options)
     if plot is not None and plot.suffix.lower() != ".svg":

@@ -80,13 +80,14 @@ def classify(
 ) -> None:
     """Give every shot of IN its class and write OUT.
 
-    OUT is .las or .laz (class codes; everything else stays as it is in IN), a bag where IN is one, or the labels
-    alone: .npy, .csv, .parquet. The run is recorded in OUT and in OUT.prc.json beside it. The files of one drive, in
-    order, are one stream: OUT is then a folder, with an output for each.
+    OUT is .las or .laz (class codes; everything else stays as it is in IN), a bag where IN is one,
+    or the labels alone: .npy, .csv, .parquet. The run is recorded in OUT and in OUT.prc.json beside
+    it. The files of one drive, in order, are one stream: OUT is then a folder, with an output for
+    each.
 
-    Without --preset, --method or a configuration that names one, the method that labels IN best is taken: fused where
-    the angles of the beams are known, with its forest classes where the place looks like a forest; else PRC. A line on
-    stderr and the run record say which and why.
+    Without --preset, --method or a configuration that names one, the method that labels IN best is
+    taken: fused where the angles of the beams are known, with its forest classes where the place
+    looks like a forest; else PRC. A line on stderr and the run record say which and why.
 
     \b
     Examples:
@@ -94,7 +95,8 @@ def classify(
       prc classify drive.laz drive_classified.laz --preset urban
       prc classify drive.bin labels.npy --preset urban -M 2154
       prc classify drive_01.laz drive_02.laz drive_03.laz classified/
-      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97 --columns time:414190
+      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97
+      --columns time:414190
     """
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")
@@ -159,7 +161,10 @@ def _classify_all(
 
 
 def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose: bool) -> None:
-    """Print classes, notes and the rate; of several files a line each, and what all have in common once."""
+    """Print classes, notes and the rate.
+
+    Of several files a line each, and what all have in common once.
+    """
     first = summaries[0].record
     more = f" and {len(summaries) - 1} more" if len(summaries) > 1 else ""
     labels = sum((summary.counts.labels for summary in summaries[1:]), summaries[0].counts.labels)

@@ -79,7 +79,8 @@ def check(file: Path) -> None:
 def presets(as_json: bool) -> None:
     """List the presets and what each is for.
 
-    Also shown is how many values a preset changes, compared with the defaults; then the other sample configurations.
+    Also shown is how many values a preset changes, compared with the defaults; then the other
+    sample configurations.
 
     \b
     Example: prc config presets

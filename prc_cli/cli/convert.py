@@ -47,10 +47,10 @@ def convert(
 ) -> None:
     """Write IN in another format, and say what OUT cannot hold.
 
-    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .ply, .pcd, .e57 or a bag (.bag, .mcap,
-    .db3). Between .las and .laz only the compression changes. Everything else is read as a stream, as prc classify
-    would; ranges and times keep every bit. What was lost, and every doubt about the stream (exit code 4), is printed
-    and kept in OUT.prc.json.
+    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .ply, .pcd, .e57 or a
+    bag (.bag, .mcap, .db3). Between .las and .laz only the compression changes. Everything else is
+    read as a stream, as prc classify would; ranges and times keep every bit. What was lost, and
+    every doubt about the stream (exit code 4), is printed and kept in OUT.prc.json.
 
     \b
     Examples:

@@ -32,7 +32,8 @@ def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
 
     The compiled loops must give the same labels as --engine reference of prc classify.
 
-    Every check is ok, warn (slower, or not for everything) or bad, and says what to do. Exit code 1 if one is bad.
+    Every check is ok, warn (slower, or not for everything) or bad, and says what to do. Exit code 1
+    if one is bad.
 
     \b
     Examples:

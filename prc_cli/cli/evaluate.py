@@ -264,12 +264,13 @@ _OPTIONS = [
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
-    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of the same
-    name (any suffix) are pooled into one matrix. Text and Parquet may hold class names instead of codes. The result
-    goes to stdout, and to the files of --output.
+    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders,
+    whose files of the same name (any suffix) are pooled into one matrix. Text and Parquet may hold
+    class names instead of codes. The result goes to stdout, and to the files of --output.
 
-    Records that are not in the same order are matched with --match. A reference of registered points (CAR: classified
-    after registration, tiled, thinned, without noise) needs --match nearest.
+    Records that are not in the same order are matched with --match. A reference of registered
+    points (CAR: classified after registration, tiled, thinned, without noise) needs --match
+    nearest.
 
     \b
     Examples:
@@ -277,7 +278,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
       prc evaluate classified.laz car.laz --match nearest --unmatched noise --mapping asprs
-      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory path.csv --mount 0,25,0
+      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory
+      path.csv --mount 0,25,0
     """
     form = form_of(options)
     how = _how(options)

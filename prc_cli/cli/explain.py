@@ -31,10 +31,12 @@ from prc_cli.jobs.explain import explain as explain_shot
 def explain(
     source: Path, place: str, station: int | None, as_json: bool, quiet: bool, **options: Any
 ) -> None:
-    """Say why a shot of IN has its class: the rule that decided, its limits, and what the stages measured.
+    """Say why a shot of IN has its class.
 
-    IN is classified from its start to the block of the shot, as prc classify does, so that the class is the one that
-    prc classify writes.
+    The rule that decided, its limits, and what the stages measured.
+
+    IN is classified from its start to the block of the shot, as prc classify does, so that the
+    class is the one that prc classify writes.
 
     \b
     Examples:

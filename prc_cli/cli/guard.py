@@ -1,11 +1,12 @@
 """Runs a command in a child process, which a small parent watches.
 
-Libraries that decode files of others may end the process: a stack that overflows, a violated address, an abort. Then
-the parent removes temporary files, prints one line, and ends with exit code 1. It is the process that was started: it
-forks before any thread and any large library is there, passes signals on, and ends with the exit code of the child.
+Libraries that decode files of others may end the process: a stack that overflows, a violated
+address, an abort. Then the parent removes temporary files, prints one line, and ends with exit code
+1. It is the process that was started: it forks before any thread and any large library is there,
+passes signals on, and ends with the exit code of the child.
 
-On Linux only. Elsewhere, or with ``PRC_GUARD=0``, the command runs in the process that was started, and a crash ends it
-by a signal; ``prc batch`` has worker processes on every system.
+On Linux only. Elsewhere, or with ``PRC_GUARD=0``, the command runs in the process that was started,
+and a crash ends it by a signal; ``prc batch`` has worker processes on every system.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ MOST_NAMED = 2
 """Most files named in the message."""
 PATIENCE_S = 5.0
 BATCH_PATIENCE_S = 30.0
-"""A child that a signal has not ended after so long is killed; ``prc batch`` ends its workers first [s]."""
+"""A child that a signal has not ended after so long is killed.
+
+``prc batch`` ends its workers first [s].
+"""
 REPEATED_S = 0.3
 """Two signals of a kind within so long are one: systemd and ``timeout`` send two [s]."""
 _PASSED = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -53,7 +57,10 @@ _CRASHES = (
 
 
 def begin(arguments: list[str], commands: frozenset[str]) -> bool:
-    """Go on in a child process, and return there; return False where that is not needed or not possible."""
+    """Go on in a child process, and return there.
+
+    Return False where that is not needed or not possible.
+    """
     name = next((word for word in arguments if not word.startswith("-")), "")
     if name not in commands - UNGUARDED or not {"-h", "--help"}.isdisjoint(arguments):
         return False
@@ -91,7 +98,10 @@ def begin(arguments: list[str], commands: frozenset[str]) -> bool:
 
 
 def _end_with(parent: int) -> None:
-    """Let the system kill this process when its parent dies: nobody may go on with the work of a killed command."""
+    """Let the system kill this process when its parent dies.
+
+    Nobody may go on with the work of a killed command.
+    """
     import ctypes
 
     with contextlib.suppress(OSError, AttributeError):
@@ -101,7 +111,10 @@ def _end_with(parent: int) -> None:
 
 
 def _keep_for_parent(printed: int, notes: int) -> None:
-    """Keep what libraries print from the terminal, and note temporary files; Python's own stderr goes on."""
+    """Keep what libraries print from the terminal, and note temporary files.
+
+    Python's own stderr goes on.
+    """
     from prc_cli.core import files
 
     files.note_temporaries(notes)
@@ -118,10 +131,12 @@ def _keep_for_parent(printed: int, notes: int) -> None:
 def _wait(
     child: int, passed: set[signal.Signals], patience_s: float
 ) -> tuple[int, list[int], bool]:
-    """Wait for the child, pass signals on, kill it at the second; return status, signals, whether it was killed.
+    """Wait for the child, pass signals on, kill it at the second.
 
-    A signal from the terminal reaches the child by itself, one that a process sent to this one alone does not. The
-    child takes two of a kind within a moment for one.
+    Return status, signals, whether it was killed.
+
+    A signal from the terminal reaches the child by itself, one that a process sent to this one
+    alone does not. The child takes two of a kind within a moment for one.
     """
     awaited = {*passed, signal.SIGCHLD}
     sent: list[int] = []

@@ -72,8 +72,9 @@ def info(
 ) -> None:
     """Say whether FILE can be classified, what to type, and what it holds.
 
-    The same options as for classify say how lines, columns and ranges are found. --verbose tells all that is known.
-    The exit code is 0 for a file that can be read, also where the answer is no: ask "classifiable" of --json.
+    The same options as for classify say how lines, columns and ranges are found. --verbose tells
+    all that is known. The exit code is 0 for a file that can be read, also where the answer is no:
+    ask "classifiable" of --json.
 
     \b
     Examples: prc info drive.laz --lines time:200 --columns time:1000000
@@ -155,7 +156,10 @@ def _drafted(
 
 
 def _print(inspection: Inspection, command: str, *, checks: bool, verbose: bool) -> None:
-    """Print a file on one screen: the verdict, what to type, doubts, facts, and how many checks are fine."""
+    """Print a file on one screen.
+
+    The verdict, what to type, doubts, facts, and how many checks are fine.
+    """
     method = {"prc": "PRC"}.get(inspection.method, inspection.method)
     doubted = [one for one in inspection.doubts if one.problem != inspection.problem]
     verdict = f"yes, {method} can classify it" + (
@@ -206,9 +210,15 @@ ASPRS = {
     21: "snow",
     22: "temporal exclusion",
 }
-"""Names of the standard codes (ASPRS, LAS 1.4 R15, table 17); codes from 64 on mean what the file's maker says."""
+"""Names of the standard codes (ASPRS, LAS 1.4 R15, table 17).
+
+Codes from 64 on mean what the file's maker says.
+"""
 MOST_SHOWN = 8
-"""Classes, returns and point sources that are printed; ``--verbose`` and ``--json`` have them all."""
+"""Classes, returns and point sources that are printed.
+
+``--verbose`` and ``--json`` have them all.
+"""
 FLAGS = (
     "synthetic",
     "key_point",
@@ -225,7 +235,10 @@ LIST_THEM = " (--checks lists them)"
 
 
 def _command(inspection: Inspection, options: dict[str, Any]) -> str:
-    """Return the command that classifies the file: the options given and those that mend it; may be empty."""
+    """Return the command that classifies the file.
+
+    The options given and those that mend it; may be empty.
+    """
     doubts = inspection.doubts
     mends = [inspection.mend] if inspection.mend else list(inspection.missing)
     if not mends and inspection.problem:
@@ -310,7 +323,10 @@ def _path_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, 
 
 
 def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, str]]:
-    """Tell how many checks are fine; or what each found and expected, and the limit of those that found nothing."""
+    """Tell how many checks are fine.
+
+    Or what each found and expected, and the limit of those that found nothing.
+    """
     found = {one.check: one for one in inspection.findings}
     if not listed:
         fine = sum(one.verdict is Verdict.FINE for one in found.values())

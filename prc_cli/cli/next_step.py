@@ -23,7 +23,9 @@ def typed(path: Path | str) -> str:
 
 
 def output_for(source: Path) -> Path:
-    """Return a name for the classified file: point clouds stay what they are, of other files the labels are written.
+    """Return a name for the classified file.
+
+    Point clouds stay what they are, of other files the labels are written.
 
     Examples
     --------

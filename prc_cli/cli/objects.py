@@ -57,10 +57,10 @@ def objects(
 ) -> None:
     """List the stems, poles, cars and curbs of IN as they pass.
 
-    Where IN has such classes and no method is named, they are taken; else IN is classified on the way. Shots of such a
-    class that lie near each other in a line and across lines are one object. Without OUT the list is CSV on stdout, a
-    line as soon as an object has passed. x, y, z are there where IN has registered coordinates. With --json the list on
-    stdout is JSON, a line an object.
+    Where IN has such classes and no method is named, they are taken; else IN is classified on the
+    way. Shots of such a class that lie near each other in a line and across lines are one object.
+    Without OUT the list is CSV on stdout, a line as soon as an object has passed. x, y, z are there
+    where IN has registered coordinates. With --json the list on stdout is JSON, a line an object.
 
     \b
     Examples:

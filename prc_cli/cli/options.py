@@ -1,4 +1,6 @@
-"""Options shared by several commands: one table from which flags, sections of the help, ``--set`` and next steps come.
+"""Options shared by several commands.
+
+One table from which flags, sections of the help, ``--set`` and next steps come.
 
 ``stream_options``  how a stream is read from an input, and with which parameters it is classified
 ``input_options``   only how a stream is read
@@ -37,7 +39,10 @@ def complete_mapping(ctx: click.Context, parameter: click.Parameter, incomplete:
 def complete_assignment(
     ctx: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
-    """Return ``KEY=`` of every key of the configuration; behind the ``=`` the words that it may be."""
+    """Return ``KEY=`` of every key of the configuration.
+
+    Behind the ``=`` the words that it may be.
+    """
     key, equals, value = incomplete.partition("=")
     kinds = dict(_keys())
     if not equals:
@@ -319,7 +324,10 @@ _OWN_SECTIONS = {
     "threads": "Run",
     "profile": "Run",
 }
-"""Sections of options that one command has; all others stand under "Options", before all sections."""
+"""Sections of options that one command has.
+
+All others stand under "Options", before all sections.
+"""
 _SECTIONS = {option.parameter: option.section for option in SHARED} | _OWN_SECTIONS
 
 
@@ -327,7 +335,10 @@ class Sectioned(click.Command):
     """A command whose options are listed by what they are for."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, section by section; a command that classifies nothing keeps one list."""
+        """Write the options, section by section.
+
+        a command that classifies nothing keeps one list.
+        """
         rows: dict[str, list[tuple[str, str]]] = {
             name: [] for name in ("Options", "Method", "Input", "Output", "Run")
         }
@@ -423,7 +434,9 @@ POSES = (
 
 
 def given_words(options: Mapping[str, Any], leave_out: Collection[str] = ()) -> list[str]:
-    """Return the options of :data:`stream_options` as they were given, to go on with; without some flags.
+    """Return the options of :data:`stream_options` as they were given, to go on with.
+
+    Without some flags.
 
     Examples
     --------

@@ -1,7 +1,10 @@
-"""Types of options and arguments that name files: each says whether the command reads or writes them.
+"""Types of options and arguments that name files.
 
-Every path of every command has one of these types, and a test walks all of them. They declare the path while options
-are read: two options that name one file, where one of them writes it, are refused before anything is opened.
+Each says whether the command reads or writes them.
+
+Every path of every command has one of these types, and a test walks all of them. They declare the
+path while options are read: two options that name one file, where one of them writes it, are
+refused before anything is opened.
 """
 
 from __future__ import annotations

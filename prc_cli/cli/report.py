@@ -1,4 +1,7 @@
-"""Tables, progress bars and ``--profile`` on stderr; machine-readable results go to stdout elsewhere."""
+"""Tables, progress bars and ``--profile`` on stderr.
+
+Machine-readable results go to stdout elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +81,10 @@ def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
 
 @contextlib.contextmanager
 def line_progress(name: str, *, quiet: bool, unit: str = "lines") -> Iterator[Progress | None]:
-    """Show a bar of scan lines, or points, on a terminal, nothing elsewhere; per cent where the number is known."""
+    """Show a bar of scan lines, or points, on a terminal, nothing elsewhere.
+
+    Per cent where the number is known.
+    """
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -103,7 +109,10 @@ class LineBar:
         self._bar.update(n_lines)
 
     def reached(self, share: float) -> None:
-        """Take the share of the input that is done with the next lines; less than before = the input is read again."""
+        """Take the share of the input that is done with the next lines.
+
+        Less than before = the input is read again.
+        """
         self._share = share if share >= self._share else 0.0
 
 
@@ -127,7 +136,10 @@ def end_with(doubts: Iterable[Finding]) -> None:
 def table_of(
     title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any
 ) -> Table:
-    """Return a table whose first columns hold words, the others numbers; narrow ones fold, none is cut."""
+    """Return a table whose first columns hold words, the others numbers.
+
+    Narrow ones fold, none is cut.
+    """
     table = Table(title=title)
     column.setdefault("overflow", "fold")
     for i, heading in enumerate(headings):

@@ -152,9 +152,9 @@ def _presets(kind: Kind) -> list[Any]:
 def simulate() -> None:
     """Simulate a scan of a street or a forest, with the reference class of every shot.
 
-    OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .e57,
-    or a bag (.bag, .mcap, .db3). The same parameters and seed give the same bytes. Parameters and version stand in
-    OUT.prc.json.
+    OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz,
+    .npy, .bin, .e57, or a bag (.bag, .mcap, .db3). The same parameters and seed give the same
+    bytes. Parameters and version stand in OUT.prc.json.
 
     \b
     Examples:
@@ -177,10 +177,10 @@ def street(**options: Any) -> None:
     \b
     Examples:
       prc simulate street drive.laz --length 900 --seed 7 --trajectory drive.csv
-      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
-      prc simulate street drive.e57 --config terraces.toml
-      prc simulate street spin.npz --scanner vlp-16 --duration 5 --frames frames/
-      prc simulate street spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
+      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 --set
+      trajectory.stop_every_m=0 prc simulate street drive.e57 --config terraces.toml prc simulate
+      street spin.npz --scanner vlp-16 --duration 5 --frames frames/ prc simulate street spin.bag
+      --scanner vlp-32c --duration 5 --set flake_m=150
     """
     _run("street", options)
 
@@ -191,7 +191,8 @@ def street(**options: Any) -> None:
 def forest(**options: Any) -> None:
     """Simulate a walk through a forest.
 
-    With --reference cylinders the classes are those that the rule of Lehtola et al. (2019, III) gives.
+    With --reference cylinders the classes are those that the rule of Lehtola et al. (2019, III)
+    gives.
 
     \b
     Examples:

@@ -50,11 +50,12 @@ def stream(
 ) -> None:
     """Label a live stream: ranges in on stdin, one byte a shot out on stdout.
 
-    Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
-    return, the same bytes that prc classify writes as an array. Labels leave block by block (prc.lines_per_block,
-    fused.lines_per_block). Where no method is named it is chosen as prc classify does, with angles measured from the
-    ranges where there are none; a line on stderr says so. The rate is reported on stderr, and every doubt about the
-    input as soon as it is known (exit code 4); with --json a line of JSON each, the last one with the labels' counts
+    Without a layout the input is float32 ranges, -M of them a line; the output is the class code of
+    every shot, 0 = no return, the same bytes that prc classify writes as an array. Labels leave
+    block by block (prc.lines_per_block, fused.lines_per_block). Where no method is named it is
+    chosen as prc classify does, with angles measured from the ranges where there are none; a line
+    on stderr says so. The rate is reported on stderr, and every doubt about the input as soon as it
+    is known (exit code 4); with --json a line of JSON each, the last one with the labels' counts
     and all doubts.
 
     \b

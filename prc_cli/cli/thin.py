@@ -87,11 +87,12 @@ def thin(
 ) -> None:
     """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
 
-    Classes are those of IN or of --labels. Where IN has none, or with --preset, --method or --config, it is classified
-    on the way. OUT is any format that prc convert writes, or a bag of a bag; of a frame, a .bin holds x, y, z and
-    intensity, as KITTI's. From .las or .laz to .las or .laz, records are left out and everything else stays as it is;
-    so are points of bags, and of frames of spinning scanners from .ply to .ply and .pcd to .pcd. A folder of frames
-    becomes a new folder of them, each under its name, also where no point is left.
+    Classes are those of IN or of --labels. Where IN has none, or with --preset, --method or
+    --config, it is classified on the way. OUT is any format that prc convert writes, or a bag of a
+    bag; of a frame, a .bin holds x, y, z and intensity, as KITTI's. From .las or .laz to .las or
+    .laz, records are left out and everything else stays as it is; so are points of bags, and of
+    frames of spinning scanners from .ply to .ply and .pcd to .pcd. A folder of frames becomes a new
+    folder of them, each under its name, also where no point is left.
 
     \b
     Examples:

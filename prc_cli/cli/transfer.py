@@ -112,9 +112,9 @@ def transfer(
 ) -> None:
     """Write REGISTERED again as OUT, with the classes of LABELS.
 
-    LABELS is a classified .las or .laz, or labels alone (.npy, .csv, .parquet) with the raw input they belong to
-    (--points). REGISTERED and OUT are .las or .laz of the same drive. Points without partner keep their class;
-    everything else stays as it is in REGISTERED.
+    LABELS is a classified .las or .laz, or labels alone (.npy, .csv, .parquet) with the raw input
+    they belong to (--points). REGISTERED and OUT are .las or .laz of the same drive. Points without
+    partner keep their class; everything else stays as it is in REGISTERED.
 
     \b
     Examples:

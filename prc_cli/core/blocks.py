@@ -13,10 +13,16 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, cut
 
 LOOK_AHEAD_SHOTS = 1
-"""Shots needed beyond the next line: index i + M + 1 of a line's last shot is two lines further on."""
+"""Shots needed beyond the next line.
+
+Index i + M + 1 of a line's last shot is two lines further on.
+"""
 
 MOST_WAITING = 1 << 26
-"""Most shots buffered for one block; a scanner of 250,000 shots per line at 255 lines per block needs fewer."""
+"""Most shots buffered for one block.
+
+a scanner of 250,000 shots per line at 255 lines per block needs fewer.
+"""
 
 
 def look_ahead_lines(points_per_line: int) -> int:

@@ -1,7 +1,8 @@
 """The table of classes: names, meanings, colours, and the LAS codes they are written as.
 
-Inside the program a label is a :class:`Label` index (uint8). It becomes a LAS class code only when it is
-written, through :meth:`ClassCodes.lookup`, so that a user can choose the codes in ``[classes]``.
+Inside the program a label is a :class:`Label` index (uint8). It becomes a LAS class code only when
+it is written, through :meth:`ClassCodes.lookup`, so that a user can choose the codes in
+``[classes]``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ LABEL_BITS = 15
 
 
 class Reason(IntEnum):
-    """Rule that gave a shot its label, ``16 k + label`` with k from 1; :mod:`prc_cli.methods.reasons` says each."""
+    """Rule that gave a shot its label, ``16 k + label`` with k from 1.
+
+    :mod:`prc_cli.methods.reasons` says each.
+    """
 
     MISSING = 0
     BEYOND_REACH = 1 << 4 | Label.UNCLASSIFIED
@@ -114,7 +118,10 @@ class Surface(IntEnum):
     VERTICAL = 3
     """V."""
     UNDECIDED = 4
-    """A return on a line where no angle can be measured: fewer than two returns, or all at the same place."""
+    """A return on a line where no angle can be measured.
+
+    Fewer than two returns, or all at the same place.
+    """
 
 
 class TriggerSide(IntEnum):
@@ -177,8 +184,9 @@ LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
 }
 """Colour of every label in pictures, charts, reports and the viewer [sRGB].
 
-The hues of QGIS and most programs for LAS files (ground brown, vegetation green, buildings red), shifted in lightness
-until the classes of a method differ for colour-blind readers too (``tests/core/test_classes.py``)."""
+The hues of QGIS and most programs for LAS files (ground brown, vegetation green, buildings red),
+shifted in lightness until the classes of a method differ for colour-blind readers too
+(``tests/core/test_classes.py``)."""
 
 FIRST_USER_CODE = 64
 """LAS 1.4 table 17: codes from here on are defined by their users."""

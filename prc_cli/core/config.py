@@ -1,7 +1,9 @@
-"""Machinery of the configuration: strict parameter models, layered TOML tables, errors that name the key.
+"""Machinery of the configuration.
 
-The stages declare their own keys; :mod:`prc_cli.config` combines their models. The sample configurations, which hold
-presets and class mappings, lie where :func:`samples_folder` says.
+Strict parameter models, layered TOML tables, errors that name the key.
+
+The stages declare their own keys; :mod:`prc_cli.config` combines their models. The sample
+configurations, which hold presets and class mappings, lie where :func:`samples_folder` says.
 """
 
 from __future__ import annotations
@@ -21,7 +23,10 @@ from prc_cli.core.files import read_small
 
 
 class Params(BaseModel):
-    """Base of every parameter table: immutable, unknown keys and values out of bounds are errors."""
+    """Base of every parameter table.
+
+    Immutable, unknown keys and values out of bounds are errors.
+    """
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
@@ -172,7 +177,10 @@ def _keys_at(model: type[BaseModel], location: list[str]) -> set[str]:
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
-    """Return the first parameter model inside an annotation such as ``Layout | None``; None = there is none."""
+    """Return the first parameter model inside an annotation such as ``Layout | None``.
+
+    None = there is none.
+    """
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
@@ -186,7 +194,10 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def samples_folder(package: Path = _PACKAGE) -> Path:
-    """Return the folder of the sample configurations: inside an installed package, beside the package in a checkout."""
+    """Return the folder of the sample configurations.
+
+    Inside an installed package, beside the package in a checkout.
+    """
     installed = package / "sample_configs"
     return installed if installed.is_dir() else package.parent / "sample_configs"
 

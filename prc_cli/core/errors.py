@@ -1,8 +1,11 @@
-"""Exceptions of the package: where, what was found, what was expected, what to do; and names that can be printed.
+"""Exceptions of the package: where, what was found, what was expected, what to do.
 
-The command line catches :class:`PrcError` once and turns it into one line and an exit code that scripts can
-trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look at it
-(doubts, or classes that drifted from those of earlier runs), 5 another run is at work in the output folder.
+And names that can be printed.
+
+The command line catches :class:`PrcError` once and turns it into one line and an exit code that
+scripts can trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4
+done, but look at it (doubts, or classes that drifted from those of earlier runs), 5 another run is
+at work in the output folder.
 """
 
 from __future__ import annotations
@@ -47,7 +50,10 @@ class EvidenceError(InputError):
 
 
 class DoubtWarning(UserWarning):
-    """An input that may not be what it is said to be; warned of by functions that return labels alone."""
+    """An input that may not be what it is said to be.
+
+    Warned of by functions that return labels alone.
+    """
 
 
 class OutputError(PrcError):
@@ -85,7 +91,10 @@ class BusyError(PrcError):
 
 
 def printable(text: str) -> str:
-    """Return a text as one printable line: control characters and bytes that are not UTF-8 are escaped."""
+    """Return a text as one printable line.
+
+    Control characters and bytes that are not UTF-8 are escaped.
+    """
     return "".join(_shown(character) for character in text)
 
 

@@ -1,9 +1,12 @@
-"""Atomic output files: complete or absent. The only module that handles differences of operating systems.
+"""Atomic output files: complete or absent.
 
-A file is written under a temporary name in the folder of its destination, flushed to the disk and renamed. The files
-of one run are a set: all are written first, then all get their names, in the order in which they were prepared, and
-only then their temporary names go. So a set that a killed run left shows by the temporary names which of its files were
-already placed, and the next run of the same command and inputs removes them (:func:`remove_unfinished`).
+The only module that handles differences of operating systems.
+
+A file is written under a temporary name in the folder of its destination, flushed to the disk and
+renamed. The files of one run are a set: all are written first, then all get their names, in the
+order in which they were prepared, and only then their temporary names go. So a set that a killed
+run left shows by the temporary names which of its files were already placed, and the next run of
+the same command and inputs removes them (:func:`remove_unfinished`).
 """
 
 from __future__ import annotations
@@ -81,7 +84,10 @@ def read_small(path: Path, limit: int) -> bytes:
 
 
 def read_own(path: Path, limit: int) -> bytes:
-    """Return the content of a small file that only this user wrote, in a folder that is his; never of a link."""
+    """Return the content of a small file that only this user wrote, in a folder that is his.
+
+    Never of a link.
+    """
     if not hasattr(os, "getuid"):
         return read_small(path, limit)
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -111,13 +117,19 @@ def refuse_links(*paths: Path) -> None:
 
 
 def file_state(path: Path | int) -> tuple[int, int, int, int]:
-    """Return what changes when a file does, even if times are put back: size, mtime, ctime, number."""
+    """Return what changes when a file does, even if times are put back.
+
+    Size, mtime, ctime, number.
+    """
     found = os.fstat(path) if isinstance(path, int) else path.stat()
     return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
 
 
 def who_may_change(path: Path, *, may_add: bool = False) -> str:
-    """Return why others than this user (or a group of him alone) and root may change a path; empty if they may not."""
+    """Return why others than this user (or a group of him alone) and root may change a path.
+
+    Empty if they may not.
+    """
     return _who_may_change(path.lstat(), may_add=may_add) if hasattr(os, "getuid") else ""
 
 
@@ -219,8 +231,8 @@ def prepare_outputs(
 ) -> None:
     """Refuse the outputs of a run before any work is done, and remove what dead runs left of them.
 
-    They get their names in this order: folders, which must not be there, the paths, and files ``beside`` that the run
-    may write or leave as they are.
+    They get their names in this order: folders, which must not be there, the paths, and files
+    ``beside`` that the run may write or leave as they are.
     """
     members = (*folders, *paths, *beside)
     for path in members:
@@ -296,8 +308,9 @@ _notes: list[int] = []
 def note_temporaries(descriptor: int) -> None:
     """Note outputs in an open file, each with a null behind it, for the process that cleans up after a crash.
 
-    A name ends in ``/`` if it is a temporary folder. It begins with ``+`` if it is an output that replaced another,
-    with ``?`` if it may have been there before, and with ``!`` if it is the temporary name that shows who made it.
+    A name ends in ``/`` if it is a temporary folder. It begins with ``+`` if it is an output that
+    replaced another, with ``?`` if it may have been there before, and with ``!`` if it is the
+    temporary name that shows who made it.
     """
     _notes[:] = [descriptor]
 
@@ -324,7 +337,10 @@ def parts_of(path: Path, machine: str = "*") -> Iterator[Path]:
 
 
 def remove_stale(path: Path) -> tuple[Path, ...]:
-    """Remove temporary files of ``path`` by dead processes here, and ``path`` itself if it is one; return them."""
+    """Remove temporary files of ``path`` by dead processes here, and ``path`` itself if it is one.
+
+    Return them.
+    """
     return remove_unfinished(path)
 
 
@@ -342,7 +358,8 @@ def remove_unfinished(
     keeps_whole : bool
         Keep the outputs if all of them had got their names.
     beside : collection of Path
-        Those that may have been there before: each is removed only if its own temporary name shows whose it is.
+        Those that may have been there before: each is removed only if its own temporary name shows
+        whose it is.
     """
     stale: list[Path] = []
     proven: set[Path] = set()
@@ -355,7 +372,8 @@ def remove_unfinished(
                 n_placed = number
                 proven.add(path)
             stale.append(part)
-    # names are given and temporary ones removed in this order: all before the last pair were placed, too
+    # names are given and temporary ones removed in this order: all before the last pair were
+    # placed, too
     n_sure = sum(path not in beside for path in paths)
     if not (keeps_whole and n_placed >= n_sure):
         for path in paths[:n_placed]:
@@ -402,7 +420,10 @@ def is_same(first: Path, second: Path) -> bool:
 
 
 def is_left_behind(part: Path) -> bool | None:
-    """Tell whether a file is a temporary one whose process is dead; None if it is of another machine."""
+    """Tell whether a file is a temporary one whose process is dead.
+
+    None if it is of another machine.
+    """
     found = _TEMPORARY.fullmatch(part.name)
     if found is None:
         return False
@@ -427,7 +448,8 @@ def _is_running(process: int) -> bool:
         return False
     except OSError:  # it runs, but belongs to somebody else
         return True
-    # a dead one is answered for until its parent asks for its end, which first processes of containers never do
+    # a dead one is answered for until its parent asks for its end, which first processes of
+    # containers never do
     with contextlib.suppress(OSError, IndexError):
         return Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (
             b"Z",
@@ -437,7 +459,10 @@ def _is_running(process: int) -> bool:
 
 
 def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
-    """Tell whether a process began some seconds after a file was last written: numbers are given again."""
+    """Tell whether a process began some seconds after a file was last written.
+
+    Numbers are given again.
+    """
     try:
         ticks = int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[19])
         runs_s = float(Path("/proc/uptime").read_text().split()[0]) - ticks / os.sysconf(
@@ -457,7 +482,10 @@ def atomic_output(path: Path, *, overwrite: bool | None = None) -> Iterator[Path
 
 @contextlib.contextmanager
 def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tuple[Path, ...]]:
-    """Give temporary paths to write, as :func:`atomic_output`; all get their names, in this order, or none does."""
+    """Give temporary paths to write, as :func:`atomic_output`.
+
+    All get their names, in this order, or none does.
+    """
     temporaries = tuple(temporary_name(path) for path in paths)
     replaced = tuple(os.path.lexists(path) if overwrite is None else overwrite for path in paths)
     try:
@@ -471,7 +499,10 @@ def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tupl
 
 @contextlib.contextmanager
 def whole_set() -> Iterator[None]:
-    """Give all files that are finished inside their names together, at the end; none of them on any failure."""
+    """Give all files that are finished inside their names together, at the end.
+
+    None of them on any failure.
+    """
     if _PENDING.get() is not None:  # a part of a larger set
         yield
         return
@@ -491,10 +522,12 @@ def whole_set() -> Iterator[None]:
 
 
 def place_all(files: Sequence[_Finished]) -> None:
-    """Flush finished temporary files and give them their names; if one fails, remove those that got theirs before.
+    """Flush finished temporary files and give them their names.
 
-    Unless it replaces a file, each keeps its temporary name beside the new one until all are in place. So a process
-    that dies in between leaves a proof that the outputs are its own.
+    If one fails, remove those that got theirs before.
+
+    Unless it replaces a file, each keeps its temporary name beside the new one until all are in
+    place. So a process that dies in between leaves a proof that the outputs are its own.
     """
     for temporary, path, _ in files:
         refuse_read(path)
@@ -509,7 +542,10 @@ def place_all(files: Sequence[_Finished]) -> None:
 
 @held
 def _give_names(files: Sequence[_Finished]) -> None:
-    """Give all files their names; signals wait, and folders are flushed at the end, so that it takes no time."""
+    """Give all files their names.
+
+    Signals wait, and folders are flushed at the end, so that it takes no time.
+    """
     made: list[Path] = []
     try:
         for temporary, path, overwrite in files:
@@ -548,7 +584,10 @@ _PROOFS: list[Path] = []
 
 
 def keep_proofs() -> None:
-    """Keep one temporary name of every set until :func:`drop_proofs`: a run that is killed at its end shows, too."""
+    """Keep one temporary name of every set until :func:`drop_proofs`.
+
+    a run that is killed at its end shows, too.
+    """
     _State.keeps_proofs = True
 
 
@@ -560,7 +599,10 @@ def drop_proofs() -> None:
 
 
 _MADE: list[Path] = []
-"""Temporary names of a command, which may still be there: a signal may come between a file and who removes it."""
+"""Temporary names of a command, which may still be there.
+
+a signal may come between a file and who removes it.
+"""
 
 
 def remove_own() -> None:
@@ -572,7 +614,10 @@ def remove_own() -> None:
 
 
 def why_not_written(temporary: Path) -> int:
-    """Return the error of the system that a library did not tell when it could not write a file; 0 = not known."""
+    """Return the error of the system that a library did not tell when it could not write a file.
+
+    0 = not known.
+    """
     with contextlib.suppress(OSError, ImportError):
         import resource
 
@@ -629,7 +674,10 @@ def flush(temporary: Path) -> None:
 
 
 def _link(temporary: Path, path: Path) -> None:
-    """Give a file its name only if nothing has it; a rename would replace what has appeared there."""
+    """Give a file its name only if nothing has it.
+
+    a rename would replace what has appeared there.
+    """
     try:
         if os.name == "nt":  # where a rename never replaces
             temporary.rename(path)
@@ -682,7 +730,10 @@ def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename durable where folders can be flushed (POSIX); elsewhere the rename is enough."""
+    """Make a rename durable where folders can be flushed (POSIX).
+
+    Elsewhere the rename is enough.
+    """
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)

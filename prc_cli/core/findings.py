@@ -1,6 +1,7 @@
 """Findings: the answers of the checks of an input and of its labels.
 
-A check asks one question of a stream, for example whether its lines repeat after M shots. The checks are in
+A check asks one question of a stream, for example whether its lines repeat after M shots. The
+checks are in
 :mod:`prc_cli.streams.evidence`; every command reports their findings in the same words.
 """
 
@@ -145,7 +146,10 @@ def doubt_of(notice: str) -> tuple[str, str] | None:
 
 
 def accepted_doubt_of(notice: str) -> str | None:
-    """Return the check of a doubt in a run record that the user accepted; None for any other notice."""
+    """Return the check of a doubt in a run record that the user accepted.
+
+    None for any other notice.
+    """
     return (
         notice.removeprefix(_ACCEPTED).partition(":")[0] if notice.startswith(_ACCEPTED) else None
     )

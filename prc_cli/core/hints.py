@@ -1,4 +1,7 @@
-"""Hints name only what the input takes: parts of a hint that name a refused option are left out, in this one place."""
+"""Hints name only what the input takes.
+
+Parts of a hint that name a refused option are left out, in this one place.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,9 @@ def named_keys(text: str) -> frozenset[str]:
 
 
 def fitting(hint: str, refuses: Collection[str], remedy: str = "") -> str:
-    """Return a hint without the parts that name refused keys; the remedy of the input if nothing is left.
+    """Return a hint without the parts that name refused keys.
+
+    The remedy of the input if nothing is left.
 
     Parameters
     ----------

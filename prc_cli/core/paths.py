@@ -1,7 +1,8 @@
 """Paths of the running command: what it reads and what it writes; no path may be both.
 
-The command line declares both while it reads its options, before anything is opened (:mod:`prc_cli.cli.paths`). Every
-output is compared again when it is prepared and when it gets its name, so that names made of others count, too.
+The command line declares both while it reads its options, before anything is opened
+(:mod:`prc_cli.cli.paths`). Every output is compared again when it is prepared and when it gets its
+name, so that names made of others count, too.
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
 """The running process: whose it is, what a step of decoding may take, when freed memory goes back to the system.
 
-Limits are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and the workers of
-``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more memory is a ``MemoryError``.
+Limits are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and
+the workers of ``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more
+memory is a ``MemoryError``.
 
-Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception there leaves the
-loop's caller with a broken result. So the signal handlers of the command line call :func:`raise_or_hold`, which raises
-at once, or, inside a :func:`held` function, when that function ends.
+Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception
+there leaves the loop's caller with a broken result. So the signal handlers of the command line call
+:func:`raise_or_hold`, which raises at once, or, inside a :func:`held` function, when that function
+ends.
 """
 
 from __future__ import annotations
@@ -29,7 +31,10 @@ class _State:
 
 
 def claim_process() -> None:
-    """Say that this process is the command's own: packages may be loaded without what prc never uses."""
+    """Say that this process is the command's own.
+
+    Packages may be loaded without what prc never uses.
+    """
     _State.own = True
     # pydantic then does not look through all installed packages for plugins
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
@@ -141,14 +146,20 @@ _KEPT = 1 << 26
 
 
 def return_memory() -> None:
-    """Let the C library return large arrays as they are freed; threads started afterwards share one arena."""
+    """Let the C library return large arrays as they are freed.
+
+    Threads started afterwards share one arena.
+    """
     _tell(_M_ARENA_MAX, 1)
     _tell(_M_MMAP_THRESHOLD, _SMALL)
     _tell(_M_TRIM_THRESHOLD, _SMALL)
 
 
 def keep_memory() -> None:
-    """Let the C library keep up to 64 MiB of freed memory: requesting its pages again takes longer."""
+    """Let the C library keep up to 64 MiB of freed memory.
+
+    Requesting its pages again takes longer.
+    """
     _tell(_M_ARENA_MAX, 1)
     _tell(_M_MMAP_THRESHOLD, _LARGE)
     _tell(_M_TRIM_THRESHOLD, _KEPT)

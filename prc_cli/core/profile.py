@@ -1,7 +1,7 @@
 """Time spent per stage of a run; measured only inside :func:`profiling`.
 
-A stage is a function decorated with :func:`stage`, or a ``with timed(...)`` block. Without :func:`profiling` either
-costs one comparison. Times exclude those of nested stages.
+A stage is a function decorated with :func:`stage`, or a ``with timed(...)`` block. Without
+:func:`profiling` either costs one comparison. Times exclude those of nested stages.
 """
 
 from __future__ import annotations
@@ -107,7 +107,10 @@ def profiling() -> Iterator[Profile]:
 
 
 def timed(name: str) -> AbstractContextManager[None]:
-    """Return a context that is timed as a stage while :func:`profiling`; otherwise it does nothing."""
+    """Return a context that is timed as a stage while :func:`profiling`.
+
+    Otherwise it does nothing.
+    """
     profile = _Active.profile
     return _NOTHING if profile is None else profile.timed(name)
 

@@ -1,7 +1,8 @@
 """Data types of the stream: blocks of scan lines in, labelled blocks out.
 
-The stream is chronological: shot ``i = line * M + column``. Shots without return are included, with range NaN
-("missing"). Readers yield :class:`ScanBlock`, classifiers use its arrays, writers take :class:`LabelledBlock`.
+The stream is chronological: shot ``i = line * M + column``. Shots without return are included, with
+range NaN ("missing"). Readers yield :class:`ScanBlock`, classifiers use its arrays, writers take
+:class:`LabelledBlock`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from prc_cli.core.frame import SensorFrame
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 
 FAR_M = 20_000.0
-"""Beyond the range of any terrestrial scanner [m]: a sign of a wrong origin, unit or coordinate system."""
+"""Beyond the range of any terrestrial scanner [m].
+
+a sign of a wrong origin, unit or coordinate system.
+"""
 MAX_RINGS = 256
 """Most rings of a spinning scanner."""
 
@@ -56,18 +60,33 @@ class StreamInfo(Brief):
     line_hz: float | None = None
     """Scan lines per second [Hz]; None = unknown."""
     down_rad: float | None = None
-    """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
+    """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad].
+
+    None if unknown.
+    """
     cos_tilt: float = 1.0
-    """Cosine of the tilt of the scan plane from the vertical: height per metre of range along that beam."""
+    """Cosine of the tilt of the scan plane from the vertical.
+
+    Height per metre of range along that beam.
+    """
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """Down angle and cosine by scanner, where found per scanner; if not empty, unknown for all other scanners."""
+    """Down angle and cosine by scanner, where found per scanner.
+
+    If not empty, unknown for all other scanners.
+    """
     angles_off: float = 0.0
-    """Uncertainty of scan angles that were measured from the ranges, as a share; 0 = the input gives them."""
+    """Uncertainty of scan angles that were measured from the ranges, as a share.
+
+    0 = the input gives them.
+    """
     assumptions: tuple[Assumption, ...] = ()
     facts: SourceFacts = field(default_factory=SourceFacts)
     """Metadata of the file."""
     dimensions: tuple[str, ...] = ()
-    """Names of the records' dimensions, where lines were found from records; empty for images and frames."""
+    """Names of the records' dimensions, where lines were found from records.
+
+    Empty for images and frames.
+    """
 
     def down(self, scanner: int) -> tuple[float | None, float]:
         """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
@@ -78,7 +97,10 @@ class StreamInfo(Brief):
 
 @dataclass(frozen=True, slots=True)
 class ReadTally:
-    """Counts of what a reader set missing or could not place, summed over blocks; nothing is dropped uncounted."""
+    """Counts of what a reader set missing or could not place, summed over blocks.
+
+    Nothing is dropped uncounted.
+    """
 
     n_not_finite: int = 0
     """Infinite ranges, taken as missing (NaN and empty cells are the usual codes for missing)."""
@@ -108,7 +130,10 @@ class ReadTally:
         )
 
     def counts(self, *, everything: bool = False) -> Iterator[tuple[str, int]]:
-        """Yield the counts but that of the records, with descriptions; zero counts only with ``everything``."""
+        """Yield the counts but that of the records, with descriptions.
+
+        Zero counts only with ``everything``.
+        """
         for name, count in zip((one.name for one in fields(self)), _counts_of(self), strict=True):
             if name != "n_records" and (count or everything):
                 yield name.removeprefix("n_").replace("_", " "), count
@@ -149,14 +174,20 @@ class ExtraReturns(Brief):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ScanBlock(Brief):
-    """Consecutive scan lines of one scanner, at least one; :func:`prc_cli.core.blocks.regroup` cuts them anew."""
+    """Consecutive scan lines of one scanner, at least one.
+
+    :func:`prc_cli.core.blocks.regroup` cuts them anew.
+    """
 
     first_line: int
     """Index of the block's first line in the stream of its scanner."""
     range_m: F32
     """(lines, M) float32, C-contiguous, slant range [m]; NaN = missing, all else finite and > 0."""
     record: I64 | None = None
-    """(lines, M) int64, record index in the input, -1 = none; None = ``line * M + column`` (dense input)."""
+    """(lines, M) int64, record index in the input, -1 = none.
+
+    None = ``line * M + column`` (dense input).
+    """
     scanner: int = 0
     """Scanner id, 0 where the input is not split."""
     time_s: F64 | None = None
@@ -164,16 +195,21 @@ class ScanBlock(Brief):
     xyz_m: F32 | None = None
     """(lines, M, 3) float32, sensor-centred, z up [m]; NaN = missing."""
     intensity: F32 | None = None
-    """(lines, M) float32, NaN = missing; raw units of the input, scaled to 0..65535 for formats that state their
+    """(lines, M) float32, NaN = missing.
+
+    Raw units of the input, scaled to 0..65535 for formats that state their
     limits (PTX, E57)."""
     angle_rad: F64 | None = None
     """(M,) float64, scan angle per column [rad]."""
     beam_rad: F64 | None = None
     """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi]; the sign is the side of the
-    scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None = unknown or not
-    requested."""
+    scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None
+    = unknown or not requested."""
     has_rings: bool = False
-    """Whether columns are known to be the rings of a spinning scanner: by what the input is, or by coordinates."""
+    """Whether columns are known to be the rings of a spinning scanner.
+
+    By what the input is, or by coordinates.
+    """
     frame: SensorFrame | None = None
     """Frame of a spinning scanner in that of ``xyz_m``; None = the same, as far as is known."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
@@ -181,7 +217,10 @@ class ScanBlock(Brief):
     is_last: bool = False
     """The scanner has no more lines."""
     next_m: F32 | None = None
-    """(lines <= look-ahead, M) float32, ranges of the lines that follow the block [m]; set by regrouping only."""
+    """(lines <= look-ahead, M) float32, ranges of the lines that follow the block [m].
+
+    Set by regrouping only.
+    """
 
     @property
     def n_lines(self) -> int:
@@ -204,7 +243,10 @@ class ScanBlock(Brief):
 
 
 def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
-    """Return the lines ``start`` to ``stop`` of a block; the part that begins at line 0 keeps the tally."""
+    """Return the lines ``start`` to ``stop`` of a block.
+
+    The part that begins at line 0 keeps the tally.
+    """
     inside = (block.extra.line >= start) & (block.extra.line < stop)
     extra = ExtraReturns(
         block.extra.line[inside] - np.int32(start),
@@ -229,14 +271,20 @@ def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
 
 
 class ScanStream(Protocol):
-    """Interface of all readers: properties of the stream, and its blocks; may be read repeatedly."""
+    """Interface of all readers: properties of the stream, and its blocks.
+
+    May be read repeatedly.
+    """
 
     @property
     def info(self) -> StreamInfo:
         """Properties known before reading."""
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start, chronological for each scanner; InputError where the input is damaged."""
+        """Read from the start, chronological for each scanner.
+
+        InputError where the input is damaged.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,15 +292,26 @@ class StageLabels:
     """Intermediate results of the sequential-angle classifier (Stamos et al. 2012)."""
 
     surface: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`: the coarse classification (sec. 4)."""
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`.
+
+    The coarse classification (sec. 4).
+    """
     car_surface: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface` of the car stages: T', H and V (sec. 7.1)."""
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface` of the car stages.
+
+    T', H and V (sec. 7.1).
+    """
     ground_height_m: F32
-    """(lines, M) float32, z_g, ground height relative to the scanner at that line [m]; NaN = unknown."""
+    """(lines, M) float32, z_g, ground height relative to the scanner at that line [m].
+
+    NaN = unknown.
+    """
     trigger: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.TriggerSide` (sec. 7.2)."""
     car_interval: U16
-    """(lines, M) uint16, number p of the interval between dividers on the shot's half-line, from 1; 0 = none
+    """(lines, M) uint16, number p of the interval between dividers on the shot's half-line, from 1.
+
+    0 = none
     (sec. 7.3, before anything is taken out of the interval)."""
     car_test: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.CarTest`."""
@@ -273,7 +332,10 @@ class CriticalZetas:
     """Range differences that both thresholds must exceed for a shot to have support (Lehtola et al. 2019, V-A)."""
 
     in_line_m: F32
-    """(lines, M) float32, compared with zeta_p [m]; infinite = too few neighbours, NaN = missing."""
+    """(lines, M) float32, compared with zeta_p [m].
+
+    Infinite = too few neighbours, NaN = missing.
+    """
     adjacent_m: F32
     """(lines, M) float32, compared with zeta_s [m]."""
 
@@ -292,16 +354,23 @@ class LabelledBlock(Brief):
     stages: StageLabels | None = None
     """Intermediate results of the sequential-angle classifier."""
     above_m: F32 | None = None
-    """(lines, M) float32, height above the ground [m]; NaN = missing, or no ground is known. None = the method has no
+    """(lines, M) float32, height above the ground [m]; NaN = missing, or no ground is known.
+
+    None = the method has no
     ground, or it was not asked for."""
     critical: CriticalZetas | None = None
     """Critical thresholds of PRC."""
     confidence: U8 | None = None
-    """(lines, M) uint8, per cent of such shots whose label is right; 0 = no return, or not known. None = the method has
+    """(lines, M) uint8, per cent of such shots whose label is right; 0 = no return, or not known.
+
+    None = the method has
     none, or it was not asked for."""
     extra_confidence: U8 | None = None
     """(n,) uint8, the same of ``block.extra``."""
     reasons: U8 | None = None
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Reason`: the rule that gave the label; None unless asked for."""
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Reason`.
+
+    The rule that gave the label; None unless asked for.
+    """
     measures: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """(lines, M) each: what the stages measured, by names with their units, for ``prc explain``."""

@@ -1,7 +1,7 @@
 """Worker threads with results in order, and bounded queues between threads.
 
-Compiled loops, decompression and file access release the interpreter's lock, so threads are enough. Results and their
-order do not depend on the number of threads.
+Compiled loops, decompression and file access release the interpreter's lock, so threads are enough.
+Results and their order do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 TICK_S = 0.2
-"""Longest wait before signals are handled [s]; on POSIX, where signals interrupt waits, they are handled at once."""
+"""Longest wait before signals are handled [s].
+
+On POSIX, where signals interrupt waits, they are handled at once.
+"""
 PATIENCE_S = 5.0
 """How long closing waits for a reader thread to end [s]."""
 _CGROUP = Path("/sys/fs/cgroup")
@@ -111,12 +114,16 @@ def _wait(future: Future[_B]) -> _B:
         try:
             return future.result(TICK_S)
         except TimeoutError:
-            continue  # either the wait timed out, or the job raised TimeoutError: result() below raises it
+            # either the wait timed out, or the job raised TimeoutError: result() below raises it
+            continue
     return future.result()
 
 
 class Relay(Generic[_A]):
-    """A value handed from job to job across threads; jobs start in the order of their turns 0, 1, 2 ..."""
+    """A value handed from job to job across threads.
+
+    Jobs start in the order of their turns 0, 1, 2 ...
+    """
 
     def __init__(self, value: _A) -> None:
         self._value = value
@@ -125,7 +132,10 @@ class Relay(Generic[_A]):
         self._changed = threading.Condition()
 
     def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> tuple[_B, _A]:
-        """Wait for a turn, then call the function with the value; it returns a result and the next turn's value."""
+        """Wait for a turn, then call the function with the value.
+
+        It returns a result and the next turn's value.
+        """
         with self._changed:
             while self._turn != turn and not self._is_broken(turn):
                 with timed("waiting for the block before"):
@@ -170,7 +180,10 @@ class _Channel(Generic[_A]):
         self._error: BaseException | None = None
 
     def put(self, item: _A) -> bool:
-        """Append an item when there is room; return False at once when the receiver has cancelled."""
+        """Append an item when there is room.
+
+        Return False at once when the receiver has cancelled.
+        """
         with self._changed:
             while len(self._items) >= self._depth and not self._cancelled:
                 self._changed.wait(TICK_S)
@@ -300,7 +313,9 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
 
 
 def drain(messages: queue.SimpleQueue[_A]) -> list[_A]:
-    """Take all messages from a queue; wait at most :data:`TICK_S` for the first; empty if none came.
+    """Take all messages from a queue.
+
+    Wait at most :data:`TICK_S` for the first; empty if none came.
 
     >>> messages: queue.SimpleQueue[int] = queue.SimpleQueue()
     >>> messages.put(1)

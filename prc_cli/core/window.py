@@ -1,4 +1,7 @@
-"""A part of a drive: some scan lines, or some seconds; parsed from text and compared with lines and times."""
+"""A part of a drive: some scan lines, or some seconds.
+
+Parsed from text and compared with lines and times.
+"""
 
 from __future__ import annotations
 

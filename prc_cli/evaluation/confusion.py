@@ -17,7 +17,10 @@ from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ConfusionMatrix(Brief):
-    """Counts by reference class (rows) and predicted class (columns); names of one side alone never agree."""
+    """Counts by reference class (rows) and predicted class (columns).
+
+    Names of one side alone never agree.
+    """
 
     reference_names: tuple[str, ...]
     """Class names of the rows."""
@@ -71,7 +74,10 @@ class ConfusionMatrix(Brief):
         return shares(self.counts, self.counts.sum(axis=1, keepdims=True))
 
     def column_shares(self) -> F64:
-        """Divide every column by its sum: shares of a predicted class, with precision on the diagonal."""
+        """Divide every column by its sum.
+
+        Shares of a predicted class, with precision on the diagonal.
+        """
         return shares(self.counts, self.counts.sum(axis=0, keepdims=True))
 
     def trimmed(self) -> ConfusionMatrix:
@@ -252,7 +258,9 @@ def check_edges(edges: Sequence[float]) -> F64:
 
 
 def range_groups(range_m: F64, edges: F64) -> I64:
-    """Return the range bin of every pair: 0 = below the first edge; :data:`UNKNOWN` where the range is NaN.
+    """Return the range bin of every pair.
+
+    0 = below the first edge; :data:`UNKNOWN` where the range is NaN.
 
     >>> range_groups(np.array([5.0, 10.0, 99.0, np.nan]), np.array([10.0, 20.0]))
     array([ 0,  1,  2, -1])

@@ -36,8 +36,9 @@ _SHOWN = 8
 class ClassMapping(Params):
     """Which codes mean which class.
 
-    Classes with the same name on both sides are scored. A class of one side only is kept as a row or a
-    column and never agrees with anything, like the row "Other" of Lehtola et al. (2019), Table I.
+    Classes with the same name on both sides are scored. A class of one side only is kept as a row
+    or a column and never agrees with anything, like the row "Other" of Lehtola et al. (2019), Table
+    I.
 
     >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": ["1200-1206"], "car": [1501]})
     >>> mapping.scored_names
@@ -101,7 +102,10 @@ class ClassMapping(Params):
         return self
 
     def names(self, side: Side) -> tuple[str, ...]:
-        """Class names of one side, in the order of the file; ``other`` last where unlisted codes go there."""
+        """Class names of one side, in the order of the file.
+
+        ``other`` last where unlisted codes go there.
+        """
         listed = tuple(self.predicted if side == "predicted" else self.reference)
         return (*listed, OTHER) if self.unlisted == "other" and OTHER not in listed else listed
 
@@ -133,7 +137,10 @@ class ClassMapping(Params):
         return unlisted
 
     def fitting(self, codes: NDArray[np.integer], side: Side) -> list[str]:
-        """Names of the presets that list these codes, and on the other side what this one does; likest first."""
+        """Names of the presets that list these codes, and on the other side what this one does.
+
+        Likest first.
+        """
         other: Side = "reference" if side == "predicted" else "predicted"
         spans = np.array([span[:2] for span in self._spans(other)], dtype=np.int64)
         # the ends of a range stand for it
@@ -146,7 +153,8 @@ class ClassMapping(Params):
             preset = load_mapping(name)
             classes = preset._search(known, side)
             names = preset.names(side)
-            # user codes are "other" in a list of another kind of data: a mapping that scores nothing does not fit
+            # user codes are "other" in a list of another kind of data: a mapping that scores
+            # nothing does not fit
             useful = (
                 OTHER not in names
                 or 2 * np.count_nonzero(classes == names.index(OTHER)) <= classes.size

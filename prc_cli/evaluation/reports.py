@@ -1,7 +1,7 @@
 """An evaluation as a dictionary, JSON, CSV or Markdown.
 
-Each function takes an :class:`~prc_cli.evaluation.scores.Evaluation`, or a confusion matrix, which has no matching,
-parts and intervals.
+Each function takes an :class:`~prc_cli.evaluation.scores.Evaluation`, or a confusion matrix, which
+has no matching, parts and intervals.
 """
 
 from __future__ import annotations
@@ -79,11 +79,14 @@ def as_json(found: Found, gates: Iterable[GateResult] = ()) -> str:
 
 
 def as_csv(found: Found) -> str:
-    """Return one row per class: name, counts, scores, and its row of the matrix; undefined scores are empty.
+    """Return one row per class: name, counts, scores, and its row of the matrix.
 
-    A last row, ``(overall)``, holds the number of scored records and the overall accuracy, balanced accuracy
-    and kappa in columns of their own. Intervals come as columns ``recall_low``, ``recall_high`` and so on. Parts
-    follow as the same rows again; then the first two columns are ``split`` and ``part``, empty for the whole.
+    Undefined scores are empty.
+
+    A last row, ``(overall)``, holds the number of scored records and the overall accuracy, balanced
+    accuracy and kappa in columns of their own. Intervals come as columns ``recall_low``,
+    ``recall_high`` and so on. Parts follow as the same rows again; then the first two columns are
+    ``split`` and ``part``, empty for the whole.
     """
     matrix = matrix_of(found)
     intervals, splits = (
@@ -110,7 +113,10 @@ def as_csv(found: Found) -> str:
 
 
 def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
-    """Return the matrix with row shares, the scores, and splits, gates and match; without empty classes."""
+    """Return the matrix with row shares, the scores, and splits, gates and match.
+
+    Without empty classes.
+    """
     shown = matrix_of(found).trimmed()
     intervals = found.intervals if isinstance(found, Evaluation) else NO_INTERVALS
     result = scores(shown)
@@ -192,7 +198,10 @@ def doubts(found: Evaluation) -> tuple[str, ...]:
 def split_table(
     parts: Sequence[SplitPart], shown: ConfusionMatrix
 ) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a split: part, scored records, accuracy, recall and precision of every class."""
+    """Return header and rows of a split.
+
+    Part, scored records, accuracy, recall and precision of every class.
+    """
     names = shown.scored_names
     header = [
         "part",

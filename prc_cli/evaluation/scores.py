@@ -1,7 +1,7 @@
 """Scores of a confusion matrix, per class and overall, their intervals and gates, and the result of an evaluation.
 
-Undefined scores are NaN, never 0. Last come three labellings of the same shots: predicted and third against the
-reference, and against each other.
+Undefined scores are NaN, never 0. Last come three labellings of the same shots: predicted and third
+against the reference, and against each other.
 """
 
 from __future__ import annotations
@@ -60,7 +60,10 @@ class Scores:
     n_scored: int
     n_ignored: int
     accuracy: float
-    """Share of all scored records that agree; records of classes without counterpart are in the denominator."""
+    """Share of all scored records that agree.
+
+    Records of classes without counterpart are in the denominator.
+    """
     balanced_accuracy: float
     """Mean recall of the classes of both sides that have reference records."""
     kappa: float
@@ -153,7 +156,10 @@ _AT_ONCE = 1 << 22
 def block_intervals(
     blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> dict[str, Interval]:
-    """Compute intervals of all scores by block jackknife (Kuensch 1989): shots beside each other err together."""
+    """Compute intervals of all scores by block jackknife (Kuensch 1989).
+
+    Shots beside each other err together.
+    """
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
         raise InputError(
@@ -193,7 +199,10 @@ def _jackknife(
 def all_scores(
     counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
 ) -> dict[str, F64]:
-    """Compute every score of many confusion matrices at once; see :func:`prc_cli.evaluation.scores.scores`."""
+    """Compute every score of many confusion matrices at once.
+
+    See :func:`prc_cli.evaluation.scores.scores`.
+    """
     # float64: the product of two sums of 1e10 does not fit 64 bits
     rows = counts.sum(axis=2, dtype=np.float64)
     columns = counts.sum(axis=1, dtype=np.float64)
@@ -351,10 +360,13 @@ class Evaluation(Brief):
     matrix: ConfusionMatrix
     splits: dict[str, tuple[SplitPart, ...]]
     """Parts by what was split by: ``range``, ``lines``, ``scanner``; pairs whose range, line
-    or scanner is not known are a part of their own named ``unknown``. The counts add up to those of ``matrix``; parts
-    without scored records are left out, and the ignored records with them."""
+    or scanner is not known are a part of their own named ``unknown``. The counts add up to those of
+    ``matrix``; parts without scored records are left out, and the ignored records with them."""
     intervals: dict[str, Interval]
-    """Intervals by the score's name as in ``--fail-under``, such as ``recall.ground``; empty unless requested."""
+    """Intervals by the score's name as in ``--fail-under``, such as ``recall.ground``.
+
+    Empty unless requested.
+    """
     interval_method: str = ""
     """For example ``block jackknife, 120 blocks of 99 lines, 95 %``."""
     three: ThreeWay | None = None
@@ -426,7 +438,10 @@ class ThreeWay(Brief):
         )
 
     def largest_errors(self, most: int = 6) -> list[tuple[int, str, str]]:
-        """Return where both agree and are wrong: shots, reference class, the class that both give."""
+        """Return where both agree and are wrong.
+
+        Shots, reference class, the class that both give.
+        """
         found = [
             (int(self.counts[i, j, self.third_names.index(name)]), reference, name)
             for i, reference in enumerate(self.reference_names)
@@ -436,7 +451,10 @@ class ThreeWay(Brief):
         return sorted((item for item in found if item[0]), reverse=True)[:most]
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and a row a class: scores of predicted and of third against the reference, and of both."""
+        """Return header and a row a class.
+
+        Scores of predicted and of third against the reference, and of both.
+        """
         matrices = {"predicted": self.predicted, "third": self.other}
         by_name = {
             title: {item.name: item for item in scores(matrix).classes}
@@ -470,7 +488,10 @@ def state_table(
 
 
 class ThreeCounts:
-    """Counts of a :class:`ThreeWay`, filled chunk by chunk; the third is read with the codes of a reference."""
+    """Counts of a :class:`ThreeWay`, filled chunk by chunk.
+
+    The third is read with the codes of a reference.
+    """
 
     def __init__(self, mapping: ClassMapping, third: ClassMapping) -> None:
         self._mapping = mapping

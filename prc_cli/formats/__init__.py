@@ -1,4 +1,7 @@
-"""File formats, one room each for reading and writing; :mod:`prc_cli.formats.registry` finds the one of a file."""
+"""File formats, one room each for reading and writing.
+
+:mod:`prc_cli.formats.registry` finds the one of a file.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ _BAG_PARTS = (".db3", ".mcap")
 
 
 def scan_file(path: Path) -> Path:
-    """Return the file that stands for a folder: a bag's metadata, or its only file; else the folder itself."""
+    """Return the file that stands for a folder.
+
+    a bag's metadata, or its only file; else the folder itself.
+    """
     if not path.is_dir():
         return path
     from prc_cli.formats.echopulse import count_file
@@ -35,7 +41,10 @@ def scan_file(path: Path) -> Path:
 
 
 def check_input(path: Path) -> str:
-    """Return the suffix of an input; refuse what is absent, not a file, empty, or has an unknown suffix."""
+    """Return the suffix of an input.
+
+    Refuse what is absent, not a file, empty, or has an unknown suffix.
+    """
     known = tuple(by_suffix("scans"))
     suffix = suffix_of(path)
     if len(parts := parts_of(path)) > 1:
@@ -137,7 +146,10 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
 
 
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
-    """Open a range image or organised scans, for which :func:`open_source` returns None; read such lines at once."""
+    """Open a range image or organised scans, for which :func:`open_source` returns None.
+
+    Read such lines at once.
+    """
     return by_suffix("scans")[suffix_of(parts_of(path)[0])].open_images(path, config, lines_at_once)
 
 

@@ -1,7 +1,10 @@
-"""Clocks of records and of trajectories: times in other units than seconds, and clocks that begin anew.
+"""Clocks of records and of trajectories.
 
-GPS receivers count the seconds of the week, some scanners those of the day or of the hour. A drive across such a border
-has times that fall by the whole period, from its end to its beginning; later times count on.
+Times in other units than seconds, and clocks that begin anew.
+
+GPS receivers count the seconds of the week, some scanners those of the day or of the hour. A drive
+across such a border has times that fall by the whole period, from its end to its beginning; later
+times count on.
 """
 
 from __future__ import annotations
@@ -107,7 +110,10 @@ class Unwrapped:
         return counted
 
     def _turn(self, before_s: float, after_s: float) -> float:
-        """Return the period that a jump from one border to the other adds or takes back [s]; 0 for any other jump."""
+        """Return the period that a jump from one border to the other adds or takes back [s].
+
+        0 for any other jump.
+        """
         for period_s, name in PERIODS_S.items():
             if period_s - NEAR_S < before_s <= period_s and 0 <= after_s < NEAR_S:
                 self.n = self.n + 1

@@ -1,7 +1,9 @@
-"""Reader of folders with one array a file: ``pulse-TYPE-NAME.bin`` per shot, ``echo-TYPE-NAME.bin`` per return.
+"""Reader of folders with one array a file.
 
-``pulse-uint8-n_echo.bin`` counts the returns of every shot. A shot without return is a record without range, all other
-records are returns, in firing order.
+``pulse-TYPE-NAME.bin`` per shot, ``echo-TYPE-NAME.bin`` per return.
+
+``pulse-uint8-n_echo.bin`` counts the returns of every shot. A shot without return is a record
+without range, all other records are returns, in firing order.
 """
 
 from __future__ import annotations
@@ -88,7 +90,10 @@ class _Array:
 
 
 def count_file(path: Path) -> Path | None:
-    """Return the file that counts the returns, which stands for the folder; None if it is no such folder."""
+    """Return the file that counts the returns, which stands for the folder.
+
+    None if it is no such folder.
+    """
     files = sorted(path.glob(f"pulse-*-{COUNT}.bin")) if path.is_dir() else [path]
     return next((each for each in files if is_count_file(each)), None)
 

@@ -43,7 +43,9 @@ _ROW = "python -c \"import numpy, scipy.io; numpy.savez({out}, range_m=scipy.io.
 
 
 def hint_of(path: Path) -> str | None:
-    """Return how to make a file that prc reads of a file of another program; None if that is not known.
+    """Return how to make a file that prc reads of a file of another program.
+
+    None if that is not known.
 
     >>> hint_of(Path("scan.fls"))
     'a scan of FARO: export a structured E57 or PTX with FARO SCENE'

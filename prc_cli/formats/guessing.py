@@ -32,7 +32,10 @@ FRAME_BYTES = 1 << 22
 LEAST_FRAME = 1000
 """Fewer records are no frame."""
 STAGGERED_DEG = 10.0
-"""Neighbouring azimuths of a frame differ by less: the rings of Ouster's scanners are staggered by up to 6.4 deg."""
+"""Neighbouring azimuths of a frame differ by less.
+
+The rings of Ouster's scanners are staggered by up to 6.4 deg.
+"""
 LEAST_KNOWN = 0.5
 """Least share of points that are numbers."""
 LEAST_RINGS = 8
@@ -52,15 +55,18 @@ FRAME_FIELDS = ("x", "y", "z", "intensity", "ring", "time")
 
 
 def is_frame(path: Path) -> bool:
-    """Tell whether a dump is a frame of a spinning scanner: points of 4, 5 or 6 numbers, see :data:`FRAME_FIELDS`."""
+    """Tell whether a dump is a frame of a spinning scanner.
+
+    Points of 4, 5 or 6 numbers, see :data:`FRAME_FIELDS`.
+    """
     return frame_fields(path) is not None
 
 
 def frame_fields(path: Path) -> tuple[str, ...] | None:
     """Return the fields of the points of a frame; None for any other dump.
 
-    The numbers are float32; points that did not return may be NaN or zero. Without numbers of rings the points are in
-    the order of the rings, or of the firings.
+    The numbers are float32; points that did not return may be NaN or zero. Without numbers of rings
+    the points are in the order of the rings, or of the firings.
     """
     with open_to_read(path) as handle:
         n_bytes = handle.seek(0, 2)
@@ -120,7 +126,10 @@ def _are_rings(numbers: F64) -> bool:
 
 
 def _are_sweeps(azimuth: F64, step: F64, elevation: F64) -> bool:
-    """Tell whether points of a part of the turn come ring after ring: azimuths begin anew, elevations hardly change."""
+    """Tell whether points of a part of the turn come ring after ring.
+
+    Azimuths begin anew, elevations hardly change.
+    """
     way = np.sign(np.median(step[step != 0]))
     low, high = np.percentile(azimuth, [5, 95])
     back = np.flatnonzero(-way * step > (high - low) / 2) + 1
@@ -135,7 +144,10 @@ def _mostly(mask: Mask) -> bool:
 
 
 def guess_records(path: Path) -> Layout | None:
-    """Guess header, byte order and fields of a dump from the period of its bytes; None where nothing repeats."""
+    """Guess header, byte order and fields of a dump from the period of its bytes.
+
+    None where nothing repeats.
+    """
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
         # without what may be the header
@@ -238,7 +250,10 @@ def _merit(rows: U8, fields: list[tuple[int, str]], endian: str) -> float:
 
 
 def _likeness(values: F64) -> float:
-    """Return how much neighbours differ, as a share of what random pairs do; 1 where nothing varies."""
+    """Return how much neighbours differ, as a share of what random pairs do.
+
+    1 where nothing varies.
+    """
     known = values[np.isfinite(values)]
     if len(known) < LEAST_RECORDS:
         return 1.0
@@ -285,11 +300,13 @@ def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:
 
 
 def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
-    """Return standard names of columns by what their numbers do; columns that tell nothing are left out.
+    """Return standard names of columns by what their numbers do.
 
-    Times never fall and are not whole; lines never fall and repeat; columns and angles rise evenly and begin anew;
-    three columns in a row that are large or go below 0 are coordinates; neighbouring ranges are alike, positive, not
-    even and not as large as an easting.
+    Columns that tell nothing are left out.
+
+    Times never fall and are not whole; lines never fall and repeat; columns and angles rise evenly
+    and begin anew; three columns in a row that are large or go below 0 are coordinates;
+    neighbouring ranges are alike, positive, not even and not as large as an easting.
 
     >>> shot = np.arange(2000)
     >>> range_m = 9 + 3 * np.sin(shot % 100 / 9.0)
@@ -329,14 +346,20 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
 
 
 def _is_large(known: F64) -> bool:
-    """Tell whether numbers are coordinates of a map: no scanner measures so far, and millimetres are whole."""
+    """Tell whether numbers are coordinates of a map.
+
+    No scanner measures so far, and millimetres are whole.
+    """
     return float(np.median(np.abs(known))) > LEAST_EASTING_M and not np.all(
         known == np.floor(known)
     )
 
 
 def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
-    """Return three neighbouring columns, none of them whole, one large or below 0: coordinates; () = none are."""
+    """Return three neighbouring columns, none of them whole, one large or below 0.
+
+    Coordinates; () = none are.
+    """
     for i in range(len(others) - 2):
         three = others[i : i + 3]
         is_row = three[2][0] == three[0][0] + 2 and not any(

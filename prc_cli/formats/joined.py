@@ -1,4 +1,7 @@
-"""Several files of one drive, in order, as one list of records: a line that is cut by the end of a file is one line."""
+"""Several files of one drive, in order, as one list of records.
+
+a line that is cut by the end of a file is one line.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,10 @@ class Break:
 
 @dataclass(frozen=True)
 class JoinedSource:
-    """Records of several files, one file after the other; numbers of records go on from file to file."""
+    """Records of several files, one file after the other.
+
+    Numbers of records go on from file to file.
+    """
 
     parts: tuple[RecordSource, ...]
 
@@ -153,7 +159,10 @@ def open_recordings(paths: Sequence[Path], config: InputConfig) -> ScanStream:
 
 
 def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSource:
-    """Open files, in the order of recording, as one list of records; range images and organised scans are none."""
+    """Open files, in the order of recording, as one list of records.
+
+    Range images and organised scans are none.
+    """
     parts: list[RecordSource] = []
     for path in paths:
         source = open_source(path, layout)
@@ -169,9 +178,12 @@ def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSo
 
 
 def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
-    """Return the first place where the files are not one drive: other contents, another M, or a gap of time.
+    """Return the first place where the files are not one drive.
 
-    Tiles of a drive are not in the order of their times (``in_order``): only their contents are compared.
+    Other contents, another M, or a gap of time.
+
+    Tiles of a drive are not in the order of their times (``in_order``): only their contents are
+    compared.
     """
     for number in range(1, len(joined.parts)):
         before = joined.parts[number - 1]

@@ -1,4 +1,7 @@
-"""Class codes in record order: read out of any file that carries them, written as files of their own."""
+"""Class codes in record order.
+
+Read out of any file that carries them, written as files of their own.
+"""
 
 from __future__ import annotations
 
@@ -209,7 +212,8 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         for chunk in source.chunks((name, "record") if numbered else (name,)):
             if numbered:
-                # label files whose rows were sorted or filtered are refused: they are matched by order
+                # label files whose rows were sorted or filtered are refused: they are matched by
+                # order
                 first = chunk.first_record
                 record = np.asarray(chunk.values["record"], np.float64)
                 if (wrong := record != np.arange(first, first + len(record))).any():
@@ -286,7 +290,10 @@ def _named_codes(path: Path, name: str) -> Iterator[I64]:
 
 
 def open_semantic_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open the labels of SemanticKITTI: little-endian uint32, class in the low 16 bits, instance in the high ones."""
+    """Open the labels of SemanticKITTI.
+
+    Little-endian uint32, class in the low 16 bits, instance in the high ones.
+    """
     if dimension is not None:
         raise ConfigError(str(path), f"no dimension {dimension!r} in a .label file", "leave it out")
     with open_to_read(path) as handle:
@@ -312,9 +319,9 @@ def open_semantic_codes(path: Path, dimension: str | None) -> CodeSource:
 class LabelFileWriter(ScatterWriter):
     """Writer of class codes by record; a missing shot has code 0.
 
-    ``.npy`` holds (n_records,) uint8 codes; ``.csv`` and ``.parquet`` the columns ``record`` (int64), ``class``
-    (uint8 code), ``name`` and, if asked for, ``segment`` (uint32), ``surface`` and ``dense_vegetation`` (uint8) and
-    ``ground_height`` (float32, ``nan`` = unknown).
+    ``.npy`` holds (n_records,) uint8 codes; ``.csv`` and ``.parquet`` the columns ``record``
+    (int64), ``class`` (uint8 code), ``name`` and, if asked for, ``segment`` (uint32), ``surface``
+    and ``dense_vegetation`` (uint8) and ``ground_height`` (float32, ``nan`` = unknown).
     """
 
     def __init__(self, labels: LabelOutput) -> None:

@@ -1,4 +1,7 @@
-"""Usual names of what a scanner measures: one table for text, clouds, LAS extra bytes, columns and arrays."""
+"""Usual names of what a scanner measures.
+
+One table for text, clouds, LAS extra bytes, columns and arrays.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,9 @@ NAMES: dict[str, tuple[str, ...]] = {
     "number_of_returns": ("number_of_returns", "num_returns", "nb_of_echo"),
     "ring": ("ring", "laser_id", "laser_number"),
 }
-"""Names of the standard dimensions, the first one present is used: in any case, with or without ``scalar_`` before and
+"""Names of the standard dimensions, the first one present is used.
+
+In any case, with or without ``scalar_`` before and
 a unit behind (``range_m``, ``angle_gon``, ``time [us]``)."""
 _BESIDE_RANGE = ("theta", "zenith", "azimuth")
 """Directions of a shot where its range is there; else of anything."""
@@ -61,7 +66,9 @@ UNIT_WORDS = {
 _UNIT = re.compile(
     rf"(?P<name>.+?) ?(?:_|/|\(|\[| in | ) ?(?P<unit>{'|'.join(UNIT_WORDS)}) ?[)\]]?"
 )
-"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``, ``range/m``, ``angle in degrees``; runs of
+"""A name with a unit behind it.
+
+``range_mm``, ``angle [gon]``, ``x (ft)``, ``range/m``, ``angle in degrees``; runs of
 blanks are one blank by then, as many of them would take hours."""
 ZENITH = "zenith"
 """Angles from straight up: straight down is 180 degrees."""
@@ -121,7 +128,9 @@ def unit_of(standard: str, name: str) -> str:
 
 
 def usual_names(names: Sequence[str]) -> dict[str, Usual]:
-    """Map standard dimensions to names, as far as these are usual ones; the first of equal names is used.
+    """Map standard dimensions to names, as far as these are usual ones.
+
+    The first of equal names is used.
 
     >>> found = usual_names(["theta", "Range [mm]", "line"])
     >>> [(standard, one.name, one.unit) for standard, one in found.items()]
@@ -149,7 +158,10 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
 
 
 def _vertical_names(plain: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of vertical angles, where a horizontal one is beside them; alone they may be heights."""
+    """Return the names of vertical angles, where a horizontal one is beside them.
+
+    Alone they may be heights.
+    """
     by_word = {name.replace(" ", "_"): name for name in plain}
     if not by_word.keys() & set(_HORIZONTAL):
         return ()
@@ -163,10 +175,13 @@ def find_columns(
     keys: Sequence[str] = (),
     hint: str = "",
 ) -> dict[str, Column]:
-    """Return the dimensions of a file: the fields of a layout decide; without fields, usual names become standard ones.
+    """Return the dimensions of a file.
 
-    All other columns keep their name, or their number if they have none. Where no column has a name, fields without a
-    source are the columns in order. The body calls the columns ``keys``, by default as the file does.
+    The fields of a layout decide; without fields, usual names become standard ones.
+
+    All other columns keep their name, or their number if they have none. Where no column has a
+    name, fields without a source are the columns in order. The body calls the columns ``keys``, by
+    default as the file does.
     """
     keys = keys or names
     found: dict[str, Column] = {}

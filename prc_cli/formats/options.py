@@ -1,4 +1,7 @@
-"""How inputs are read (``[input]``), and the layout of raw dumps and text: record type, decoding of stored numbers."""
+"""How inputs are read (``[input]``), and the layout of raw dumps and text.
+
+Record type, decoding of stored numbers.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,10 @@ def _window_text(name: str) -> AfterValidator:
 
 
 class InputConfig(Params):
-    """How the stream is found in an input (``[input]``); ``auto`` is resolved by the reader and reported."""
+    """How the stream is found in an input (``[input]``).
+
+    ``auto`` is resolved by the reader and reported.
+    """
 
     lines: LineRule = Field(
         "auto",
@@ -413,7 +419,9 @@ def _check_missing(item: LayoutField, stored: np.dtype[Any]) -> None:
 
 
 def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
-    """Turn stored numbers into values: ``stored * scale + offset`` in the unit of the field, NaN where missing.
+    """Turn stored numbers into values.
+
+    ``stored * scale + offset`` in the unit of the field, NaN where missing.
 
     Values are in metres, seconds and radians.
 

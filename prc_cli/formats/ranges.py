@@ -20,7 +20,10 @@ _LARGEST = float(np.finfo(np.float32).max)
 def clean_ranges(
     range_m: NDArray[Any], min_range: float = 0.0, max_range: float | None = None
 ) -> tuple[F32, ReadTally]:
-    """Return float32 ranges, NaN where (once rounded) not finite, positive and within bounds; counted by reason."""
+    """Return float32 ranges, NaN where (once rounded) not finite, positive and within bounds.
+
+    Counted by reason.
+    """
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         given = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
         low = np.float32(min(max(min_range, 0.0), _LARGEST))
@@ -93,7 +96,10 @@ def choose_returns(
     return_number: NDArray[Any] | None,
     rule: ReturnRule,
 ) -> Mask:
-    """Mark the return of every shot that an image shows: one with a range if there is one; of ties the earlier."""
+    """Mark the return of every shot that an image shows.
+
+    One with a range if there is one; of ties the earlier.
+    """
     if starts.all():
         return starts
     n = len(starts)

@@ -1,6 +1,7 @@
 """The interface of readers for lists of records, from which the stream is built, and what their records hold.
 
-A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range of every record, for all formats alike.
+A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range of every record, for
+all formats alike.
 """
 
 from __future__ import annotations
@@ -51,8 +52,9 @@ def standard_first(names: Collection[str]) -> tuple[str, ...]:
 class RecordChunk:
     """Consecutive records of an input, decoded.
 
-    Units by standard name: ``range``, ``x``, ``y``, ``z`` float64 [m]; ``angle`` float64 [rad]; ``time``
-    float64 [s]; ``scan_line``, ``column`` float64 or integers; NaN where the input has no value.
+    Units by standard name: ``range``, ``x``, ``y``, ``z`` float64 [m]; ``angle`` float64 [rad];
+    ``time`` float64 [s]; ``scan_line``, ``column`` float64 or integers; NaN where the input has no
+    value.
     """
 
     first_record: int
@@ -62,7 +64,10 @@ class RecordChunk:
     n: int
     """Number of records."""
     record: I64 | None = None
-    """(n,) int64 index in the input of every record; None = ``first_record + 0..n-1`` (input order)."""
+    """(n,) int64 index in the input of every record.
+
+    None = ``first_record + 0..n-1`` (input order).
+    """
 
     def records(self) -> I64:
         """Return the index in the input of every record, (n,) int64."""
@@ -95,7 +100,10 @@ class RecordSource(Protocol):
         """What the file says of itself beside its records."""
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode dimensions in order, in bounded memory; an ``InputError`` names the position of damage."""
+        """Decode dimensions in order, in bounded memory.
+
+        An ``InputError`` names the position of damage.
+        """
 
 
 def check_names(source: RecordSource, names: tuple[str, ...]) -> None:

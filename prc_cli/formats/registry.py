@@ -1,7 +1,8 @@
 """The formats: one record each, in the ``__init__`` of its room, or in another package.
 
-Suffixes, readers and writers are looked up here. Another package adds a format by an entry point of the group
-``prc_cli.formats`` that names a :class:`Format`; nothing of this package has to be touched.
+Suffixes, readers and writers are looked up here. Another package adds a format by an entry point of
+the group ``prc_cli.formats`` that names a :class:`Format`; nothing of this package has to be
+touched.
 """
 
 from __future__ import annotations
@@ -44,7 +45,10 @@ _ROOMS = (
 Held: TypeAlias = Literal[
     "codes", "registered", "relative", "angles", "times", "intensity", "returns"
 ]
-"""What a stream may hold beside ranges: class codes, coordinates of the input, coordinates relative to the scanner."""
+"""What a stream may hold beside ranges.
+
+Class codes, coordinates of the input, coordinates relative to the scanner.
+"""
 EVERYTHING: frozenset[Held] = frozenset(
     ("codes", "registered", "relative", "angles", "times", "intensity", "returns")
 )
@@ -53,7 +57,10 @@ Role: TypeAlias = Literal["scans", "streams", "labels", "codes"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """What a format reads and writes. Functions are named ``"module:function"`` and imported when they are needed."""
+    """What a format reads and writes.
+
+    Functions are named ``"module:function"`` and imported when they are needed.
+    """
 
     name: str
     scans: tuple[str, ...] = ()
@@ -61,7 +68,10 @@ class Format:
     records: str = ""
     """Opens a scan as a list of records: ``(path, layout) -> RecordSource``."""
     images: str = ""
-    """Opens a scan that holds lines and columns: ``(path, input configuration, lines at once) -> ScanStream``."""
+    """Opens a scan that holds lines and columns.
+
+    ``(path, input configuration, lines at once) -> ScanStream``.
+    """
     has_layout: bool = False
     """Whether a layout describes the records of its scans."""
     is_dump: bool = False
@@ -89,7 +99,10 @@ class Format:
 
     @property
     def holds_all(self) -> bool:
-        """Whether a written stream loses no value, as tables and clouds: also returns, and scanners as a column."""
+        """Whether a written stream loses no value, as tables and clouds.
+
+        Also returns, and scanners as a column.
+        """
         return self.holds == EVERYTHING
 
     def open_records(self, path: Path, layout: Layout | None) -> RecordSource:

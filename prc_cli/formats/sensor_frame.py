@@ -1,8 +1,11 @@
-"""Finds the frame of a spinning scanner from its rings: each is a cone around the axis, all with one apex.
+"""Finds the frame of a spinning scanner from its rings.
 
-Drivers and data sets give clouds on the axes of a vehicle, levelled, or with z counted from the ground. The elevation
-of a ring then changes with azimuth and range. The axis and the apex are those with the least spread of elevation within
-rings, found by Gauss-Newton steps with weights that leave out what fits badly (Tukey).
+Each is a cone around the axis, all with one apex.
+
+Drivers and data sets give clouds on the axes of a vehicle, levelled, or with z counted from the
+ground. The elevation of a ring then changes with azimuth and range. The axis and the apex are those
+with the least spread of elevation within rings, found by Gauss-Newton steps with weights that leave
+out what fits badly (Tukey).
 """
 
 from __future__ import annotations
@@ -23,13 +26,19 @@ FEWEST_RINGS = 4
 WIDEST_GAP = 0.75
 """Share of a turn: a sector that is narrower than the rest of it does not tell an axis from an apex."""
 NARROW_RAD = math.radians(0.1)
-"""Rings that spread less are cones: scanners' own angles, and those of frames, spread up to 0.15 deg [rad]."""
+"""Rings that spread less are cones.
+
+Scanners' own angles, and those of frames, spread up to 0.15 deg [rad].
+"""
 BETTER = 0.6
 """The spread that is left is less than this share of what it was."""
 LEAST_LEAN_RAD = math.radians(0.3)
 """Axes that lean less are upright: 0.1 deg in frames of KITTI and of Argoverse [rad]."""
 LEAST_OFF_M = 0.25
-"""An apex that is nearer to the origin is at it: lasers of one scanner lie up to 0.2 m apart [m]."""
+"""An apex that is nearer to the origin is at it.
+
+Lasers of one scanner lie up to 0.2 m apart [m].
+"""
 MOST_LEAN_RAD = math.radians(60.0)
 """Axes that lean more are not told apart from other surfaces [rad]."""
 FARTHEST_M = 5.0
@@ -43,7 +52,10 @@ MILD_ROUNDS = 9
 TUKEY = 3.0
 """What is off by so many times the spread has no weight."""
 MOST = 80.0
-"""Per cent of the shots that a spread is of: most shots may see level ground, all around at one range."""
+"""Per cent of the shots that a spread is of.
+
+Most shots may see level ground, all around at one range.
+"""
 DEVIATION = 1.4826
 """Standard deviation in median absolute deviations."""
 DECIMALS_RAD = 6
@@ -82,7 +94,8 @@ def is_spinning(xyz_m: F32) -> bool:
 def are_rings(xyz_m: F32) -> bool:
     """Return whether columns of lines that turn, (lines, M, 3) float32 [m], are rings, each at its elevation.
 
-    With a wrong number of shots in a line elevations come again in a line, or change from line to line.
+    With a wrong number of shots in a line elevations come again in a line, or change from line to
+    line.
     """
     with np.errstate(invalid="ignore"):
         elevation = np.arctan2(xyz_m[..., 2], np.hypot(xyz_m[..., 0], xyz_m[..., 1])).astype(
@@ -114,7 +127,8 @@ def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
     Returns
     -------
     SensorFrame or None
-        None where the coordinates are in the frame of the scanner, or no other frame explains them better.
+        None where the coordinates are in the frame of the scanner, or no other frame explains them
+        better.
     """
     xyz_m, ring = _some(xyz, rings, MOST_SHOTS)
     n_rings = len(np.unique(ring))

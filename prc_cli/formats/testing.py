@@ -1,7 +1,8 @@
 """What every format keeps, for the tests of a format here or in another package.
 
-A test names a :class:`~prc_cli.formats.registry.Format` and a small sample: :func:`check_reads`, :func:`check_damage`
-and, if it is written, :func:`check_round_trip`. Each raises ``AssertionError`` with what was found.
+A test names a :class:`~prc_cli.formats.registry.Format` and a small sample: :func:`check_reads`,
+:func:`check_damage` and, if it is written, :func:`check_round_trip`. Each raises ``AssertionError``
+with what was found.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 def check_reads(
     form: Format, sample: Path, layout: Layout | None = None, config: InputConfig | None = None
 ) -> int:
-    """Read a sample twice, and every dimension alone; return the number of its records, or shots of scan lines."""
+    """Read a sample twice, and every dimension alone.
+
+    Return the number of its records, or shots of scan lines.
+    """
     if not form.records:
         first, again = (list(_images(form, sample, config or InputConfig())) for _ in range(2))
         assert first, "no blocks"
@@ -60,7 +64,10 @@ def check_damage(
     n_cases: int = 60,
     seed: int = 0,
 ) -> int:
-    """Read damaged copies in another process: each is read, or refused in one line; return how many were."""
+    """Read damaged copies in another process.
+
+    Each is read, or refused in one line; return how many were.
+    """
     context = get_context("spawn")
     first = 0
     n_refused = 0
@@ -118,7 +125,10 @@ def _read_damaged(
 
 
 def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
-    """Write a stream twice and read its ranges again: the same bytes, the same bits; abandoned, it leaves nothing."""
+    """Write a stream twice and read its ranges again.
+
+    The same bytes, the same bits; abandoned, it leaves nothing.
+    """
     item, shape = example(form)
     hashes = set()
     for attempt in range(2):

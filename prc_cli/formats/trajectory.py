@@ -80,9 +80,10 @@ def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
 def read_turns(path: Path, target: str | None) -> F64:
     """Read the orientations of a text file or an SBET, (n, 4) quaternions (x, y, z, w), vehicle to points.
 
-    The axes of the vehicle are forward, left, up. Text has ``roll``, ``pitch`` and ``yaw`` (from x to the left, pitch
-    positive with the nose down) or ``heading`` (from grid north to the right, pitch positive with the nose up), in
-    degrees. The true heading of an SBET is its platform heading less the wander angle.
+    The axes of the vehicle are forward, left, up. Text has ``roll``, ``pitch`` and ``yaw`` (from x
+    to the left, pitch positive with the nose down) or ``heading`` (from grid north to the right,
+    pitch positive with the nose up), in degrees. The true heading of an SBET is its platform
+    heading less the wander angle.
     """
     from scipy.spatial.transform import Rotation
 
@@ -115,7 +116,10 @@ def convergence(place: F64, target: str | None) -> F64:
 
 
 def _rows(path: Path, *, with_head: bool) -> Generator[tuple[int, str], None, None]:
-    """Yield number and text of every row that is neither blank nor a comment; a head may begin with #."""
+    """Yield number and text of every row that is neither blank nor a comment.
+
+    a head may begin with #.
+    """
     with path.open("r", encoding="utf-8-sig", errors="replace", newline=None) as handle:
         number = 0
         while row := handle.readline(_MAX_ROW + 1):
@@ -211,7 +215,10 @@ def _parse_row(where: str, cells: list[str], columns: list[int]) -> list[float]:
 
 ODOMETRY = "nav_msgs/Odometry"
 KINDS = (ODOMETRY, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped")
-"""Types of messages with a pose behind their header; Odometry has the name of a frame in between."""
+"""Types of messages with a pose behind their header.
+
+Odometry has the name of a frame in between.
+"""
 _N_CELLS = 8
 _LENGTH = 0.01
 """Tolerance for the length of a quaternion."""
@@ -312,7 +319,10 @@ def turned(quaternion: F64, arm_m: F64) -> F64:
 
 
 SBET_BYTES = 136
-"""Bytes of an SBET record: 17 little-endian doubles; time, latitude, longitude and altitude are the first."""
+"""Bytes of an SBET record: 17 little-endian doubles.
+
+Time, latitude, longitude and altitude are the first.
+"""
 
 
 def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
@@ -350,7 +360,10 @@ def _sbet_records(path: Path, size: int) -> F64:
 
 
 def project(path: Path, position: F64, target: str | None) -> F64:
-    """Project longitude and latitude to the coordinate system of the points; heights stay ellipsoidal."""
+    """Project longitude and latitude to the coordinate system of the points.
+
+    Heights stay ellipsoidal.
+    """
     system = _projected_system(path, target)
     x, y = system.forward(np.degrees(position[:, 0]), np.degrees(position[:, 1]))
     xyz_m: F64 = np.stack([x, y, position[:, 2]], axis=1)

@@ -1,7 +1,8 @@
 """Pictures of point clouds: points are splatted into a depth buffer, gaps closed, edges shaded by depth.
 
-The buffer holds one integer per pixel, depth in the upper and colour in the lower half, so that a minimum selects the
-nearest point. The picture does not depend on the order of the points or on how they were cut into chunks.
+The buffer holds one integer per pixel, depth in the upper and colour in the lower half, so that a
+minimum selects the nearest point. The picture does not depend on the order of the points or on how
+they were cut into chunks.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ EMPTY = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 FIELD_OF_VIEW_DEG = 38.0
 """Horizontal angle of the perspective."""
 FRAMED = ((2.0, 98.0), (2.0, 98.0), (1.0, 99.0))
-"""Percentiles of x, y, z that a view holds. Few shots of a drive go far: two in a hundred take most of the room."""
+"""Percentiles of x, y, z that a view holds.
+
+Few shots of a drive go far: two in a hundred take most of the room.
+"""
 WIDENED = (0.06, 0.06, 0.1)
 """What is added on every side, as a share of the extent between the percentiles, as far as there are points: evenly
 spread points are held whole (0.02 / 0.96 of the extent would do)."""
@@ -33,7 +37,10 @@ _BETTER = 1.1
 _TRIED = 20_000
 """Points that the sides are compared with."""
 NARROWEST = 0.35
-"""Least ratio of width to height, and of height to width, of a view from above; narrower clouds get wider margins."""
+"""Least ratio of width to height, and of height to width, of a view from above.
+
+Narrower clouds get wider margins.
+"""
 SHADE = 26.0
 """How strongly steps in depth darken."""
 SAMPLE = 1 << 17
@@ -148,7 +155,10 @@ class FromAbove:
         return (xyz[:, 0] - self.left) / self.metres, (self.top - xyz[:, 1]) / self.metres, depth
 
     def relief(self, depth: F64) -> F64:
-        """Return depths on the scale on which steps are shaded: height against the size of the view."""
+        """Return depths on the scale on which steps are shaded.
+
+        Height against the size of the view.
+        """
         return depth / (self.metres * max(self.size)) * 2.0
 
 
@@ -187,7 +197,8 @@ class Perspective:
         axes = np.stack([right, np.cross(-out, right), -out])
         seen = (inside - target) @ axes.T
         slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2)) * (1 - 2 * MARGIN)
-        # the smallest distance at which all points are within the horizontal angle and the picture's aspect ratio
+        # the smallest distance at which all points are within the horizontal angle and the
+        # picture's aspect ratio
         away = float(np.max(np.abs(seen[:, 0]) / slope - seen[:, 2], initial=1.0))
         away = max(
             away,
@@ -309,7 +320,8 @@ def _shading(relief: F32) -> F32:
         for one in _neighbours(relief, np.inf, reach):
             with np.errstate(invalid="ignore"):
                 step = relief - one
-            # limit the effect of one deep step, which is an edge and must not turn its surroundings black
+            # limit the effect of one deep step, which is an edge and must not turn its surroundings
+            # black
             total += np.float32(weight) * np.clip(
                 np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 0.06
             )

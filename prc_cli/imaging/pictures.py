@@ -1,6 +1,7 @@
 """Converts range images, labels, segments and masks to colours.
 
-Drawn with Pillow and NumPy only: these are pixel images, not plots, and matplotlib would be the largest dependency.
+Drawn with Pillow and NumPy only: these are pixel images, not plots, and matplotlib would be the
+largest dependency.
 """
 
 from __future__ import annotations
@@ -31,14 +32,20 @@ class Bar:
 
 
 def range_limits(range_m: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the ranges at the ends of the colour scale [m]: 2nd and 98th percentile of the returns."""
+    """Return the ranges at the ends of the colour scale [m].
+
+    2nd and 98th percentile of the returns.
+    """
     seen = range_m[np.isfinite(range_m) & (range_m > 0)]
     near, far = (float(v) for v in np.percentile(seen, (2, 98))) if seen.size else (1.0, 2.0)
     return near, max(far, near * 1.01)
 
 
 def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] | None = None) -> U8:
-    """Colour ranges (lines, M) from near, bright yellow, to far, dark blue, by logarithm; (lines, M, 3) uint8."""
+    """Colour ranges (lines, M) from near, bright yellow, to far, dark blue, by logarithm.
+
+    (lines, M, 3) uint8.
+    """
     seen = np.isfinite(range_m) & (range_m > 0)
     near, far = range_limits(range_m) if limits_m is None else limits_m
     if not 0 < near < far:
@@ -52,7 +59,9 @@ def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] |
 
 
 def range_bar(limits_m: tuple[float, float], *, rises: bool = False) -> Bar:
-    """Return the colour bar of :func:`range_picture`, near at the bottom; ``rises``: of :func:`critical_picture`.
+    """Return the colour bar of :func:`range_picture`, near at the bottom.
+
+    ``rises``: of :func:`critical_picture`.
 
     >>> [text for _, text in range_bar((2.0, 60.0)).ticks]
     ['2', '5', '10', '20', '50']
@@ -77,7 +86,10 @@ def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
 
 
 def value_picture(values: NDArray[np.floating], limits: tuple[float, float]) -> U8:
-    """Colour a quantity from low, dark blue, to high, bright yellow; NaN = white; (..., 3) uint8."""
+    """Colour a quantity from low, dark blue, to high, bright yellow.
+
+    NaN = white; (..., 3) uint8.
+    """
     seen = np.isfinite(values)
     low, high = limits
     place = (np.where(seen, values, low) - low) / (high - low)
@@ -130,7 +142,8 @@ def difference_picture(
 
 def segment_picture(segments: NDArray[np.integer]) -> U8:
     """Colour ids (lines, M) alike in every picture, 0 = none is black; (lines, M, 3) uint8."""
-    # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation and value
+    # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation
+    # and value
     hue, saturation, value = (
         np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910)
     )
@@ -197,7 +210,10 @@ TRIGGER_CELLS = 2
 
 
 def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]) -> U8:
-    """Colour thresholds [m] from low, dark blue, to high, bright yellow, by logarithm; (lines, M, 3) uint8."""
+    """Colour thresholds [m] from low, dark blue, to high, bright yellow, by logarithm.
+
+    (lines, M, 3) uint8.
+    """
     low, high = limits_m
     never = np.isposinf(zeta_m)
     shown = np.where(never, np.nan, zeta_m)
@@ -250,7 +266,8 @@ def trigger_picture(packed: U8) -> U8:
     picture: U8 = np.rint(colours[classes] * (1.0 - PALE) + 255 * PALE).astype(np.uint8)
     begun = side >= TriggerSide.AT
     mark = side == TriggerSide.AT
-    # thinning may have taken the shot itself: the trigger lies where a line goes from before it to after it
+    # thinning may have taken the shot itself: the trigger lies where a line goes from before it to
+    # after it
     mark[:, 1:] |= begun[:, 1:] & (side[:, :-1] == TriggerSide.BEFORE)
     mark[:, :-1] |= begun[:, :-1] & (side[:, 1:] == TriggerSide.BEFORE)
     wide = mark.copy()

@@ -1,6 +1,7 @@
 """Sheets of pictures with titles, axes, colour bars and a key.
 
-Colours are never interpolated: pictures are enlarged by integer factors, and thinned before they come here.
+Colours are never interpolated: pictures are enlarged by integer factors, and thinned before they
+come here.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ Key: TypeAlias = tuple[tuple[str, Colour], ...]
 MARGIN = 18
 LEFT = 96
 RIGHT = 126
-"""Margins of a picture [pixels]: on all sides, left for the axis numbers, right for the colour bar."""
+"""Margins of a picture [pixels].
+
+On all sides, left for the axis numbers, right for the colour bar.
+"""
 TITLE_HEIGHT = 40
 AXIS_HEIGHT = 34
 KEY_HEIGHT = 36

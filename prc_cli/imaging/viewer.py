@@ -1,7 +1,9 @@
-"""A page to look into a scan: its cloud and its range image, to turn, zoom and click, in one HTML file.
+"""A page to look into a scan.
 
-Values travel as planes: integers of one to four bytes, 0 = none, differences between neighbouring shots, byte by byte,
-deflated, base64. The page decodes them with what every browser has.
+Its cloud and its range image, to turn, zoom and click, in one HTML file.
+
+Values travel as planes: integers of one to four bytes, 0 = none, differences between neighbouring
+shots, byte by byte, deflated, base64. The page decodes them with what every browser has.
 """
 
 from __future__ import annotations

@@ -1,1 +1,4 @@
-"""One module per command, under the command's name: it reads, calls the layers below, and writes."""
+"""One module per command, under the command's name.
+
+It reads, calls the layers below, and writes.
+"""

@@ -1,8 +1,9 @@
 """Chooses the method for an input where none is named (``method = "auto"``).
 
-What is asked for may leave one method: segment ids and the plain engine are PRC's. Otherwise the input
-decides: ``fused`` where the angle of every beam from straight down is known or can be measured from the ranges, for
-streets or for forests as its first lines look; else PRC, which needs no angles, with a doubt.
+What is asked for may leave one method: segment ids and the plain engine are PRC's. Otherwise the
+input decides: ``fused`` where the angle of every beam from straight down is known or can be
+measured from the ranges, for streets or for forests as its first lines look; else PRC, which needs
+no angles, with a doubt.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting
 
 LEAST_COSINE = math.cos(math.radians(60.0))
-"""Planes that lean more are no scan planes of streets: fused allows 45 degrees, ranges in feet look like 72."""
+"""Planes that lean more are no scan planes of streets.
+
+Fused allows 45 degrees, ranges in feet look like 72.
+"""
 _BETTER = "with the angles of the beams fused labels better"
 
 
@@ -46,7 +50,10 @@ def decided_by(choice: MethodChoice, loaded: LoadedConfig) -> LoadedConfig:
 
 
 def possible_configs(loaded: LoadedConfig) -> list[RunConfig]:
-    """Return the configurations that a run may have been done with: where no method is named, one for every choice."""
+    """Return the configurations that a run may have been done with.
+
+    Where no method is named, one for every choice.
+    """
     if loaded.config.is_decided:
         return [loaded.config]
     return [
@@ -74,7 +81,10 @@ def choice_by_beams(
     *,
     may_spin: bool = True,
 ) -> MethodChoice:
-    """Return the choice for an input whose beam directions are known; ``may_spin``: it is no static scan."""
+    """Return the choice for an input whose beam directions are known.
+
+    ``may_spin``: it is no static scan.
+    """
     if may_spin and first.has_rings:
         return MethodChoice("rings", "columns are the rings of a spinning scanner")
     if may_spin and first.beam_rad is not None and is_fan(first.beam_rad):
@@ -159,7 +169,10 @@ def decide_stream(
 def decide(
     path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False
 ) -> LoadedConfig:
-    """Return a configuration that names a method: the given one, or with the method chosen for a file."""
+    """Return a configuration that names a method.
+
+    The given one, or with the method chosen for a file.
+    """
     return decide_and_open(path, loaded, engine=engine, trust_order=trust_order)[0]
 
 

@@ -1,7 +1,8 @@
 """Classifies one file: connects reader, classifier and writer.
 
-Data flow: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer. :func:`classify` runs each of the three in
-its own threads, with short queues between them; the output does not depend on the threads.
+Data flow: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer. :func:`classify` runs
+each of the three in its own threads, with short queues between them; the output does not depend on
+the threads.
 """
 
 from __future__ import annotations
@@ -54,11 +55,20 @@ Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines just finished."""
 
 AHEAD = 1
-"""Blocks waiting between reader and classifier, and between classifier and writer; each side works on one more."""
+"""Blocks waiting between reader and classifier, and between classifier and writer.
+
+Each side works on one more.
+"""
 LEAST_SHOTS = 1 << 14
-"""Smaller images are labelled without being judged: half of what the checks compare of a longer one."""
+"""Smaller images are labelled without being judged.
+
+Half of what the checks compare of a longer one.
+"""
 OFF_M = 0.1
-"""Largest difference between a range and the length of its coordinates relative to the scanner: rounding [m]."""
+"""Largest difference between a range and the length of its coordinates relative to the scanner.
+
+Rounding [m].
+"""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -70,7 +80,10 @@ class Counts(Brief):
     n_far: int
     """Ranges beyond :data:`FAR_M`, implausible for a terrestrial scanner."""
     labels: I64
-    """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`; MISSING counts shots."""
+    """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`.
+
+    MISSING counts shots.
+    """
     tally: ReadTally
     n_extra: int = field(default=0, repr=False)
     """Further returns."""
@@ -83,7 +96,10 @@ class Counts(Brief):
         return cls(0, 0, 0, np.zeros(len(Label), np.int64), ReadTally())
 
     def add(self, item: LabelledBlock | ScanBlock, *, only_records: bool = False) -> Counts:
-        """Return the counts with one more block; ``only_records`` leaves out cells and lines without a record."""
+        """Return the counts with one more block.
+
+        ``only_records`` leaves out cells and lines without a record.
+        """
         block = item.block if isinstance(item, LabelledBlock) else item
         where: Any = block.records() >= 0 if only_records else ...
         ranges = block.range_m[where]
@@ -118,7 +134,10 @@ class RunSummary(Doubted):
 
     output: Path
     record: RunRecord
-    """Provenance and what was written, as stored in the output; ``.notices`` holds warnings for the user."""
+    """Provenance and what was written, as stored in the output.
+
+    ``.notices`` holds warnings for the user.
+    """
     counts: Counts
     """Lines, shots and labels of the stream."""
     findings: tuple[Finding, ...] = ()
@@ -142,8 +161,8 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     Returns
     -------
     ScanStream
-        ``.info`` holds what is known before reading, ``.blocks()`` reads from the start. For all classifiers but PRC
-        the blocks hold beam angles.
+        ``.info`` holds what is known before reading, ``.blocks()`` reads from the start. For all
+        classifiers but PRC the blocks hold beam angles.
 
     Raises
     ------
@@ -248,7 +267,10 @@ def confidence_kernels(params: MethodParams) -> frozenset[str]:
 def load_classifier(
     config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled"
 ) -> None:
-    """Load the loops of the method, or of all that an input may decide on; compiled at the first time."""
+    """Load the loops of the method, or of all that an input may decide on.
+
+    Compiled at the first time.
+    """
     chosen = LoadedConfig.of(config).config
     methods = [chosen.classifier]
     if not chosen.is_decided and choice_by_request(chosen, engine=engine) is None:
@@ -278,18 +300,19 @@ def classify(
     output : path
         ``.las``, ``.laz``, ``.npy``, ``.csv`` or ``.parquet``.
     config : LoadedConfig or RunConfig, optional
-        Default: the method that labels the input best (:mod:`prc_cli.jobs.choice`); the record's assumption
-        ``method`` says which and why.
+        Default: the method that labels the input best (:mod:`prc_cli.jobs.choice`); the record's
+        assumption ``method`` says which and why.
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
         Called with the number of lines just finished.
     threads : int, optional
-        Threads that classify; default: one for every core. With more than one, reading, writing and the fingerprint of
-        the input have a thread each beside them; with one, all is done in this one. The output does not depend on it.
+        Threads that classify; default: one for every core. With more than one, reading, writing and
+        the fingerprint of the input have a thread each beside them; with one, all is done in this
+        one. The output does not depend on it.
     engine : str
-        ``compiled`` or ``reference``: the papers' methods in plain NumPy, SciPy and scikit-image, slow, in one thread,
-        with the same labels.
+        ``compiled`` or ``reference``: the papers' methods in plain NumPy, SciPy and scikit-image,
+        slow, in one thread, with the same labels.
     loading : callable
         Context in which the loops of a method that was chosen are loaded.
 
@@ -320,7 +343,10 @@ def classify(
 
 
 def threads_of(engine: Engine, threads: int | None = None) -> int:
-    """Return the threads that classify: those asked for, by default one a core; the reference has one."""
+    """Return the threads that classify.
+
+    Those asked for, by default one a core; the reference has one.
+    """
     if engine == "reference":
         return 1
     return default_threads() if threads is None else threads
@@ -344,7 +370,8 @@ def _classify(
     check_input(source)
     before = file_state(source)
     with timed("opening"):
-        # times and intensities are needed only where a point cloud is made from another kind of input
+        # times and intensities are needed only where a point cloud is made from another kind of
+        # input
         makes_points = is_cloud(output)
         only_ranges = not makes_points or (
             suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES
@@ -424,7 +451,10 @@ class Judge:
             close_items(labelled)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the answers of all checks of the stream and its labels, at its end; refuse what speaks against it."""
+        """Return the answers of all checks of the stream and its labels, at its end.
+
+        Refuse what speaks against it.
+        """
         found = (*self._stream.findings(), *accept(self._result.findings(), self._stream.accepted))
         refuse(self._stream.info.path, found)
         return found
@@ -437,7 +467,10 @@ def write_labels(
     threads: int,
     progress: Progress | None,
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
-    """Read, classify and write in parallel, until all threads have ended; return counts, findings and notices."""
+    """Read, classify and write in parallel, until all threads have ended.
+
+    Return counts, findings and notices.
+    """
     counts = Counts.none()
     judge = Judge(stream, config)
 
@@ -473,18 +506,29 @@ class ClassifiedRanges:
     """The classes of a range image."""
 
     labels: U8
-    """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8: numbers of this program alone."""
+    """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8.
+
+    Numbers of this program alone.
+    """
     classes: ClassCodes
     """The code of every label."""
     confidence: U8 | None = None
-    """Per cent of such shots whose label is right, (lines, M) uint8, 0 = no return or not known; None unless
+    """Per cent of such shots whose label is right, (lines, M) uint8, 0 = no return or not known.
+
+    None unless
     ``config.output.confidence`` asks for it."""
     reasons: U8 | None = None
-    """:class:`prc_cli.core.classes.Reason` of every shot, (lines, M) uint8; None unless ``config.output.reason``."""
+    """:class:`prc_cli.core.classes.Reason` of every shot, (lines, M) uint8.
+
+    None unless ``config.output.reason``.
+    """
 
     @property
     def codes(self) -> U8:
-        """LAS class code of every shot, (lines, M) uint8, as files hold them: 2 = ground, 7 = noise."""
+        """LAS class code of every shot, (lines, M) uint8, as files hold them.
+
+        2 = ground, 7 = noise.
+        """
         return self.classes.lookup()[self.labels]
 
     @property
@@ -521,15 +565,17 @@ def classify_ranges(
     range_m : (lines, M) float, metres
         Chronological; NaN, infinite or not positive = missing.
     config : LoadedConfig or RunConfig, optional
-        Default: what labels the image best, ``fused`` where the angles of the beams are known, else PRC.
+        Default: what labels the image best, ``fused`` where the angles of the beams are known, else
+        PRC.
     beam_rad : (M,) float, radians, optional
-        Angle of every column's beam from straight down; the sign is the side of the scan plane. All classifiers but PRC
-        need it, or ``angle_deg``.
+        Angle of every column's beam from straight down; the sign is the side of the scan plane. All
+        classifiers but PRC need it, or ``angle_deg``.
     angle_deg : (M,) float, degrees, optional
-        Scan angle of every column as files have it, from any zero: straight down is ``config.input.nadir``, else found
-        from ``xyz_m``, else from level ground, as for a file.
+        Scan angle of every column as files have it, from any zero: straight down is
+        ``config.input.nadir``, else found from ``xyz_m``, else from level ground, as for a file.
     xyz_m : (lines, M, 3) float, metres, optional
-        Relative to the scanner, z up; without it the sequential-angle classifier uses range and beam angle.
+        Relative to the scanner, z up; without it the sequential-angle classifier uses range and
+        beam angle.
     threads : int, optional
         Threads that classify; default: one for every core. The labels do not depend on it.
     engine : str
@@ -544,10 +590,12 @@ def classify_ranges(
     Raises
     ------
     InputError
-        When an array has another shape than it should have, or beam angles are needed and not given.
+        When an array has another shape than it should have, or beam angles are needed and not
+        given.
     EvidenceError
-        When the evidence is against the array, for example where its columns are shuffled; the names of checks in
-        ``config.input.accept_doubts`` insist. Fewer than :data:`LEAST_SHOTS` are not judged.
+        When the evidence is against the array, for example where its columns are shuffled; the
+        names of checks in ``config.input.accept_doubts`` insist. Fewer than :data:`LEAST_SHOTS` are
+        not judged.
     ConfigError
         When the engine is the reference and the method is not written there.
 
@@ -662,7 +710,10 @@ def _block_of(
 def _directed(
     config: RunConfig, block: ScanBlock, angle_deg: ArrayLike | None, engine: Engine
 ) -> tuple[LoadedConfig, ScanBlock]:
-    """Find where the beams point, as for a file: from angles, coordinates or the ranges; return the method, too."""
+    """Find where the beams point, as for a file.
+
+    From angles, coordinates or the ranges; return the method, too.
+    """
     if block.beam_rad is not None:
         raise InputError("angle_deg", "found beam_rad, too, expected one of them", "leave one out")
     if angle_deg is not None:

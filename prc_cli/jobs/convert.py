@@ -1,7 +1,8 @@
 """Converts any readable input to any writable format: ``prc convert``.
 
-Between LAS and LAZ only the compression changes. Everything else goes through the stream: reader → blocks → writer,
-with the classes and the registered coordinates of the input. Whatever the output format cannot hold is reported.
+Between LAS and LAZ only the compression changes. Everything else goes through the stream: reader →
+blocks → writer, with the classes and the registered coordinates of the input. Whatever the output
+format cannot hold is reported.
 """
 
 from __future__ import annotations
@@ -264,7 +265,10 @@ class OpenedItems:
 
     @property
     def grid(self) -> GridStream | None:
-        """The stream if lines and columns were found by rules; None for range images, organised scans and rings."""
+        """The stream if lines and columns were found by rules.
+
+        None for range images, organised scans and rings.
+        """
         return grid_of(self.stream)
 
 
@@ -279,7 +283,10 @@ def open_items(
     xyz: bool = True,
     points: bool = False,
 ) -> Iterator[OpenedItems]:
-    """Open a stream with codes and coordinates of its records; ``blocks_of`` may watch or label the blocks."""
+    """Open a stream with codes and coordinates of its records.
+
+    ``blocks_of`` may watch or label the blocks.
+    """
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
     found: Iterator[ScanBlock | LabelledBlock] = (

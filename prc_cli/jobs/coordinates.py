@@ -1,4 +1,7 @@
-"""Where the shots of an input lie in space: by its records or by poses, else its scan planes behind one another."""
+"""Where the shots of an input lie in space.
+
+By its records or by poses, else its scan planes behind one another.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +44,9 @@ _READ_AT_ONCE = 1 << 17
 class PlacedSource:
     """Coordinates, time, range and line of every shot of a drive, by record.
 
-    The shot of a profiler lies in its plane: down, and to the left by the scan angle; other scanners have coordinates
-    relative to themselves. Both are turned by the mount, moved by the lever arm, and brought to the points by the pose.
+    The shot of a profiler lies in its plane: down, and to the left by the scan angle; other
+    scanners have coordinates relative to themselves. Both are turned by the mount, moved by the
+    lever arm, and brought to the points by the pose.
     """
 
     stream: ScanStream
@@ -76,7 +80,10 @@ class PlacedSource:
         return matrix
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Place all shots, then yield them in the order of the records; NaN where there is no return."""
+        """Place all shots, then yield them in the order of the records.
+
+        NaN where there is no return.
+        """
         fill = (np.nan,) * (len(_NAMES) - 1) + (-1.0,)
         with DiskColumn(Path(tempfile.gettempdir()) / "placed", _KEPT, fill) as rows:
             first = 0
@@ -220,7 +227,10 @@ def axes_of(
 def placement(
     source: Path, output: Path, loaded: LoadedConfig, stream: ScanStream
 ) -> Iterator[Placement | None]:
-    """Give where returns lie in a new cloud: as records say, else made up; None = relative to the scanner."""
+    """Give where returns lie in a new cloud.
+
+    As records say, else made up; None = relative to the scanner.
+    """
     plain = stream.source if isinstance(stream, BeamStream) else stream
     first = next(iter(plain.blocks()), None)
     records = open_source(source, loaded.config.layout)
@@ -268,7 +278,10 @@ def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
 def spacing(
     info: StreamInfo, time_s: NDArray[Any] | None, *, in_forest: bool, step: int = 1
 ) -> tuple[float, str]:
-    """Return the distance of lines [m], and how it is known; ``step``: every how many lines there is a time."""
+    """Return the distance of lines [m], and how it is known.
+
+    ``step``: every how many lines there is a time.
+    """
     hz = info.line_hz
     if hz is None and time_s is not None and len(time_s) > 1:
         with np.errstate(invalid="ignore"):
@@ -304,7 +317,10 @@ class Carried:
         return self._values.get(record)
 
     def place(self, block: ScanBlock) -> tuple[F64, F64]:
-        """Return the coordinates of a block, (lines, M, 3), and of its further returns; NaN where there is no range."""
+        """Return the coordinates of a block, (lines, M, 3), and of its further returns.
+
+        NaN where there is no range.
+        """
         own = self.get(block.records())
         extra = self.get(block.extra.record)
         registered = np.stack([own[name] for name in XYZ], axis=-1)

@@ -1,4 +1,7 @@
-"""``prc demo``: simulate, classify, evaluate and draw a drive along a street; on request a scan for every method."""
+"""``prc demo``: simulate, classify, evaluate and draw a drive along a street.
+
+On request a scan for every method.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,10 @@ class Part:
     stem: str
     """Prefix of its file names."""
     preset: str | None
-    """Parameters of the classifier; None = the method is chosen for the scan, as where nothing is typed."""
+    """Parameters of the classifier.
+
+    None = the method is chosen for the scan, as where nothing is typed.
+    """
     mapping: str
     """Class mapping of the evaluation."""
     picture: RenderOptions
@@ -56,7 +62,8 @@ PARTS: dict[str, Part] = {
     "drive": Part(
         "street", "street", None, "street", _PICTURE, {"lines": 600, "scene": {"name": "suburb"}}
     ),
-    # the same drive, for the comparison: the steps of one block, as the paper's Fig. 1 shows them (Lehtola et al. 2019)
+    # the same drive, for the comparison: the steps of one block, as the paper's Fig. 1 shows them
+    # (Lehtola et al. 2019)
     "published": Part(
         "street", "urban", "urban", "prc", RenderOptions(figure1=True), {}, scan_of="drive"
     ),
@@ -72,7 +79,9 @@ PARTS: dict[str, Part] = {
     # as far as one sees in a wood
     "walk": Part("forest", "forest", None, "prc", _PICTURE, {"lines": 255, "sight_m": 40.0}),
 }
-"""A drive, classified by default and with PRC as published; a static scan with the sequential-angle classifier; a walk
+"""A drive, classified by default and with PRC as published.
+
+a static scan with the sequential-angle classifier; a walk
 in a forest, by default."""
 MAIN = ("drive",)
 """The parts that are made without being asked for."""
@@ -111,7 +120,10 @@ def run_demo(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DemoResult:
-    """Simulate, classify, evaluate and draw some of :data:`PARTS`: the drive here, all else in :data:`MORE`."""
+    """Simulate, classify, evaluate and draw some of :data:`PARTS`.
+
+    The drive here, all else in :data:`MORE`.
+    """
     with _prepared(folder, overwrite=overwrite) as place:
         (place / MORE).mkdir(exist_ok=True)
         found: dict[str, DemoPart] = {}
@@ -168,7 +180,8 @@ def _run(
         overwrite=overwrite,
     )
     if part is PARTS["drive"]:
-        # classified once more: labels alone hold no heights above ground; the poses are only to look at it
+        # classified once more: labels alone hold no heights above ground; the poses are only to
+        # look at it
         mount = (0.0, settings.scanner.slant_deg, settings.scanner.heading_deg)
         placed = RenderOptions(trajectory=path, mount=mount)
         render_viewer(stream, folder / f"{part.stem}.html", config, placed, overwrite=overwrite)

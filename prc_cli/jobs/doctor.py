@@ -1,7 +1,7 @@
 """Checks of an installation and of a folder for outputs: ``prc doctor``.
 
-Nothing is changed: files written for a check are removed again. A failed check says what to do. Every check imports
-what it needs itself, so that a broken package makes only that check fail.
+Nothing is changed: files written for a check are removed again. A failed check says what to do.
+Every check imports what it needs itself, so that a broken package makes only that check fail.
 """
 
 from __future__ import annotations
@@ -655,7 +655,8 @@ def _engines() -> Iterator[Check]:
     n_other = {}
     seconds = 0.0
     for preset, (kind, options) in COMPARED.items():
-        # labels are compared, not believed: the scans are coarse, and mostly noise with some presets
+        # labels are compared, not believed: the scans are coarse, and mostly noise with some
+        # presets
         config = load_config(preset=preset, options={"input": {"accept_doubts": CHECK_NAMES}})
         load_classifier(config)
         start = time.perf_counter()

@@ -49,7 +49,10 @@ def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = F
 
 
 def _empty_header(path: Path, layout: Layout, found: Inspection) -> int | None:
-    """Return the bytes of a header of zeros, which look like missing shots: as many as are too many for whole lines."""
+    """Return the bytes of a header of zeros, which look like missing shots.
+
+    As many as are too many for whole lines.
+    """
     m = None if found.period is None else found.period.points_per_line
     each = sum(np.dtype(field.type).itemsize for field in layout.fields)
     if not is_dump(path) or not m or not each:

@@ -1,6 +1,9 @@
-"""Classifies the files of one drive as one stream: labels as of the joined file, an output for every file.
+"""Classifies the files of one drive as one stream.
 
-A gap of time, other dimensions or another M between two files is said, and a stream of its own begins there.
+Labels as of the joined file, an output for every file.
+
+A gap of time, other dimensions or another M between two files is said, and a stream of its own
+begins there.
 """
 
 from __future__ import annotations
@@ -54,7 +57,10 @@ LABELS = ".labels"
 
 
 def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
-    """Return the output of every file: LAS and LAZ keep their names, of all others the labels are written."""
+    """Return the output of every file.
+
+    LAS and LAZ keep their names, of all others the labels are written.
+    """
     outputs = [folder / output_name(part.name, SAME) for part in parts]
     if len(set(outputs)) < len(outputs):
         twice = next(output for output in outputs if outputs.count(output) > 1)
@@ -75,7 +81,10 @@ def classify_drive(
     engine: Engine = "compiled",
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> list[RunSummary]:
-    """Classify the files of one drive in the order of recording; all outputs get their names at the end, or none."""
+    """Classify the files of one drive in the order of recording.
+
+    All outputs get their names at the end, or none.
+    """
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
         raise ConfigError(
@@ -207,7 +216,10 @@ class _Run:
 
 
 class DividedWriter:
-    """Gives every file's writer the labels of its records; ``firsts`` are their first numbers, and the end."""
+    """Gives every file's writer the labels of its records.
+
+    ``firsts`` are their first numbers, and the end.
+    """
 
     def __init__(self, writers: Sequence[StagedWriter], firsts: Sequence[int]) -> None:
         self._writers = writers
@@ -249,8 +261,9 @@ def _within(records: I64, start: int, stop: int) -> I64:
 def output_name(name: str, to: str) -> str:
     """Return the name of an output in its tree.
 
-    It contains the whole name of the input, so that ``a.las``, ``a.laz`` and ``a.csv`` have different outputs. A LAS or
-    LAZ output of an input of the same format keeps its name, so that the output tree can replace the input tree.
+    It contains the whole name of the input, so that ``a.las``, ``a.laz`` and ``a.csv`` have
+    different outputs. A LAS or LAZ output of an input of the same format keeps its name, so that
+    the output tree can replace the input tree.
 
     >>> [output_name(name, "same") for name in ("night/a.laz", "a.csv.gz")]
     ['night/a.laz', 'a.csv.gz.labels.npy']
@@ -276,7 +289,10 @@ def drive_note(names: Sequence[str]) -> str:
 
 
 def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
-    """Tell whether a run record says that its file was classified as a part of this drive; by itself without names."""
+    """Tell whether a run record says that its file was classified as a part of this drive.
+
+    By itself without names.
+    """
     return [told for told in notices if told.startswith(_DRIVE)] == (
         [drive_note(names)] if names else []
     )

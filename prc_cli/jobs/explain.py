@@ -1,7 +1,9 @@
-"""Says why a shot has its class: the rule that decided, its limits, and what the stages measured (``prc explain``).
+"""Says why a shot has its class.
 
-The run is that of ``prc classify``, from the start of the input to the block of the shot, because states are handed
-from block to block. The method itself gives the rule, beside the label.
+The rule that decided, its limits, and what the stages measured (``prc explain``).
+
+The run is that of ``prc classify``, from the start of the input to the block of the shot, because
+states are handed from block to block. The method itself gives the rule, beside the label.
 """
 
 from __future__ import annotations

@@ -134,7 +134,10 @@ class Inspection(Doubted):
     mend: str = ""
     """The option of the command line with which it can, where that was tried."""
     rates: TimedScan | None = None
-    """Rates of the scanner as its times show them; None where they were not asked for or show none."""
+    """Rates of the scanner as its times show them.
+
+    None where they were not asked for or show none.
+    """
     contents: Contents | None = None
     """What the records hold; None where the file is no list of records."""
     missing: tuple[str, ...] = ()
@@ -142,7 +145,10 @@ class Inspection(Doubted):
     drive: Drive | SpinningDrive | None = None
     """What was found from the points of a registered cloud; None where it was not asked for."""
     comparisons: tuple[Comparison, ...] = ()
-    """The trajectory that is given against the path found, for every scanner; empty where it was not asked for."""
+    """The trajectory that is given against the path found, for every scanner.
+
+    Empty where it was not asked for.
+    """
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
@@ -202,7 +208,10 @@ def inspect(
 
 
 def _with_comparisons(path: Path, loaded: LoadedConfig, *, deep: bool) -> Inspection:
-    """Describe a file and its trajectory; also where the trajectory is refused, since the path tells why."""
+    """Describe a file and its trajectory.
+
+    Also where the trajectory is refused, since the path tells why.
+    """
     drive, comparisons, finding = hold_against(path, loaded)
     try:
         found = inspect(path, loaded, deep=deep)
@@ -254,7 +263,10 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
 
 
 def _drive_found(stream: ScanStream | None, inputs: InputConfig) -> Drive | SpinningDrive | None:
-    """Return what was found from the points; None where it was not asked for, also if a path was given."""
+    """Return what was found from the points.
+
+    None where it was not asked for, also if a path was given.
+    """
     return drive_of(stream) if stream is not None and inputs.range == "points" else None
 
 
@@ -316,7 +328,10 @@ def _inspect_records(
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
-    """Measure the rates of a scanner from its times alone; list all that is missing, with one command."""
+    """Measure the rates of a scanner from its times alone.
+
+    List all that is missing, with one command.
+    """
     is_sorted = inputs.order == "sort-time"
     in_order = is_sorted or refused.order is None or refused.order.is_chronological
     rates = _measured_rates(sorted_by_time(source) if is_sorted else source) if in_order else None
@@ -415,10 +430,14 @@ def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
 def _try_open(
     path: Path, loaded: LoadedConfig
 ) -> tuple[ScanStream | None, InputError | ConfigError | None]:
-    """Open a stream as ``prc classify`` would, counting breaks of the order; without beams if these are refused."""
+    """Open a stream as ``prc classify`` would, counting breaks of the order.
+
+    Without beams if these are refused.
+    """
     try:
         inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
-        # as prc classify does: what a method does not need is not read, and tells the checks nothing
+        # as prc classify does: what a method does not need is not read, and tells the checks
+        # nothing
         stream = open_input(path, inputs, loaded.config.layout, geometry=loaded.config.needs_beams)
     except (InputError, ConfigError) as refusal:
         return None, refusal
@@ -538,7 +557,10 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
 
 
 def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
-    """Read the records once, in the order of the input, and count what they hold; return the order of the times."""
+    """Read the records once, in the order of the input, and count what they hold.
+
+    Return the order of the times.
+    """
     watch: OrderWatch | RingOrderWatch | None = None
     for chunk in watched_contents(source, contents):
         if "time" not in source.dimensions:
@@ -558,7 +580,10 @@ def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | Non
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:
-    """Read the times of the lines alone; return those of the scanner that is least in order, None without times."""
+    """Read the times of the lines alone.
+
+    Return those of the scanner that is least in order, None without times.
+    """
     watches: dict[int, OrderWatch] = {}
     for block in stream.blocks():
         if block.time_s is None:

@@ -59,7 +59,8 @@ def save_path(
     output
         Name ending in .csv, .txt, .sbet or .out.
     drive
-        What was found from the points; a path that the check ``path`` speaks against is not written.
+        What was found from the points; a path that the check ``path`` speaks against is not
+        written.
     loaded
         The configuration.
     path
@@ -119,7 +120,8 @@ def hold_against(
     Returns
     -------
     tuple
-        The drive found, one comparison for every scanner, and the answer of the check ``trajectory``.
+        The drive found, one comparison for every scanner, and the answer of the check
+        ``trajectory``.
     """
     inputs = loaded.config.input
     if not inputs.range.startswith(_KIND):

@@ -1,4 +1,7 @@
-"""Tells a listener how far a run is: lines that were finished, and the share of the input where that is known."""
+"""Tells a listener how far a run is.
+
+Lines that were finished, and the share of the input where that is known.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ def tell_share(progress: object, share: float | None) -> None:
 
 
 def share_done(block: ScanBlock, info: StreamInfo, window: Window | None = None) -> float | None:
-    """Return how much of the input is done after a block, above 0 and at most 1; None = not known."""
+    """Return how much of the input is done after a block, above 0 and at most 1.
+
+    None = not known.
+    """
     done = block.first_line + block.n_lines
     if window is not None:
         if not window.in_lines or not math.isfinite(window.stop):

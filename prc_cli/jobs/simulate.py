@@ -1,7 +1,8 @@
 """Whole simulated scans to files: ``prc simulate``.
 
-A scene, a scanner and its platform produce a stream, some lines at a time; the stream is written to any format of
-``prc convert``, with the reference class of every shot. Memory does not grow with the length of the drive.
+A scene, a scanner and its platform produce a stream, some lines at a time; the stream is written to
+any format of ``prc convert``, with the reference class of every shot. Memory does not grow with the
+length of the drive.
 """
 
 from __future__ import annotations
@@ -84,7 +85,10 @@ class Beside:
     trajectory: Path | None = None
     """Trajectory of the scanner: ``.sbet`` or ``.out`` for SBET, ``.csv``."""
     labels: Path | None = None
-    """``.npy``: the reference class of every record; written without being asked for if the output holds no classes."""
+    """``.npy``: the reference class of every record.
+
+    Written without being asked for if the output holds no classes.
+    """
     stems: Path | None = None
     """``.csv``: the trees beside the path."""
 
@@ -109,15 +113,18 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> SimulationSummary:
-    """Simulate a scan into a file, with the reference class of every shot; all files are complete or absent.
+    """Simulate a scan into a file, with the reference class of every shot.
+
+    All files are complete or absent.
 
     Parameters
     ----------
     kind : {"street", "forest", "street-scan"}
         What is simulated.
     output : path
-        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57 .bag .db3 .mcap``. Where there is a return, the
-        point clouds and tables hold its registered coordinates from the true pose.
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57 .bag .db3 .mcap``. Where
+        there is a return, the point clouds and tables hold its registered coordinates from the true
+        pose.
     settings : optional
         From :func:`load_settings`.
     beside : Beside, optional
@@ -280,7 +287,10 @@ def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem
 
 
 def codes_in_order(item: StreamItem, output: Path) -> U8:
-    """Return the class codes of the records that an output has, in their order, (records,) uint8; 0 = no return."""
+    """Return the class codes of the records that an output has, in their order, (records,) uint8.
+
+    0 = no return.
+    """
     assert item.codes is not None
     assert item.extra_codes is not None
     block = item.block

@@ -1,7 +1,7 @@
 """Classification of a live stream: ranges from a pipe, one class code per shot out.
 
-A block is written as soon as the shots it needs have arrived. Nothing is queued, and nothing is read ahead, so a slow
-reader of the labels slows down the writer of the ranges (back-pressure).
+A block is written as soon as the shots it needs have arrived. Nothing is queued, and nothing is
+read ahead, so a slow reader of the labels slows down the writer of the ranges (back-pressure).
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ def stream(
     Parameters
     ----------
     source : ByteStream
-        Records of ``config.layout`` (default: float32 ranges only, ``input.points_per_line`` per line), unbuffered.
+        Records of ``config.layout`` (default: float32 ranges only, ``input.points_per_line`` per
+        line), unbuffered.
     sink : ByteSink
         Receives one byte per shot, its class code, in chronological order; 0 = no return.
     config : LoadedConfig or RunConfig, optional
@@ -99,7 +100,8 @@ def stream(
     report : callable, optional
         Called with the :class:`Rate` whenever labels were written.
     doubted : callable
-        Called with the first doubt of every check of the input and of its labels as soon as it is known.
+        Called with the first doubt of every check of the input and of its labels as soon as it is
+        known.
     chosen : callable
         Called with the method that was chosen where none is named, before the first label.
 
@@ -110,10 +112,11 @@ def stream(
     Raises
     ------
     InputError
-        When the stream is damaged or ends inside a record; the labels of all complete lines were written before.
+        When the stream is damaged or ends inside a record; the labels of all complete lines were
+        written before.
     EvidenceError
-        When the evidence is against the input; ``input.accept_doubts`` names what is accepted. The labels of the shots
-        before were written.
+        When the evidence is against the input; ``input.accept_doubts`` names what is accepted. The
+        labels of the shots before were written.
     OutputError
         When the reader of the labels has gone.
     ConfigError

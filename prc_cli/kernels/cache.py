@@ -1,7 +1,7 @@
 """Compiles loops with numba, and keeps the compiled code in numba's cache, in a folder that only this user can change.
 
-The install folder may be read-only, a cron user may have no home, a disk may be full, a cache file may be cut short.
-Whenever the cache fails, the kernel is compiled in memory, so that no run stops.
+The install folder may be read-only, a cron user may have no home, a disk may be full, a cache file
+may be cut short. Whenever the cache fails, the kernel is compiled in memory, so that no run stops.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ Tuple = _types.Tuple
 def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
     """Compile a function when its module is imported, for the types of its annotations, or for numba signatures.
 
-    No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
-    NumPy, since a test for it keeps loops from being vectorised. The lock of the interpreter is released,
-    so that blocks of several scanners or files run in parallel in threads.
+    No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero
+    gives infinity as in NumPy, since a test for it keeps loops from being vectorised. The lock of
+    the interpreter is released, so that blocks of several scanners or files run in parallel in
+    threads.
     """
 
     def compiled(function: FunctionT) -> FunctionT:
@@ -85,7 +86,10 @@ def _signature(function: Callable[..., Any]) -> Any:
 
 
 def numba_type(annotation: Any) -> Any:
-    """Return the numba type of an annotation: a number, a contiguous array (``Annotated[F32, 2]``), a tuple."""
+    """Return the numba type of an annotation.
+
+    a number, a contiguous array (``Annotated[F32, 2]``), a tuple.
+    """
     origin = get_origin(annotation)
     inner = get_args(annotation)
     if origin is Annotated and get_origin(inner[0]) is np.ndarray:
@@ -108,11 +112,14 @@ record = numba_type
 
 
 def helper(function: FunctionT) -> FunctionT:
-    """Let kernels call a private function of their module; it is compiled with, and as, the kernel that calls it.
+    """Let kernels call a private function of their module.
 
-    Its types are those of the call, and its code is part of the compiled kernels, which are compiled again when their
-    module changes. So never share one between modules, nor a constant; and to import another module of kernels is to
-    compile it, in two processes at once. Python and C cannot call it, which saves compiling wrappers.
+    It is compiled with, and as, the kernel that calls it.
+
+    Its types are those of the call, and its code is part of the compiled kernels, which are
+    compiled again when their module changes. So never share one between modules, nor a constant;
+    and to import another module of kernels is to compile it, in two processes at once. Python and C
+    cannot call it, which saves compiling wrappers.
     """
     return _jit(**_HELPER)(function)  # type: ignore[no-any-return]
 
@@ -120,8 +127,8 @@ def helper(function: FunctionT) -> FunctionT:
 def inlined(function: FunctionT) -> FunctionT:
     """Inline a private function in every call: for short functions that a loop runs for every shot.
 
-    As :func:`helper` otherwise. Passing an array takes seven words on the stack, more than most steps of a loop. Many
-    calls take longer to compile.
+    As :func:`helper` otherwise. Passing an array takes seven words on the stack, more than most
+    steps of a loop. Many calls take longer to compile.
     """
     return _jit(**_HELPER, forceinline=True)(function)  # type: ignore[no-any-return]
 
@@ -161,7 +168,10 @@ def loops_folder(folder: Path, source: Path) -> Path:
 
 @cache
 def writable_cache() -> Path | None:
-    """Return the folder for compiled kernels, which only this user may write to: configured, cache, temporary."""
+    """Return the folder for compiled kernels, which only this user may write to.
+
+    Configured, cache, temporary.
+    """
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         folder = Path(given).resolve()
         if not _is_writable(folder):
@@ -179,7 +189,10 @@ def writable_cache() -> Path | None:
 
 
 def open_to_others(folder: Path) -> str:
-    """Return why others may change what lies in a folder, or exchange one above it; empty if they may not."""
+    """Return why others may change what lies in a folder, or exchange one above it.
+
+    Empty if they may not.
+    """
     try:
         if why := who_may_change(folder):
             return why
@@ -205,7 +218,10 @@ def _temporary_cache() -> Path:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Create the folder if needed and write a test file: permissions do not show quotas and read-only mounts."""
+    """Create the folder if needed and write a test file.
+
+    Permissions do not show quotas and read-only mounts.
+    """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as handle:

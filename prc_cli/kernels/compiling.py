@@ -1,8 +1,8 @@
 """Fills the cache of compiled code, on all cores, by one process at a time.
 
-After installation the loops are compiled once. Processes that start at the same time, such as those of a batch, would
-all compile the same loops; so one of them does, with child processes on its share of the cores, and the others wait. If
-anything fails here, a loop is compiled when it is used.
+After installation the loops are compiled once. Processes that start at the same time, such as those
+of a batch, would all compile the same loops; so one of them does, with child processes on its share
+of the cores, and the others wait. If anything fails here, a loop is compiled when it is used.
 """
 
 from __future__ import annotations
@@ -88,7 +88,10 @@ def _source(module: str) -> Path:
 
 @contextlib.contextmanager
 def _children(shares: Sequence[Sequence[str]]) -> Iterator[None]:
-    """Start a process for each share of modules, if possible, with this import path; end them after a while."""
+    """Start a process for each share of modules, if possible, with this import path.
+
+    End them after a while.
+    """
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     code = f"import sys; from prc_cli.kernels import load_compiler as load; load(); from {__name__} import *; "
     command = [
@@ -121,7 +124,10 @@ def _children(shares: Sequence[Sequence[str]]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Wait, with a time limit, until no other process compiles; the system releases locks of dead processes."""
+    """Wait, with a time limit, until no other process compiles.
+
+    The system releases locks of dead processes.
+    """
     try:
         handle = (folder / _LOCK).open("ab")
     except OSError:

@@ -38,7 +38,10 @@ Engine: TypeAlias = Literal["compiled", "reference"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 PLAIN = frozenset({"clean_ranges"})
-"""Kernels whose twins do until the compiler is loaded: to look at a file takes half the time without it."""
+"""Kernels whose twins do until the compiler is loaded.
+
+To look at a file takes half the time without it.
+"""
 
 # of a thread and what it starts: a run beside this one keeps its own
 _engine: ContextVar[Engine] = ContextVar("engine", default="compiled")
@@ -47,7 +50,10 @@ _loaded: dict[tuple[Engine, str], Callable[..., Any]] = {}
 
 @contextmanager
 def use_engine(engine: Engine) -> Iterator[None]:
-    """Let the kernels inside this context be of one engine; with ``reference`` the compiler is never loaded."""
+    """Let the kernels inside this context be of one engine.
+
+    With ``reference`` the compiler is never loaded.
+    """
     if engine not in ENGINES:
         raise ConfigError("engine", f"found {engine!r}, expected {' or '.join(ENGINES)}")
     before = _engine.set(engine)
@@ -115,7 +121,10 @@ def reference_home(name: str) -> str:
 
 
 def load_kernels(modules: frozenset[str] | None = None) -> None:
-    """Compile kernels on all cores, one process at a time, or load them; call it before threads start."""
+    """Compile kernels on all cores, one process at a time, or load them.
+
+    Call it before threads start.
+    """
     wanted = {
         name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)
     }

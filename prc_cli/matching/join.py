@@ -1,9 +1,10 @@
 """The merge join: one sweep over two streams that are sorted by the same key.
 
-The key is a time, an id or a coordinate. A window moves along it. It holds, of both sides, every record that can
-influence the pairs of the records that are decided next. A matcher pairs the records of a window in memory
-(:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.keys`). The pairs therefore do not depend on how the streams are
-chunked, and memory does not grow with the streams.
+The key is a time, an id or a coordinate. A window moves along it. It holds, of both sides, every
+record that can influence the pairs of the records that are decided next. A matcher pairs the
+records of a window in memory (:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.keys`). The
+pairs therefore do not depend on how the streams are chunked, and memory does not grow with the
+streams.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ SORT_RECORDS = 1 << 18
 def columns_of(
     source: RecordSource, names: tuple[str, ...], *, sort: bool, with_record: bool = True
 ) -> Iterator[Columns]:
-    """Yield dimensions of a source, and :data:`RECORD` if asked; by ascending ``time`` if asked, else as stored."""
+    """Yield dimensions of a source, and :data:`RECORD` if asked.
+
+    By ascending ``time`` if asked, else as stored.
+    """
     if sort:
         source = sorted_by_time(source, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS)
     for chunk in source.chunks(names):
@@ -73,7 +77,9 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 """(n,) arrays of the same records by name."""
 
 KEY = "time"
-"""Column that the streams are sorted by, float64, finite. It is called ``time`` also where it holds an id or a
+"""Column that the streams are sorted by, float64, finite.
+
+It is called ``time`` also where it holds an id or a
 coordinate, because :func:`prc_cli.streams.order.sorted_by_time` sorts by that name."""
 SAME = "same"
 """Column that must be equal in a pair beside the key, int64, 0 or more: return number, scanner."""
@@ -119,10 +125,16 @@ class JoinTally:
     largest: float = 0.0
     """Largest distance of a pair; 0 where the matcher gives no distances."""
     distances: I64 = field(default_factory=lambda: np.zeros(len(DECADES) + 1, np.int64))
-    """(17,) int64, records without partner by the distance to the nearest right one: to 10^-9, 10^-8, ..., beyond."""
+    """(17,) int64, records without partner by the distance to the nearest right one.
+
+    To 10^-9, 10^-8, ..., beyond.
+    """
 
     def near(self, share: float = 0.5) -> float | None:
-        """Return the power of ten within which ``share`` of the records without partner have one; None if none."""
+        """Return the power of ten within which ``share`` of the records without partner have one.
+
+        None if none.
+        """
         total = int(self.distances.sum())
         reached = np.flatnonzero(np.cumsum(self.distances[:-1]) >= share * total)
         return float(10.0 ** DECADES[reached[0]]) if total and len(reached) else None
@@ -149,11 +161,16 @@ class Match:
     used: I64 | None = None
     """Right records that count as partners of the decided records; None = those of the pairs."""
     distance: F64 | None = None
-    """(n_decided,) distance of the decided left records to the nearest right one; None = not known."""
+    """(n_decided,) distance of the decided left records to the nearest right one.
+
+    None = not known.
+    """
 
 
 Matcher: TypeAlias = Callable[[Columns, Columns, slice], Match]
-"""Pairs the records of a window: left and right columns, sorted by key, and which left records are decided now.
+"""Pairs the records of a window.
+
+Left and right columns, sorted by key, and which left records are decided now.
 
 Pairs of other left records are ignored: their partners may not all be in the window.
 """
@@ -173,7 +190,10 @@ class Joined:
     """(pairs,) index in ``right``."""
 
     def pairs(self) -> tuple[Columns, Columns]:
-        """Return the columns of both sides in pairs: row k of the left belongs to row k of the right."""
+        """Return the columns of both sides in pairs.
+
+        Row k of the left belongs to row k of the right.
+        """
         return {n: v[self.at] for n, v in self.left.items()}, {
             n: v[self.to] for n, v in self.right.items()
         }
@@ -190,7 +210,8 @@ def merge_join(
     spare: int = 0,
 ) -> Iterator[Joined]:
     """Match two sorted streams."""
-    # a record is decided by candidates within the tolerance, and a candidate by the records within the tolerance of it
+    # a record is decided by candidates within the tolerance, and a candidate by the records within
+    # the tolerance of it
     reach = 2.0 * tolerance * (1 + 1e-9)
     sides = _Window(_in_steps(left, 0), names[0]), _Window(_in_steps(right, 1), names[1])
     low = -math.inf

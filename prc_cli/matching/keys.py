@@ -26,7 +26,10 @@ class KeyRule:
     dimension: str = "time"
     """Dimension that holds the key; of a place, the axis that records are sorted by."""
     same: tuple[str, ...] = ()
-    """Integer dimensions (0 to 65535) that must be equal beside the key, such as ``return_number``; at most three."""
+    """Integer dimensions (0 to 65535) that must be equal beside the key, such as ``return_number``.
+
+    At most three.
+    """
     offset: float = 0.0
     """Added to the key [s for times]."""
 
@@ -82,8 +85,8 @@ def pair_in_order(
 ) -> Match:
     """Pair the members of groups that are partners, the k-th of one with the k-th of the other.
 
-    If one side has more members, it is unknown which of them the other side lacks. They are left out, unless all
-    members of the larger side have one class: then the choice makes no difference.
+    If one side has more members, it is unknown which of them the other side lacks. They are left
+    out, unless all members of the larger side have one class: then the choice makes no difference.
     """
     group_of_right = np.full(int(right_group.max(initial=-1)) + 1, -1, np.int64)
     paired = np.flatnonzero(partner >= 0)
@@ -162,7 +165,10 @@ def _alike(classes: NDArray[Any], first: I64, count: I64) -> Mask:
 
 
 SPARE_LABELS = 64
-"""``spare`` of the join for :class:`NearestLabel`: how far it sees the next label with the same :data:`SAME`."""
+"""``spare`` of the join for :class:`NearestLabel`.
+
+How far it sees the next label with the same :data:`SAME`.
+"""
 
 
 def both(left: Columns, right: Columns, name: str) -> Both | None:
@@ -174,7 +180,8 @@ def both(left: Columns, right: Columns, name: str) -> Both | None:
 class MutualKeys:
     """Pairs of records that are nearest to each other.
 
-    The nearest is found by the key alone; of two as near, the lower. Records of one key are paired as
+    The nearest is found by the key alone; of two as near, the lower. Records of one key are paired
+    as
     :func:`prc_cli.matching.keys.pair_in_order` says, those with equal :data:`SAME` where both sides have it.
 
     >>> left, right = {KEY: np.array([1.0, 2.0, 3.0])}, {KEY: np.array([0.9, 2.8])}
@@ -207,11 +214,13 @@ class MutualKeys:
 
 @dataclass(frozen=True, slots=True)
 class NearestLabel:
-    """The label (right) of every point (left): the one with the nearest key of those with equal :data:`SAME`.
+    """The label (right) of every point (left).
 
-    Of labels as near, the one with the smaller key is taken. If several labels share the key, the points of that key
-    pair with them in record order where they are as many; else they all get the label with the most frequent code, of
-    equally frequent ones the first in record order.
+    The one with the nearest key of those with equal :data:`SAME`.
+
+    Of labels as near, the one with the smaller key is taken. If several labels share the key, the
+    points of that key pair with them in record order where they are as many; else they all get the
+    label with the most frequent code, of equally frequent ones the first in record order.
     """
 
     tolerance: float
@@ -283,7 +292,10 @@ def _bounds(key: F64) -> tuple[I64, I64]:
 
 
 def _nearest(values: F64, among: F64) -> I64:
-    """Return the index of the nearest of sorted numbers, at least one; of two as near, the lower."""
+    """Return the index of the nearest of sorted numbers, at least one.
+
+    Of two as near, the lower.
+    """
     above = np.clip(np.searchsorted(among, values), 0, len(among) - 1)
     below = np.maximum(above - 1, 0)
     return np.where(

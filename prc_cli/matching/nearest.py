@@ -1,4 +1,7 @@
-"""Nearest points of two clouds of any order and size: both go to disk by cell and are joined tile by tile."""
+"""Nearest points of two clouds of any order and size.
+
+Both go to disk by cell and are joined tile by tile.
+"""
 
 from __future__ import annotations
 
@@ -189,7 +192,8 @@ class Cloud:
             inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
             parts.append(records if inside.all() else records[inside])
         records = np.concatenate(parts)
-        # neighbours in memory are neighbours in space: queries of a tree are then twice as fast; parts are in order
+        # neighbours in memory are neighbours in space: queries of a tree are then twice as fast;
+        # parts are in order
         order = np.argsort(cell_keys(records["x"], records["y"], _FINE_M), kind="stable")
         return {name: records[name][order] for name in self._dtype.names or ()}
 
@@ -211,7 +215,10 @@ class Cloud:
 
 
 def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
-    """Cut the plan into boxes with about as many points of both clouds, at most; none lies apart from the left one."""
+    """Cut the plan into boxes with about as many points of both clouds, at most.
+
+    None lies apart from the left one.
+    """
     mine = left.counts()
     theirs = right.counts()
     around = [mine[0] + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
@@ -271,13 +278,19 @@ class Fit:
     spacing_m: float
     """Median distance of a right point to the nearest other one."""
     tolerance_m: float
-    """Largest distance of partners: where points of one surface end and those without partner are left."""
+    """Largest distance of partners.
+
+    Where points of one surface end and those without partner are left.
+    """
     sparse: float
     """Share of the left points beyond that lie no farther than the right ones there from each other."""
 
 
 def fit_of(left: Cloud, right: Cloud) -> Fit | None:
-    """Measure two clouds in tiles spread over the left one; None where they do not lie on each other."""
+    """Measure two clouds in tiles spread over the left one.
+
+    None where they do not lie on each other.
+    """
     boxes = tiles_of(left, right)
     random = np.random.default_rng(0)
     parts: list[tuple[F64, F64, F64]] = []
@@ -357,14 +370,19 @@ class Nearest:
     distance: F64
     """(n,) distance to the nearest right point, infinite beyond the reach [m]."""
     sparse: Mask
-    """(n,) points without partner that the right cloud may have lost: they are no farther from it than its points
+    """(n,) points without partner that the right cloud may have lost.
+
+    They are no farther from it than its points
     there are from each other."""
 
 
 def nearest_join(
     left: Cloud, right: Cloud, tolerance: float, tally: JoinTally, reach: float | None = None
 ) -> Iterator[Nearest]:
-    """Find the nearest right point of every left one, by tiles; up to ``reach``, its spacing there."""
+    """Find the nearest right point of every left one, by tiles.
+
+    Up to ``reach``, its spacing there.
+    """
     reach = max(tolerance, reach or 0.0)
 
     def join(box: Box) -> tuple[Nearest, int]:

@@ -1,4 +1,7 @@
-"""What one registered cloud is shifted by against another: coarsely by occupied voxels, then by its planes."""
+"""What one registered cloud is shifted by against another.
+
+Coarsely by occupied voxels, then by its planes.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ _GATE = 3.0
 
 
 def shift_of(left: Cloud, right: Cloud) -> F64 | None:
-    """Return what the right cloud is shifted by against the left one (3,) [m]; None = not by a significant amount."""
+    """Return what the right cloud is shifted by against the left one (3,) [m].
+
+    None = not by a significant amount.
+    """
     coarse = _coarse_shift(left, right)
     start = np.zeros(3) if coarse is None else coarse
     random = np.random.default_rng(0)
@@ -59,10 +65,12 @@ def shift_of(left: Cloud, right: Cloud) -> F64 | None:
 
 
 def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
-    """Move points until they lie on the planes around them; return the shift (3,) and its standard error (3,).
+    """Move points until they lie on the planes around them.
 
-    The error comes from groups of points along the drive, each left out once (jackknife): errors of a trajectory are
-    alike for seconds.
+    Return the shift (3,) and its standard error (3,).
+
+    The error comes from groups of points along the drive, each left out once (jackknife): errors of
+    a trajectory are alike for seconds.
     """
     for _ in range(_ROUNDS):
         pairs = [_planes(points + shift, tree) for points, tree in parts]
@@ -101,7 +109,10 @@ def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
 
 
 def _within(normal: F64, off: F64) -> Any:
-    """Return which pairs are no outliers among those whose planes face the same axis: ground does not outvote walls."""
+    """Return which pairs are no outliers among those whose planes face the same axis.
+
+    Ground does not outvote walls.
+    """
     facing = np.argmax(np.abs(normal), axis=1)
     kept = np.zeros(len(off), np.bool_)
     for axis in range(3):
@@ -125,7 +136,10 @@ _CLEARER = 1.15
 
 
 def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
-    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile of both; None = none."""
+    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile of both.
+
+    None = none.
+    """
     from scipy import fft
 
     boxes = tiles_of(left, right)

@@ -33,8 +33,9 @@ _LIMIT_16 = 1 << 16
 class KeyedSource(DerivedSource):
     """The records of a source that have a class, each with key, ``same`` and code.
 
-    Chunks hold any of :data:`KEY` (float64), :data:`SAME` (int64), :data:`CODE` (uint8) and the dimensions of the
-    source. Records without a class (an empty cell; code 0 in label files, a shot without return) are left out.
+    Chunks hold any of :data:`KEY` (float64), :data:`SAME` (int64), :data:`CODE` (uint8) and the
+    dimensions of the source. Records without a class (an empty cell; code 0 in label files, a shot
+    without return) are left out.
     """
 
     rule: KeyRule
@@ -198,7 +199,9 @@ LINE = "line"
 SCANNER = "scanner"
 SECONDS = "seconds"
 CONFIDENCE = "confidence"
-"""What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent]; -1 (NaN for ranges and
+"""What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent].
+
+-1 (NaN for ranges and
 times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not known."""
 MAX_RETURN = 255
 UNKNOWN = -1
@@ -218,7 +221,10 @@ _COLUMN = "column"
 LONGEST_LINE = 1 << 22
 """A cell is one whole number: its line times this, and its column."""
 _CODES = "class codes"
-"""Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
+"""Column of codes that are read from a file of their own.
+
+The blank keeps it apart from dimensions.
+"""
 _MAX_ID = 1 << 31
 
 FARTHEST_M = 1e9
@@ -314,8 +320,8 @@ class SideTally:
 class Side:
     """The records of one or several files, as a source of :data:`KEY`, :data:`CODE` and what else it has.
 
-    Chunks of :meth:`chunks` carry ``record``, the index in all files together; records without a finite key are
-    left out and counted in ``tally``, which begins anew with every reading.
+    Chunks of :meth:`chunks` carry ``record``, the index in all files together; records without a
+    finite key are left out and counted in ``tally``, which begins anew with every reading.
     """
 
     files: Sequence[SideFile]
@@ -404,7 +410,10 @@ class Side:
         return finite
 
     def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
-        """Return the source of a column and its name there; a source of None = the column is counted."""
+        """Return the source of a column and its name there.
+
+        a source of None = the column is counted.
+        """
         if name == LINE and self.points_per_line is not None:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
         found = file.find(_NAMES.get(name, (name,)))

@@ -3,10 +3,10 @@
 A method is one folder beside this file and one row in :mod:`prc_cli.methods.methods`.
 :mod:`prc_cli.methods.run` runs all methods, in any number of threads.
 
-Most steps of a method need only their own block. A step that depends on earlier blocks receives the value left by the
-previous block, and returns its result and the value for the next block. These values are the fields of the method's
-state, a frozen dataclass, one per scanner. Such steps should be short: they run block after block, all other steps run
-in parallel.
+Most steps of a method need only their own block. A step that depends on earlier blocks receives the
+value left by the previous block, and returns its result and the value for the next block. These
+values are the fields of the method's state, a frozen dataclass, one per scanner. Such steps should
+be short: they run block after block, all other steps run in parallel.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class Turn(Protocol):
         part : Part
             Every block of a scanner hands on the same parts, each exactly once.
         step : callable
-            Takes the value left by the previous block; returns a result and the value for the next block.
+            Takes the value left by the previous block; returns a result and the value for the next
+            block.
 
         Returns
         -------
@@ -127,9 +128,15 @@ class Needs:
     kernels: frozenset[str]
     """Folders or modules of the compiled loops that it calls, as for :func:`prc_cli.kernels.load_kernels`."""
     lines_per_block: int | None = None
-    """k, scan lines per block, fewer only at the end of the stream; None = any number of whole lines."""
+    """k, scan lines per block, fewer only at the end of the stream.
+
+    None = any number of whole lines.
+    """
     look_ahead: int | None = None
-    """Lines of look-ahead after a block, at least 1; None = :func:`prc_cli.core.blocks.look_ahead_lines`."""
+    """Lines of look-ahead after a block, at least 1.
+
+    None = :func:`prc_cli.core.blocks.look_ahead_lines`.
+    """
     beams: bool = True
     """Whether blocks must hold beam angles (``beam_rad``)."""
     intensity: bool = False
@@ -231,7 +238,8 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         Parameters
         ----------
         block : ScanBlock
-            The next lines of the scanner, with look-ahead (``next_m``) and whether it is the last (``is_last``).
+            The next lines of the scanner, with look-ahead (``next_m``) and whether it is the last
+            (``is_last``).
         scanner : object
             From :meth:`scanner`.
         turn : Turn
@@ -242,8 +250,8 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         Returns
         -------
         sequence of LabelledBlock
-            The lines that became final, in order, including their further returns; may be empty, and may include
-            lines of earlier blocks.
+            The lines that became final, in order, including their further returns; may be empty,
+            and may include lines of earlier blocks.
         """
 
     def limits(self, block: ScanBlock) -> Any:

@@ -24,7 +24,10 @@ def key(
     above: float | None = None,
     below: float | None = None,
 ) -> Any:
-    """Mark a field of a ``NamedTuple`` as a key of the configuration, with bounds; its docstring describes it."""
+    """Mark a field of a ``NamedTuple`` as a key of the configuration, with bounds.
+
+    Its docstring describes it.
+    """
     return Field(ge=least, le=most, gt=above, lt=below)
 
 

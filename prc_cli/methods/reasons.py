@@ -1,4 +1,7 @@
-"""Why shots have their labels: one sentence for every rule, read by ``prc explain``, the viewer and the docs."""
+"""Why shots have their labels.
+
+One sentence for every rule, read by ``prc explain``, the viewer and the docs.
+"""
 
 from __future__ import annotations
 
@@ -219,7 +222,10 @@ LABEL_REASONS: dict[str, dict[Label, Reason]] = {
         Label.UNCLASSIFIED: Reason.UNDECIDED,
     },
 }
-"""The one rule behind every label: of PRC in streets and in forests, and of the sequential-angle method."""
+"""The one rule behind every label.
+
+Of PRC in streets and in forests, and of the sequential-angle method.
+"""
 
 
 def reasons_of(labels: U8, of_label: Mapping[Label, Reason]) -> U8:
@@ -256,7 +262,10 @@ def sentences() -> dict[int, str]:
 
 
 def reason_table() -> list[tuple[int, str, str, str]]:
-    """Return number, class, name and sentence of every reason, by number; of votes and further returns once."""
+    """Return number, class, name and sentence of every reason, by number.
+
+    Of votes and further returns once.
+    """
     rows = [
         (int(one), LABEL_NAMES[one & LABEL_BITS], one.name.lower(), RULES[one].sentence)
         for one in RULES

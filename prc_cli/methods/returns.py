@@ -32,12 +32,12 @@ def label_extra_returns(
 ) -> U8:
     """Label the returns of shots that are not in the range image.
 
-    A further return takes the label of the shot with the smallest range difference around its own cell, if the
-    difference is below the support thresholds of Lehtola et al. (2019), eqs. 5 and 6. Only cells of the block are
-    compared.
+    A further return takes the label of the shot with the smallest range difference around its own
+    cell, if the difference is below the support thresholds of Lehtola et al. (2019), eqs. 5 and 6.
+    Only cells of the block are compared.
 
-    ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; ``line, column`` (n,) int32; ``range_m_extra``
-    (n,) float32, metres; returns (n,) uint8.
+    ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; ``line, column`` (n,)
+    int32; ``range_m_extra`` (n,) float32, metres; returns (n,) uint8.
 
     A second return behind a leaf agrees with the wall beside it:
 

@@ -14,7 +14,10 @@ from prc_cli.core.threads import Relay, close_items, ordered
 from prc_cli.methods.base import LABELS_ALONE, Classifier, Part, Wanted
 
 SHOTS_AT_ONCE = 1 << 17
-"""Approximate shots per block for methods that take any number of lines; labels do not depend on it."""
+"""Approximate shots per block for methods that take any number of lines.
+
+Labels do not depend on it.
+"""
 
 _ValueT = TypeVar("_ValueT")
 _ResultT = TypeVar("_ResultT")
@@ -67,7 +70,10 @@ def run_blocks(
 
 
 def _from_zero(blocks: Iterator[ScanBlock], firsts: dict[int, int]) -> Iterator[ScanBlock]:
-    """Count the lines of every scanner from the first that comes: methods may know by it that none was before."""
+    """Count the lines of every scanner from the first that comes.
+
+    Methods may know by it that none was before.
+    """
     for block in blocks:
         first = firsts.setdefault(block.scanner, block.first_line)
         yield block if not first else _moved(block, -first)

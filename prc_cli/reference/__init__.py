@@ -1,1 +1,4 @@
-"""Both papers in plain NumPy, SciPy and scikit-image, to be read beside them; without compiled loops."""
+"""Both papers in plain NumPy, SciPy and scikit-image, to be read beside them.
+
+Without compiled loops.
+"""

@@ -1,8 +1,9 @@
 """The loops that aim the shots of a simulated scan, and find the nearest surface of every shot.
 
-The shots of a line lie nearly in one plane, and their angle within it rises or falls with the column. Hence bodies are
-first intersected with the plane of the line; the intersection covers a window of columns. How far the shots stray from
-the plane is measured, and every test is widened by it, so that none changes a result.
+The shots of a line lie nearly in one plane, and their angle within it rises or falls with the
+column. Hence bodies are first intersected with the plane of the line; the intersection covers a
+window of columns. How far the shots stray from the plane is measured, and every test is widened by
+it, so that none changes a result.
 """
 
 from __future__ import annotations
@@ -71,7 +72,10 @@ class _Bins(NamedTuple):
 
 @helper
 def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
-    """Write what encloses a body: three points, a distance around their triangle, and the reach from the first."""
+    """Write what encloses a body.
+
+    Three points, a distance around their triangle, and the reach from the first.
+    """
     if shape == _TRIANGLE:
         for k in range(9):
             hull[j, k] = numbers[k]
@@ -180,7 +184,10 @@ def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, line: int, 
 
 @helper
 def _measure_line(rays: F64, angle: F64) -> _Frame:
-    """Fit a plane to the shots of a line and measure how far they stray from it; write their angles in it."""
+    """Fit a plane to the shots of a line and measure how far they stray from it.
+
+    Write their angles in it.
+    """
     normal, first, second = _lay_plane(rays)
     centre = _middle(rays[0])[0], _middle(rays[1])[0], _middle(rays[2])[0]
     stray = out = tilt = 0.0
@@ -254,7 +261,10 @@ def _lay_plane(
 
 @helper
 def _diamond(x: float, y: float) -> float:
-    """Return a number from 0 to 4 that rises with the angle of a vector, 1 per right angle; faster than the angle."""
+    """Return a number from 0 to 4 that rises with the angle of a vector, 1 per right angle.
+
+    Faster than the angle.
+    """
     total = abs(x) + abs(y)
     if total == 0.0:
         return 0.0
@@ -294,7 +304,10 @@ def _bin(angle: float, bins: _Bins, n_bins: int) -> int:
 def _look_around(
     hull: F64, velocity: F64, frame: _Frame, corners: F64, seen: I64, spans: F64
 ) -> int:
-    """List the bodies that shots of a line can meet: number, first and last angle, nearest distance."""
+    """List the bodies that shots of a line can meet.
+
+    Number, first and last angle, nearest distance.
+    """
     normal = frame.normal
     first = frame.first
     second = frame.second
@@ -342,7 +355,9 @@ def _look_around(
 
 @helper
 def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]:
-    """Return the angles (diamond) within which a triangle is seen that is cut at two heights; and how near it comes.
+    """Return the angles (diamond) within which a triangle is seen that is cut at two heights.
+
+    And how near it comes.
 
     ``corners`` (3, 3) float64.
     """
@@ -350,7 +365,8 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
     high = -np.inf
     near = np.inf
     middle = np.nan
-    # the part between the two heights is convex: its corners lie on the edges, its outermost angles at corners
+    # the part between the two heights is convex: its corners lie on the edges, its outermost angles
+    # at corners
     for corner in range(3):
         other = corner + 1 if corner < 2 else 0
         h = corners[corner, 0]
@@ -375,7 +391,8 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
             square = u * u + v * v
             if square <= margin * margin * 1.0001:
                 return 0.0, 4.0, 0.0
-            # half the angle of a disc, or more; a step of the diamond is never longer than that of the angle
+            # half the angle of a disc, or more; a step of the diamond is never longer than that of
+            # the angle
             width = margin / np.sqrt(square - margin * margin) + 1e-9
             here = _diamond(u, v)
             if np.isnan(middle):
@@ -472,7 +489,10 @@ def _cast_triangle(
 def _turned(
     rays: F64, i: int, vx: float, vy: float, ready: F64
 ) -> tuple[float, float, float, float, float, float]:
-    """Return a shot in the coordinates of an ellipsoid or box: where it begins, and where it goes."""
+    """Return a shot in the coordinates of an ellipsoid or box.
+
+    Where it begins, and where it goes.
+    """
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
     cos = ready[6]
@@ -491,7 +511,10 @@ def _turned(
 
 @helper
 def _roots(a: float, b: float, c: float) -> tuple[float, float]:
-    """Solve a t^2 + 2 b t + c = 0 without loss of digits, the smaller first; NaN or infinite where there is none."""
+    """Solve a t^2 + 2 b t + c = 0 without loss of digits, the smaller first.
+
+    NaN or infinite where there is none.
+    """
     square = b * b - a * c
     if not square >= 0.0:
         return np.nan, np.nan
@@ -507,7 +530,10 @@ def _roots(a: float, b: float, c: float) -> tuple[float, float]:
 def _along_cone(
     rays: F64, i: int, vx: float, vy: float, ready: F64
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return the terms of the equation of a shot and a cone; place and speed along its axis; radius and its speed."""
+    """Return the terms of the equation of a shot and a cone.
+
+    Place and speed along its axis; radius and its speed.
+    """
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
     z = rays[2, i] - ready[2]
@@ -728,8 +754,12 @@ def _walk(
     left: float,
     key: np.uint64,
 ) -> float:
-    """Go from cell to cell of the lattice of a body until the leaves on the way are enough; inf = never."""
-    # the next side of the cell, by how much it moves from cell to cell, and what that does to the mark of the cell
+    """Go from cell to cell of the lattice of a body until the leaves on the way are enough.
+
+    Inf = never.
+    """
+    # the next side of the cell, by how much it moves from cell to cell, and what that does to the
+    # mark of the cell
     p = np.floor((x + now * dx) / _CELL_M)
     q = np.floor((y + now * dy) / _CELL_M)
     r = np.floor((z + now * dz) / _CELL_M)
@@ -797,15 +827,15 @@ def cast_shots(
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; of surfaces at one place, that of the first body.
 
-    ``origin, direction`` (lines, M, 3) float64; ``time_s`` (lines, M) float64; ``t_min`` (lines, M) float64;
-    ``quantiles`` (2^k,) float64; returns ``t`` (lines, M) float64, ``body`` (lines, M) int32, ``facing`` (lines, M)
-    float64.
+    ``origin, direction`` (lines, M, 3) float64; ``time_s`` (lines, M) float64; ``t_min`` (lines, M)
+    float64; ``quantiles`` (2^k,) float64; returns ``t`` (lines, M) float64, ``body`` (lines, M)
+    int32, ``facing`` (lines, M) float64.
 
     Notes
     -----
-    A shot in leaves meets a clump in every cell of a lattice, of a density between none and four times that of the
-    body (mean one, 4 u^3 with u uniform); it ends where the density on its way, halved since leaves face everywhere,
-    adds up to an exponential number.
+    A shot in leaves meets a clump in every cell of a lattice, of a density between none and four
+    times that of the body (mean one, 4 u^3 with u uniform); it ends where the density on its way,
+    halved since leaves face everywhere, adds up to an exponential number.
     """
     n_lines, n_columns = time_s.shape
     shape, numbers, turn, density, velocity, number = bodies
@@ -837,7 +867,8 @@ def cast_shots(
         frame = _measure_line(rays, angle)
         bins = _tabulate(angle, first, last)
         n_seen = _look_around(hull, velocity, frame, corners, seen, spans)
-        # surfaces first, then the nearest leaves: no way through leaves is walked that lies behind a hit
+        # surfaces first, then the nearest leaves: no way through leaves is walked that lies behind
+        # a hit
         for k in range(n_seen):
             b = seen[k]
             rows[k] = k
@@ -893,8 +924,9 @@ def cast_shots(
 def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
     """Place and turn every shot of every line, straight between the poses around it.
 
-    ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64; ``columns`` (M, 3) float64;
-    returns ``origin`` (lines, M, 3) float64, ``direction`` (lines, M, 3) float64.
+    ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64;
+    ``columns`` (M, 3) float64; returns ``origin`` (lines, M, 3) float64, ``direction`` (lines, M,
+    3) float64.
     """
     n_lines = position.shape[0]
     n_knots = position.shape[1] - 1

@@ -27,7 +27,10 @@ LARGEST_ROOM_M = 25.0
 BEHIND_M = 0.01
 """What is seen through a surface lies farther behind it than this [m]."""
 INTENSITY_SCALE = np.float32(4096.0)
-"""Intensity of a white wall at 10 m; it grows with the root of the power, so that near and far fit 16 bits."""
+"""Intensity of a white wall at 10 m.
+
+It grows with the root of the power, so that near and far fit 16 bits.
+"""
 
 KERNELS_OF_SIMULATOR = frozenset({"simulation"})
 """Modules of the compiled loops."""
@@ -40,14 +43,20 @@ class SimulatedBlock:
     labelled: LabelledBlock
     """Ranges, times, intensities, and the reference label of every return."""
     world_m: F64 | None = None
-    """(lines, M, 3) float64, where every return was measured, from the true pose [m]; NaN = missing."""
+    """(lines, M, 3) float64, where every return was measured, from the true pose [m].
+
+    NaN = missing.
+    """
     extra_world_m: F64 | None = None
     """(n, 3) float64, the same for further returns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScan:
-    """A simulated stream with known labels; every call of :meth:`blocks` simulates again, in pieces."""
+    """A simulated stream with known labels.
+
+    Every call of :meth:`blocks` simulates again, in pieces.
+    """
 
     name: str
     bodies_near: BodiesNear
@@ -62,11 +71,17 @@ class SimulatedScan:
     flake_m: float = 0.0
     """Mean way of a beam from one flake of snow, or drop, to the next [m]; 0 = clear air."""
     relabel: Callable[[F64], U8] | None = None
-    """Reference labels by place, (n, 3) [m] to (n,), instead of those of what was hit; needs ``with_world``."""
+    """Reference labels by place, (n, 3) [m] to (n,), instead of those of what was hit.
+
+    Needs ``with_world``.
+    """
 
     @property
     def lines_at_once(self) -> int:
-        """Lines that are simulated together: a turn of a spinning scanner, else :data:`LINES_AT_ONCE`."""
+        """Lines that are simulated together.
+
+        a turn of a spinning scanner, else :data:`LINES_AT_ONCE`.
+        """
         return (
             max(1, round(360.0 / self.scanner.azimuth_step_deg))
             if self.scanner.spins
@@ -169,7 +184,10 @@ class SimulatedScan:
         return _as_static(found, bodies, shots, hits, behind) if scanner.is_static else found
 
     def _in_sight(self, hits: Hits) -> Hits:
-        """Forget what is farther than is simulated: whether it is among the bodies depends on where they end."""
+        """Forget what is farther than is simulated.
+
+        Whether it is among the bodies depends on where they end.
+        """
         far = hits.t > self.sight_m
         hits.t[far] = np.inf
         hits.body[far] = -1
@@ -225,11 +243,17 @@ NEAREST_FLAKE_M = 1.0
 FLAKE_SEEN_M = 9.0
 """A flake is answered with a chance that falls by e over this distance [m]."""
 FLAKE_POWER = 0.02
-"""Power of a flake's echo at 10 m, over that of a white wall; it falls with the square of the range."""
+"""Power of a flake's echo at 10 m, over that of a white wall.
+
+It falls with the square of the range.
+"""
 
 
 def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Measured:
-    """Return what is measured where flakes, or drops, lie in the way of the beams; their returns are noise."""
+    """Return what is measured where flakes, or drops, lie in the way of the beams.
+
+    Their returns are noise.
+    """
     n_lines, m = found.range_m.shape
     shot = (first_line * m + np.arange(n_lines * m, dtype=np.int64)).reshape(n_lines, m)
     way = -flake_m * np.log1p(-hashed(seed, 40, shot))
@@ -245,7 +269,10 @@ def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Meas
 
 
 def _counts(power: F32, range_m: F32) -> F32:
-    """Return intensities as scanners store them, whole numbers from 0 to 65535; NaN where there is no return."""
+    """Return intensities as scanners store them, whole numbers from 0 to 65535.
+
+    NaN where there is no return.
+    """
     counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(power)), 65535.0)
     counts[np.isnan(range_m)] = np.nan
     found: F32 = counts.astype(np.float32, copy=False)
@@ -253,7 +280,10 @@ def _counts(power: F32, range_m: F32) -> F32:
 
 
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
-    """Return returns relative to the scanner: x forward (azimuth 0), y left, z up, (lines, M, 3) float32 [m]."""
+    """Return returns relative to the scanner.
+
+    x forward (azimuth 0), y left, z up, (lines, M, 3) float32 [m].
+    """
     columns = scanner.directions()
     if not scanner.turns:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)
@@ -305,7 +335,10 @@ def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> 
 
 
 LEVEL_COSINE = float(np.cos(np.deg2rad(45.0)))
-"""A face is level whose normal lies within 45 degrees of the vertical: to that it is nearer than to the horizon."""
+"""A face is level whose normal lies within 45 degrees of the vertical.
+
+To that it is nearer than to the horizon.
+"""
 
 _LABELS: dict[Material, Label] = {
     Material.SIDEWALK: Label.HORIZONTAL,
@@ -328,19 +361,23 @@ _ASKED = (
 
 
 def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
-    """Return the labels of a static scan: the classes of Stamos et al. (2012) instead of those of materials.
+    """Return the labels of a static scan.
 
-    That classifier does not know buildings. It tells horizontal from vertical surfaces, and its ground is the road
-    alone, up to the curb. So a tripod's scan is labelled by what was hit and by how it lies: sidewalks and lawns are
-    HORIZONTAL, and so is what is nearer to level than to upright of houses, fences, posts and signs: roofs of up to 45
-    degrees, sills, lintels, floors of balconies. All else of these is VERTICAL, as are trunks. People and wires have
-    no class there and stay UNCLASSIFIED.
+    The classes of Stamos et al. (2012) instead of those of materials.
+
+    That classifier does not know buildings. It tells horizontal from vertical surfaces, and its
+    ground is the road alone, up to the curb. So a tripod's scan is labelled by what was hit and by
+    how it lies: sidewalks and lawns are HORIZONTAL, and so is what is nearer to level than to
+    upright of houses, fences, posts and signs: roofs of up to 45 degrees, sills, lintels, floors of
+    balconies. All else of these is VERTICAL, as are trunks. People and wires have no class there
+    and stay UNCLASSIFIED.
     """
     of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
     own = np.array(
         [_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8
     )
-    # a shot split between two surfaces has the label of the one that its range is of, which may be the neighbour's
+    # a shot split between two surfaces has the label of the one that its range is of, which may be
+    # the neighbour's
     found: U8 = np.where(
         np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label
     ).astype(np.uint8)
@@ -357,7 +394,10 @@ def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
 
 
 def is_level(bodies: Bodies, body: I32, place_m: F64) -> Mask:
-    """Tell level faces of boxes and triangles; poles, balls and what is filled with bars or leaves have none."""
+    """Tell level faces of boxes and triangles.
+
+    Poles, balls and what is filled with bars or leaves have none.
+    """
     shape = bodies.shape[body]
     numbers = bodies.numbers[body]
     level = np.zeros(len(body), np.bool_)

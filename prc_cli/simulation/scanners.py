@@ -1,21 +1,24 @@
 """Scanners as named presets: how they turn, what their beam is, what they say of a surface.
 
-Where the figures come from. Line rates, M, the dead angle and the slanted planes are those of the two papers (Lehtola
-et al. 2019, III; Stamos et al. 2012, sec. 9). Divergence, width of the beam, ambiguity interval, range noise and
-rated range follow the makers' data sheets: FARO Focus3D 120 (0.16 mrad, 153.49 m; unfiltered noise 0.6 mm at 10 m and
-0.95 mm at 25 m on white, 1.2 and 2.2 mm on dark) and Photon 80 (0.16 mrad, 3.3 mm, 76 m), Leica ScanStation2 (spot of
-4 mm, 50 000 shots a second, 300 m at 90 %), SICK LMS 2xx (361 readings of 0.5 degrees, 81.92 m at steps of 10 mm).
-The 1 MHz profiler is no make; its figures are those usual for pulsed mobile profilers. No sheet gives the noise of
-the Photon's raw stream at 48 Hz, nor the shares of lost shots, background light and reflections: these are chosen.
+Where the figures come from. Line rates, M, the dead angle and the slanted planes are those of the
+two papers (Lehtola et al. 2019, III; Stamos et al. 2012, sec. 9). Divergence, width of the beam,
+ambiguity interval, range noise and rated range follow the makers' data sheets: FARO Focus3D 120
+(0.16 mrad, 153.49 m; unfiltered noise 0.6 mm at 10 m and 0.95 mm at 25 m on white, 1.2 and 2.2 mm
+on dark) and Photon 80 (0.16 mrad, 3.3 mm, 76 m), Leica ScanStation2 (spot of 4 mm, 50 000 shots a
+second, 300 m at 90 %), SICK LMS 2xx (361 readings of 0.5 degrees, 81.92 m at steps of 10 mm). The 1
+MHz profiler is no make; its figures are those usual for pulsed mobile profilers. No sheet gives the
+noise of the Photon's raw stream at 48 Hz, nor the shares of lost shots, background light and
+reflections: these are chosen.
 
-The spinning ones turn ten times a second; rings, rated range, beam and noise are those of the Velodyne VLP-16, VLP-32C
-and HDL-64E (whose two halves of 32 rings are spaced evenly here). The rings of a VLP-32C are staggered as its manual
-says, those of a VLP-16 are not; an HDL-64E is measured at the maker's, each differently, and is not staggered here.
-A line holds the shots that look one way, as the readers of packets put them, so its rings are fired in different turns.
+The spinning ones turn ten times a second; rings, rated range, beam and noise are those of the
+Velodyne VLP-16, VLP-32C and HDL-64E (whose two halves of 32 rings are spaced evenly here). The
+rings of a VLP-32C are staggered as its manual says, those of a VLP-16 are not; an HDL-64E is
+measured at the maker's, each differently, and is not staggered here. A line holds the shots that
+look one way, as the readers of packets put them, so its rings are fired in different turns.
 
-The dead angle. The raw stream of a profiler holds a shot for every step within the field of view and none for the
-dead angle: the Focus3D makes 5040 steps a turn, and 5040 * 305 / 360 = 4270 is the paper's M. So the columns leave
-the dead angle out; they do not hold NaN for it.
+The dead angle. The raw stream of a profiler holds a shot for every step within the field of view
+and none for the dead angle: the Focus3D makes 5040 steps a turn, and 5040 * 305 / 360 = 4270 is the
+paper's M. So the columns leave the dead angle out; they do not hold NaN for it.
 """
 
 from __future__ import annotations
@@ -32,10 +35,11 @@ from prc_cli.core.types import F64, I64
 class Scanner(Params):
     """A scanner and how it is mounted.
 
-    The angle of a column lies in the scan plane, 0 = down, positive to the left [rad]. A profiler's plane stands
-    across the drive and is turned by its mount. The head of a static scanner (``is_static``), and that of a spinning
-    one (``spins``), turns to the left from line to line, and the lines are upright, from low to high: a spinning
-    scanner's line is one firing of all its rings.
+    The angle of a column lies in the scan plane, 0 = down, positive to the left [rad]. A profiler's
+    plane stands across the drive and is turned by its mount. The head of a static scanner
+    (``is_static``), and that of a spinning one (``spins``), turns to the left from line to line,
+    and the lines are upright, from low to high: a spinning scanner's line is one firing of all its
+    rings.
     """
 
     is_static: bool = Field(False, description="on a tripod, upright lines; otherwise it is moved")
@@ -256,7 +260,8 @@ _FARO_NOISE: dict[str, Any] = {
 }
 
 SCANNERS: dict[str, Scanner] = {
-    # dead angle of 40 degrees up: the paper's road is one patch in the image, so the line does not begin in it
+    # dead angle of 40 degrees up: the paper's road is one patch in the image, so the line does not
+    # begin in it
     "photon-80": Scanner(
         line_hz=48.0,
         points_per_line=2154,
@@ -285,8 +290,8 @@ SCANNERS: dict[str, Scanner] = {
         half_range_m=180.0,
         **_FARO_NOISE,
     ),
-    # one side of the street, from down to up. The mirror turns 75 times a second, but half-degree steps take two
-    # turns, whose shots interlace: 37.5 lines a second
+    # one side of the street, from down to up. The mirror turns 75 times a second, but half-degree
+    # steps take two turns, whose shots interlace: 37.5 lines a second
     "sick-push-broom": Scanner(
         line_hz=37.5,
         points_per_line=361,
@@ -348,9 +353,11 @@ SCANNERS: dict[str, Scanner] = {
         noise_per_m=0.00002,
     ),
 }
-"""Every preset by name, each with the mount of its paper. Stamos et al. (2012) give 5 mm as the accuracy of their
-ScanStation2, and a standard deviation of the range that is an order of magnitude below 1 cm (footnote 3): one preset
-has about 5 mm, the other 1 mm."""
+"""Every preset by name, each with the mount of its paper.
+
+Stamos et al. (2012) give 5 mm as the accuracy of their
+ScanStation2, and a standard deviation of the range that is an order of magnitude below 1 cm
+(footnote 3): one preset has about 5 mm, the other 1 mm."""
 _SPINNING: dict[str, Any] = {
     "spins": True,
     "centre_deg": 90.0,

@@ -1,21 +1,25 @@
-"""The nearest surface of every shot, and what a scanner makes of it: ranges, labels, intensities, further returns.
+"""The nearest surface of every shot, and what a scanner makes of it.
+
+Ranges, labels, intensities, further returns.
 
 How it is thought (the loops are in :mod:`sensor_loops`):
 
 - An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at the power of a white
-  wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far surfaces drop out.
+  wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far
+  surfaces drop out.
 - Range noise grows with the weakness of the echo, so with range, incidence and darkness alike, and with the depth that
   the beam's width spans on a slanted surface.
 - Between two neighbours of a line whose ranges step, there is an edge at a random place. A beam that is wide enough to
-  reach it is split, so the share of split shots is the beam's width over the distance of the shots. A continuous wave
-  gives a range in between, weighted by power; a pulse gives two returns, or a mixture if they are closer than the
-  pulse is long. Only neighbours within the line count: a line depends on nothing but itself.
+  reach it is split, so the share of split shots is the beam's width over the distance of the shots.
+  A continuous wave gives a range in between, weighted by power; a pulse gives two returns, or a
+  mixture if they are closer than the pulse is long. Only neighbours within the line count: a line
+  depends on nothing but itself.
 - Glass answers with the pane (always where it is met squarely), a ghost beyond it, or lets the light through.
 - Background light gives a continuous wave a range from anywhere within the ambiguity interval, oftenest where the sky
   is bright, and moves some ranges off their surface. Ranges beyond the interval come back wrapped.
 
-A range that is not that of a surface is labelled NOISE; a mixture within ``edge_m`` of a surface is that surface's, and
-one of two surfaces of the same label, such as two leaves, keeps it.
+A range that is not that of a surface is labelled NOISE; a mixture within ``edge_m`` of a surface is
+that surface's, and one of two surfaces of the same label, such as two leaves, keeps it.
 """
 
 from __future__ import annotations
@@ -35,7 +39,10 @@ from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape, hashed
 
 _EXPONENTIAL: F64 = -np.log1p(-(np.arange(4096) + 0.5) / 4096)
 _EXPONENTIAL /= _EXPONENTIAL.mean()
-"""Exponential numbers of mean 1, equally likely; made once, so that every way through leaves is drawn from the same."""
+"""Exponential numbers of mean 1, equally likely.
+
+Made once, so that every way through leaves is drawn from the same.
+"""
 
 
 class Hits(NamedTuple):
@@ -57,7 +64,10 @@ def cast(
     first_shot: int = 0,
     t_min_m: F64 | None = None,
 ) -> Hits:
-    """Find the nearest surface of every shot, of several the first body's; blocks make no difference."""
+    """Find the nearest surface of every shot, of several the first body's.
+
+    Blocks make no difference.
+    """
     shape = origin_m.shape[:2]
     times = np.asarray(time_s, dtype=np.float64)
     times = np.broadcast_to(times[:, None] if times.ndim == 1 else times, shape)
@@ -109,7 +119,10 @@ class Measured:
 
 
 def goes_behind(hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, seed: int) -> Mask:
-    """Mark shots through glass, or past a leaf: cast them again from there and give the result to :func:`scan`."""
+    """Mark shots through glass, or past a leaf.
+
+    Cast them again from there and give the result to :func:`scan`.
+    """
     _, kind = _about(bodies)
     mask: Mask = kernels.goes_behind((*hits,), kind, _model(scanner), first_line, seed)
     return mask
@@ -142,7 +155,8 @@ def _about(bodies: Bodies) -> tuple[F64, U8]:
     reflectance = np.array([PROPERTIES[material].reflectance for material in Material])
     label = np.array([PROPERTIES[material].label for material in Material], dtype=np.uint8)
     is_glass = np.array([PROPERTIES[material].is_glass for material in Material])
-    # panes of one house have numbers close to each other, and mirror the same house across the street
+    # panes of one house have numbers close to each other, and mirror the same house across the
+    # street
     mirrored = hashed(0, 32, bodies.number.astype(np.int64) // 32)
     surface = np.stack([reflectance[bodies.material], mirrored], axis=1)
     curved = (bodies.shape == Shape.CONE) | (bodies.shape == Shape.ELLIPSOID)

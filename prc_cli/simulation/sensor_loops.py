@@ -1,7 +1,10 @@
-"""Loops of the simulated sensor, from surfaces to ranges: echoes, their mixture, loss, noise and stray light.
+"""Loops of the simulated sensor, from surfaces to ranges.
 
-Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else. Powers are in 1/m²:
-share of the light that comes back from a surface, times the cosine of incidence, over the square of the range.
+Echoes, their mixture, loss, noise and stray light.
+
+Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else.
+Powers are in 1/m²: share of the light that comes back from a surface, times the cosine of
+incidence, over the square of the range.
 """
 
 from __future__ import annotations
@@ -55,7 +58,10 @@ _GHOST_REFLECTANCE = 0.1
 _NOTHING = 128
 """Bit of a shot that meets nothing."""
 _T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
-"""Columns of the echoes, and first rows of the shots of a line: range, power, tangent of incidence, label."""
+"""Columns of the echoes, and first rows of the shots of a line.
+
+Range, power, tangent of incidence, label.
+"""
 _STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
 """More of these rows: slope of flat surfaces, and the shares of the beam on what the shots beside it meet."""
 
@@ -138,7 +144,8 @@ def _prepare(
         work[_POWER, column] = surface[one, 0] * _cosine(facing[column]) / (t[column] * t[column])
         slope = _slope(facing[column])
         work[_SLOPE, column] = 0.0 if kind[one, 1] & LEAVED else slope
-        # slanted planes have steps too; the slope of round bodies and leaves is not that of their edge
+        # slanted planes have steps too; the slope of round bodies and leaves is not that of their
+        # edge
         work[_STEEP, column] = 0.0 if kind[one, 1] & (LEAVED | CURVED) else slope
 
 
@@ -180,7 +187,10 @@ def _pane_echo(
     model: SensorModel,
     echo: F64,
 ) -> int:
-    """Write the echo of glass itself, or of what it mirrors; return how many echoes there are, 0 or 1."""
+    """Write the echo of glass itself, or of what it mirrors.
+
+    Return how many echoes there are, 0 or 1.
+    """
     t = work[_T, column]
     echo[0, _T] = t
     echo[0, _POWER] = work[_POWER, column]
@@ -193,7 +203,8 @@ def _pane_echo(
     if chance >= model.pane_share + model.ghost_share:
         return 0
     if chance >= model.pane_share:
-        # mirrored things seem to lie behind the pane, as far as they are in front; the same for the whole pane
+        # mirrored things seem to lie behind the pane, as far as they are in front; the same for the
+        # whole pane
         echo[0, _T] = t * (1.3 + 1.7 * mirrored)
         echo[0, _POWER] = _GHOST_REFLECTANCE / (echo[0, _T] * echo[0, _T])
         echo[0, _SLOPE] = 0.0
@@ -218,7 +229,10 @@ def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: in
 
 @helper
 def _merge(echo: F64, n: int, model: SensorModel) -> int:
-    """Merge echoes that the scanner cannot separate: all of them, or those within a pulse; return how many remain."""
+    """Merge echoes that the scanner cannot separate.
+
+    All of them, or those within a pulse; return how many remain.
+    """
     kept = 0
     for i in range(1, n):
         gap = echo[i, _T] - echo[kept, _T]
@@ -243,7 +257,10 @@ def _merge(echo: F64, n: int, model: SensorModel) -> int:
 
 @helper
 def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
-    """Return whether an echo is found: half of those at the power of the half range; odds by its fourth power."""
+    """Return whether an echo is found.
+
+    Half of those at the power of the half range; odds by its fourth power.
+    """
     strength = power / model.half_power
     fourth = strength * strength * strength * strength
     return bool(chance * (1.0 + fourth) < fourth * (1.0 - model.lost_share))
@@ -404,7 +421,10 @@ def _stray(
     echo: F64,
     n: int,
 ) -> int:
-    """Let background light replace or move the range of a continuous wave; return how many returns there are."""
+    """Let background light replace or move the range of a continuous wave.
+
+    Return how many returns there are.
+    """
     line, column, n_columns = place
     share = model.background_share
     if n == 0:
@@ -471,9 +491,10 @@ def sense(
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
     """Compute what the scanner measures of the surfaces that the beams of consecutive lines meet.
 
-    ``surface`` (n, 2) float64; ``kind`` (n, 2) uint8; ``quantiles`` (k,) float64; returns ``range_m`` (lines, M)
-    float32, ``label`` (lines, M) uint8, ``intensity`` (lines, M) float32, ``extra`` (e, 2) int32, ``extra_range_m``
-    (e,) float32, ``extra_label`` (e,) uint8, ``extra_intensity`` (e,) float32.
+    ``surface`` (n, 2) float64; ``kind`` (n, 2) uint8; ``quantiles`` (k,) float64; returns
+    ``range_m`` (lines, M) float32, ``label`` (lines, M) uint8, ``intensity`` (lines, M) float32,
+    ``extra`` (e, 2) int32, ``extra_range_m`` (e,) float32, ``extra_label`` (e,) uint8,
+    ``extra_intensity`` (e,) float32.
     """
     n_lines, m = hits[0].shape
     ranges = np.full((n_lines, m), np.float32(np.nan), np.float32)

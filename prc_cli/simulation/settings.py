@@ -1,4 +1,7 @@
-"""Parameters of whole simulations, as options and TOML files give them: a scene, a scanner, what carries it."""
+"""Parameters of whole simulations, as options and TOML files give them.
+
+a scene, a scanner, what carries it.
+"""
 
 from __future__ import annotations
 
@@ -215,7 +218,10 @@ def preset_notes(
 
 
 def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], where: str) -> None:
-    """Refuse a preset beside a table of the file: its keys would be laid over the preset, maybe every one of them."""
+    """Refuse a preset beside a table of the file.
+
+    Its keys would be laid over the preset, maybe every one of them.
+    """
     for name in ("scene", "scanner", "trajectory"):
         asked = options.get(name)
         given = written.get(name)
@@ -241,7 +247,10 @@ def _presets(kind: Kind) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def _with_room_to_stop(motion: dict[str, Any]) -> dict[str, Any]:
-    """Move stops farther apart where the speed leaves no room to brake between them; asked-for ones are not moved."""
+    """Move stops farther apart where the speed leaves no room to brake between them.
+
+    Asked-for ones are not moved.
+    """
     if not motion["stop_every_m"]:
         return motion
     with contextlib.suppress(ValueError, TypeError, ZeroDivisionError):
@@ -351,7 +360,10 @@ def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:
 
 
 def _stand(street: StreetScene, settings: StationSettings) -> Station:
-    """Put the tripod where there is room; the azimuth of its lines counts from the direction of the street."""
+    """Put the tripod where there is room.
+
+    The azimuth of its lines counts from the direction of the street.
+    """
     place = settings.station
     points, headings = street.path_point(place.along_m + np.arange(0.0, LOOK_AHEAD_M, LOOK_STEP_M))
     best: tuple[float, Station] | None = None

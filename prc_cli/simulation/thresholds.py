@@ -1,4 +1,7 @@
-"""What the simulator's loops and their slow twins are given, by name: the numbers of a sensor, and bodies as arrays."""
+"""What the simulator's loops and their slow twins are given, by name.
+
+The numbers of a sensor, and bodies as arrays.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,10 @@ Table = Annotated[F64, 2]
 
 
 class SensorModel(NamedTuple):
-    """What a scanner makes of the light that comes back; most are its fields (:class:`~.scanners.Scanner`)."""
+    """What a scanner makes of the light that comes back.
+
+    Most are its fields (:class:`~.scanners.Scanner`).
+    """
 
     step_rad: float
     """Angle between adjacent shots of a line [rad]."""

@@ -1,10 +1,12 @@
 """Where a scanner is and how it is turned at any time, the shots that follow from it, and both as files.
 
-Everything is a closed formula of time: sums of sines with seeded frequencies and phases, and a table of stops that is
-made by hashing. So any time can be asked for in any order and nothing grows with the length of a drive.
+Everything is a closed formula of time: sums of sines with seeded frequencies and phases, and a
+table of stops that is made by hashing. So any time can be asked for in any order and nothing grows
+with the length of a drive.
 
-Frames: world x, y horizontal, z up; platform x forward, y left, z up. A platform is turned by yaw about z, then pitch
-about its y (positive = nose down), then roll about its x (positive = left side up).
+Frames: world x, y horizontal, z up; platform x forward, y left, z up. A platform is turned by yaw
+about z, then pitch about its y (positive = nose down), then roll about its x (positive = left side
+up).
 """
 
 from __future__ import annotations
@@ -82,7 +84,8 @@ class MotionParams(Params):
 
     @model_validator(mode="after")
     def _check_stops(self) -> MotionParams:
-        # a stop lies at 0.3 to 0.7 of its stretch, with room to brake before and to speed up after it
+        # a stop lies at 0.3 to 0.7 of its stretch, with room to brake before and to speed up after
+        # it
         if 0.0 < 0.3 * self.stop_every_m < self.braking_m:
             problem = f"stop_every_m of at least {self.braking_m / 0.3:.0f} at this speed and braking, or 0"
             raise ValueError(problem)
@@ -116,7 +119,10 @@ MOTIONS: dict[str, MotionParams] = {
         gait_deg=2.0,
     ),
 }
-"""How the platforms of Lehtola et al. (2019, III) move: a car in town, a person with a backpack in forest."""
+"""How the platforms of Lehtola et al. (2019, III) move.
+
+a car in town, a person with a backpack in forest.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,8 +218,8 @@ class Trajectory:
                 strict=True,
             )
         )
-        # two steps make a stride: the body goes up and down with each step, left and right with each stride; nobody
-        # walks like a clock
+        # two steps make a stride: the body goes up and down with each step, left and right with
+        # each stride; nobody walks like a clock
         stride = np.pi * motion.gait_hz * time_s + 0.5 * self._gait_drift.at(time_s)
         swing = np.deg2rad(motion.gait_deg) * moving
         roll = roll + swing * np.sin(stride) + lean * speed * speed * bend
@@ -234,8 +240,8 @@ class Trajectory:
             return v * time_s, np.full_like(time_s, v), np.zeros_like(time_s)
         brake_s = motion.braking_s
         mean_s = stretch / v + brake_s + motion.stop_s
-        # a stretch begins at its number times the mean duration, earlier or later by less than a mean stop: the sum
-        # of the stops before it telescopes
+        # a stretch begins at its number times the mean duration, earlier or later by less than a
+        # mean stop: the sum of the stops before it telescopes
         number = np.maximum(np.floor(time_s / mean_s).astype(np.int64) - 1, 0)
         for _ in range(2):
             number = number + (time_s >= self._start_s(number + 1, mean_s))
@@ -310,7 +316,10 @@ class Shots:
 
 
 def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> Shots:
-    """Return the rays of consecutive lines; poses are worked out every few ms, shots lie between them."""
+    """Return the rays of consecutive lines.
+
+    Poses are worked out every few ms, shots lie between them.
+    """
     m = scanner.points_per_line
     late = scanner.late_lines
     row = np.arange(n_lines)[:, None] + late
@@ -372,7 +381,10 @@ def write_trajectory(
     frame: Frame = WORLD,
     into: Path | None = None,
 ) -> None:
-    """Write where a scanner is from time 0 on: SBET (``.sbet``, ``.out``), else CSV with angles in degrees."""
+    """Write where a scanner is from time 0 on.
+
+    SBET (``.sbet``, ``.out``), else CSV with angles in degrees.
+    """
     is_sbet = path.suffix.lower() in SBET_SUFFIXES
     earth = _earth(path, frame) if is_sbet else None
     target = atomic_output(path) if into is None else contextlib.nullcontext(into)

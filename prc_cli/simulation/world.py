@@ -1,7 +1,7 @@
 """What the world is made of: bodies with a shape, a material and, for cars and people, a velocity.
 
-A scene is anything that knows the bodies around a place (:data:`BodiesNear`). It makes them piece by piece from its
-seed, so that a drive of any length needs the memory of what is in sight.
+A scene is anything that knows the bodies around a place (:data:`BodiesNear`). It makes them piece
+by piece from its seed, so that a drive of any length needs the memory of what is in sight.
 """
 
 from __future__ import annotations
@@ -23,11 +23,20 @@ class Shape(IntEnum):
     TRIANGLE = 0
     """Corners a, b, c, three coordinates each; seen from both sides."""
     CONE = 1
-    """Truncated cone without caps: centre of one end (3), of the other end (3), radius there and there, 0."""
+    """Truncated cone without caps.
+
+    Centre of one end (3), of the other end (3), radius there and there, 0.
+    """
     ELLIPSOID = 2
-    """Centre (3), half axes (3), yaw, 0, 0; filled with leaves where it has a density, a surface elsewhere."""
+    """Centre (3), half axes (3), yaw, 0, 0.
+
+    Filled with leaves where it has a density, a surface elsewhere.
+    """
     BOX = 3
-    """Centre (3), half edges (3), yaw, 0, 0; filled with leaves where it has a density, six faces elsewhere."""
+    """Centre (3), half edges (3), yaw, 0, 0.
+
+    Filled with leaves where it has a density, six faces elsewhere.
+    """
 
 
 class Material(IntEnum):
@@ -98,7 +107,10 @@ PROPERTIES: dict[Material, Property] = {
     Material.DEAD_WOOD: Property(Label.VEGETATION, 0.30),
     Material.WIRE: Property(Label.UNCLASSIFIED, 0.25),
 }
-"""Label and reflectance of every material. In towns a trunk is vegetation; in forest it is a stem."""
+"""Label and reflectance of every material.
+
+In towns a trunk is vegetation; in forest it is a stem.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,16 +120,23 @@ class Bodies:
     shape: U8
     """(n,) uint8, :class:`Shape`."""
     numbers: F64
-    """(n, 9) float64, what they mean is said by the shape [m, rad]; world coordinates, z up, at time 0."""
+    """(n, 9) float64, what they mean is said by the shape [m, rad].
+
+    World coordinates, z up, at time 0.
+    """
     material: U8
     """(n,) uint8, :class:`Material`."""
     density: F64
-    """(n,) float64, 0 = a surface; else leaf area density [m²/m³]: the free path of a beam is exponential, its mean
+    """(n,) float64, 0 = a surface.
+
+    Else leaf area density [m²/m³]: the free path of a beam is exponential, its mean
     two over the density (leaves that face everywhere)."""
     velocity: F64
     """(n, 2) float64, along x and y [m/s]."""
     number: F64
-    """(n,) float64, an identity from 0 to below 2^53 that does not depend on what else is in sight; it seeds what is
+    """(n,) float64, an identity from 0 to below 2^53 that does not depend on what else is in sight.
+
+    It seeds what is
     random about the body (its leaves)."""
 
     @classmethod
@@ -143,8 +162,8 @@ class Bodies:
 BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
 """Returns the bodies that have a part within a circle (x, y, radius [m]) at a time [s], and maybe a few more.
 
-The same body has the same numbers whatever the circle, and bodies come in an order that depends on nothing but the
-seed."""
+The same body has the same numbers whatever the circle, and bodies come in an order that depends on
+nothing but the seed."""
 
 
 def hashed(seed: int, purpose: int, number: I64) -> F64:

@@ -1,1 +1,4 @@
-"""Builds the stream from a file: scan lines, columns and ranges from records, the same way for every format."""
+"""Builds the stream from a file.
+
+Scan lines, columns and ranges from records, the same way for every format.
+"""

@@ -1,7 +1,10 @@
-"""Tests recorded scan angles against themselves and against x, y, z; mends angles that were cut off.
+"""Tests recorded scan angles against themselves and against x, y, z.
 
-The distance between two points of a line follows from both ranges and the angle between the shots, wherever the scanner
-stood and however it was turned. So registered coordinates tell whether ranges and angles are those of the shots.
+Mends angles that were cut off.
+
+The distance between two points of a line follows from both ranges and the angle between the shots,
+wherever the scanner stood and however it was turned. So registered coordinates tell whether ranges
+and angles are those of the shots.
 """
 
 from __future__ import annotations
@@ -26,7 +29,10 @@ STUCK_RUNS = 3.0
 EVEN_RAD = math.radians(2.0)
 """Angles of the other columns lie this near to a straight line."""
 APART = 60
-"""Shots are compared with those a 60th of a line later: rounding of angles and coordinates is small beside that."""
+"""Shots are compared with those a 60th of a line later.
+
+Rounding of angles and coordinates is small beside that.
+"""
 LEAST_APART_M = 0.1
 """Nearer points are rounded too coarsely."""
 ALONG = 0.7
@@ -64,7 +70,9 @@ def stuck_columns(angle_rad: F64) -> Mask:
 
 
 def continued(angle_rad: F64, is_stuck: Mask) -> F64 | None:
-    """Return angles with those that are cut off on the line of the others; None where these are not even.
+    """Return angles with those that are cut off on the line of the others.
+
+    None where these are not even.
 
     >>> true = np.deg2rad(np.linspace(-160, 159, 320))
     >>> cut = np.clip(true, -1.5, 1.5)
@@ -98,7 +106,9 @@ def turns_back(angle_rad: F64) -> bool:
 def contradicted_share(
     range_m: F64, xyz_m: F64, line: I64, column: I64, angle_rad: F64
 ) -> float | None:
-    """Return the share of columns whose points contradict range and angle; None where they do not tell.
+    """Return the share of columns whose points contradict range and angle.
+
+    None where they do not tell.
 
     Parameters
     ----------

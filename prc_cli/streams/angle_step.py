@@ -1,9 +1,10 @@
 """The angle between columns, measured from the ranges alone.
 
-On a plane that a scan line crosses, the inverse range is ``u = 1/r = A cos b + B sin b`` of the beam's angle b,
-whatever the plane and wherever down is. With even columns, ``b = b0 + s j``, so ``u'' = -s² u`` along the columns, and
-s can be read off every piece of a plane. Pieces are windows of adjacent returns with a quadratic fitted to u: one that
-does not fit (leaves, edges, mixed returns) is dropped, one whose curvature is uncertain is not taken.
+On a plane that a scan line crosses, the inverse range is ``u = 1/r = A cos b + B sin b`` of the
+beam's angle b, whatever the plane and wherever down is. With even columns, ``b = b0 + s j``, so
+``u'' = -s² u`` along the columns, and s can be read off every piece of a plane. Pieces are windows
+of adjacent returns with a quadratic fitted to u: one that does not fit (leaves, edges, mixed
+returns) is dropped, one whose curvature is uncertain is not taken.
 
 docs/fused.md derives it; we found no publication that does this.
 """
@@ -37,22 +38,39 @@ ROUGH = 0.02
 CERTAIN = 0.08
 """Windows are taken whose curvature is known to this share."""
 LEVELS = ((BENT, CERTAIN), (ROUGH, CERTAIN), (ROUGH, 0.15), (ROUGH, 0.3))
-"""Both limits, the next ones where the first leave too few: streets with noise of 3 cm, forests with 3 mm."""
+"""Both limits, the next ones where the first leave too few.
+
+Streets with noise of 3 cm, forests with 3 mm.
+"""
 LEAST_PIECES = 30
 """Fewer pieces of planes tell nothing."""
 WIDEST_RAD = math.radians(16.0)
-"""Windows that are wider see bent surfaces as one (roads have a crown): they count where there are no others."""
+"""Windows that are wider see bent surfaces as one (roads have a crown).
+
+They count where there are no others.
+"""
 PEAK_WIDTH = 0.03
-"""Planes agree, bent surfaces do not: the step is where most pieces lie within this share or their own error."""
+"""Planes agree, bent surfaces do not.
+
+The step is where most pieces lie within this share or their own error.
+"""
 SPREAD_SHARE = 0.25
-"""What pieces differ by stands for bent ones among them: this part of it is added to the uncertainty."""
+"""What pieces differ by stands for bent ones among them.
+
+This part of it is added to the uncertainty.
+"""
 WIDTHS_SHARE = 0.5
-"""The same of what the two most certain widths of windows differ by: crowns of roads and bent walls show in it."""
+"""The same of what the two most certain widths of windows differ by.
+
+Crowns of roads and bent walls show in it.
+"""
 MOST_OFF = 0.1
 """A step that is known less well is not used."""
 LEAST_OFF = 0.005
 LEAST_OFF_WIDE = 0.02
-"""Least uncertainty, where all pieces agree: they may all lie on one road. The second where all windows are wider than
+"""Least uncertainty, where all pieces agree: they may all lie on one road.
+
+The second where all windows are wider than
 :data:`WIDEST_RAD`: real roads bend them."""
 LEAST_FIELD_RAD = math.radians(20.0)
 """Least angle of a line: ranges that hardly change have a curvature of next to nothing."""
@@ -174,7 +192,10 @@ def _peak(curvature: F64, error: F64, at: float) -> float:
 
 
 def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
-    """Return ``-u''/u`` amid windows of inverse ranges, and its standard error, (n,); not of one range (a code)."""
+    """Return ``-u''/u`` amid windows of inverse ranges, and its standard error, (n,).
+
+    Not of one range (a code).
+    """
     window = pieces.shape[1]
     design, fit = _quadratic(window)
     found = pieces @ fit.T
@@ -200,7 +221,10 @@ def _quadratic(window: int) -> tuple[F64, F64]:
 
 @lru_cache(maxsize=16)
 def _ratios(window: int) -> tuple[F64, F64]:
-    """Return steps and what a quadratic makes of their curvature: a window is no point, and u is no quadratic."""
+    """Return steps and what a quadratic makes of their curvature.
+
+    a window is no point, and u is no quadratic.
+    """
     _, fit = _quadratic(window)
     steps = np.geomspace(1e-5, 2.4 / window, 500)
     found = np.cos(np.outer(steps, np.arange(window) - (window - 1) / 2)) @ fit.T

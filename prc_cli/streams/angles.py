@@ -1,4 +1,7 @@
-"""Judges scan angles: whether they sweep, are fine enough for columns and turn round; columns and their angles."""
+"""Judges scan angles: whether they sweep, are fine enough for columns and turn round.
+
+Columns and their angles.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ from prc_cli.streams.columns import (
 FULL_TURN = 0.9
 """Lines that span at least this share of a turn count as whole turns."""
 MAX_EQUAL = 0.5
-"""Largest share of neighbouring shots with equal angles: beyond it, angles are too coarse for columns."""
+"""Largest share of neighbouring shots with equal angles.
+
+Beyond it, angles are too coarse for columns.
+"""
 MAX_ROUNDED = 0.005
 """Angles count as coarsely rounded from this share of neighbouring shots with equal angles on."""
 MIN_AGREEMENT = 0.75
@@ -37,9 +43,15 @@ SEAM_RAD = math.radians(10.0)
 _SHARE_OF_COLUMN = 0.05
 _TURN = 2 * math.pi
 LEAST_TURN_COLUMNS = 180
-"""Columns of a line of a quarter turn or more; rings of a spinning scanner, which may lie as close, are fewer."""
+"""Columns of a line of a quarter turn or more.
+
+Rings of a spinning scanner, which may lie as close, are fewer.
+"""
 MOST_SHARED = 0.01
-"""Largest share of neighbours that angles may put into one column: from there on the check of collisions doubts."""
+"""Largest share of neighbours that angles may put into one column.
+
+From there on the check of collisions doubts.
+"""
 TURN_OFF = 0.02
 """Tolerance for whole turns."""
 _LEAST_WRAPS = 4
@@ -157,7 +169,10 @@ def find_angle_grid(
     step_rad: float | None = None,
     whole_turn: bool = False,
 ) -> AngleGrid:
-    """Estimate columns from the first angles; the step is refined over distances, so that it fits whole lines."""
+    """Estimate columns from the first angles.
+
+    The step is refined over distances, so that it fits whole lines.
+    """
     finite = np.isfinite(angle)
     value = np.asarray(angle, np.float64)[finite]
     line = line[finite]
@@ -202,7 +217,8 @@ def _refine_step(along: F64, line: I64, forward: F64) -> float:
     """Return the step: between neighbours first, then by least squares over increasing distances."""
     ahead = forward[forward > 0]
     if len(ahead) < (1 - MAX_ROUNDED) * len(forward):
-        # rounded more coarsely than the step: differences are 0, 1 or 2 times the rounding, use their mean
+        # rounded more coarsely than the step: differences are 0, 1 or 2 times the rounding, use
+        # their mean
         step = float(np.mean(forward[forward < 2.5 * np.median(ahead)]))
     else:
         # shots may be missing between most neighbours: use the shortest fifth
@@ -239,14 +255,16 @@ def _grid(
     sign = math.copysign(1.0, step)
     whole = whole_turn or float(np.max(reach)) + size >= FULL_TURN * _TURN
     if whole and not keep_step:
-        # where it is known that lines are turns: a column for every shot, though the turn holds no whole number
+        # where it is known that lines are turns: a column for every shot, though the turn holds no
+        # whole number
         n_columns = (
             math.ceil(_TURN / size - _SHARE_OF_COLUMN) if whole_turn else round(_TURN / size)
         )
         step = sign * _TURN / n_columns
         size = abs(step)
     if start_rad is None:
-        # the earliest first shot of a line (the first line of the input may be cut), then fitted to all angles
+        # the earliest first shot of a line (the first line of the input may be cut), then fitted to
+        # all angles
         early = value[first[1:] if len(first) > 2 else first]
         middle = _circular_mean(early)
         away = sign * (early - middle)
@@ -320,7 +338,10 @@ def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Tabl
 
 
 def shots_in_time(source: RecordSource, names: tuple[str, ...], most: int) -> Iterator[Table]:
-    """Yield times and other dimensions of the first shots, about ``most``; of returns at one time the first."""
+    """Yield times and other dimensions of the first shots, about ``most``.
+
+    Of returns at one time the first.
+    """
     returns = ("return_number", "number_of_returns")
     several = set(returns) <= set(source.dimensions)
     n = 0
@@ -364,7 +385,10 @@ def lacks_shots(shots: Table, path: str, points_per_line: int) -> bool:
 def columns_of_angles(
     shots: Table, line_dimension: str | None, path: str, *, whole_turn: bool
 ) -> tuple[bool, str]:
-    """Tell whether scan angles give columns, and why: they sweep one way, and few neighbours share a step."""
+    """Tell whether scan angles give columns, and why.
+
+    They sweep one way, and few neighbours share a step.
+    """
     angle = np.asarray(shots["angle"], np.float64)
     known = np.isfinite(angle)
     if np.count_nonzero(known) < MOST_SHARED * len(angle):
@@ -407,7 +431,9 @@ def turns_round(shots: Table) -> bool:
 
 
 def turn_of_times(time_s: F64, angle: F64) -> float | None:
-    """Return the angle that the scanner turns in a line, also where no shot returns [rad]; None if unknown.
+    """Return the angle that the scanner turns in a line, also where no shot returns [rad].
+
+    None if unknown.
 
     Half of the shots of a turn return:
 

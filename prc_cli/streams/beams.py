@@ -1,10 +1,11 @@
 """Adds the beam direction of every column, for classifiers that need to know where down is.
 
-Sources, in this order: ``input.nadir`` gives the scan angle of straight down; the input gives it (zenith angles, or
-registered heights with range and scan angle); coordinates relative to the scanner are directions. Without any of them
-straight down is where level ground is, within a degree or two in streets and up to 10 degrees in forests; where there
-are no scan angles either, they are measured from the ranges (:mod:`.angle_step`). If that fails the stream is refused,
-unless no line has two returns: then placeholder directions do, because nothing can be classified.
+Sources, in this order: ``input.nadir`` gives the scan angle of straight down; the input gives it
+(zenith angles, or registered heights with range and scan angle); coordinates relative to the
+scanner are directions. Without any of them straight down is where level ground is, within a degree
+or two in streets and up to 10 degrees in forests; where there are no scan angles either, they are
+measured from the ranges (:mod:`.angle_step`). If that fails the stream is refused, unless no line
+has two returns: then placeholder directions do, because nothing can be classified.
 """
 
 from __future__ import annotations
@@ -182,7 +183,10 @@ class BeamFinder:
         )
 
     def find(self, sample: Sample) -> Found:
-        """Apply the first applicable method, and tell whether columns are rings; hints name what the input takes."""
+        """Apply the first applicable method, and tell whether columns are rings.
+
+        Hints name what the input takes.
+        """
         facts = self.info.facts
         try:
             found = self._find(sample)
@@ -278,7 +282,10 @@ class BeamFinder:
         return replace(found, assumption=taken, note=note, angle_rad=angle, angles_off=step.off)
 
     def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Found:
-        """Return placeholder directions: lines of one return have no angles, and stay unclassified."""
+        """Return placeholder directions.
+
+        Lines of one return have no angles, and stay unclassified.
+        """
         beam_rad = np.linspace(*MADE_UP_RAD, points_per_line)
         which = self._which(scanner)
         shown = (
@@ -518,7 +525,10 @@ def _no_step(step: AngleStep | None, points_per_line: int) -> str:
 
 
 def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
-    """Return coordinates (lines, M, 3) in a tilted scan plane: true heights, horizontal distance in x."""
+    """Return coordinates (lines, M, 3) in a tilted scan plane.
+
+    True heights, horizontal distance in x.
+    """
     up = -cos_tilt * np.cos(beam_rad)
     across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))
     xyz: F32 = np.zeros((*range_m.shape, 3), np.float32)

@@ -1,7 +1,7 @@
 """Tables of records, and the column of every shot: one pure function per rule.
 
-All work on shots (the first record of each) of one scanner. Columns outside 0 to M - 1 are returned unchanged, for the
-caller to count; :data:`NO_COLUMN` = none.
+All work on shots (the first record of each) of one scanner. Columns outside 0 to M - 1 are returned
+unchanged, for the caller to count; :data:`NO_COLUMN` = none.
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ class AngleGrid:
     """Number of columns in the sector of the lines, or in a whole turn."""
     whole_turn: bool
     is_spread: bool = False
-    """Whether of two neighbours in one column one moves to a free column beside: shots are uneven within a turn."""
+    """Whether of two neighbours in one column one moves to a free column beside.
+
+    Shots are uneven within a turn.
+    """
 
     def angles(self, points_per_line: int) -> F64:
         """Return the scan angle of every column, (M,) [rad]."""
@@ -147,7 +150,10 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
 
 
 def columns_by_dimension(number: NDArray[Any], step: Step = ONE) -> I64:
-    """Take column numbers from the input; values that are not whole numbers from 0 on, by steps, mean none."""
+    """Take column numbers from the input.
+
+    Values that are not whole numbers from 0 on, by steps, mean none.
+    """
     if step.size > 1:
         column, is_on_step = step.ordinal(columns_by_dimension(number))
         return np.where(is_on_step & (column >= 0), column, NO_COLUMN)
@@ -178,7 +184,8 @@ def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
     if grid.whole_turn:
         column %= max(n_turn, 1)
     else:
-        # split the rest of the turn between both ends: noise before column 0 is -1, not almost a turn
+        # split the rest of the turn between both ends: noise before column 0 is -1, not almost a
+        # turn
         column = np.where(column > (grid.n_columns + n_turn) / 2, column - n_turn, column)
     return np.where(known, column, NO_COLUMN)
 
@@ -211,15 +218,18 @@ def spread_columns(column: I64, line: I64) -> I64:
 def columns_by_time(
     spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64
 ) -> I64:
-    """Round the time since the start of the line to shots; shots with equal stamps get strictly rising columns."""
+    """Round the time since the start of the line to shots.
+
+    Shots with equal stamps get strictly rising columns.
+    """
     limit = float(1 << 31)
     with np.errstate(invalid="ignore", over="ignore"):
         column = np.rint((spread_s - line_start_s) * shot_hz)
     column = np.clip(np.where(np.isfinite(column), column, -limit), -limit, limit).astype(np.int64)
     if not ordinal.any():
         return column
-    # Rounding may put the last shot of a stamp and the first of the next one into one column: move the later on. Only
-    # these: other shots with different stamps in one column are a collision.
+    # Rounding may put the last shot of a stamp and the first of the next one into one column: move
+    # the later on. Only these: other shots with different stamps in one column are a collision.
     head = begins_line(line)
     head[1:] |= (ordinal[1:] == 0) & (ordinal[:-1] == 0)
     head[1:] |= stamp_s[1:] < stamp_s[:-1]

@@ -1,6 +1,7 @@
 """Finds the angle of every beam from straight down in coordinates relative to the scanner.
 
-Such coordinates are directions: they give the scan plane of every line and the angle of every shot in it.
+Such coordinates are directions: they give the scan plane of every line and the angle of every shot
+in it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ from prc_cli.streams.down import (
 MAX_SCATTER_RAD = math.radians(5.0)
 """Largest median deviation of the directions of a column from line to line."""
 SEAM_RAD = math.radians(30.0)
-"""Larger steps beyond the usual one are dead angles: scanners with rows of unlike spacing have smaller ones."""
+"""Larger steps beyond the usual one are dead angles.
+
+Scanners with rows of unlike spacing have smaller ones.
+"""
 BACKWARD_RAD = math.radians(10.0)
 """Steps back up to this are scatter; larger ones are steps forward over the rest of the turn."""
 MAX_TURNS = 1.1
@@ -41,7 +45,10 @@ turn while they sweep reach 0.011."""
 MIN_OFF_PLANE_RAD = math.radians(0.1)
 """Shots closer to the plane than this are always accepted."""
 MAX_DRIFT_RAD = math.radians(15.0)
-"""Largest change of the tilt of the scan planes; with more, the scanner nods and its lines are not vertical."""
+"""Largest change of the tilt of the scan planes.
+
+With more, the scanner nods and its lines are not vertical.
+"""
 MIN_LEVEL_RAD = math.radians(10.0)
 """Lines that rise by less than this and less than they sweep sideways are level arcs."""
 LEAST_STEP_RAD = 1e-6
@@ -68,10 +75,10 @@ class Beams:
 def fit_beams(xyz: NDArray[Any]) -> Beams:
     """Find the angle of every beam from straight down in coordinates relative to the scanner.
 
-    The scan plane of a line is fitted through the scanner; angles are measured in it, from its lowest direction. The
-    sign is chosen so that angles grow with the column. Each column gets the median of its lines. If a straight line in
-    the column is within half a step of nearly all medians it is used (profilers turn evenly), else the medians, made
-    monotone.
+    The scan plane of a line is fitted through the scanner; angles are measured in it, from its
+    lowest direction. The sign is chosen so that angles grow with the column. Each column gets the
+    median of its lines. If a straight line in the column is within half a step of nearly all
+    medians it is used (profilers turn evenly), else the medians, made monotone.
     """
     unit, seen = _directions(xyz)
     enough = seen.sum(axis=1) >= 2
@@ -118,7 +125,10 @@ def _check_lengths(xyz: NDArray[Any]) -> None:
 
 
 def _check_level(unit: F64, seen: Mask) -> None:
-    """Refuse lines that run sideways at a nearly constant elevation: sweeps of a turning head, not of its mirror."""
+    """Refuse lines that run sideways at a nearly constant elevation.
+
+    Sweeps of a turning head, not of its mirror.
+    """
     elevation = np.arcsin(np.clip(unit[..., 2], -1.0, 1.0))
     azimuth = np.arctan2(unit[..., 1], unit[..., 0])
     is_level = np.zeros(len(unit), np.bool_)
@@ -165,7 +175,10 @@ def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
 
 
 def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
-    """Fit planes through the scanner to lines; return normals, arcs [rad], median distances of shots [rad]."""
+    """Fit planes through the scanner to lines.
+
+    Return normals, arcs [rad], median distances of shots [rad].
+    """
     weight = seen.astype(np.float64)
     for _ in range(N_TRIMS):
         moments = np.einsum("lm,lmi,lmj->lij", weight, unit, unit)
@@ -183,7 +196,10 @@ def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
 
 
 def _angles_in_plane(unit: F64, seen: Mask, normal: F64) -> F64:
-    """Return the angle from the lowest direction of the plane, (lines, M), growing with the column; NaN = none."""
+    """Return the angle from the lowest direction of the plane, (lines, M), growing with the column.
+
+    NaN = none.
+    """
     flat = np.hypot(normal[:, 0], normal[:, 1])
     side = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1) / flat[:, None]
     down = normal * normal[:, 2:3]
@@ -238,7 +254,8 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     beyond = step - float(np.median(step / np.diff(columns))) * np.diff(columns)
     seam = int(np.argmax(beyond)) + 1
     if beyond[seam - 1] > SEAM_RAD:
-        # the sector that is not measured lies within the line: begin behind it, or amid columns never seen
+        # the sector that is not measured lies within the line: begin behind it, or amid columns
+        # never seen
         first = (int(columns[seam - 1]) + int(columns[seam]) + 1) // 2
         turned = np.roll((columns - first) % points_per_line, -seam)
         beam, is_straight = _grown(
@@ -249,7 +266,10 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
 
 
 def _grown(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
-    """Return the angles of all columns, without steps of half a turn or more; see :func:`turn_evenly`."""
+    """Return the angles of all columns, without steps of half a turn or more.
+
+    See :func:`turn_evenly`.
+    """
     along = angle[0] + np.concatenate([[0.0], np.cumsum(forward_steps(angle))])
     every = np.arange(points_per_line, dtype=np.float64)
     slope, start = _straight(columns.astype(np.float64), along, weight)

@@ -1,9 +1,9 @@
 """Finds the scan angle of straight down from registered heights or from level ground.
 
-Registered heights fall with the range times the cosine of the angle from straight down. Ground at distance d with its
-normal at angle a has ranges ``r = d / cos(angle - a)``: it is a near plane that fills a large part of nearly every
-line, with sky on the other side. Roads slope sideways by a degree or two, which limits the accuracy of the second
-method.
+Registered heights fall with the range times the cosine of the angle from straight down. Ground at
+distance d with its normal at angle a has ranges ``r = d / cos(angle - a)``: it is a near plane that
+fills a large part of nearly every line, with sky on the other side. Roads slope sideways by a
+degree or two, which limits the accuracy of the second method.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from prc_cli.core.types import F32, F64, I64, Mask
 MIN_RISE_RAD = math.radians(10.0)
 """Scan planes closer to the horizontal than this count as horizontal."""
 MAX_HEIGHT_OFF_M = 0.25
-"""Largest median deviation of registered heights from the fit: with more, heights and angles do not match."""
+"""Largest median deviation of registered heights from the fit.
+
+With more, heights and angles do not match.
+"""
 MIN_SHOTS = 32
 """Least number of shots in excess of the number of lines for a fit of heights."""
 MAX_COS_TILT = 1.05
@@ -28,7 +31,9 @@ MAX_COS_TILT = 1.05
 MIN_SPREAD = 1e-3
 """Least ratio of the two singular values of a fit of heights."""
 MIN_TILT_RAD = math.radians(6.0)
-"""Smaller tilts of the scan plane count as vertical: heights err by less than 0.6 %, and fits of upright profilers give
+"""Smaller tilts of the scan plane count as vertical.
+
+Heights err by less than 0.6 %, and fits of upright profilers give
 up to 5 deg."""
 DECIMALS = 10
 """Decimals of fitted angles [rad]: the last bits of a fit differ between machines."""
@@ -118,9 +123,9 @@ def fit_heights(
 ) -> HeightFit:
     """Find the scan angle that points straight down in registered heights.
 
-    In the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is linear in ``range
-    cos(angle)`` and ``range sin(angle)``. The height of the scanner is an unknown of every line, so that hills do not
-    matter. Outliers are trimmed.
+    In the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is
+    linear in ``range cos(angle)`` and ``range sin(angle)``. The height of the scanner is an unknown
+    of every line, so that hills do not matter. Outliers are trimmed.
     """
     angle, range_m, z = (np.asarray(values, np.float64) for values in (angle, range_m, z))
     use: Mask = np.isfinite(angle) & np.isfinite(range_m) & np.isfinite(z) & (range_m > 0)
@@ -190,7 +195,10 @@ class DownGuess:
     depth_m: float
     """Distance of the plane that is taken for the ground [m]."""
     rival_rad: float | None = None
-    """Scan angle of the best other direction, more than :data:`RIVAL_RAD` away [rad]; None if there is none."""
+    """Scan angle of the best other direction, more than :data:`RIVAL_RAD` away [rad].
+
+    None if there is none.
+    """
     ratio: float = math.inf
     """Score over that of the other direction."""
 
@@ -222,10 +230,11 @@ class DownGuess:
 def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
     """Guess the scan angle of straight down: level ground below, and much sky above.
 
-    Every direction gets a score: the angle filled by the plane across it, over the root of the plane's distance, times
-    the share of lines that show this plane by themselves (facades come and go), times the share of missing shots
-    around the opposite direction. A dead angle may be sky or not, and counts half. Where the other side is
-    level, too, one is a floor and one its ceiling: the guess is sure only if it is the nearer one.
+    Every direction gets a score: the angle filled by the plane across it, over the root of the
+    plane's distance, times the share of lines that show this plane by themselves (facades come and
+    go), times the share of missing shots around the opposite direction. A dead angle may be sky or
+    not, and counts half. Where the other side is level, too, one is a floor and one its ceiling:
+    the guess is sure only if it is the nearer one.
     """
     if len(range_m) < LEAST_LINES:
         return None
@@ -253,7 +262,8 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     guess = _choose(sorted(found, key=lambda plane: -plane.score))
     if guess is None:
         return None
-    # the sky above one of two level planes may be a dead angle alone: then the nearer one must be what was found
+    # the sky above one of two level planes may be a dead angle alone: then the nearer one must be
+    # what was found
     other = _level(guess.down_rad + math.pi, angle, lines, middle)
     if not other:
         return guess
@@ -329,7 +339,10 @@ def middle_of_lines(range_m: F32) -> F64:
 
 
 def _planes(along: F64, middle_m: F64, step_rad: float) -> tuple[F64, F64, Mask]:
-    """Return the fullest plane across every direction: angle filled [rad], distance [m], columns."""
+    """Return the fullest plane across every direction.
+
+    Angle filled [rad], distance [m], columns.
+    """
     near = (along > math.cos(REACH_RAD)) & np.isfinite(middle_m)
     row, column = np.nonzero(near)
     depth = middle_m[column] * along[near]

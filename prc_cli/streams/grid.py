@@ -1,8 +1,8 @@
 """Turns records into the stream of blocks, the same way for every format, in three steps.
 
-Rules are resolved (:mod:`.rules`), the scanners set up (:mod:`.setup`), and chunks of records become whole lines
-(:mod:`.lines`), whole lines blocks: one return per cell, the rest as further returns or counted. Memory holds a
-chunk of records and the open lines of every scanner.
+Rules are resolved (:mod:`.rules`), the scanners set up (:mod:`.setup`), and chunks of records
+become whole lines (:mod:`.lines`), whole lines blocks: one return per cell, the rest as further
+returns or counted. Memory holds a chunk of records and the open lines of every scanner.
 """
 
 from __future__ import annotations
@@ -216,7 +216,10 @@ class GridStream(Brief):
             tally = ReadTally()
 
     def _place(self, whole: WholeLines, setup: ScannerSetup) -> tuple[Table, int]:
-        """Find the cell of every record and choose the returns; records outside the image are dropped and counted."""
+        """Find the cell of every record and choose the returns.
+
+        Records outside the image are dropped and counted.
+        """
         records = whole.records
         if not n_rows(records):
             return records, 0
@@ -238,7 +241,10 @@ class GridStream(Brief):
     def _fill(
         self, records: Table, first_line: int, n_lines: int, setup: ScannerSetup
     ) -> ScanBlock:
-        """Make the block of lines ``first_line`` on; of several shots in a cell, the first with a range is kept."""
+        """Make the block of lines ``first_line`` on.
+
+        Of several shots in a cell, the first with a range is kept.
+        """
         m = setup.points_per_line
         rules = self.rules
         n_cells = n_lines * m
@@ -298,7 +304,10 @@ class GridStream(Brief):
 
 
 def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.ndarray:
-    """Mark the record that every cell shows: the first chosen return with a range, else the first chosen return."""
+    """Mark the record that every cell shows.
+
+    The first chosen return with a range, else the first chosen return.
+    """
     winner = np.full(n_cells, -1, np.int64)
     position = np.flatnonzero(stands)
     valid = ~np.isnan(range_m[position])

@@ -1,8 +1,8 @@
 """Reads records into whole scan lines: finds where lines begin, and holds back those that are open.
 
-One pure function per rule takes the shots (the first record of each) of one scanner in input order; state across chunks
-is passed in and returned. Whole lines are sorted by line; all later steps (columns, returns, cells) depend only on
-them, so that chunks do not matter.
+One pure function per rule takes the shots (the first record of each) of one scanner in input order;
+state across chunks is passed in and returned. Whole lines are sorted by line; all later steps
+(columns, returns, cells) depend only on them, so that chunks do not matter.
 """
 
 from __future__ import annotations
@@ -75,7 +75,10 @@ Found: TypeAlias = tuple[I64, Mask, LineState]
 
 @dataclass(frozen=True, slots=True)
 class LineRules:
-    """How the lines of one scanner are found: by number, by time or by angle if one is set, else of fixed length."""
+    """How the lines of one scanner are found.
+
+    By number, by time or by angle if one is set, else of fixed length.
+    """
 
     where: str
     """File and rule, for messages."""
@@ -116,7 +119,10 @@ class LineRules:
 
     @property
     def begins_with_first(self) -> bool:
-        """Whether line 0 is the line of the first shot; else shots before line 0 are expected, not late."""
+        """Whether line 0 is the line of the first shot.
+
+        Else shots before line 0 are expected, not late.
+        """
         return self.origin_s is None or self.dimension is not None
 
 
@@ -616,7 +622,10 @@ def check_partial_line(
     what: str = "records",
     source: RecordSource | None = None,
 ) -> None:
-    """Refuse a last line that is cut short; the hint names another M where the ranges of a source repeat with it."""
+    """Refuse a last line that is cut short.
+
+    The hint names another M where the ranges of a source repeat with it.
+    """
     n_over = n_shots % points_per_line
     if not n_over:
         return

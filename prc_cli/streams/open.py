@@ -1,8 +1,8 @@
 """Opens an input file, or a window of it, as a stream of blocks, by the kind of its source.
 
-Images hold lines and columns and are blocks already. Records become blocks in :mod:`prc_cli.streams.grid`, frames of
-rings in :mod:`prc_cli.streams.rings`. A window is some of the lines, by number or by time, read no farther than to
-their end.
+Images hold lines and columns and are blocks already. Records become blocks in
+:mod:`prc_cli.streams.grid`, frames of rings in :mod:`prc_cli.streams.rings`. A window is some of
+the lines, by number or by time, read no farther than to their end.
 """
 
 from __future__ import annotations
@@ -136,7 +136,10 @@ def grid_of(stream: ScanStream) -> GridStream | None:
 
 
 def drive_of(stream: ScanStream) -> Drive | SpinningDrive | None:
-    """Return what was found of a registered cloud behind a stream (``range = "points"``); None for other inputs."""
+    """Return what was found of a registered cloud behind a stream (``range = "points"``).
+
+    None for other inputs.
+    """
     layer: object = stream
     while layer is not None:
         drive = getattr(layer, "drive", None)
@@ -174,10 +177,10 @@ class _Seen:
 class WindowedStream:
     """The lines of a stream that lie in a window; they keep their numbers.
 
-    A line belongs to the window by its number, or by the time of its first shot that has one. The lines are
-    consecutive: from the first one that has begun to the last before the end. Where all scanners have passed the end,
-    the rest of the input is not read, except where a later scanner may begin anew (several scans in a row, or scanners
-    split by a field with a window of lines).
+    A line belongs to the window by its number, or by the time of its first shot that has one. The
+    lines are consecutive: from the first one that has begun to the last before the end. Where all
+    scanners have passed the end, the rest of the input is not read, except where a later scanner
+    may begin anew (several scans in a row, or scanners split by a field with a window of lines).
     """
 
     source: ScanStream
@@ -253,7 +256,10 @@ class WindowedStream:
         return replace(inside, is_last=block.is_last or part.ended, tally=tally)
 
     def _places(self, block: ScanBlock, seen: _Seen, part: _Part) -> F64:
-        """Return the number or the time of every line, (lines,); a line without time has that of the line before."""
+        """Return the number or the time of every line, (lines,).
+
+        a line without time has that of the line before.
+        """
         lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.float64)
         if self.window.in_lines:
             return lines
@@ -320,7 +326,10 @@ def no_times(path: str, window: Window) -> InputError:
 
 
 def windowed(stream: ScanStream, config: InputConfig) -> ScanStream:
-    """Return the window of a stream that the configuration asks for; without one, the stream itself."""
+    """Return the window of a stream that the configuration asks for.
+
+    Without one, the stream itself.
+    """
     window = config.window
     if window is None:
         return stream

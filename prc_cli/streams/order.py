@@ -1,11 +1,13 @@
-"""The order of records in time: it is checked, weeks of GPS time are unwrapped, records sorted where that is asked.
+"""The order of records in time.
 
-PRC compares neighbours in time (Lehtola et al. 2019, section II): for files cut into tiles or sorted by coordinate its
-labels are meaningless. So the default is to refuse them, with figures.
+It is checked, weeks of GPS time are unwrapped, records sorted where that is asked.
 
-Sorting is an external merge sort in bounded memory: runs of the input are sorted in memory and written to an unnamed
-temporary file; then all runs are merged at once. Equal times keep input order, so that the result depends neither on
-chunks nor on the length of runs.
+PRC compares neighbours in time (Lehtola et al. 2019, section II): for files cut into tiles or
+sorted by coordinate its labels are meaningless. So the default is to refuse them, with figures.
+
+Sorting is an external merge sort in bounded memory: runs of the input are sorted in memory and
+written to an unnamed temporary file; then all runs are merged at once. Equal times keep input
+order, so that the result depends neither on chunks nor on the length of runs.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ Policy: TypeAlias = Literal["require", "trust", "sort-time"]
 MAX_SHARE_BACK = 1e-4
 """Largest share of steps back: files written by several threads contain swapped pairs."""
 MAX_SHOTS_BACK = 5000
-"""Largest step back, in mean steps of the input: about two lines. Steps of writers' threads are shorter; where a block
+"""Largest step back, in mean steps of the input: about two lines.
+
+Steps of writers' threads are shorter; where a block
 of lines is out of place, a single step back is longer, however small its share."""
 MAX_SPAN_BACK = 0.1
 """The same for short inputs, as a share of the whole time."""
@@ -78,7 +82,10 @@ class OrderEvidence:
     begins_anew: int | None = None
     """First record whose times run a second time over those before; None if there is none."""
     unset: float | None = None
-    """The time that every step back goes to, before all others: that of records without a time; None if none is."""
+    """The time that every step back goes to, before all others.
+
+    That of records without a time; None if none is.
+    """
 
     @property
     def share_back(self) -> float:
@@ -237,7 +244,10 @@ class OrderWatch:
             self._judge()
 
     def _unset(self) -> float | None:
-        """Return the time of records without one: every step back goes to it, and the first record has a later one."""
+        """Return the time of records without one.
+
+        Every step back goes to it, and the first record has a later one.
+        """
         if not 2 <= self._n_back == len(self._tops):
             return None
         (_, first), *others = self._starts
@@ -289,7 +299,8 @@ class OrderWatch:
 def fire_in_turns(time_s: F64, column: NDArray[Any]) -> bool:
     """Return whether the times of records fall from shot to shot, but rise in each of a few columns.
 
-    The rings of a spinning scanner do so: they fire in another order than they lie, and see a line at other times.
+    The rings of a spinning scanner do so: they fire in another order than they lie, and see a line
+    at other times.
 
     >>> fire_in_turns(np.array([0.0, 2.0, 1.0, 3.0, 5.0, 4.0]), np.array([0, 1, 2, 0, 1, 2]))
     True
@@ -362,7 +373,10 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
 
 @dataclass(frozen=True, slots=True)
 class WatchedStream:
-    """A stream of images that checks the order of its times while blocks pass; images cannot be sorted."""
+    """A stream of images that checks the order of its times while blocks pass.
+
+    Images cannot be sorted.
+    """
 
     source: ScanStream
     policy: Policy
@@ -398,7 +412,10 @@ class WatchedStream:
 
 
 def take_turns(block: ScanBlock) -> bool:
-    """Tell whether the rings of a spinning scanner fire in another order than they lie: the times of each rise."""
+    """Tell whether the rings of a spinning scanner fire in another order than they lie.
+
+    The times of each rise.
+    """
     if block.time_s is None or block.xyz_m is None or block.points_per_line > MAX_RINGS:
         return False
     falls_in_line = (np.diff(block.time_s, axis=1) < 0).any()
@@ -423,7 +440,10 @@ class WeekState:
 
 
 def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
-    """Add a week to the times after the first step back of about one; later ones lie near the week's end."""
+    """Add a week to the times after the first step back of about one.
+
+    Later ones lie near the week's end.
+    """
     position = np.flatnonzero(np.isfinite(time_s))
     added: Mask = np.zeros(len(time_s), np.bool_)
     if not len(position):
@@ -637,8 +657,8 @@ def _merge(runs: list[_Run], merge_records: int) -> Iterator[NDArray[np.void]]:
     while runs:
         for run in runs:
             run.fill(share)
-        # the window that ends first limits how far the order is known; earlier runs may give records of that very time,
-        # later runs not yet
+        # the window that ends first limits how far the order is known; earlier runs may give
+        # records of that very time, later runs not yet
         open_runs = [k for k, run in enumerate(runs) if not run.is_all_here]
         if open_runs:
             decides = min(open_runs, key=lambda k: float(runs[k].window[_TIME][-1]))

@@ -34,7 +34,10 @@ class ByteStream(Protocol):
         """Return the file descriptor."""
 
     def read(self, size: int = -1, /) -> bytes | None:
-        """Return available bytes, at least one (waiting for it), at most ``size``; empty at the end."""
+        """Return available bytes, at least one (waiting for it), at most ``size``.
+
+        Empty at the end.
+        """
 
 
 class PipeSource(FieldSource):
@@ -139,7 +142,10 @@ def widen_pipe(handle: ByteStream) -> None:
 def open_pipe(
     handle: ByteStream, config: InputConfig, layout: Layout | None = None
 ) -> tuple[PipeSource, ScanStream]:
-    """Open a pipe as a stream, as :func:`prc_cli.streams.open.open_input`; seal it before the end is read."""
+    """Open a pipe as a stream, as :func:`prc_cli.streams.open.open_input`.
+
+    Seal it before the end is read.
+    """
     layout = RANGES_ONLY if layout is None else layout
     layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})
     config = with_layout(config, layout)

@@ -111,7 +111,10 @@ def open_ranges(
 
 
 def metres_of(config: InputConfig, crs_wkt: str | None) -> tuple[float, float]:
-    """Return the metres in one unit of x and y, and of z: as given, else those of the coordinate system."""
+    """Return the metres in one unit of x and y, and of z.
+
+    As given, else those of the coordinate system.
+    """
     if config.range_scale != 1.0:
         return config.range_scale, config.range_scale
     units = units_of_system(crs_wkt)

@@ -1,10 +1,11 @@
 """Turns frames of multi-ring scanners (x, y, z, ring after ring) into vertical lines (``input.lines = rings``).
 
-A spinning scanner with one laser per ring writes frames of one ring after the other, each over the whole turn, without
-missing shots; or in raw column order, a shot of every ring after the other, with the ring as a dimension. Vertical
-lines are cells of azimuth, columns are rings from low to high. Each shot of a ring takes a cell of its own: along every
-ring, cells rise strictly and follow the azimuth as closely as possible (isotonic regression). This separates
-neighbours where the rotation is uneven, and leaves cells empty where shots are missing.
+A spinning scanner with one laser per ring writes frames of one ring after the other, each over the
+whole turn, without missing shots; or in raw column order, a shot of every ring after the other,
+with the ring as a dimension. Vertical lines are cells of azimuth, columns are rings from low to
+high. Each shot of a ring takes a cell of its own: along every ring, cells rise strictly and follow
+the azimuth as closely as possible (isotonic regression). This separates neighbours where the
+rotation is uneven, and leaves cells empty where shots are missing.
 """
 
 from __future__ import annotations
@@ -46,13 +47,19 @@ MOST_OF_COLUMNS = 1.5
 MAX_RINGS = 4096
 """Most rings of a frame."""
 BACKWARD_RAD = math.radians(20.0)
-"""Steps back up to this are shots out of order; larger ones are steps forward over the rest of the turn."""
+"""Steps back up to this are shots out of order.
+
+Larger ones are steps forward over the rest of the turn.
+"""
 MAX_RING_NUMBER = 2.0**53
 """Numbers of rings from here on are not exact in float64."""
 MAX_RING_ORDER_RAD = math.radians(0.5)
 """Tolerance for rings out of the order of elevation."""
 MIN_RING = 0.01
-"""Least size of the first and last ring, as a share of the median ring: fewer are shots across the border."""
+"""Least size of the first and last ring, as a share of the median ring.
+
+Fewer are shots across the border.
+"""
 WINDOW = 64
 """Number of neighbours over which the step of azimuth is measured."""
 NEIGHBOUR = 1.5
@@ -173,7 +180,10 @@ LEAST_ORDERED = 0.9
 
 
 def turns_in_order(frame: Table) -> float:
-    """Return how often the ring with most points turns around the scanner; 0 where it has no number or order."""
+    """Return how often the ring with most points turns around the scanner.
+
+    0 where it has no number or order.
+    """
     if RING not in frame:
         return 0.0
     number, count = np.unique(frame[RING], return_counts=True)
@@ -219,7 +229,10 @@ def _cut_turns(along: F64) -> tuple[I64, F64]:
 
 
 def _cuts(along: F64, step: float) -> Iterator[float]:
-    """Yield candidate azimuths for the start of rings, in the direction of rotation: axes, first shot, gaps."""
+    """Yield candidate azimuths for the start of rings, in the direction of rotation.
+
+    Axes, first shot, gaps.
+    """
     yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
     n_bins = 360
     seen = (
@@ -344,7 +357,10 @@ RULED_OUT_OF_RINGS = frozenset(
 """Keys that frames refuse, or that do nothing for them: rings are found in x, y, z."""
 _ONE_FRAME = "give one frame of one scanner, x, y, z relative to it"
 RING = "ring"
-"""Dimension with the number of the ring; with it, records may be in any order, as in raw column order."""
+"""Dimension with the number of the ring.
+
+With it, records may be in any order, as in raw column order.
+"""
 BLOCK_LINES = 512
 """Lines of a block."""
 GIVEN = "x, y, z as given"

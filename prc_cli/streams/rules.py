@@ -1,12 +1,13 @@
 """Step one, rules: chooses how lines, columns and ranges of an input are found, or says which options to give.
 
-``auto`` is resolved, and where only the directions to the points tell lines and columns, they are measured:
+``auto`` is resolved, and where only the directions to the points tell lines and columns, they are
+measured:
 
 - ``lines = elevation:DEG``, points with x, y, z alone, without missing shots: the elevation rises along a line and
   drops to the first point of the next one.
 - ``range = trajectory`` or ``origin`` with times alone: what returns repeats only roughly from line to line; the
-  direction of a shot repeats exactly. So line rate and begin of lines are those of the sweep, also where shots were
-  stamped anew without time for the angles that a scanner does not measure.
+  direction of a shot repeats exactly. So line rate and begin of lines are those of the sweep, also
+  where shots were stamped anew without time for the angles that a scanner does not measure.
 """
 
 from __future__ import annotations
@@ -83,7 +84,10 @@ class GridRules:
     scanner: str | None
     """Dimension with the scanner id."""
     height_names: tuple[str, ...]
-    """Dimensions beside the scan angle for finding straight down: range and registered heights, or none."""
+    """Dimensions beside the scan angle for finding straight down.
+
+    Range and registered heights, or none.
+    """
     point_names: tuple[str, ...]
     """Dimensions beside the scan angle that test it: range and registered coordinates, or none."""
     whole_turn: bool
@@ -289,7 +293,10 @@ NO_RANGES_HINT = (
 
 
 def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
-    """Whether an input is registered points alone: nothing in it says in which order they were fired."""
+    """Whether an input is registered points alone.
+
+    Nothing in it says in which order they were fired.
+    """
     has = set(source.dimensions)
     told = config.range == "sensor-xyz" or any(
         one.startswith("dimension:") for one in (config.range, config.lines)
@@ -311,7 +318,10 @@ def _auto_rules(
     missing: list[InputError] = []
 
     def resolved(key: str, rule: str, ask: Callable[[], tuple[str, str]]) -> str:
-        """Return the rule found, with its reason taken down; empty, with its error kept, where none is."""
+        """Return the rule found, with its reason taken down.
+
+        Empty, with its error kept, where none is.
+        """
         if rule != "auto":
             return rule
         try:
@@ -462,7 +472,10 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
 
 
 def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
-    """Whether coordinates beside ranges are relative to the scanner; of a profiler scan angles tell as much."""
+    """Whether coordinates beside ranges are relative to the scanner.
+
+    Of a profiler scan angles tell as much.
+    """
     kind, _, name = range_.partition(":")
     if kind != "dimension" or name in XYZ or not set(XYZ) <= set(source.dimensions):
         return False
@@ -527,7 +540,8 @@ def _known_points_per_line(
     recorded = source.facts.points_per_line
     key = "input.points_per_line"
     if given is not None:
-        # with column numbers in the file another M drops its last columns, or spreads its angles over too many
+        # with column numbers in the file another M drops its last columns, or spreads its angles
+        # over too many
         if recorded and recorded != given and columns.startswith("dimension:"):
             problem = f"found {given}, but {source.path} records {recorded} shots in a line"
             raise ConfigError(key, problem, "leave -M out")
@@ -592,7 +606,10 @@ class _WithElevation(DerivedSource):
         return replace(facts, points_per_line=None, notes=(), rules=rules)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions; a point at the origin has no elevation and stays in the current line."""
+        """Decode the named dimensions.
+
+        a point at the origin has no elevation and stays in the current line.
+        """
         if not {"angle", _LINE} & set(names):
             yield from self.source.chunks(names)
             return

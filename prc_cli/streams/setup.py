@@ -1,6 +1,9 @@
-"""Step two, setup: fixes how every scanner is read before its first block: sweep, column angles, M, down.
+"""Step two, setup: fixes how every scanner is read before its first block.
 
-From the first records, or from one pass over the needed dimensions where that takes the whole input.
+Sweep, column angles, M, down.
+
+From the first records, or from one pass over the needed dimensions where that takes the whole
+input.
 """
 
 from __future__ import annotations
@@ -66,7 +69,10 @@ PROBE_RECORDS = 1 << 18
 PROBE_RECORDS_EACH = 1 << 16
 """The same per scanner where several share the input."""
 SLACK = 1
-"""Lines by number or time stay open for one more line: real files have swapped pairs at the border."""
+"""Lines by number or time stay open for one more line.
+
+Real files have swapped pairs at the border.
+"""
 DOWN_LINES = 64
 """Number of lines with returns used to find straight down."""
 
@@ -271,7 +277,10 @@ def _survey(
     end: WindowEnd | None,
     unseen: Estimates,
 ) -> dict[int, tuple[int, int, int]]:
-    """Read the input once for lines, shots and M of every scanner: the whole of it, or to the end of a window."""
+    """Read the input once for lines, shots and M of every scanner.
+
+    The whole of it, or to the end of a window.
+    """
     extents: dict[int, tuple[int, int, int]] = {}
     for whole in whole_lines(
         source, rules, lambda one: line_rules(rules, None, estimates.get(one, unseen))
@@ -297,7 +306,10 @@ def _survey(
 def _agreed_angles(
     rules: GridRules, first: WholeLines | None, rule: ColumnRule, angle: F64 | None, scanner: int
 ) -> tuple[F64 | None, list[Assumption]]:
-    """Return recorded angles, mended where they are cut off; None where x, y, z show that they are others."""
+    """Return recorded angles, mended where they are cut off.
+
+    None where x, y, z show that they are others.
+    """
     if first is None or angle is None or rules.gives_angles or rules.config.angles == "measured":
         return angle, []
     key = ANGLES if rules.scanner is None else f"{ANGLES} of {rules.scanner} {scanner}"
@@ -334,7 +346,10 @@ def _agreed_angles(
 def _contradicted(
     rules: GridRules, first: WholeLines, rule: ColumnRule, angle: F64
 ) -> float | None:
-    """Return the share of columns whose x, y, z contradict range and angle; None where there are none."""
+    """Return the share of columns whose x, y, z contradict range and angle.
+
+    None where there are none.
+    """
     if not rules.point_names:
         return None
     shots = take(first.records, first.records[START])
@@ -454,7 +469,10 @@ def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
 
 
 def _column_number_step(number: NDArray[Any], points_per_line: int | None) -> Step:
-    """Return the step of column numbers; where they fit into a line of the M that is given, it is meant."""
+    """Return the step of column numbers.
+
+    Where they fit into a line of the M that is given, it is meant.
+    """
     is_meant = points_per_line is not None and np.all(
         columns_by_dimension(number) < points_per_line
     )
@@ -462,7 +480,10 @@ def _column_number_step(number: NDArray[Any], points_per_line: int | None) -> St
 
 
 def _usual_step(steps: dict[int, Steps]) -> Steps:
-    """Return the steps of a scanner that the first records lack: those that the others have in common."""
+    """Return the steps of a scanner that the first records lack.
+
+    Those that the others have in common.
+    """
     kinds = set(steps.values())
     return kinds.pop() if len(kinds) == 1 else Steps()
 

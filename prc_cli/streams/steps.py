@@ -1,7 +1,9 @@
-"""Finds the step of line and column numbers: counters may be shared, decimated, or those of an encoder.
+"""Finds the step of line and column numbers.
 
-A counter that several facets or scanners share rises by their number from line to line; columns may be ticks of an
-encoder. Without division all numbers between would be empty lines and columns.
+Counters may be shared, decimated, or those of an encoder.
+
+A counter that several facets or scanners share rises by their number from line to line; columns may
+be ticks of an encoder. Without division all numbers between would be empty lines and columns.
 """
 
 from __future__ import annotations

@@ -55,7 +55,10 @@ _PLAIN_S = 1e15
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Positions of the sensor over time, linear but across gaps; 32 bytes each, 23 MB an hour at 200 Hz."""
+    """Positions of the sensor over time, linear but across gaps.
+
+    32 bytes each, 23 MB an hour at 200 Hz.
+    """
 
     path: str
     """File name, for messages."""
@@ -64,11 +67,17 @@ class Trajectory:
     xyz_m: F64
     """(n, 3) float64, in the coordinate system of the points [m]."""
     max_gap_s: float | None = None
-    """Longest step between positions that is interpolated [s]; None = ten median steps, at least 1 s."""
+    """Longest step between positions that is interpolated [s].
+
+    None = ten median steps, at least 1 s.
+    """
     lever_arm_m: tuple[float, float, float] | None = None
     """What the positions were moved by, on the axes of the vehicle [m]; None = not."""
     quaternion: F64 | None = None
-    """(n, 4) float64, turn of the vehicle (forward, left, up) to the points; None = not known or not asked for."""
+    """(n, 4) float64, turn of the vehicle (forward, left, up) to the points.
+
+    None = not known or not asked for.
+    """
     gap_limit_s: float = field(init=False)
     """The same, with its default resolved [s]."""
     _gaps: I64 = field(init=False, repr=False)

@@ -228,7 +228,10 @@ def test_retry_obeys_nobody_else_and_no_nonsense(
 
 @pytest.mark.parametrize("name", [".prc", ".prc/journal.sqlite", ".prc/lock"])
 def test_our_own_files_are_no_links(prc: Run, tmp_path: Path, name: str) -> None:
-    """SQLite made the target of a dangling link; a linked lock ended with "the result cannot be printed"."""
+    """SQLite made the target of a dangling link.
+
+    a linked lock ended with "the result cannot be printed".
+    """
     (tmp_path / "archive").mkdir()
     write_npz(tmp_path / "archive" / "a.npz", street(80))
     link = tmp_path / "out" / name

@@ -85,7 +85,10 @@ def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[ob
 def test_info_doubts_what_classify_doubts_where_heights_explain_it(
     prc: Prc, tmp_path: Path
 ) -> None:
-    """Ranges in feet beside heights in metres look like a leaning plane; PRC does not ask for directions."""
+    """Ranges in feet beside heights in metres look like a leaning plane.
+
+    PRC does not ask for directions.
+    """
     made = tmp_path / "drive.laz"
     feet = tmp_path / "feet.laz"
     assert prc("simulate", "street", made, "--lines", 60, "--seed", 72, "-q").code == 0
@@ -134,7 +137,8 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--all", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
     found = json.loads(result.out)
-    # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; with seed 1 .88, .90 and .91 in the forest
+    # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; with seed 1 .88, .90 and .91 in
+    # the forest
     assert list(found) == ["default", "prc", "sequential-angle", "default, forest"]
     floors = {
         "prc": {"ground": 0.9, "building": 0.2},

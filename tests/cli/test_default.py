@@ -167,7 +167,10 @@ def test_tables_and_presets_decide() -> None:
 
 @pytest.mark.slow
 def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scans: Path) -> None:
-    """Where fused is taken, the configuration changes nothing; PRC's parameters are for files without angles."""
+    """Where fused is taken, the configuration changes nothing.
+
+    PRC's parameters are for files without angles.
+    """
     told = prc("calibrate", scans / "street.npz", "-o", scans / "c.toml")
     assert (told.code, "there is nothing to calibrate" in told.out) == (0, True), told.err
     assert load_config(scans / "c.toml").config == RunConfig()

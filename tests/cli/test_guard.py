@@ -144,7 +144,10 @@ def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
     ("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)]
 )
 def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> None:
-    """As ``kill`` and a scheduler send them: to the process that was started, or to all of its group."""
+    """As ``kill`` and a scheduler send them.
+
+    To the process that was started, or to all of its group.
+    """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
     with patience.start(

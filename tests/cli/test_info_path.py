@@ -1,4 +1,7 @@
-"""``prc info`` of a registered cloud: what was found, the path as an output, and a trajectory held against it."""
+"""``prc info`` of a registered cloud.
+
+What was found, the path as an output, and a trajectory held against it.
+"""
 
 from __future__ import annotations
 

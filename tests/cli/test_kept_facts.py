@@ -1,4 +1,7 @@
-"""Outputs keep what the input says of its points: place, intensity, number; what cannot be kept is told."""
+"""Outputs keep what the input says of its points.
+
+Place, intensity, number; what cannot be kept is told.
+"""
 
 from __future__ import annotations
 

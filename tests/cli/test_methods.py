@@ -1,4 +1,7 @@
-"""The fused presets and the sequential-angle classifier on the command line: every kind of input, and errors."""
+"""The fused presets and the sequential-angle classifier on the command line.
+
+Every kind of input, and errors.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ Array = np.ndarray
 
 @cache
 def points() -> tuple[Array, Array, Array]:
-    """Points x, y, z, intensity (lines, M, 4) of a scan, all zero where missing; elevations [deg]; reference codes."""
+    """Points x, y, z, intensity (lines, M, 4) of a scan, all zero where missing.
+
+    Elevations [deg]; reference codes.
+    """
     block, labels = static_arrays(0.5, 3.0, 2)
     assert block.beam_rad is not None
     assert block.xyz_m is not None

@@ -1,4 +1,7 @@
-"""Hints name only what an input takes: every format with every key, and with every hint of the program."""
+"""Hints name only what an input takes.
+
+Every format with every key, and with every hint of the program.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The outputs of a run are a set: whole, or recognised and replaced by the next run of the same command."""
+"""The outputs of a run are a set.
+
+Whole, or recognised and replaced by the next run of the same command.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,10 @@ def write(folder: Path, source: Path, *, overwrite: bool = False) -> None:
 
 
 def killed_at(number: int, work: Callable[[], None]) -> bool:
-    """Do some work in a process that dies before its n-th change of a name; return whether it died."""
+    """Do some work in a process that dies before its n-th change of a name.
+
+    Return whether it died.
+    """
     child = os.fork()
     if child == 0:
         left = [number]

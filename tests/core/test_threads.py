@@ -1,4 +1,7 @@
-"""Threads change neither results nor their order; errors keep their place; few items are in flight."""
+"""Threads change neither results nor their order.
+
+Errors keep their place; few items are in flight.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The printed tables of both papers: which figures follow from the printed counts, and which do not."""
+"""The printed tables of both papers.
+
+Which figures follow from the printed counts, and which do not.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,10 @@ TABLE_I = {
         (0.222, 0.340, 0.153, 0.285),
     ),
 }
-"""Lehtola et al. (2019), Table I, by zeta_p: shares of noise, ground, vegetation, building; the last row is "other"."""
+"""Lehtola et al. (2019), Table I, by zeta_p.
+
+Shares of noise, ground, vegetation, building; the last row is "other".
+"""
 
 STREET = ("vegetation", "vertical", "car", "horizontal")
 TABLE_1 = np.array(
@@ -118,7 +124,8 @@ def test_table_i_as_row_shares(zeta_p: str) -> None:
 )
 def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
     found = scores(street())
-    # rounded to four digits in the paper, without zeros at the end; F1 and the accuracy are not printed there
+    # rounded to four digits in the paper, without zeros at the end; F1 and the accuracy are not
+    # printed there
     assert gate_value(found, gate) == pytest.approx(printed, abs=0.6 * 10**-digits)
     assert found.n_scored == 7_313_534
 

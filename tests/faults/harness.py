@@ -256,7 +256,10 @@ def tree(out: Path) -> dict[str, bytes]:
 
 
 def parts(out: Path) -> list[Path]:
-    """Return all temporary files but those whose number belongs to another process by now: machines are busy."""
+    """Return all temporary files but those whose number belongs to another process by now.
+
+    Machines are busy.
+    """
     return sorted(
         path for path in out.rglob("*.part") if not is_younger(int(path.name.split("-")[-2]), path)
     )
@@ -333,7 +336,10 @@ def check_whole(archive: Archive, out: Path) -> None:
 
 
 def moments(rng: random.Random, archive: Archive, out: Path, batch: Batch) -> Iterator[str]:
-    """Wait for a random moment and yield what it is: some time after the start, or just when a file appears."""
+    """Wait for a random moment and yield what it is.
+
+    Some time after the start, or just when a file appears.
+    """
     if rng.random() < 0.5:
         with contextlib.suppress(subprocess.TimeoutExpired):
             batch.process.wait(rng.uniform(0.0, archive.seconds))

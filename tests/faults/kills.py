@@ -1,9 +1,8 @@
 """Kills runs of ``prc batch`` at random moments, checks after each, and lets the last run of a chain finish.
 
-``python -m tests.faults.kills --kills 200 --seed 1`` prints counts as JSON; exit code 1 with the reason at the first
-fault. ``--engine dask`` kills runs with a scheduler and workers that
-were started before, and these too.
-"""
+``python -m tests.faults.kills --kills 200 --seed 1`` prints counts as JSON; exit code 1 with the
+reason at the first fault. ``--engine dask`` kills runs with a scheduler and workers that were
+started before, and these too."""
 
 from __future__ import annotations
 
@@ -49,7 +48,10 @@ def kill_many(
     seconds: float = 1e9,
     tell: bool = False,
 ) -> Tally:
-    """Kill until there were so many kills or seconds; every chain of kills ends with a run that resumes."""
+    """Kill until there were so many kills or seconds.
+
+    Every chain of kills ends with a run that resumes.
+    """
     rng = random.Random(seed)
     tally = Tally()
     end = time.monotonic() + seconds

@@ -1,9 +1,9 @@
 """Kills runs of ``prc batch`` just before each of its steps in the output folder.
 
-A step is an operation of Python on the file system there: making, linking, renaming, touching or removing a file, or
-opening it to write. ``python -m tests.faults.step_kills`` takes all of them, ``--every 7`` each seventh; ``--names``
-kills right after a file got its name instead. Exit code 1 at the first fault.
-"""
+A step is an operation of Python on the file system there: making, linking, renaming, touching or
+removing a file, or opening it to write. ``python -m tests.faults.step_kills`` takes all of them,
+``--every 7`` each seventh; ``--names`` kills right after a file got its name instead. Exit code 1
+at the first fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Inputs that vanish, change or are damaged fail with one line and do not stop the run; folders that are full."""
+"""Inputs that vanish, change or are damaged fail with one line and do not stop the run.
+
+Folders that are full.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +74,10 @@ def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path,
 
 
 def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_path: Path) -> None:
-    """As copies that are not complete: whenever the run opens them again one is longer, the other one is younger."""
+    """As copies that are not complete.
+
+    Whenever the run opens them again one is longer, the other one is younger.
+    """
     out = tmp_path / "out"
     path = few.folder / LAST
     size = path.stat().st_size
@@ -91,7 +97,10 @@ def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_p
 def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(
     few: Archive, tmp_path: Path
 ) -> None:
-    """Each time by renaming, as a careful copy does; the output must fit one of them, and in the end the last."""
+    """Each time by renaming, as a careful copy does.
+
+    The output must fit one of them, and in the end the last.
+    """
     out = tmp_path / "out"
     rng = random.Random(5)
     path = few.folder / "2026/day 2/drive.laz"

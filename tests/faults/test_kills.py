@@ -134,7 +134,8 @@ def test_a_signal_ends_the_run_within_seconds(
         time.sleep(0.1)
         batch.strike(number)
     code, said = batch.end()
-    # the last of several may come when Python has put back the system's own handling, which shells show as the same
+    # the last of several may come when Python has put back the system's own handling, which shells
+    # show as the same
     assert code == 128 + number or (n_times > 1 and code == -number), said
     assert "Traceback" not in said
     if n_times == 1:
@@ -199,7 +200,10 @@ def test_a_file_that_kills_every_worker_costs_itself_alone(
 
 @pytest.mark.long
 def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
-    """As on a network share that does not answer; tests/jobs/batch/test_local.py has the quick cases."""
+    """As on a network share that does not answer.
+
+    Tests/jobs/batch/test_local.py has the quick cases.
+    """
     out = tmp_path / "out"
     code, said = run_into(few, out, FAST[2:], "--stall", "20", jobs=1).end()
     assert code == 1, said

@@ -1,7 +1,9 @@
-"""The system calls of whole commands: a file is on the disk before it gets its name, the name before the end.
+"""The system calls of whole commands.
 
-``strace`` watches all processes and threads of a command. Skipped where it is not installed or may not trace.
-"""
+a file is on the disk before it gets its name, the name before the end.
+
+``strace`` watches all processes and threads of a command. Skipped where it is not installed or may
+not trace."""
 
 from __future__ import annotations
 
@@ -141,7 +143,10 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
 
 @pytest.mark.long
 def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
-    """Outputs of the workers, and what the run itself keeps; SQLite flushes its journal by itself."""
+    """Outputs of the workers, and what the run itself keeps.
+
+    SQLite flushes its journal by itself.
+    """
     out = tmp_path / "out"
     found = traced(tmp_path, "batch", few.folder, out, "--config", few.config, "--jobs", "2", "-q")
     given = check_order(found, out)

@@ -68,7 +68,10 @@ def labelled(
 def record_blocks(
     labels: U8, m: int = 20, *, order: I64 | None = None, **fields: Any
 ) -> list[LabelledBlock]:
-    """Blocks of two lines that give record i the label i; ``order`` is the scan order of the records."""
+    """Blocks of two lines that give record i the label i.
+
+    ``order`` is the scan order of the records.
+    """
     order = np.arange(len(labels)) if order is None else order
     cells = np.full(-(-len(labels) // (2 * m)) * 2 * m, -1, np.int64)
     cells[: len(order)] = order

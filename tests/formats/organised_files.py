@@ -15,7 +15,10 @@ Array = np.ndarray[Any, Any]
 
 
 def grid_points(n_lines: int, m: int, seed: int = 1, missing: float = 0.2) -> Array:
-    """(n_lines, m, 4): x y z [m] of columns from low to high elevation, intensity 0 to 1; all zero = missing."""
+    """(n_lines, m, 4): x y z [m] of columns from low to high elevation, intensity 0 to 1.
+
+    All zero = missing.
+    """
     rng = np.random.default_rng(seed)
     azimuth = np.linspace(-1.0, 1.0, n_lines)[:, None]
     elevation = np.linspace(-0.8, 0.9, m)[None, :]
@@ -87,7 +90,10 @@ class Scan:
 def e57_fields(
     points: Array, first_row: int = 0, first_column: int = 0, *, keep_missing: bool = False
 ) -> dict[str, Array]:
-    """Fields of a grid's points, columns outermost; missing cells have no point unless they are to be kept."""
+    """Fields of a grid's points, columns outermost.
+
+    Missing cells have no point unless they are to be kept.
+    """
     n_lines, m = points.shape[:2]
     column, row = (
         index.ravel() for index in np.meshgrid(np.arange(n_lines), np.arange(m), indexing="ij")
@@ -109,7 +115,10 @@ def reordered(fields: dict[str, Array], order: Array) -> dict[str, Array]:
 
 
 def write_e57(path: Path, scans: Sequence[Scan]) -> Path:
-    """Write scans with every field that is given: whole numbers as integers, others as doubles or scaled integers."""
+    """Write scans with every field that is given.
+
+    Whole numbers as integers, others as doubles or scaled integers.
+    """
     path.unlink(missing_ok=True)
     image = libe57.ImageFile(str(path), "w")
     image.extensionsAdd("", libe57.E57_V1_0_URI)

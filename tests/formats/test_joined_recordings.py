@@ -19,7 +19,10 @@ from tests.formats.packets import captures
 
 
 def check_joined(whole: Path, parts: list[Path]) -> list[int]:
-    """Compare the stream of some files with that of all in one; return the first record of every file."""
+    """Compare the stream of some files with that of all in one.
+
+    Return the first record of every file.
+    """
     assert are_recordings(parts)
     config = InputConfig()
     expected = join(list(open_recordings([whole], config).blocks()))

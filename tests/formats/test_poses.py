@@ -1,4 +1,7 @@
-"""Trajectories with orientations: TUM files and the poses of bags give the ranges that CSV positions give."""
+"""Trajectories with orientations.
+
+TUM files and the poses of bags give the ranges that CSV positions give.
+"""
 
 from __future__ import annotations
 

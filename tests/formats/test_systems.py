@@ -1,4 +1,7 @@
-"""Units of coordinate systems: feet become metres, degrees are refused where ranges come from x, y, z."""
+"""Units of coordinate systems.
+
+Feet become metres, degrees are refused where ranges come from x, y, z.
+"""
 
 from __future__ import annotations
 

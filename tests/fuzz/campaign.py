@@ -1,11 +1,11 @@
 """Try many damaged files: ``python -m tests.fuzz.campaign [TARGET ...] --seconds S --runs N --seed K --corpus FOLDER``.
 
-Most inputs are read by functions of the library in a forked process, traced; one that takes a new way through a parser
-is kept in the corpus and damaged further. One of ten goes through a command in that process, a few through ``prc`` as a
-user starts it. All targets get the same processor time. A fault is what docs/robustness.md lists. The first of its
-kind is made small and kept in ``--keep``, by default where the tests find it. Counts of all campaigns with one corpus
-are added up; ``--report FILE`` writes them as a table and tries nothing.
-"""
+Most inputs are read by functions of the library in a forked process, traced; one that takes a new
+way through a parser is kept in the corpus and damaged further. One of ten goes through a command in
+that process, a few through ``prc`` as a user starts it. All targets get the same processor time. A
+fault is what docs/robustness.md lists. The first of its kind is made small and kept in ``--keep``,
+by default where the tests find it. Counts of all campaigns with one corpus are added up; ``--report
+FILE`` writes them as a table and tries nothing."""
 
 from __future__ import annotations
 

@@ -134,7 +134,10 @@ def _vlrs(data: bytes) -> list[bytes]:
 
 
 def endless_rows(path: Path, table: str) -> Path:
-    """Let every pointer of a table's pages in a ``.db3`` lead to one child: some 10^13 rows in five more pages."""
+    """Let every pointer of a table's pages in a ``.db3`` lead to one child.
+
+    Some 10^13 rows in five more pages.
+    """
     with sqlite3.connect(path) as base:
         (root,) = base.execute(
             "SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)

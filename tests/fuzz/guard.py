@@ -1,4 +1,7 @@
-"""An audit hook against what a reader must never do: execute, load pickles, use the network, write elsewhere."""
+"""An audit hook against what a reader must never do.
+
+Execute, load pickles, use the network, write elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,10 @@ CHANGES = {
 }
 """Events whose first arguments are names of files that are changed."""
 OWN = (compiling.__file__, thresholds.__file__)
-"""The one begins processes that compile loops, once after installation; the other reads types of its own fields."""
+"""The one begins processes that compile loops, once after installation.
+
+The other reads types of its own fields.
+"""
 TEMPLATES = tuple(
     Path(prc_cli.__path__[0], room, "templates") for room in ("evaluation", "imaging")
 )
@@ -124,7 +130,10 @@ class Guard:
 
 
 def _is_import() -> bool:
-    """Whether modules of the program are being loaded, or its own compiled loops: they run code and load pickles."""
+    """Whether modules of the program are being loaded, or its own compiled loops.
+
+    They run code and load pickles.
+    """
     frame = sys._getframe(2)
     while frame is not None:
         name = frame.f_code.co_filename
@@ -135,5 +144,8 @@ def _is_import() -> bool:
 
 
 def unprintable(text: str) -> str:
-    """Return the characters that must not reach a terminal: control characters, turns of direction, surrogates."""
+    """Return the characters that must not reach a terminal.
+
+    Control characters, turns of direction, surrogates.
+    """
     return "".join(sorted({c for c in text if not c.isprintable() and c != "\n"}))

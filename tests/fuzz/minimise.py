@@ -26,7 +26,8 @@ def minimise(data: bytes, sound: bytes, shows: Callable[[bytes], bool]) -> bytes
     sound : bytes
         The undamaged seed.
     shows : callable
-        Whether an input shows the fault; asked :data:`MOST_TRIALS` times and :data:`MOST_S` seconds at most.
+        Whether an input shows the fault; asked :data:`MOST_TRIALS` times and :data:`MOST_S` seconds
+        at most.
 
     Returns
     -------

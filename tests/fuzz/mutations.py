@@ -1,4 +1,7 @@
-"""Ways to damage a file, with and without knowing its format; the same seed makes the same damage."""
+"""Ways to damage a file, with and without knowing its format.
+
+The same seed makes the same damage.
+"""
 
 from __future__ import annotations
 

@@ -38,7 +38,10 @@ def read_las(path: Path) -> tuple[Any, BaseException | None]:
 
 
 def judge_las(command: str, case: Path, out: Path) -> list[str]:
-    """Read LAS and LAZ outputs with laspy; of a file that was copied everything but the class is as it was."""
+    """Read LAS and LAZ outputs with laspy.
+
+    Of a file that was copied everything but the class is as it was.
+    """
     faults = []
     before, refusal = read_las(case) if case.suffix in (".las", ".laz") else (None, None)
     for path in (*out.glob("*.las"), *out.glob("*.laz")):
@@ -85,9 +88,8 @@ def judge_labels(
 ) -> list[str]:
     """Compare the labels of ``prc classify CASE LABELS.npy`` with those made in three other ways.
 
-    In memory by the library; for LAS and LAZ by the same command on what laspy read, written anew; and with those of
-    the undamaged file, in all blocks whose ranges the damage did not touch.
-    """
+    In memory by the library; for LAS and LAZ by the same command on what laspy read, written anew;
+    and with those of the undamaged file, in all blocks whose ranges the damage did not touch."""
     written = np.load(labels)
     items = _items(case)
     codes = _config().config.classes.lookup()

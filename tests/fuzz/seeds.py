@@ -425,7 +425,10 @@ def _record() -> bytes:
 
 @cache
 def _state() -> dict[str, bytes]:
-    """A journal of three files, one of them done, one failed and one running; whose run was killed; how it began."""
+    """A journal of three files, one of them done, one failed and one running.
+
+    Whose run was killed; how it began.
+    """
     import tempfile
 
     from prc_cli.jobs.batch.journal import Journal

@@ -44,7 +44,10 @@ _UPRIGHT = (
     "elevation:20",
 )
 TAKEN = {"uos": ("info", "{case}"), "clouds": _UPRIGHT, "copc": ("info", "{case}")}
-"""First commands of inputs that :data:`LABELLED` refuses sound: it names no lines, no columns, no ranges."""
+"""First commands of inputs that :data:`LABELLED` refuses sound.
+
+It names no lines, no columns, no ranges.
+"""
 STATE = "state"
 """Folder of an output tree, which commands may change."""
 READ: tuple[tuple[str, ...], ...] = (
@@ -320,7 +323,9 @@ def suffix_of_seed(name: str) -> str:
 
 
 def lay(folder: Path, target: Target, name: str, data: bytes, stem: str = "case") -> Path:
-    """Write a damaged seed, among the others of its folder if it has one; return what a command is given.
+    """Write a damaged seed, among the others of its folder if it has one.
+
+    Return what a command is given.
 
     What was laid before is removed: a layout beside a file counts for all files of its folder.
     """

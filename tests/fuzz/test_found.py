@@ -132,7 +132,10 @@ def zeroed(content: bytes, number: int, n_zeros: int = 64) -> bytes:
 def test_damaged_laz_does_not_come_out_damaged(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Layers that no classifier needs were copied undecoded: laspy refused a quarter of the outputs."""
+    """Layers that no classifier needs were copied undecoded.
+
+    Laspy refused a quarter of the outputs.
+    """
     codes = {0: 0, 1: 0}
     for number in range(24):
         case = put(tmp_path / f"{number}.laz", zeroed(seed("pf7.laz"), number, 30))

@@ -1,4 +1,7 @@
-"""Damaged files of every format through every command, in a watched worker; longer runs: ``tests.fuzz.campaign``."""
+"""Damaged files of every format through every command, in a watched worker.
+
+Longer runs: ``tests.fuzz.campaign``.
+"""
 
 from __future__ import annotations
 

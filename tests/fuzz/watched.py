@@ -1,4 +1,7 @@
-"""A worker process that is watched and replaced: by its own fork server when it dies, by us when it hangs."""
+"""A worker process that is watched and replaced.
+
+By its own fork server when it dies, by us when it hangs.
+"""
 
 from __future__ import annotations
 
@@ -34,13 +37,17 @@ class WatchedWorker:
     """
 
     def __init__(self, folder: Path) -> None:
-        # compiling them, once after installation, is no hang of the command that happens to need them first
+        # compiling them, once after installation, is no hang of the command that happens to need
+        # them first
         load_kernels()
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
 
     def read(self, target: str, case: Path) -> dict[str, Any]:
-        """Read a file with functions of the library, traced; the answer has ``faults`` and ``fresh``."""
+        """Read a file with functions of the library, traced.
+
+        The answer has ``faults`` and ``fresh``.
+        """
         return self._ask({"read": target, "case": str(case)}, ("read", target), case)
 
     def run(self, command: tuple[str, ...], case: Path, sound: str = "") -> dict[str, Any]:
@@ -95,7 +102,10 @@ class WatchedWorker:
         return answer
 
     def _faults_of_death(self, command: tuple[str, ...], case: Path) -> list[str]:
-        """Run what ended the worker as the user runs it: a line, exit code 1 and nothing left are as they should be."""
+        """Run what ended the worker as the user runs it.
+
+        a line, exit code 1 and nothing left are as they should be.
+        """
         if command[0] == "read":
             command = ("info", "{case}")
         ended, left = self._end_of(command, case)
@@ -136,7 +146,8 @@ class WatchedWorker:
             "OMP_NUM_THREADS": "1",
             "ARROW_DEFAULT_MEMORY_POOL": "system",
             "MALLOC_ARENA_MAX": "2",
-            "PYTHONDONTWRITEBYTECODE": "1",  # a module that no process imported before is no file that a case writes
+            # a module that no process imported before is no file that a case writes
+            "PYTHONDONTWRITEBYTECODE": "1",
         }
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.fuzz.worker", str(self._folder)],

@@ -1,9 +1,9 @@
 """A process that reads damaged files and runs commands on them, one after the other, and reports what happened.
 
-Jobs are lines of JSON on stdin, answers go to the original stdout; output of the program and of libraries goes to a
-file. The process that is started loads everything once and forks the one that works; when that dies, or has done enough
-jobs to have leaked, it answers for it and forks another one.
-"""
+Jobs are lines of JSON on stdin, answers go to the original stdout; output of the program and of
+libraries goes to a file. The process that is started loads everything once and forks the one that
+works; when that dies, or has done enough jobs to have leaked, it answers for it and forks another
+one."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ JOBS_PER_PROCESS = 3000
 LOOK = 4
 DONE = (0, LOOK)
 ENDS = (0, 1, 2, LOOK, 5)
-"""Exit codes of commands that leave an output, and of all commands: 4 is done, but look at it; 5 is that somebody else
+"""Exit codes of commands that leave an output, and of all commands.
+
+4 is done, but look at it; 5 is that somebody else
 is at work."""
 
 
@@ -170,7 +172,10 @@ class Worker:
                 sys.stdin, sys.stdout, sys.stderr = held
 
     def _judge_output(self, job: dict[str, Any], code: Any) -> tuple[list[str], str]:
-        """Return the faults, and what was printed, also by libraries: the guard is to keep that from the terminal."""
+        """Return the faults, and what was printed, also by libraries.
+
+        The guard is to keep that from the terminal.
+        """
         faults = []
         self._printed.seek(0)
         text = self._printed.read(4 << 20).decode("utf-8", "surrogateescape")

@@ -1,4 +1,7 @@
-"""The table of cases: name, and commands between `` ; `` (see ``STEPS`` for those that begin with ``@``)."""
+"""The table of cases: name, and commands between `` .
+
+`` (see ``STEPS`` for those that begin with ``@``).
+"""
 
 from __future__ import annotations
 
@@ -106,7 +109,8 @@ def _tables() -> Iterator[tuple[str, str]]:
         yield f"las-{preset}", f"{classified} ; info {LAS} --preset {preset}"
     for form in range(11):
         source = f"../made/f{form}.las"
-        # formats below 6 hold half of the angle in a byte: where it is the ground that tells down, they are refused
+        # formats below 6 hold half of the angle in a byte: where it is the ground that tells down,
+        # they are refused
         down = (
             ""
             if form >= 6
@@ -162,7 +166,10 @@ def _tables() -> Iterator[tuple[str, str]]:
 
 
 def _damaged() -> Iterator[tuple[str, str]]:
-    """Yield files of every format with damage: cut, overwritten, of another kind; and LAS headers that lie."""
+    """Yield files of every format with damage.
+
+    Cut, overwritten, of another kind; and LAS headers that lie.
+    """
     for suffix in (*WRITABLE, "ptx", "3d"):
         source = (
             f"../convert-{suffix}/o.{suffix}"

@@ -18,7 +18,10 @@ Array = np.ndarray[Any, Any]
 
 
 def image() -> Array:
-    """Ranges [m] of a street, (N_LINES, M) float32: ground below, two walls, noisy leaves, NaN in the sky."""
+    """Ranges [m] of a street, (N_LINES, M) float32.
+
+    Ground below, two walls, noisy leaves, NaN in the sky.
+    """
     rng = np.random.default_rng(14)
     angle = np.deg2rad(angles())
     ground = 2.0 / np.maximum(np.cos(angle), 1e-3)
@@ -150,7 +153,10 @@ def _tables(folder: Path, range_m: Array) -> None:
 
 
 def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
-    """Write a LAS file with VLR, EVLR, extra bytes, several returns and scanners; ``bare``: without the extra bytes."""
+    """Write a LAS file with VLR, EVLR, extra bytes, several returns and scanners.
+
+    ``bare``: without the extra bytes.
+    """
     table = _table(range_m)
     table = _rows(table, ~np.isnan(table["range_m"]))
     n = len(table["x"])

@@ -1,4 +1,7 @@
-"""``python -m tests.golden make|check``: run the cases in a few processes and compare with ``golden.json``."""
+"""``python -m tests.golden make|check``.
+
+Run the cases in a few processes and compare with ``golden.json``.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +34,13 @@ GOLDEN = Path(__file__).with_name("golden.json")
 SHORT = 400
 """Printed text of so many characters is kept as it is, longer text as its hash."""
 TOLD = {"TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
-# last digits of NumPy's sines and of OpenBLAS's products are others with AVX-512: every machine does without
+# last digits of NumPy's sines and of OpenBLAS's products are others with AVX-512: every machine
+# does without
 TOLD |= {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR", "OPENBLAS_CORETYPE": "Haswell"}
 Result = dict[str, Any]
 
-# What a run may say differently: when, where, how fast, on which machine. Files that hold labels hold none of it.
+# What a run may say differently: when, where, how fast, on which machine. Files that hold labels
+# hold none of it.
 _NUMBER = r"(?<![\w.])[\d,]+(?:\.\d+)?(?:e[-+]?\d+)?"
 _VARYING = [
     (re.compile(pattern), text)
@@ -124,7 +129,10 @@ STEPS: dict[str, Callable[..., object]] = {
     "@rm": lambda path: Path(path).unlink(),
     "@py": lambda code: exec(code, {"np": np, "prc_cli": __import__("prc_cli"), "Path": Path}),
 }
-"""Steps of a case beside the commands: files are prepared, damaged, or the Python interface is called."""
+"""Steps of a case beside the commands.
+
+Files are prepared, damaged, or the Python interface is called.
+"""
 
 
 def run_step(words: list[str], folder: Path) -> tuple[int, str, str]:
@@ -229,7 +237,10 @@ def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
 def run(
     only: Collection[str] = ("",), jobs: int = 2, folder: Path | None = None, *, exact: bool = False
 ) -> tuple[dict[str, Result], list[str]]:
-    """Run the cases whose names are in ``only``, or hold one of them; return results, and the names without data."""
+    """Run the cases whose names are in ``only``, or hold one of them.
+
+    Return results, and the names without data.
+    """
     cases = all_cases()
     chosen = [
         name for name in cases if (name in only if exact else any(part in name for part in only))

@@ -1,4 +1,7 @@
-"""Pixels, colours, scales and sheets; points in perspective and from above; the page of ``prc render --html``."""
+"""Pixels, colours, scales and sheets.
+
+Points in perspective and from above; the page of ``prc render --html``.
+"""
 
 from __future__ import annotations
 

@@ -319,7 +319,10 @@ def test_a_threshold_takes_the_other_along(
     given: tuple[float | None, float | None],
     expected: tuple[float | None, float | None],
 ) -> None:
-    """zeta_s stays at least zeta_p; one that is not searched stays where it is configured, here at 2 m and 1.5 m."""
+    """zeta_s stays at least zeta_p.
+
+    One that is not searched stays where it is configured, here at 2 m and 1.5 m.
+    """
     config = with_values(RunConfig(), {ZETA_S: 2.0, ZETA_P: 1.5})
     mapping = load_mapping("oakland")
     searcher = Searcher(

@@ -153,7 +153,10 @@ def test_labels_are_those_of_the_original(
 
 
 def two_scanners(path: Path) -> Path:
-    """Two scanners of different M, a missing line, gaps, and shots of several returns; interleaved in the file."""
+    """Two scanners of different M, a missing line, gaps, and shots of several returns.
+
+    Interleaved in the file.
+    """
     rng = np.random.default_rng(7)
     rows = []
     for line in range(12):
@@ -284,7 +287,8 @@ def test_an_interrupt_leaves_no_file_and_no_words(
     before = sorted(tmp_path.iterdir())
     with pytest.raises(KeyboardInterrupt):
         convert(drive, tmp_path / f"a{suffix}", progress=stop)
-    # Arrow closes streams that were forgotten when they are destroyed, and complains on the descriptor itself
+    # Arrow closes streams that were forgotten when they are destroyed, and complains on the
+    # descriptor itself
     gc.collect()
     assert sorted(tmp_path.iterdir()) == before
     assert capfd.readouterr().err == ""

@@ -1,4 +1,7 @@
-"""Several files of one drive are one stream: labels as of the joined file, an output for every file."""
+"""Several files of one drive are one stream.
+
+Labels as of the joined file, an output for every file.
+"""
 
 from __future__ import annotations
 

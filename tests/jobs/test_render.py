@@ -1,4 +1,7 @@
-"""Pictures of files: content, legend, scale and errors; pages: their shots, and that a browser shows them."""
+"""Pictures of files: content, legend, scale and errors.
+
+Pages: their shots, and that a browser shows them.
+"""
 
 from __future__ import annotations
 
@@ -270,7 +273,10 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(
 
 @pytest.mark.slow
 def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) -> None:
-    """Drawn, clicked, steered by keys, classes switched off; light and dark, wide and narrow; without a complaint."""
+    """Drawn, clicked, steered by keys, classes switched off.
+
+    Light and dark, wide and narrow; without a complaint.
+    """
     page = tmp_path / "a.html"
     render_viewer(static[0], page, load_config(preset="street-scan"))
     about, planes = decoded(read(page))

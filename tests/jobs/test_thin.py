@@ -254,7 +254,10 @@ def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
 
 
 def frame(path: Path) -> Any:
-    """A frame of 16 rings as KITTI stores it, with points that share a cell; x, y, z and intensity of every record."""
+    """A frame of 16 rings as KITTI stores it, with points that share a cell.
+
+    x, y, z and intensity of every record.
+    """
     turn, ring = np.meshgrid(np.linspace(-np.pi, np.pi, 720, endpoint=False), np.arange(16))
     turn, ring = (
         np.insert(each.ravel(), [5, 900], each.ravel()[[5, 900]]) for each in (turn, ring)

@@ -26,7 +26,10 @@ DOUBTED = load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
 
 
 def folder_of(tmp_path: Path) -> tuple[Path, Path, list[Any]]:
-    """Four frames and their classes: every third point is no ground, in the second one none is, the third is empty."""
+    """Four frames and their classes.
+
+    Every third point is no ground, in the second one none is, the third is empty.
+    """
     source = tmp_path / "velodyne"
     labels = tmp_path / "labels"
     points = []

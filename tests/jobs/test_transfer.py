@@ -1,4 +1,7 @@
-"""Transfer of classes from a raw run to registered points: correct classes, all else unchanged, errors."""
+"""Transfer of classes from a raw run to registered points.
+
+Correct classes, all else unchanged, errors.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +87,10 @@ def write_las(
 def write_raw(
     path: Path, drive: Drive, *, missing: int = 7, digits: int | None = None, **columns: Any
 ) -> Path:
-    """A raw CSV in which every ``missing``-th row more is a shot without return; its labels go to ``.npy`` beside."""
+    """A raw CSV in which every ``missing``-th row more is a shot without return.
+
+    Its labels go to ``.npy`` beside.
+    """
     rows = []
     codes = []
     named = {"time": drive.time, "return_number": drive.returns, **columns}

@@ -1,1 +1,4 @@
-"""What must hold from end to end: each journey of a user as commands that are typed, and a figure."""
+"""What must hold from end to end.
+
+Each journey of a user as commands that are typed, and a figure.
+"""

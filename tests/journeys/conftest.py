@@ -1,4 +1,7 @@
-"""Drives that the journeys begin with, simulated through the command line; nothing else uses their seeds."""
+"""Drives that the journeys begin with, simulated through the command line.
+
+Nothing else uses their seeds.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,8 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shell("prc simulate street-scan scan.npz -q --seed 8804 --set scanner.azimuth_step_deg=0.6")
     with np.load(shell.here / "drive.npz") as drive:
         drive["range_m"].astype("<f4").tofile(shell.here / "drive.bin")
-    # the street as an office has it: coordinates, times and classes, and the way of the scanner beside them
+    # the street as an office has it: coordinates, times and classes, and the way of the scanner
+    # beside them
     shell(
         f"prc simulate street registered.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}"
     )

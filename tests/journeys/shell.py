@@ -1,4 +1,7 @@
-"""Commands typed in a folder as a user types them: in this process, or the installed one in its own."""
+"""Commands typed in a folder as a user types them.
+
+In this process, or the installed one in its own.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ class Said:
     err: str
 
     def told(self, what: str) -> str:
-        """Return the command line that is offered behind a word: ``type:``, ``draw it:``, ``compare it:``."""
+        """Return the command line that is offered behind a word.
+
+        ``type:``, ``draw it:``, ``compare it:``.
+        """
         found = re.search(rf"^{what}: (prc .*)$", self.out + self.err, re.MULTILINE)
         assert found, f"no {what!r} in:\n{self.out}{self.err}"
         return found[1]

@@ -1,4 +1,7 @@
-"""The recipes of docs/feed_odometry.md: a folder of frames is thinned, and two libraries find the way."""
+"""The recipes of docs/feed_odometry.md.
+
+a folder of frames is thinned, and two libraries find the way.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ N_FRAMES = 6
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A slow drive of a coarse scanner of 16 rings; its frames, thinned as the page says, in the folder ``still``."""
+    """A slow drive of a coarse scanner of 16 rings.
+
+    Its frames, thinned as the page says, in the folder ``still``.
+    """
     folder = tmp_path_factory.mktemp("odometry")
     scanner = {"name": "vlp-16", "azimuth_step_deg": 1.0, "line_hz": 3600.0}
     options = {

@@ -240,7 +240,10 @@ def test_12_python_and_the_command_line_are_one(prc: Shell) -> None:
 
 
 def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
-    """Tiles of times and coordinates alone, sorted in space: each by what info says, and all of them as one drive."""
+    """Tiles of times and coordinates alone, sorted in space.
+
+    Each by what info says, and all of them as one drive.
+    """
     prc(f"prc simulate street drive.laz -q {STREET}")
     truth = laspy.read(prc.here / "drive.laz")
     (prc.here / "tiles").mkdir()
@@ -264,7 +267,10 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
 
 
 def tiles_of(drive: laspy.LasData, folder: Path) -> list[NDArray[Any]]:
-    """Write the drive in two tiles with coordinates and times alone, sorted in space; return the records of each."""
+    """Write the drive in two tiles with coordinates and times alone, sorted in space.
+
+    Return the records of each.
+    """
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = [0.001] * 3
     header.offsets = drive.header.offsets

@@ -153,7 +153,10 @@ TOLERANCES: dict[str, float] = {
     "line_angles": 2e-5,  # one step of float32 at 180 deg
     "signed_angles": 2e-5,
 }
-"""Kernels whose floats may differ from the twin's by this much, absolute; all others are equal bit for bit."""
+"""Kernels whose floats may differ from the twin's by this much, absolute.
+
+All others are equal bit for bit.
+"""
 
 
 SHAPES_OF_CALIBRATION = [(1, 1), (1, 2), (2, 1), (7, 1), (3, 2), (4, 3), (5, 5), (2, 17)]

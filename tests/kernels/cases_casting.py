@@ -16,7 +16,10 @@ QUANTILES: F64 = -np.log1p(-(np.arange(N_QUANTILES) + 0.5) / N_QUANTILES)
 
 
 def rounded(rng: Generator, shape: tuple[int, ...], scale: float = 8.0) -> F64:
-    """Coordinates on a coarse grid, so that faces, corners and planes coincide; now and then anywhere."""
+    """Coordinates on a coarse grid, so that faces, corners and planes coincide.
+
+    Now and then anywhere.
+    """
     numbers = rng.uniform(-scale, scale, shape)
     return numbers if rng.random() < 0.3 else np.round(numbers * 2) / 2
 
@@ -64,7 +67,9 @@ def lines(rng: Generator) -> tuple[F64, F64, F64]:
         d = np.stack(
             [np.cos(phi) * np.cos(el), np.sin(phi) * np.cos(el), np.sin(el) + 0 * phi], axis=2
         )
-    else:  # a profiler across the drive, maybe slanted, maybe with an attitude that changes within the line
+    else:
+        # a profiler across the drive, maybe slanted, maybe with an attitude that changes within the
+        # line
         span = rng.choice([0.5, 1.0, 1.02]) * 2 * np.pi * rng.choice([-1, 1])
         a = rng.choice([-np.pi, 0.0, 1.0]) + np.linspace(0, span, m, endpoint=False)
         d = np.stack([0 * a, np.sin(a), -np.cos(a)], axis=1)[None].repeat(n_lines, axis=0)

@@ -1,4 +1,7 @@
-"""Random arguments for the kernels of the fused classifier: small streets of ground, walls, leaves and stray points."""
+"""Random arguments for the kernels of the fused classifier.
+
+Small streets of ground, walls, leaves and stray points.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +107,10 @@ class Street:
 
 
 def street(rng: Generator) -> Street:
-    """Ground, walls to the sides, a thing in between, leaves that stray, missing shots; on a grid that makes ties."""
+    """Ground, walls to the sides, a thing in between, leaves that stray, missing shots.
+
+    On a grid that makes ties.
+    """
     n_lines = int(rng.integers(1, 4)) + 2 * AROUND
     m = int(rng.integers(1, 28))
     first, last = ((-2.2, 2.2), (3.0, 0.05), (0.1, 1.9))[rng.integers(3)]
@@ -653,7 +659,10 @@ def again_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def fan_case(rng: Generator) -> tuple[Any, ...]:
-    """Ground, and things of a few steps on it, as rings see them from near to far; all else at random."""
+    """Ground, and things of a few steps on it, as rings see them from near to far.
+
+    All else at random.
+    """
     n_lines = int(rng.integers(1, 30))
     m = int(rng.integers(1, 40))
     beam = np.sort(rng.uniform(0.6, 1.6, m)).astype(np.float32) * np.where(

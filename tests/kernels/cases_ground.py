@@ -187,4 +187,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
 }
 
 TOLERANCES: dict[str, float] = {}
-"""Kernels whose floats may differ from the twin's by this much, absolute; all others are equal bit for bit."""
+"""Kernels whose floats may differ from the twin's by this much, absolute.
+
+All others are equal bit for bit.
+"""

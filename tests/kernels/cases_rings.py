@@ -1,4 +1,7 @@
-"""Random arguments for the kernels of the method for rings: a few lines over ground with walls, strays and gaps."""
+"""Random arguments for the kernels of the method for rings.
+
+a few lines over ground with walls, strays and gaps.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Random arguments for the kernels of the forest: small forests of stems, ground and leaves, missing shots and ties."""
+"""Random arguments for the kernels of the forest.
+
+Small forests of stems, ground and leaves, missing shots and ties.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Every kernel against its slow twin, bit for bit, on data with many ties; twins share no code with kernels."""
+"""Every kernel against its slow twin, bit for bit, on data with many ties.
+
+Twins share no code with kernels.
+"""
 
 from __future__ import annotations
 
@@ -191,7 +194,10 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
 LEAST = 60
 """Cases of every loop, more until both sides were seen; the long test takes all."""
 MOST = {"hmm_cusum": 100, "main_height": 200, "cast_shots": 200}
-"""Cases where they are not 400: of twins that take as long as those of all other kernels together."""
+"""Cases where they are not 400.
+
+Of twins that take as long as those of all other kernels together.
+"""
 TOLERANCES = {**cases_angles.TOLERANCES, **cases_ground.TOLERANCES, **cases_car.TOLERANCES}
 
 
@@ -324,7 +330,10 @@ TWINS = sorted(
     for path in (ROOT / folder).rglob("*.py")
 )
 ALLOWED = ("prc_cli.core", "prc_cli.reference", "tests.oracles", "numpy", "scipy", "skimage")
-"""Beside the standard library and thresholds. ``prc_cli.core`` imports no kernel either: import-linter sees to it."""
+"""Beside the standard library and thresholds. ``prc_cli.core`` imports no kernel either.
+
+Import-linter sees to it.
+"""
 
 
 THRESHOLDS = tuple(

@@ -17,7 +17,10 @@ from prc_cli.kernels.loading import reference_home, short_name
 
 
 def twin_module(name: str) -> ModuleType:
-    """Return the module of a kernel's twin: in the reference where a paper describes it, else in ``tests/oracles``."""
+    """Return the module of a kernel's twin.
+
+    In the reference where a paper describes it, else in ``tests/oracles``.
+    """
     with suppress(ConfigError):
         return import_module(reference_home(name))
     method, module = short_name(KERNELS[name]).split(".")
@@ -41,7 +44,10 @@ def _flat(value: Any) -> Iterator[Any]:
 
 
 def assert_equal_bits(found: Any, expected: Any, tolerance: float = 0.0) -> None:
-    """Compare results, one array or a tuple of them, dtypes included; a tolerance is for floats alone, absolute."""
+    """Compare results, one array or a tuple of them, dtypes included.
+
+    a tolerance is for floats alone, absolute.
+    """
     found = list(_flat(found))
     expected = list(_flat(expected))
     assert len(found) == len(expected)

@@ -255,7 +255,8 @@ def test_distances_are_counted_by_decades_and_the_largest_of_a_pair_is_kept() ->
     )
     assert tally.largest == 0.3
     found = {place - 9: n for place, n in enumerate(tally.distances.tolist()) if n}
-    # a distance of just a power of ten belongs to it; far beyond, and without any right record, comes last
+    # a distance of just a power of ten belongs to it; far beyond, and without any right record,
+    # comes last
     assert found == {1: 1, 7: 2, -9: 1, 6: 1, -2: 1}
 
 

@@ -82,7 +82,10 @@ def test_an_alley_between_high_houses_keeps_its_curbs(
 def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(
     real_data: Path, tmp_path: Path
 ) -> None:
-    """The scanner's angle 0 points up, and its dead angle down: 1.2 m to the floor, 3.8 m to the ceiling."""
+    """The scanner's angle 0 points up, and its dead angle down.
+
+    1.2 m to the floor, 3.8 m to the ceiling.
+    """
     bag = str(real_data / "cartographer" / "b0_short.bag")
     labels = str(tmp_path / "labels.npy")
     words = ["classify", bag, labels, "--topic", "vertical_laser_2d", "--overwrite"]

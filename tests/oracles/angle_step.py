@@ -1,4 +1,7 @@
-"""The curvature of inverse ranges, window by window: the twin of :func:`prc_cli.streams.angle_step.curvatures`."""
+"""The curvature of inverse ranges, window by window.
+
+The twin of :func:`prc_cli.streams.angle_step.curvatures`.
+"""
 
 from __future__ import annotations
 

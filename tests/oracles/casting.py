@@ -1,4 +1,7 @@
-"""Slow twin of :mod:`prc_cli.simulation.casting_loops`, from NumPy alone: every body against every shot."""
+"""Slow twin of :mod:`prc_cli.simulation.casting_loops`, from NumPy alone.
+
+Every body against every shot.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,10 @@ def cast_shots(
     bodies: CastBodies,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
-    """Find the nearest surface of every shot; see :func:`prc_cli.simulation.casting_loops.cast_shots`."""
+    """Find the nearest surface of every shot.
+
+    See :func:`prc_cli.simulation.casting_loops.cast_shots`.
+    """
     shape, numbers, turn, density, velocity, number = bodies
     t = np.full(time_s.shape, INF)
     body = np.full(time_s.shape, -1, dtype=np.int32)
@@ -218,7 +224,10 @@ def uniform(x: U64) -> F64:
 def leaves(
     rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles: F64
 ) -> tuple[F64, F64]:
-    """Send shots through clumps of leaves, all at once from cell to cell: range and cosine of incidence."""
+    """Send shots through clumps of leaves, all at once from cell to cell.
+
+    Range and cosine of incidence.
+    """
     add: Callable[[int], U64] = lambda k: np.array([k], dtype=np.uint64)  # noqa: E731
     body = mix(np.array([number]).astype(np.uint64) + add(0x9E3779B97F4A7C15))
     again = np.floor(np.where(rays.begin < 1e9, rays.begin, 0.0) * 1024.0).astype(np.uint64) * add(

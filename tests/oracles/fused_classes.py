@@ -1,4 +1,7 @@
-"""Slow and simple twins of :mod:`prc_cli.methods.fused.classes_loops`: the conditions of the decision, one by one."""
+"""Slow and simple twins of :mod:`prc_cli.methods.fused.classes_loops`.
+
+The conditions of the decision, one by one.
+"""
 
 from __future__ import annotations
 

@@ -26,7 +26,10 @@ def confidence_cells(
     questions: I64,
     limits: F32,
 ) -> I32:
-    """Find the steps that are reached; see :func:`prc_cli.methods.fused.confidence_loops.confidence_cells`."""
+    """Find the steps that are reached.
+
+    See :func:`prc_cli.methods.fused.confidence_loops.confidence_cells`.
+    """
     cells = np.zeros(labels.shape, np.int32)
     near, smooth, upright, level = counts
     for line, i in zip(*np.nonzero(labels), strict=True):

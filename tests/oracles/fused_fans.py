@@ -70,7 +70,10 @@ def fan_cars(
 def runs_of(
     labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thresholds: FanThresholds
 ) -> Iterator[Run]:
-    """Yield the things of a line and side: columns, whether across a roof, bins, lowest and highest shot."""
+    """Yield the things of a line and side.
+
+    Columns, whether across a roof, bins, lowest and highest shot.
+    """
     there = [int(i) for i in outwards if not np.isnan(side[i])]
     groups: list[list[int]] = []
     for place, i in enumerate(there):

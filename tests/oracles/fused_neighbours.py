@@ -1,4 +1,7 @@
-"""Slow and obvious twins of :mod:`prc_cli.methods.fused.neighbours_loops`: one shot after the other, in float32."""
+"""Slow and obvious twins of :mod:`prc_cli.methods.fused.neighbours_loops`.
+
+One shot after the other, in float32.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +94,10 @@ def smooth_counts(
 def directions(
     range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
 ) -> tuple[U8, U8]:
-    """Count upright and level chords; see :func:`prc_cli.methods.fused.neighbours_loops.directions`."""
+    """Count upright and level chords.
+
+    See :func:`prc_cli.methods.fused.neighbours_loops.directions`.
+    """
     slope = thresholds.slope
     slack = thresholds.slack_m
     longest = thresholds.longest_m

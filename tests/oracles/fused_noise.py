@@ -81,7 +81,10 @@ def noise_again(
     texture: F32,
     thresholds: AgainThresholds,
 ) -> U8:
-    """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
+    """Ask again which shots are noise.
+
+    See :func:`prc_cli.methods.fused.noise_loops.noise_again`.
+    """
     found = voted.copy()
     for line, i in zip(*np.nonzero(voted), strict=True):
         shot = _Window(labels, range_m, smooth, int(line) + 3, int(i))

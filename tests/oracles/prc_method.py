@@ -1,12 +1,12 @@
 """The whole PRC method, written from the paper, in its order and symbols.
 
-V. V. Lehtola et al. (2019), "Preregistration classification of mobile LIDAR data using spatial correlations", IEEE
-TGRS 57(9), sections II-A to II-F and Algorithm 1, whose steps are numbered here.
+V. V. Lehtola et al. (2019), "Preregistration classification of mobile LIDAR data using spatial
+correlations", IEEE TGRS 57(9), sections II-A to II-F and Algorithm 1, whose steps are numbered
+here.
 
-Slow: support and background are computed for the whole stream before it is cut into blocks, and the areas of all
-segments are kept. The compiled classifier sees one block and a bounded state, and must give the same labels and
-segments, bit for bit. This module shares no code with it.
-"""
+Slow: support and background are computed for the whole stream before it is cut into blocks, and the
+areas of all segments are kept. The compiled classifier sees one block and a bounded state, and must
+give the same labels and segments, bit for bit. This module shares no code with it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ class Settings:
     rho_c: float = 1 / 3
     """Least share of the neighbourhood that supports a shot."""
     rounding: str = "ceil"
-    """How ``rho_c |N|`` becomes a count: "ceil" as (3) has it, 3 of 8 and 2 of 6; "floor" 2 and 2."""
+    """How ``rho_c |N|`` becomes a count.
+
+    "ceil" as (3) has it, 3 of 8 and 2 of 6; "floor" 2 and 2.
+    """
     form: str = "centred"
     """Reading of (9), see :func:`prc_cli.reference.prc.stages.is_intersection`."""
     alpha: float = 0.3
@@ -69,8 +72,8 @@ class Memory:
 def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
     """Label a whole stream (Algorithm 1).
 
-    ``range_m`` (n_lines, M) float32, metres; returns ``labels`` (n_lines, M) uint8, ``segments`` (n_lines, M) int64.
-    """
+    ``range_m`` (n_lines, M) float32, metres; returns ``labels`` (n_lines, M) uint8, ``segments``
+    (n_lines, M) int64."""
     supported = support(range_m, settings)
     background = extended_background(range_m, supported, settings)
     labels = np.zeros(range_m.shape, dtype=np.uint8)
@@ -90,9 +93,8 @@ def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
 def support(range_m: F32, settings: Settings) -> Mask:
     """Return S, the shots that enough of their neighbours support (4).
 
-    Neighbours are counted along the stream, so the shots at the end of a line are next to those at the beginning of the
-    next one. Missing ones support nothing.
-    """
+    Neighbours are counted along the stream, so the shots at the end of a line are next to those at
+    the beginning of the next one. Missing ones support nothing."""
     r = range_m.ravel()
     m = range_m.shape[1]
     n_adjacent = (-m - 1, -m, -m + 1, m - 1, m, m + 1)  # (7)
@@ -126,7 +128,10 @@ def _cover(r: F32, neighbourhood: tuple[int, ...], zeta: float) -> NDArray[np.in
 
 
 def extended_background(range_m: F32, supported: Mask, settings: Settings) -> Mask:
-    """Return G, the supported shots where two surfaces meet (9); both neighbours along the stream must be there."""
+    """Return G, the supported shots where two surfaces meet (9).
+
+    Both neighbours along the stream must be there.
+    """
     r = range_m.ravel().astype(np.float64).tolist()
     background = np.zeros(range_m.size, dtype=bool)
     for i in np.flatnonzero(supported).tolist():
@@ -140,7 +145,10 @@ def extended_background(range_m: F32, supported: Mask, settings: Settings) -> Ma
 def _classify_block(
     valid: Mask, supported: Mask, background: Mask, memory: Memory, settings: Settings
 ) -> tuple[U8, I64]:
-    """Take a block through steps 3 to 6 and bring the memory up to date; return labels and segments R."""
+    """Take a block through steps 3 to 6 and bring the memory up to date.
+
+    Return labels and segments R.
+    """
     h = _smooth_image(supported, background, memory, settings)
     v, n_patches = _nonsmooth_image(h, background, settings)
     # step 5: R has the labels of V where there are any, else those of H
@@ -168,10 +176,12 @@ def _smooth_image(supported: Mask, background: Mask, memory: Memory, settings: S
 
 
 def _carry_labels(components: I32, n_components: int, memory: Memory, min_votes: int) -> list[int]:
-    """Return the label of every component: that of the block before with most votes, of equals the smallest, or new.
+    """Return the label of every component.
 
-    Every shot of the first line votes for the label of the last line of the block before, in its column.
-    """
+    That of the block before with most votes, of equals the smallest, or new.
+
+    Every shot of the first line votes for the label of the last line of the block before, in its
+    column."""
     votes = Counter(
         (component, old)
         for component, old in zip(components[0].tolist(), memory.last_line, strict=True)
@@ -192,11 +202,12 @@ def _carry_labels(components: I32, n_components: int, memory: Memory, min_votes:
 
 
 def _nonsmooth_image(h: I64, background: Mask, settings: Settings) -> tuple[I32, int]:
-    """Return V and the number of its segments (step 4): small segments of H (11), dilated and connected anew.
+    """Return V and the number of its segments (step 4).
 
-    A / (k M) is constant, so the last block of a stream, of fewer lines, has a smaller A. Shots of G that no component
-    took are small as well.
-    """
+    Small segments of H (11), dilated and connected anew.
+
+    A / (k M) is constant, so the last block of a stream, of fewer lines, has a smaller A. Shots of
+    G that no component took are small as well."""
     area = settings.area * len(h) / settings.k
     label, pixels = np.unique(h[h > 0], return_counts=True)
     small = np.isin(h, label[pixels < area]) | (background & (h == 0))
@@ -209,7 +220,10 @@ def _nonsmooth_image(h: I64, background: Mask, settings: Settings) -> tuple[I32,
 def _urban(
     valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings
 ) -> U8:
-    """Label noise, ground, buildings and vegetation: ground is the largest smooth segment, connected over blocks."""
+    """Label noise, ground, buildings and vegetation.
+
+    Ground is the largest smooth segment, connected over blocks.
+    """
     here = Counter(segments[smooth].tolist())
     memory.totals.update(here)
     size = memory.totals if settings.ground == "running-total" else here
@@ -224,7 +238,10 @@ def _urban(
 def _forest(
     valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings
 ) -> U8:
-    """Label noise, stems, other vegetation, and ground: columns with a large share of smooth shots (12)."""
+    """Label noise, stems, other vegetation, and ground.
+
+    Columns with a large share of smooth shots (12).
+    """
     labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
     labels[supported] = Label.VEGETATION
     labels[smooth] = Label.STEM

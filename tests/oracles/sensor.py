@@ -97,7 +97,10 @@ def _looks_behind(own: _Surface, dice: _Dice, column: int, model: SensorModel) -
 def goes_behind(
     hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int
 ) -> Mask:
-    """Mark the shots whose light goes on; see :func:`prc_cli.simulation.sensor_loops.goes_behind`."""
+    """Mark the shots whose light goes on.
+
+    See :func:`prc_cli.simulation.sensor_loops.goes_behind`.
+    """
     behind = np.zeros(hits[0].shape, dtype=bool)
     blank = np.zeros((len(kind), 2))
     for i in range(len(behind)):

@@ -28,7 +28,10 @@ def ground_profiles(
     n_bins: int,
     thresholds: TerrainThresholds,
 ) -> F64:
-    """Find the height of the ground; see :func:`prc_cli.methods.fused.stems_loops.ground_profiles`."""
+    """Find the height of the ground.
+
+    See :func:`prc_cli.methods.fused.stems_loops.ground_profiles`.
+    """
     bin_m = thresholds.bin_m
     profiles = []
     for start in range(0, len(range_m), lines_together):
@@ -76,7 +79,10 @@ def _bridged(third: F64, rise: float) -> F64:
 def ground_heights(
     range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float
 ) -> F32:
-    """Return heights over the ground; see :func:`prc_cli.methods.fused.stems_loops.ground_heights`."""
+    """Return heights over the ground.
+
+    See :func:`prc_cli.methods.fused.stems_loops.ground_heights`.
+    """
     n_bins = profiles.shape[1]
     r = range_m.astype(np.float64)
     place = np.clip(r * sine * (1.0 / bin_m) + n_bins // 2 - 0.5, 0.0, n_bins - 1.0)

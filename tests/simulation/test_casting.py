@@ -50,7 +50,10 @@ def one_shot(
 def profile(
     n_lines: int = 1, m: int = 720, roll_rad: float = 0.0, slant_rad: float = 0.0
 ) -> tuple[F64, F64, F64]:
-    """Lines all around, from below over the left; the platform drives at 10 m/s and rolls within each line."""
+    """Lines all around, from below over the left.
+
+    The platform drives at 10 m/s and rolls within each line.
+    """
     time = (np.arange(n_lines)[:, None] + np.arange(m) / m) / 50.0
     angle = 2 * np.pi * np.arange(m) / m + np.linspace(0, roll_rad, m) + 0 * time
     direction = np.stack(

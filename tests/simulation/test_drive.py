@@ -273,8 +273,8 @@ def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
     time_s, position = read_sbet(path, path.stat().st_size)
     xyz_m = project(path, position, frame.crs)
     np.testing.assert_allclose(xyz_m - frame.origin(), platform.pose(time_s).position, atol=1e-5)
-    # true heading and velocity against the geodesic from place to place; the way has corners of 0.2 degrees, and the
-    # meridian converges by 2 degrees
+    # true heading and velocity against the geodesic from place to place; the way has corners of 0.2
+    # degrees, and the meridian converges by 2 degrees
     records = np.fromfile(path, "<f8").reshape(-1, 17)
     longitude = np.degrees(position[:, 0])
     latitude = np.degrees(position[:, 1])

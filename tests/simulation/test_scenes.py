@@ -101,7 +101,10 @@ def test_the_path_is_clear(scene: ForestScene) -> None:
 
 
 class _OneTree:
-    """A scene with a tree of 0.3 m at (10, 20), upright, its foot at 5 m; and one of 0.2 m at (30, 20), foot 8 m."""
+    """A scene with a tree of 0.3 m at (10, 20), upright, its foot at 5 m.
+
+    And one of 0.2 m at (30, 20), foot 8 m.
+    """
 
     def stems_near(self, x_m: float, y_m: float, radius_m: float) -> Stems:
         return Stems(
@@ -115,7 +118,10 @@ class _OneTree:
 
 
 def test_cylinders_of_the_paper_on_points_by_hand() -> None:
-    """Radius two diameters; from 0.3 to 4.3 m above the foot; ground up to 0.8 m above the nearest foot."""
+    """Radius two diameters; from 0.3 to 4.3 m above the foot.
+
+    Ground up to 0.8 m above the nearest foot.
+    """
     cases = [
         ((10.0, 20.0, 6.3), Label.STEM),
         ((10.59, 20.0, 6.3), Label.STEM),

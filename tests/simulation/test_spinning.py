@@ -57,7 +57,8 @@ def test_rings_of_a_line_look_one_way_though_they_are_staggered() -> None:
     assert block.time_s is not None
     azimuth = np.rad2deg(np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0]))
     assert np.nanmax(np.abs(azimuth - np.nanmedian(azimuth, axis=1, keepdims=True))) < 0.2 * 2 / 3
-    # the ring that looks 4.2 degrees back fires 42 firings of 0.2 degrees after the one that looks as far ahead
+    # the ring that looks 4.2 degrees back fires 42 firings of 0.2 degrees after the one that looks
+    # as far ahead
     late = np.array(SCANNERS["vlp-32c"].azimuths_deg)
     shot_s = np.arange(32) * SCANNERS["vlp-32c"].shot_s
     assert block.time_s[0] - shot_s == pytest.approx((4.2 - late) / 0.2 / 18_000.0)
@@ -139,7 +140,10 @@ def test_profilers_have_the_published_rates(name: str, line_hz: float, points: i
 
 
 def test_dead_angle_of_the_focus_points_down_and_the_sky_lies_amid_the_line() -> None:
-    """Lehtola et al. (2019, III and IV-C): 55 degrees downward, M = 4270 shots of 5040 steps a turn."""
+    """Lehtola et al. (2019, III and IV-C).
+
+    55 degrees downward, M = 4270 shots of 5040 steps a turn.
+    """
     scanner = SCANNERS["focus3d-120"].changed(slant_deg=0.0)
     angle = np.rad2deg(scanner.angle_rad())
     assert angle[0] == pytest.approx(55.0 / 2.0, abs=0.05)
@@ -157,7 +161,10 @@ def test_directions_are_unit_vectors_and_shots_fit_into_the_line(name: str) -> N
 
 
 def test_mount_turns_the_plane() -> None:
-    """Heading by 90 degrees: left becomes back; roll by 10 degrees: what was down is 10 degrees to the left."""
+    """Heading by 90 degrees: left becomes back.
+
+    Roll by 10 degrees: what was down is 10 degrees to the left.
+    """
     scanner = SCANNERS["photon-80"].changed(slant_deg=0.0)
     angle = scanner.angle_rad()
     turned = scanner.changed(heading_deg=90.0).directions()

@@ -55,7 +55,10 @@ class MemorySource:
 
 
 def scene(seed: int = 0, *, missing: float = 0.2) -> tuple[F32, dict[str, NDArray[Any]]]:
-    """Return the range image and its records; missing shots have no record, line 9 has none at all."""
+    """Return the range image and its records.
+
+    Missing shots have no record, line 9 has none at all.
+    """
     rng = np.random.default_rng(seed)
     line, column = np.divmod(np.arange(N_LINES * M), M)
     angle = 2 * np.pi * column / M

@@ -328,8 +328,8 @@ def test_profiler_with_a_trajectory(real_data: Path, tmp_path: Path) -> None:
     assert abs(along[-1] - along[0]) == pytest.approx(360.0, abs=0.5)
     assert np.median(np.abs(step)) == pytest.approx(360 / 5099, rel=0.02)
     assert np.abs(step).max() < 1.0
-    # its plane leans over by more than a third of a right angle: heights fall with the cosine of the beam, times that
-    # of the lean
+    # its plane leans over by more than a third of a right angle: heights fall with the cosine of
+    # the beam, times that of the lean
     for block in stream.blocks():
         assert block.xyz_m is not None
         assert block.beam_rad is not None

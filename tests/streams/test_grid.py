@@ -141,7 +141,10 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
 
 @given(st.data())
 def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
-    """Random returns, repeated cells and times, lines that go back, gaps, NaN: the same for every chunk size."""
+    """Random returns, repeated cells and times, lines that go back, gaps, NaN.
+
+    The same for every chunk size.
+    """
     n = data.draw(st.integers(1, 60))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     line = np.cumsum(rng.choice([0, 0, 0, 0, 1, 2, -1, -2], n)).astype(np.float64)
@@ -338,7 +341,10 @@ def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named() ->
 
 
 def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
-    """One step back in 40 000, but by the whole drive: half of the shots would have no line left."""
+    """One step back in 40 000, but by the whole drive.
+
+    Half of the shots would have no line left.
+    """
     n = 20_000
     time_s = np.concatenate([100 + np.arange(n) / 1000, np.arange(n) / 1000])
     records = {"range": np.ones(2 * n), "time": time_s}

@@ -214,7 +214,10 @@ def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Pa
 
 @pytest.mark.parametrize("has_rings", [True, False])
 def test_a_frame_on_other_axes_has_the_cells_of_its_own(has_rings: bool) -> None:
-    """Pitched by 6 degrees, z from the ground: cells are those of the scanner, coordinates those of the input."""
+    """Pitched by 6 degrees, z from the ground.
+
+    Cells are those of the scanner, coordinates those of the input.
+    """
     records, _, ring = frame()
     if has_rings:
         records["ring"] = ring

@@ -1,4 +1,7 @@
-"""Numbers of lines and columns that rise in steps: the step is divided out, told, and no number is lost unseen."""
+"""Numbers of lines and columns that rise in steps.
+
+The step is divided out, told, and no number is lost unseen.
+"""
 
 from __future__ import annotations
 

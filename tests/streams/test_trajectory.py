@@ -231,7 +231,8 @@ WEEK = 604_800.0
             1e9 + WEEK,
             "differ by +1 GPS weeks and +1e+09 s: try --set input.trajectory_time_offset=1000604800",
         ),
-        # points take 10 s, the trajectory 16: so far apart that the middles may be 3 s and one more off
+        # points take 10 s, the trajectory 16: so far apart that the middles may be 3 s and one more
+        # off
         (WEEK + 4.0, "+1 GPS weeks"),
         (WEEK + 4.01, None),
         (WEEK - 3.99, "+1 GPS weeks"),

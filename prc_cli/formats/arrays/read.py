@@ -31,7 +31,10 @@ from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 CHUNK_SHOTS = 1 << 19
 """Shots read at a time."""
 FEWEST_POINTS_PER_LINE = 8
-"""A longer image of shorter lines is refused: every line takes some time, however few shots it has."""
+"""A longer image of shorter lines is refused.
+
+Every line takes some time, however few shots it has.
+"""
 MANY_LINES = 100_000
 """What is long in this sense."""
 
@@ -45,7 +48,10 @@ TIME = "time_s"
 XYZ = "xyz"
 INTENSITY = "intensity"
 CLASS = "class"
-"""Name of the array of class codes: not part of the stream, but conversion and evaluation read it."""
+"""Name of the array of class codes.
+
+Not part of the stream, but conversion and evaluation read it.
+"""
 XYZ_DIMENSIONS = 3
 """Lines, columns and axes."""
 _RECORD_LISTS = ("line", "scan_line", "column", "record")
@@ -54,11 +60,12 @@ _RECORD_LISTS = ("line", "scan_line", "column", "record")
 class ArrayStream:
     """A range image as a :class:`prc_cli.core.stream.ScanStream`.
 
-    ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
-    the only array of two dimensions, and, where present, ``angle_deg``, ``angle_rad``, ``angle_gon`` or ``zenith_deg``
-    (M,), ``time_s`` (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
-    Without an array of ranges, the range is the length of ``xyz``. Integers are taken as metres. One time per line
-    applies to all its shots.
+    ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as
+    ``range_m`` or the only array of two dimensions, and, where present, ``angle_deg``,
+    ``angle_rad``, ``angle_gon`` or ``zenith_deg`` (M,), ``time_s`` (lines,) or (lines, M), ``xyz``
+    (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M). Without an array of ranges, the
+    range is the length of ``xyz``. Integers are taken as metres. One time per line applies to all
+    its shots.
     """
 
     def __init__(
@@ -158,7 +165,10 @@ class ArrayStream:
         return present
 
     def _find_angles(self, assumed: list[Assumption]) -> tuple[str | None, F64 | None]:
-        """Return the array of scan angles and the angle of every column [rad]; say where they come from."""
+        """Return the array of scan angles and the angle of every column [rad].
+
+        Say where they come from.
+        """
         start = self._config.angle_start
         step = self._config.angle_step
         if (start is None) != (step is None):
@@ -315,7 +325,10 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
 
 
 def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
-    """Return why rows are rings, whose elevation stays while they go round; empty where rows are lines."""
+    """Return why rows are rings, whose elevation stays while they go round.
+
+    Empty where rows are lines.
+    """
     header = file.headers[name]
     n_rows, n_columns = (*header.shape, 0, 0)[:2]
     if (
@@ -354,7 +367,8 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
     if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:
         shape = shape[:2]
     if len(shape) == 1 and header.dtype == np.uint8 and not file.is_archive:
-        # labels are written like this; taken for ranges they would be drawn, and classified, as if they were a scan
+        # labels are written like this; taken for ranges they would be drawn, and classified, as if
+        # they were a scan
         problem = "found bytes in a row, as class codes are written, expected ranges in metres"
         raise InputError(
             header.where, problem, "give the scan, and these with --labels or to prc evaluate"

@@ -1,7 +1,7 @@
 """Arrays in ``.npy`` and ``.npz`` files, read a few rows at a time.
 
-numpy loads a member of an ``.npz`` archive whole; here both kinds of file are read like any other stream, so that
-memory does not grow with the file. Pickled objects are never loaded.
+numpy loads a member of an ``.npz`` archive whole; here both kinds of file are read like any other
+stream, so that memory does not grow with the file. Pickled objects are never loaded.
 """
 
 from __future__ import annotations
@@ -115,7 +115,10 @@ class Rows:
 
 
 class _MappedRows(Rows):
-    """Reads rows whose numbers lie apart: of arrays in Fortran order, or with rows and columns exchanged."""
+    """Reads rows whose numbers lie apart.
+
+    Of arrays in Fortran order, or with rows and columns exchanged.
+    """
 
     def read(self, n: int) -> NDArray[Any]:
         header = self.header

@@ -1,6 +1,7 @@
 """Writers of streams as range images: ``.npz`` with all values, ``.npy`` with the ranges alone.
 
-Arrays grow in temporary files, because an archive holds one after the other, each with its shape in front.
+Arrays grow in temporary files, because an archive holds one after the other, each with its shape in
+front.
 """
 
 from __future__ import annotations

@@ -15,7 +15,10 @@ DATABASE = ".db3"
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Return the files of a recording, in order, where its metadata are named; of all else the file itself."""
+    """Return the files of a recording, in order, where its metadata are named.
+
+    Of all else the file itself.
+    """
     told: list[bytes] = []
     if path.name == METADATA:
         with contextlib.suppress(OSError):

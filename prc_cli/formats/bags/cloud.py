@@ -1,8 +1,10 @@
-"""``sensor_msgs/PointCloud2`` with ring and time: the firing columns of a spinning scanner, found from the times.
+"""``sensor_msgs/PointCloud2`` with ring and time.
 
-Drivers leave empty cells out, and write points ring after ring or column after column. The times bring the columns
-back: the lasers of a scanner fire in turn, each with the same period. Lasers that look to other azimuths than the first
-are staggered; how far is found from the first message.
+The firing columns of a spinning scanner, found from the times.
+
+Drivers leave empty cells out, and write points ring after ring or column after column. The times
+bring the columns back: the lasers of a scanner fire in turn, each with the same period. Lasers that
+look to other azimuths than the first are staggered; how far is found from the first message.
 """
 
 from __future__ import annotations
@@ -53,7 +55,10 @@ _NO_RINGS = (
 )
 _MAX_FIELDS = 100
 _ABSOLUTE_S = 2.0
-"""Times that are usually beyond are not counted from the stamp of the message: no message takes as long [s]."""
+"""Times that are usually beyond are not counted from the stamp of the message.
+
+No message takes as long [s].
+"""
 _LEAST_PERIOD_S = 1e-6
 _TURN = 2 * math.pi
 _NEAR_COLUMNS = 8
@@ -149,7 +154,10 @@ def parse_cloud(data: bytes, *, is_cdr: bool, scale: float = 1.0) -> Cloud:
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
-    """Return the type of a point, with what is read of it: x, y, z, ring, time, light (missing where there is none)."""
+    """Return the type of a point, with what is read of it.
+
+    x, y, z, ring, time, light (missing where there is none).
+    """
     names = {"x": ("x",), "y": ("y",), "z": ("z",), "ring": RINGS, "time": TIMES, "light": LIGHTS}
     held = {
         part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()
@@ -174,7 +182,10 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
 
 
 def _is_livox(fields: Collection[str]) -> bool:
-    """Whether points are those of the driver of Livox: its beams draw rosettes, and ``line`` is a laser, no cone."""
+    """Whether points are those of the driver of Livox.
+
+    Its beams draw rosettes, and ``line`` is a laser, no cone.
+    """
     return "tag" in fields and ("line" in fields or "ring" in fields)
 
 
@@ -236,7 +247,10 @@ class Timing:
         return starts
 
     def again(self, ring: I64, time_s: F64, n_first: int, fits: float = _FITS) -> Timing | None:
-        """Return the columns of later points, the first of which are one column; None where the clock does not fit."""
+        """Return the columns of later points, the first of which are one column.
+
+        None where the clock does not fit.
+        """
         if self.is_together or not n_first or ring.max() >= len(self.late_s):
             return None
         after_s = time_s - self.late_s[ring]
@@ -255,8 +269,9 @@ class Timing:
 def find_columns(ring: I64, time_s: F64) -> Timing | None:
     """Find the firing column of every point from its time.
 
-    Lasers that fire together have few times: every one is a column, and the period may vary with the motor. Lasers that
-    fire in turn follow a clock: a ring's times are a multiple of the period apart.
+    Lasers that fire together have few times: every one is a column, and the period may vary with
+    the motor. Lasers that fire in turn follow a clock: a ring's times are a multiple of the period
+    apart.
 
     >>> time_s = np.array([0.0, 0.1, 0.3, 0.02, 0.12, 0.22, 0.04, 0.14, 0.34])
     >>> find_columns(np.repeat([0, 1, 2], 3), time_s).column.tolist()
@@ -450,7 +465,10 @@ class CloudLines:
         return cloud.stamp_s + turn_times(cloud.ring, azimuths(cloud.xyz_m), self._between_s)
 
     def _usable(self, cloud: Cloud, first_record: int) -> _Points:
-        """Return the points that have a ring and a time near that of the message; count the others."""
+        """Return the points that have a ring and a time near that of the message.
+
+        Count the others.
+        """
         if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
             problem = f"found ring {int(cloud.ring.max())}, expected {self.points_per_line} rings as in the first message"
             raise InputError(self._where, problem, "record every set-up in a bag of its own")
@@ -476,7 +494,10 @@ class CloudLines:
         self._lines.count_not_fired(cloud.n_records)
 
     def _take(self, points: _Points, *, more: bool = True) -> Iterator[ScanBlock]:
-        """Take points that follow those before, the last ones if there are no more; yield complete lines."""
+        """Take points that follow those before, the last ones if there are no more.
+
+        Yield complete lines.
+        """
         rest = self._rest
         n_rest = 0
         if rest is not None and len(rest.ring) and self._is_pause(rest, points):
@@ -520,7 +541,10 @@ class CloudLines:
         )
 
     def _columns_since(self, timing: Timing) -> int:
-        """Return the columns from the last one that was given out to the first of a timing; 0 without any."""
+        """Return the columns from the last one that was given out to the first of a timing.
+
+        0 without any.
+        """
         if self._rest_s is None:
             return 0
         return max(1, round((timing.start_s - self._rest_s) / timing.period_s))
@@ -581,7 +605,10 @@ class CloudLines:
         yield from self._lines.finish()
 
     def lost(self) -> str:
-        """Return a sentence on what is unusual about rings, times and columns; empty if nothing is."""
+        """Return a sentence on what is unusual about rings, times and columns.
+
+        Empty if nothing is.
+        """
         of_times = unit_note(self._unit_s, self._usual_unit_s)
         if self._sweep is not None:
             step_deg = math.degrees(self._sweep.step_rad)
@@ -596,7 +623,10 @@ class CloudLines:
         )
 
     def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
-        """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
+        """Put points into the cells of ``n`` columns.
+
+        The second of a cell is its further return.
+        """
         m = self.points_per_line
         timing = self._timing
         assert timing is not None
@@ -647,7 +677,10 @@ class CloudLines:
 
 
 def _unit(first: Cloud, has: Mask, between_s: Callable[[], float], config: InputConfig) -> float:
-    """Return the unit of the stored times [s]: as told, or the one in which the scanner turns as scanners do."""
+    """Return the unit of the stored times [s].
+
+    As told, or the one in which the scanner turns as scanners do.
+    """
     if config.time_unit == "turn":
         return between_s()
     if config.time_unit != "auto":

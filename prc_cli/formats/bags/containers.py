@@ -1,7 +1,10 @@
-"""Messages of a bag, whatever the container: rosbags reads ROS 1 bags and MCAP, sqlite3 the databases of ROS 2.
+"""Messages of a bag, whatever the container.
 
-A database is read here, row after row: rosbags counts and sorts all of it first, which has no end in one whose pages
-point to one another, and takes memory or disk with its length. Nothing that a bag defines is executed.
+Rosbags reads ROS 1 bags and MCAP, sqlite3 the databases of ROS 2.
+
+A database is read here, row after row: rosbags counts and sorts all of it first, which has no end
+in one whose pages point to one another, and takes memory or disk with its length. Nothing that a
+bag defines is executed.
 """
 
 from __future__ import annotations
@@ -66,7 +69,10 @@ class Bag:
     """First and last time of a message."""
     end_ns: int = 0
     packed: str = ""
-    """How its messages, or chunks of them, are compressed: ``bz2``, ``lz4`` or ``zstd``; empty if they are not."""
+    """How its messages, or chunks of them, are compressed.
+
+    ``bz2``, ``lz4`` or ``zstd``; empty if they are not.
+    """
     problem: str = ""
     """Why it ends before the end of the recording; empty if it does not."""
 
@@ -252,14 +258,18 @@ def _check_tables(path: Path, base: sqlite3.Connection) -> None:
     for name in ("topics", "messages"):
         plain = found.get(name) == ("table", ["CREATE", "TABLE"])
         columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall() if plain else []
-        # a hidden column is computed, which can take for ever; a row id of its own would say nothing about the order
+        # a hidden column is computed, which can take for ever; a row id of its own would say
+        # nothing about the order
         if not columns or any(column[-1] or column[1].lower() == "rowid" for column in columns):
             problem = f"found no plain table {name!r}, expected a bag that rosbag2 recorded"
             raise InputError(str(path), problem, "name a .db3 file of a ROS 2 bag")
 
 
 def _in_order(rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Yield rows whose first value, the row id, increases: where pages point to one another, rows have no end."""
+    """Yield rows whose first value, the row id, increases.
+
+    Where pages point to one another, rows have no end.
+    """
     last = None
     for row in rows:
         if last is not None and not row[0] > last:

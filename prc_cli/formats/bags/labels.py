@@ -1,7 +1,10 @@
-"""Class codes in bags: clouds with a field of them, laser scans with a topic of them beside; written and read.
+"""Class codes in bags: clouds with a field of them, laser scans with a topic of them beside.
 
-Messages of laser scans stay as they are. Their codes are the intensities of a scan of the same kind, so that every
-viewer draws them in colours at the place of the scan, and their stamps bring both together.
+Written and read.
+
+Messages of laser scans stay as they are. Their codes are the intensities of a scan of the same
+kind, so that every viewer draws them in colours at the place of the scan, and their stamps bring
+both together.
 """
 
 from __future__ import annotations
@@ -34,7 +37,10 @@ _UINT8 = 2
 """Field of a point that holds its class code, and its type."""
 
 Take: TypeAlias = Callable[[int], NDArray[Any]]
-"""Gives the codes of the next n records, (n,) uint8; where records are left out (n,) int16, negative = left out."""
+"""Gives the codes of the next n records, (n,) uint8.
+
+Where records are left out (n,) int16, negative = left out.
+"""
 
 
 class CloudCodec:
@@ -72,7 +78,10 @@ class CloudCodec:
         return rows.reshape(-1, cloud.point_step).copy()
 
     def label(self, data: bytes, take: Take) -> bytes:
-        """Return a message with codes in a field of this name; points with a negative code are left out."""
+        """Return a message with codes in a field of this name.
+
+        Points with a negative code are left out.
+        """
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
@@ -203,7 +212,8 @@ class BagRewriter(BagOutput, ScatterWriter):
             )
         outs = {}
         for one in bag.connections():
-            # labels come behind their scans: readers take what has one time in the order of connections
+            # labels come behind their scans: readers take what has one time in the order of
+            # connections
             has_labels = topic_of(one) in read and topic_of(one).kind in LASERS
             if topic_of(one) not in old:
                 outs[one.id] = (
@@ -226,7 +236,10 @@ class BagRewriter(BagOutput, ScatterWriter):
 
 
 def _connect(sink: Any, one: Any, after: str = "") -> Any:
-    """Add a connection as in the input; the writers refuse two of one publisher, and missing definitions."""
+    """Add a connection as in the input.
+
+    The writers refuse two of one publisher, and missing definitions.
+    """
     added = one._replace(
         id=len(sink.connections) + 1, topic=one.topic + after, msgcount=0, owner=sink
     )

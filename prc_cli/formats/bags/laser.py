@@ -1,7 +1,8 @@
 """``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line, or a part of one.
 
-Motors turn unevenly, so that the number of beams, their step and the first angle change from message to message; some
-scanners send a line in parts. All beams lie on one grid of angles, which the first messages show.
+Motors turn unevenly, so that the number of beams, their step and the first angle change from
+message to message; some scanners send a line in parts. All beams lie on one grid of angles, which
+the first messages show.
 """
 
 from __future__ import annotations
@@ -105,7 +106,10 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool, scale: float = 1.0
 
 
 def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
-    """Read a list of lists, of lengths that are likely; return their values in a row, and their lengths."""
+    """Read a list of lists, of lengths that are likely.
+
+    Return their values in a row, and their lengths.
+    """
     n = cursor.number("I")
     expect(n <= len(cursor.data) // 4, f"says it holds {n} beams, which it is too short for")
     words = cursor.rest("u4")[: n * (1 + MAX_ECHOES)]
@@ -127,10 +131,13 @@ def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
 
 
 def _starts(words: NDArray[np.uint32], n: int) -> I64:
-    """Return where lists begin that follow each other, each behind its length; the number of words beyond the end.
+    """Return where lists begin that follow each other, each behind its length.
 
-    Words that are as small as a length are lengths, where the lists then follow each other. Else, as for values of
-    zero, the way to the next list is followed for all words at once, then twice as far, and so on.
+    The number of words beyond the end.
+
+    Words that are as small as a length are lengths, where the lists then follow each other. Else,
+    as for values of zero, the way to the next list is followed for all words at once, then twice as
+    far, and so on.
 
     >>> _starts(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
     [0, 3, 4]
@@ -165,7 +172,10 @@ class BeamGrid:
 
     @classmethod
     def of(cls, scans: list[LaserScan]) -> BeamGrid:
-        """Return the finest grid, with all beams of the messages; angles are counted from those of the first one."""
+        """Return the finest grid, with all beams of the messages.
+
+        Angles are counted from those of the first one.
+        """
         steps = np.array([scan.angle_step_rad for scan in scans])
         usual = float(np.median(steps))
         scans = [
@@ -253,7 +263,10 @@ class LaserLines:
         self._enough = lines_per_block(self.points_per_line)
 
     def add(self, scan: LaserScan, first_record: int) -> Iterator[ScanBlock]:
-        """Take a message whose first record is given; yield a block when there is enough for one."""
+        """Take a message whose first record is given.
+
+        Yield a block when there is enough for one.
+        """
         columns = self._grid.columns(scan)
         self._check(scan, columns)
         self._n_messages += 1
@@ -428,7 +441,10 @@ def _continues(before: I64, columns: I64) -> bool:
 
 
 def _filled_times(time_s: F64, shot_s: float) -> F64:
-    """Return times with those of cells without a beam: as far from the last beam of the line as columns lie apart."""
+    """Return times with those of cells without a beam.
+
+    As far from the last beam of the line as columns lie apart.
+    """
     flat = time_s.copy()
     column = np.arange(flat.shape[1])
     known = np.isfinite(flat)

@@ -27,8 +27,8 @@ def expect(is_so: bool, otherwise: str, hint: str = "") -> None:
 class Cursor:
     """Position in the bytes of a message.
 
-    ROS 1 packs fields without gaps, little-endian. CDR begins with four bytes that name the byte order, and aligns
-    every number to its size, counted from behind them; strings end with a zero.
+    ROS 1 packs fields without gaps, little-endian. CDR begins with four bytes that name the byte
+    order, and aligns every number to its size, counted from behind them; strings end with a zero.
     """
 
     def __init__(self, data: bytes, *, is_cdr: bool) -> None:
@@ -85,7 +85,10 @@ class Cursor:
         return np.frombuffer(self.data, kind, count, start)
 
     def rest(self, dtype: DTypeLike) -> NDArray[Any]:
-        """Return all whole numbers from here to the end, without moving on; a view of the message."""
+        """Return all whole numbers from here to the end, without moving on.
+
+        a view of the message.
+        """
         kind = np.dtype(dtype).newbyteorder(self.order)
         return np.frombuffer(self.data, kind, (len(self.data) - self.at) // kind.itemsize, self.at)
 

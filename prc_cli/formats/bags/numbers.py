@@ -28,7 +28,9 @@ class RingNumbers:
 
     @classmethod
     def of(cls, number: I64) -> RingNumbers | None:
-        """Return the rings of a first message, from the number of every point, (n,) int64; None = too many rings.
+        """Return the rings of a first message, from the number of every point, (n,) int64.
+
+        None = too many rings.
 
         >>> RingNumbers.of(np.arange(0, 64, 4)).n_rings, RingNumbers.of(np.arange(1, 65)).n_rings
         (16, 64)

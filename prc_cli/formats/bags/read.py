@@ -143,7 +143,10 @@ class BagStream:
         return found
 
     def _readable(self) -> dict[Topic, str]:
-        """Return the topics that hold scans, with their frames; of clouds only those with ring and time."""
+        """Return the topics that hold scans, with their frames.
+
+        Of clouds only those with ring and time.
+        """
         frames = dict.fromkeys(self._firsts, "")
         for topic, first in self._firsts.items():
             try:

@@ -1,7 +1,10 @@
-"""Firing columns of clouds whose points share times: those of packets, or times cut to a part of a second.
+"""Firing columns of clouds whose points share times.
 
-Such times tell the turn, and how fast the scanner turns; the azimuth tells the column. Along every ring columns rise
-strictly and follow the azimuth as closely as possible (isotonic regression), as in frames of rings.
+Those of packets, or times cut to a part of a second.
+
+Such times tell the turn, and how fast the scanner turns; the azimuth tells the column. Along every
+ring columns rise strictly and follow the azimuth as closely as possible (isotonic regression), as
+in frames of rings.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ DENSEST = 25.0
 WINDOW = 16
 """Steps in a row that one is measured over."""
 TOO_WIDE = 3.0
-"""Points of a time lie within what the scanner turns until the next, this often at most; else others are among them."""
+"""Points of a time lie within what the scanner turns until the next, this often at most.
+
+Else others are among them.
+"""
 TOO_WIDE_RAD = math.radians(30.0)
 """A group may be this much wider: the lasers of a column look this far apart [rad]."""
 _TURN = 2 * math.pi

@@ -1,4 +1,7 @@
-"""Times of the points of a message: their unit, which the turning of the scanner shows, and times out of place."""
+"""Times of the points of a message.
+
+Their unit, which the turning of the scanner shows, and times out of place.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,9 @@ class Turning(NamedTuple):
 
 
 def find_turning(ring: I64, time: F64, azimuth_rad: F64) -> Turning | None:
-    """Find how far a scanner turns in one unit of the times of its points; None if too few points tell.
+    """Find how far a scanner turns in one unit of the times of its points.
+
+    None if too few points tell.
 
     Parameters
     ----------
@@ -182,7 +187,9 @@ class Crowd(NamedTuple):
 
 
 def find_crowd(time_s: F64) -> Crowd:
-    """Find the time in which nearly all points lie; times far from it, and times of few points, are outside.
+    """Find the time in which nearly all points lie.
+
+    Times far from it, and times of few points, are outside.
 
     >>> find_crowd(np.append(np.linspace(5.0, 5.1, 1001), [0.0, 5.15]))
     Crowd(begin_s=4.0, end_s=5.1)

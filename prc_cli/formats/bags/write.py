@@ -1,7 +1,10 @@
-"""Streams as bags: firings of spinning scanners as clouds, lines of profilers as laser scans; and how bags are written.
+"""Streams as bags: firings of spinning scanners as clouds, lines of profilers as laser scans.
 
-A cloud has the shots of one block, missing ones included, in the order of their times: ``x y z intensity ring label
-time``. A laser scan is a line; its class codes are the intensities of the scan of the same stamp on the topic beside.
+And how bags are written.
+
+A cloud has the shots of one block, missing ones included, in the order of their times: ``x y z
+intensity ring label time``. A laser scan is a line; its class codes are the intensities of the scan
+of the same stamp on the topic beside.
 """
 
 from __future__ import annotations
@@ -38,14 +41,20 @@ _POINT.names = ("x", "y", "z", "intensity", "ring", "label", "time")
 
 
 class BagOutput(StagedWriter):
-    """What writers of bags have in common: a container, and what makes a bag of the folder that a database lies in."""
+    """What writers of bags have in common.
+
+    a container, and what makes a bag of the folder that a database lies in.
+    """
 
     _metadata: Path | None = None
     _packed = ""
     """How the bag is compressed, as in the input; ROS 2 knows zstd alone."""
 
     def _name_metadata(self) -> None:
-        """Register what makes a bag of the folder of a database; nothing where the folder has another one."""
+        """Register what makes a bag of the folder of a database.
+
+        Nothing where the folder has another one.
+        """
         if self.path.suffix.lower() != DATABASE:
             return
         metadata = self.path.with_name(METADATA)
@@ -161,7 +170,10 @@ class BagStreamWriter(BagOutput, StreamWriter):
                 )
 
     def _span_of(self, times_s: F64, line: int) -> tuple[float, float]:
-        """Return the times of the first and the last shot of a line; shots without a time lie evenly between others."""
+        """Return the times of the first and the last shot of a line.
+
+        Shots without a time lie evenly between others.
+        """
         known = np.flatnonzero(np.isfinite(times_s))
         if len(known) < min(len(times_s), 2):
             problem = (
@@ -203,7 +215,8 @@ class BagStreamWriter(BagOutput, StreamWriter):
             some["label"] = item.codes[fired].clip(0)
         some = np.concatenate([self._waiting, some])
         some = some[np.argsort(some["time"], kind="stable")]
-        # lasers of a line need not look the same way at one time: later lines begin before this one has ended
+        # lasers of a line need not look the same way at one time: later lines begin before this one
+        # has ended
         end = (
             np.inf
             if block.is_last or not fired[-1].any()

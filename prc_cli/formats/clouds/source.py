@@ -1,4 +1,7 @@
-"""Clouds of named properties (PLY, PCD): lines of headers, which property is what, returns of a shot."""
+"""Clouds of named properties (PLY, PCD).
+
+Lines of headers, which property is what, returns of a shot.
+"""
 
 from __future__ import annotations
 
@@ -212,7 +215,10 @@ class CloudSource(FieldSource):
                 self.columns[name] = replace(one, item=one.item.model_copy(update=values))
 
     def _find_units(self, first: Columns, notes: list[str]) -> None:
-        """Find the units of ranges and times that are stored as whole numbers; add the offsets of coordinates."""
+        """Find the units of ranges and times that are stored as whole numbers.
+
+        Add the offsets of coordinates.
+        """
         found = self.columns
         for axis, offset in zip(AXES, self.head.offsets_m, strict=True):
             if offset:

@@ -1,7 +1,9 @@
-"""Writers of new LAS or LAZ files from other formats: LAS 1.4, point format 6, one record per return, chronological.
+"""Writers of new LAS or LAZ files from other formats.
 
-Coordinates are those of the input, or of its scan planes one behind the other; the range itself is kept bit for bit in
-extra bytes, with scan line and column.
+LAS 1.4, point format 6, one record per return, chronological.
+
+Coordinates are those of the input, or of its scan planes one behind the other; the range itself is
+kept bit for bit in extra bytes, with scan line and column.
 """
 
 from __future__ import annotations
@@ -45,7 +47,10 @@ COLUMN = ExtraDimension("column", np.dtype("<u4"), "shot in the scan line")
 SCALE_M = 0.001
 """Coordinate step of built files [m]."""
 SCALE_DEG = 1e-8
-"""The same of longitude and latitude [deg]: about 1 mm, and 21 deg to either side fit into a file."""
+"""The same of longitude and latitude [deg].
+
+About 1 mm, and 21 deg to either side fit into a file.
+"""
 
 MOST_FAR = 0.01
 """Largest share of coordinates that are damaged; more are of another unit."""
@@ -58,7 +63,10 @@ _POINT_FORMAT = 6
 
 
 class LasBuilder(StagedWriter):
-    """Writer of a new LAS or LAZ file; of several returns the chosen one comes first, so readers choose it again."""
+    """Writer of a new LAS or LAZ file.
+
+    Of several returns the chosen one comes first, so readers choose it again.
+    """
 
     def __init__(
         self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None
@@ -161,7 +169,10 @@ class LasBuilder(StagedWriter):
             self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
     def _codes_of(self, codes: NDArray[Any] | None, shape: tuple[int, ...]) -> U8:
-        """Return class codes as stored; unknown ones and those that do not fit into a byte become unclassified."""
+        """Return class codes as stored.
+
+        Unknown ones and those that do not fit into a byte become unclassified.
+        """
         unknown = self._codes.unclassified
         if codes is None:
             return np.full(shape, unknown, np.uint8)
@@ -204,7 +215,10 @@ class LasBuilder(StagedWriter):
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
     def _scaled(self, intensity: F32) -> F64:
-        """Return intensities in whole numbers; where the first are 0 to 1 and not whole, scaled to 0 to 65535."""
+        """Return intensities in whole numbers.
+
+        Where the first are 0 to 1 and not whole, scaled to 0 to 65535.
+        """
         value = np.nan_to_num(intensity.astype(np.float64), nan=0.0, posinf=65536.0, neginf=-1.0)
         if self._intensity_scale is None and len(value):
             is_share = bool(value.min() >= 0 and value.max() <= 1 and (value % 1 != 0).any())
@@ -214,7 +228,10 @@ class LasBuilder(StagedWriter):
         return value * (self._intensity_scale or 1.0)
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
-        """Coordinates in steps of the file, (n, 3) int64; those outside the range of the file are refused."""
+        """Coordinates in steps of the file, (n, 3) int64.
+
+        Those outside the range of the file are refused.
+        """
         own, extra = self._placed
         xyz = own[shots.line, shots.column]
         other = shots.extra >= 0
@@ -295,7 +312,10 @@ class Returns(NamedTuple):
 
 
 def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) -> Returns:
-    """Gather the returns of some lines in record order; a shot without range that lost its cell is none."""
+    """Gather the returns of some lines in record order.
+
+    a shot without range that lost its cell is none.
+    """
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
     one = np.ones(len(line), np.uint8)

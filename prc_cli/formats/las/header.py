@@ -1,8 +1,9 @@
 """Reads header, VLRs and extended VLRs of a LAS file, with the position of every part.
 
-Every count and length is compared with the size of the file first, so that a damaged or hostile file costs neither
-memory nor time. Records keep their bytes, because a rewritten file must not lose any. What the fields mean follows the
-LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in LAZ files.
+Every count and length is compared with the size of the file first, so that a damaged or hostile
+file costs neither memory nor time. Records keep their bytes, because a rewritten file must not lose
+any. What the fields mean follows the LAS specification 1.4 R15; LASzip sets the highest bit of the
+format byte in LAZ files.
 """
 
 from __future__ import annotations
@@ -73,7 +74,9 @@ _FIELDS = {
 
 
 class HeaderFields:
-    """Header bytes with named fields, to be changed; fields that the version does not have cannot be set.
+    """Header bytes with named fields, to be changed.
+
+    Fields that the version does not have cannot be set.
 
     >>> fields = HeaderFields(bytes(227))
     >>> fields.set("n_vlrs", 3)
@@ -136,7 +139,10 @@ class Vlr:
         return self.user_id, self.record_id
 
     def has(self, key: tuple[str, int]) -> bool:
-        """Whether it has this user id and record id; fast, because damaged files may have a million VLRs."""
+        """Whether it has this user id and record id.
+
+        Fast, because damaged files may have a million VLRs.
+        """
         return self.record_id == key[1] and self.user_id == key[0]
 
     @property
@@ -179,8 +185,8 @@ _DESCRIPTOR_TEXTS = ((4, 36), (160, 192))
 def readable(vlr: Vlr) -> Vlr:
     """Return a record whose texts are text: other programs open no file where they are not.
 
-    These are the name of its user, coordinate systems and descriptors of extra bytes. Bytes that are no text become
-    ``?``, so that nothing moves.
+    These are the name of its user, coordinate systems and descriptors of extra bytes. Bytes that
+    are no text become ``?``, so that nothing moves.
     """
     name, mark, rest = vlr.head[2:18].partition(b"\0")
     head = vlr.head[:2] + _as_text(name) + mark + rest + vlr.head[18:]
@@ -213,7 +219,10 @@ def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: b
 
 
 def new_header() -> HeaderFields:
-    """Return the header of a new LAS 1.4 file with its coordinate system as WKT; no date, so that bytes are equal."""
+    """Return the header of a new LAS 1.4 file with its coordinate system as WKT.
+
+    No date, so that bytes are equal.
+    """
     fields = HeaderFields(bytes(STANDARD_HEADER[4]))
     fields.data[:4] = b"LASF"
     fields.data[25] = 4
@@ -256,7 +265,10 @@ class LasHeader:
 
     @property
     def n_unread_bytes(self) -> int:
-        """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
+        """LAS: bytes between the last record and the extended VLRs or the end of the file.
+
+        0 for LAZ.
+        """
         stop = self.evlrs[0].start if self.evlrs else self.file_bytes
         return (
             0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
@@ -264,7 +276,10 @@ class LasHeader:
 
     @property
     def n_unread_records(self) -> int:
-        """LAS: whole records that follow the last one that the header counts; 0 where they are zeros or waveforms."""
+        """LAS: whole records that follow the last one that the header counts.
+
+        0 where they are zeros or waveforms.
+        """
         n = self.n_unread_bytes // self.record_bytes
         if n < 1 or self.fields().get("waveform_start"):
             return 0
@@ -297,7 +312,10 @@ class LasHeader:
 
 
 class Source:
-    """An input opened for reading, also by lazrs; its failures become input errors, not output errors."""
+    """An input opened for reading, also by lazrs.
+
+    Its failures become input errors, not output errors.
+    """
 
     def __init__(self, path: Path, handle: BinaryIO) -> None:
         self.path = path
@@ -470,7 +488,10 @@ def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
 
 
 def check_decodable(header: LasHeader) -> None:
-    """Refuse files that can be copied but not read: no records, or scales that are not finite numbers."""
+    """Refuse files that can be copied but not read.
+
+    No records, or scales that are not finite numbers.
+    """
     for i, axis in enumerate("xyz"):
         scale = header.scales[i]
         offset = header.offsets[i]

@@ -1,7 +1,8 @@
 """Reads and writes raw records of LAS and LAZ files in batches (lazrs).
 
-A LAZ file is a sequence of independently compressed chunks and a table of their sizes. The table is compared with the
-file and with the count in the header before decoding, so that a wrong number gives an error and not a huge allocation.
+A LAZ file is a sequence of independently compressed chunks and a table of their sizes. The table is
+compared with the file and with the count in the header before decoding, so that a wrong number
+gives an error and not a huge allocation.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ from prc_cli.formats.writing.disk import WRITE_BYTES
 LAYERED_FORMATS = 6
 """From this point format on, chunks are compressed in layers, one per field."""
 LARGE_CHUNK_BYTES = 32 << 20
-"""Chunks that unpack to more than this are coded piece by piece: the parallel coders of lazrs hold whole chunks."""
+"""Chunks that unpack to more than this are coded piece by piece.
+
+The parallel coders of lazrs hold whole chunks.
+"""
 _CHUNK_SIZE_AT = 12
 """Byte of the chunk size in the laszip VLR."""
 _VARIABLE_CHUNKS = 0xFFFFFFFF
@@ -48,7 +52,10 @@ _LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
 _TOGETHER_BYTES = 16 << 20
 """Most bytes of records decoded at a time, however many the cores."""
 _ONE_RETURN = 0x1F
-"""Highest value of the returns byte for at most one return; the upper half holds the number of returns."""
+"""Highest value of the returns byte for at most one return.
+
+The upper half holds the number of returns.
+"""
 _BATCH_RECORDS = 400_000
 _BATCH_BYTES = 16 << 20
 _PLAIN_BYTES = 1 << 19
@@ -70,7 +77,8 @@ class Target:
         """Write all bytes."""
         view = memoryview(data).cast("B")
         with self._errors():
-            # keep writes aligned to pages: others make the system handle a page twice and take 1.5 times as long
+            # keep writes aligned to pages: others make the system handle a page twice and take 1.5
+            # times as long
             head = (
                 WRITE_BYTES - self._handle.tell() % WRITE_BYTES
                 if len(view) > WRITE_BYTES
@@ -144,22 +152,26 @@ def new_laszip(where: str, point_format: int, n_extra_bytes: int) -> bytes:
         problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
         raise OutputError(where, problem, "write .las instead of .laz") from error
     for at in range(_ITEMS_AT + 2, len(content) - 5, 6):
-        # lazrs writes 2 as the version of waveform packets in formats 4 and 5; LASzip accepts only 1, and the bytes are
-        # the same
+        # lazrs writes 2 as the version of waveform packets in formats 4 and 5; LASzip accepts only
+        # 1, and the bytes are the same
         if struct.unpack_from("<H", content, at)[0] == _WAVEPACKET13:
             struct.pack_into("<H", content, at + 4, 1)
     return bytes(content)
 
 
 def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep: bool) -> Vlr:
-    """Return the laszip VLR of an output: that of the input where records and items stay the same (``keep``)."""
+    """Return the laszip VLR of an output.
+
+    That of the input where records and items stay the same (``keep``).
+    """
     old = header.vlr(LASZIP_KEY)
     new = new_laszip(str(header.path), point_format, n_extra_bytes)
     if old is None or old.data is None:
         return make_vlr(LASZIP_KEY, new, "laszip (lazrs)")
     if not header.compressed or has_variable_chunks(old.data):
         return old.with_data(new)
-    # lazrs 0.8.2 reads other versions of laszip's items, but does not write all of them correctly (version 1 of RGB)
+    # lazrs 0.8.2 reads other versions of laszip's items, but does not write all of them correctly
+    # (version 1 of RGB)
     if keep and old.data[_ITEMS_AT:] == new[_ITEMS_AT:]:
         return old
     # other records, same chunk size
@@ -190,7 +202,9 @@ def _items(laszip: bytes) -> list[tuple[int, int]]:
 
 
 def chunk_head(point_format: int, n_extra_bytes: int) -> struct.Struct:
-    """Return the format of the head behind the first record of a chunk: record count, bytes per layer.
+    """Return the format of the head behind the first record of a chunk.
+
+    Record count, bytes per layer.
 
     >>> chunk_head(6, 4).format
     '<14I'
@@ -234,7 +248,10 @@ class LazRecords:
         self.table = self._read_table()
 
     def _check_laszip(self) -> None:
-        """Refuse items that are not those of the point format: others make a decoder take a gigabyte."""
+        """Refuse items that are not those of the point format.
+
+        Others make a decoder take a gigabyte.
+        """
         data = self._laszip
         where = f"{self._where}: laszip VLR"
         las = self.header
@@ -287,7 +304,8 @@ class LazRecords:
         if not header.n_records:
             nothing: I64 = np.array([0], np.int64)
             return ChunkTable(nothing, nothing + start, 0, position, stop)
-        # 32 bits in the file; the decoder returns damaged values as they are, so keep the sums within int64
+        # 32 bits in the file; the decoder returns damaged values as they are, so keep the sums
+        # within int64
         table = np.array(pairs, dtype=np.uint64).reshape(-1, 2).clip(max=2**32).astype(np.int64)
         n_bytes = int(table[:, 1].sum())
         if (
@@ -343,7 +361,10 @@ class LazRecords:
 
     @property
     def largest(self) -> int:
-        """Records that a decoder makes room for: those of the declared chunk size, whether full or not."""
+        """Records that a decoder makes room for.
+
+        Those of the declared chunk size, whether full or not.
+        """
         found = int(np.diff(self.table.first_record).max())
         return found if self.vlr.uses_variable_size_chunks() else max(found, self.vlr.chunk_size())
 
@@ -364,8 +385,8 @@ class LazRecords:
     ) -> Iterator[tuple[int, U8]]:
         """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8.
 
-        ``several`` is the selection from the first shot of several returns on; with ``reuse``, records are valid until
-        the next ones: memory that is new takes a tenth of the time.
+        ``several`` is the selection from the first shot of several returns on; with ``reuse``,
+        records are valid until the next ones: memory that is new takes a tenth of the time.
         """
         if not self.header.n_records:
             return
@@ -491,7 +512,10 @@ def read_batches(
 
 
 def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
-    """Yield raw records, ``n`` at a time, (n, bytes) uint8, decoded ahead in a thread; close before the source."""
+    """Yield raw records, ``n`` at a time, (n, bytes) uint8, decoded ahead in a thread.
+
+    Close before the source.
+    """
     batches = recut((raw for _, raw in read_batches(source, header, n)), repeat(n))
     # uncompressed records are read faster than one thread can hand them to another
     yield from (
@@ -520,7 +544,10 @@ def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
 
 
 def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
-    """Return begin and end of what follows the points, or their chunk table: EVLRs, waveforms, unknown bytes."""
+    """Return begin and end of what follows the points, or their chunk table.
+
+    EVLRs, waveforms, unknown bytes.
+    """
     if not header.compressed:
         return header.data_offset + header.n_records * header.record_bytes, header.file_bytes
     if header.file_bytes < header.data_offset + 8:
@@ -555,7 +582,10 @@ class LasSink:
 
 
 class LazSink:
-    """Records compressed by laszip; the same bytes whatever the batches and the number of threads."""
+    """Records compressed by laszip.
+
+    The same bytes whatever the batches and the number of threads.
+    """
 
     def __init__(self, target: Target, laszip: bytes) -> None:
         self._target = target
@@ -583,7 +613,10 @@ PointSink: TypeAlias = LasSink | LazSink
 
 
 def batch_size(record_bytes: int, *, compressed: bool) -> int:
-    """Return the records per batch: chunks for every core, or a buffer that fits the processor's cache."""
+    """Return the records per batch.
+
+    Chunks for every core, or a buffer that fits the processor's cache.
+    """
     return max(
         1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes)
     )
@@ -598,12 +631,16 @@ def batch_records(header: LasHeader, *, compressed: bool) -> int:
 
 
 def check_laz() -> str:
-    """Compress records of every coder of laszip and decompress them again; return their point formats."""
+    """Compress records of every coder of laszip and decompress them again.
+
+    Return their point formats.
+    """
     for point_format, n_bytes in ((1, 28), (6, 30), (10, 67)):
         where = f"LAZ round trip of point format {point_format}"
         laszip = new_laszip(where, point_format, 0)
         memory = io.BytesIO()
-        # a chunk is one whole record, then differences: here all zero except in the first bytes, as in a scan
+        # a chunk is one whole record, then differences: here all zero except in the first bytes, as
+        # in a scan
         records = np.zeros((2_000, n_bytes), np.uint8)
         records[:, :4] = np.random.default_rng(1).integers(0, 256, (2_000, 4), np.uint8)
         sink = LazSink(Target(memory), laszip)

@@ -1,7 +1,7 @@
 """Point records: the bytes and bits of every dimension, read and changed.
 
-laspy defines the point formats and parses the extra-bytes descriptors. Records are (n, record length) uint8 arrays,
-laid out as in the file (ASPRS LAS 1.4 R15, tables 7-17).
+laspy defines the point formats and parses the extra-bytes descriptors. Records are (n, record
+length) uint8 arrays, laid out as in the file (ASPRS LAS 1.4 R15, tables 7-17).
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ from prc_cli.formats.options import FACTORS
 from prc_cli.formats.writing.columns import ExtraDimension
 
 FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
-"""For formats with five-bit classes: the format with eight-bit classes that holds all their fields."""
+"""For formats with five-bit classes.
+
+The format with eight-bit classes that holds all their fields.
+"""
 SCAN_ANGLE_STEP_DEG = 0.006
 """Unit of the scan angle in formats 6-10 [deg]."""
 _EXTRA_TEXT = "Extra Bytes Record"
@@ -207,7 +210,10 @@ def read_layout(header: LasHeader) -> RecordLayout:
 
 
 def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> dict[str, str]:
-    """Give extra dimensions of usual names their standard one and its unit; return what was taken by that name."""
+    """Give extra dimensions of usual names their standard one and its unit.
+
+    Return what was taken by that name.
+    """
     usual = usual_names([extra.name for extra in described.values()])
     names = list(described)
     taken: dict[str, str] = {}
@@ -231,7 +237,10 @@ def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> d
 
 
 def _unit_said(description: str) -> str:
-    """Return the unit of angles that a description names, as ``scan angle [rad]``; empty where none."""
+    """Return the unit of angles that a description names, as ``scan angle [rad]``.
+
+    Empty where none.
+    """
     found = re.search(r"\b(rad|deg|gon)(?:ians?|rees?|s)?\b", description.lower())
     return "" if found is None else found[1]
 
@@ -278,7 +287,10 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
 
 
 def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
-    """Return the stored no-data value; laspy would convert a value out of range to one that can occur."""
+    """Return the stored no-data value.
+
+    Laspy would convert a value out of range to one that can occur.
+    """
     if not said.options & said.NO_DATA_BIT_MASK:
         return None
     value: float = struct.unpack_from(
@@ -349,7 +361,10 @@ def extra_bytes_vlr(dimensions: Sequence[ExtraDimension]) -> Vlr:
 def with_extra_dimensions(
     header: LasHeader, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str
 ) -> list[Vlr]:
-    """Return the VLRs with new dimensions behind those present; bytes that none describes get an entry."""
+    """Return the VLRs with new dimensions behind those present.
+
+    Bytes that none describes get an entry.
+    """
     if not dimensions:
         return vlrs
     where = str(header.path)
@@ -403,9 +418,10 @@ def set_classes(records: U8, point_format: int, codes: U8) -> None:
 def upgrade(records: U8, point_format: int) -> U8:
     """Convert records of formats 0-5 to the matching format 6-10, classes and extra bytes included.
 
-    Return number and count, scan direction, edge, the three flags and all fields of the same name are copied; the scan
-    angle is converted from whole degrees to steps of 0.006 degrees; fields that the old format lacks (gps_time in 0 and
-    2, near infrared in 5, scanner channel, overlap) are zero.
+    Return number and count, scan direction, edge, the three flags and all fields of the same name
+    are copied; the scan angle is converted from whole degrees to steps of 0.006 degrees; fields
+    that the old format lacks (gps_time in 0 and 2, near infrared in 5, scanner channel, overlap)
+    are zero.
     """
     new_format = FORMAT_FOR_CODES[point_format]
     n_extra = records.shape[1] - standard_bytes(point_format)

@@ -1,4 +1,7 @@
-"""Reader of LAS and LAZ files of all point formats: decodes only the requested dimensions, in chunks."""
+"""Reader of LAS and LAZ files of all point formats.
+
+Decodes only the requested dimensions, in chunks.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +46,11 @@ CHUNK_BYTES = 64 << 20
 class LasSource:
     """A LAS or LAZ file as a :class:`prc_cli.formats.records.RecordSource`.
 
-    The content decides whether it is compressed, not the suffix. Units: ``x``, ``y``, ``z`` float64 in the file's
-    coordinate system, ``time`` float64 [s] (gps_time as stored), ``angle`` float64 [rad]; scaled extra bytes are
-    scaled, their no-data values become NaN. Extra bytes of usual names are ranges, lines, columns and angles; the scan
-    angle of the point format is then ``scan_angle``. Other extra bytes with the name of a field are ``extra_NAME``.
+    The content decides whether it is compressed, not the suffix. Units: ``x``, ``y``, ``z`` float64
+    in the file's coordinate system, ``time`` float64 [s] (gps_time as stored), ``angle`` float64
+    [rad]; scaled extra bytes are scaled, their no-data values become NaN. Extra bytes of usual
+    names are ranges, lines, columns and angles; the scan angle of the point format is then
+    ``scan_angle``. Other extra bytes with the name of a field are ``extra_NAME``.
     """
 
     def __init__(self, path: Path, chunk_records: int = CHUNK_RECORDS) -> None:
@@ -88,7 +92,10 @@ class LasSource:
 
     @cached_property
     def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` delivers, standard names first; ``time`` and ``angle`` only if any is not zero."""
+        """Names that :meth:`chunks` delivers, standard names first.
+
+        ``time`` and ``angle`` only if any is not zero.
+        """
         return standard_first([name for name in self._layout.fields if name not in self._zero])
 
     @cached_property
@@ -146,7 +153,10 @@ class LasSource:
 
     @property
     def _unread(self) -> str:
-        """Return what follows the records that the header counts, as text; empty if nothing does."""
+        """Return what follows the records that the header counts, as text.
+
+        Empty if nothing does.
+        """
         if n := self.header.n_unread_records:
             return f"{n:,} whole records follow the {self.n_records:,} that the header counts"
         if n := self._n_unread_chunks:
@@ -154,7 +164,10 @@ class LasSource:
         return ""
 
     def skip_intensity(self) -> None:
-        """Decode ``intensity`` only where a shot may have several returns: it is a fifth of the time."""
+        """Decode ``intensity`` only where a shot may have several returns.
+
+        It is a fifth of the time.
+        """
         self._spares_intensity = True
 
     def check_layers(self) -> None:
@@ -162,7 +175,10 @@ class LasSource:
         self._checks_layers = self.laz_contexts is not None
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode dimensions from the start, in the order of the file; LAZ is read ahead after the first chunk."""
+        """Decode dimensions from the start, in the order of the file.
+
+        LAZ is read ahead after the first chunk.
+        """
         fields = self._layout.fields
         unknown = [name for name in names if name not in fields]
         if unknown:

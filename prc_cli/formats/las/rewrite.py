@@ -1,7 +1,10 @@
-"""Writes LAS or LAZ files again with other classes, or with some of their records; all other bytes stay the same.
+"""Writes LAS or LAZ files again with other classes, or with some of their records.
 
-Header, VLRs, user bytes, points and what follows them are copied in order. Only the points change, and with them the
-offsets in the header; where records are left out, its counts and bounds too; and what ``[output]`` asks for.
+All other bytes stay the same.
+
+Header, VLRs, user bytes, points and what follows them are copied in order. Only the points change,
+and with them the offsets in the header; where records are left out, its counts and bounds too; and
+what ``[output]`` asks for.
 """
 
 from __future__ import annotations
@@ -72,7 +75,9 @@ from prc_cli.formats.writing.columns import (
 from prc_cli.formats.writing.record import RunRecord
 
 Masks: TypeAlias = Callable[[int], Iterator[Mask]]
-"""Called with a batch size; yields a mask of the records to keep for every batch of the input; where they end, no
+"""Called with a batch size; yields a mask of the records to keep for every batch of the input.
+
+Where they end, no
 further record is read."""
 CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
 """Dimensions of this program that can be written along with the class."""
@@ -103,7 +108,10 @@ class Plan:
 
     @property
     def is_checked(self) -> bool:
-        """Whether the compressed records are read back and compared: waveform packets are sometimes damaged."""
+        """Whether the compressed records are read back and compared.
+
+        Waveform packets are sometimes damaged.
+        """
         return self.compress and self.point_format in (9, 10)
 
     @property
@@ -150,7 +158,10 @@ def copy_las(
     masks: Masks | None = None,
     record: RunRecord | None = None,
 ) -> tuple[str, ...]:
-    """Write a LAS or LAZ file again under a temporary name, with the records of the masks; return notices."""
+    """Write a LAS or LAZ file again under a temporary name, with the records of the masks.
+
+    Return notices.
+    """
     plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
     notices: list[str] = []
     vlrs = _planned_vlrs(plan, notices.append)
@@ -253,7 +264,10 @@ class _Points:
         sink.close()
 
     def finish(self, fields: HeaderFields) -> None:
-        """Set counts, and bounds of a part, in a header; legacy counts that are zero in the input stay zero."""
+        """Set counts, and bounds of a part, in a header.
+
+        Legacy counts that are zero in the input stay zero.
+        """
         plan = self._plan
         if not plan.is_part and not plan.upgrades:
             return
@@ -270,7 +284,10 @@ class _Points:
             fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
 
     def check(self, written: Path, output: Path) -> None:
-        """Decompress what was written and compare its CRC-32: lazrs 0.8.2 damages packets of several channels."""
+        """Decompress what was written and compare its CRC-32.
+
+        Lazrs 0.8.2 damages packets of several channels.
+        """
         if not self._plan.is_checked:
             return
         las = read_header(written)
@@ -331,7 +348,10 @@ def _copy_bytes(source: Source, target: Target, start: int, stop: int) -> None:
 
 
 def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
-    """Return the header with the changes of the plan; the offsets behind the points are set later."""
+    """Return the header with the changes of the plan.
+
+    The offsets behind the points are set later.
+    """
     las = plan.las
     fields = plan.las.fields()
     if plan.upgrades:
@@ -373,7 +393,9 @@ class Tail:
     """EVLRs of the output."""
 
     def moved(self, position: int) -> int:
-        """Return where a byte of the input lies in the output; the same number where it is not copied.
+        """Return where a byte of the input lies in the output.
+
+        The same number where it is not copied.
 
         >>> Tail(((100, 120), (150, 160)), 300, 0, 0).moved(155)
         325
@@ -434,7 +456,10 @@ class LasRewriter(ScatterWriter):
         self._compress = labels.path.suffix.lower() == LAZ
 
     def _source_state(self) -> tuple[int, int, int, int]:
-        """Size, times of the last change and number of the input file: if one differs, the file has changed."""
+        """Size, times of the last change and number of the input file.
+
+        If one differs, the file has changed.
+        """
         with open_source(self._source_path) as source:
             return source.state()
 
@@ -556,7 +581,10 @@ def changed(records: U8, columns: Columns, plan: Plan) -> U8:
 
 
 class LasRecoder(LasRewriter):
-    """Writer of a LAS file from another: in its ``with`` block :meth:`put` every record, then :meth:`finish`."""
+    """Writer of a LAS file from another.
+
+    In its ``with`` block :meth:`put` every record, then :meth:`finish`.
+    """
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
         super().__init__(

@@ -1,13 +1,17 @@
-"""Replaces the classes in LAZ chunks of point formats 6-8 without recompressing other layers; COPC stays COPC.
+"""Replaces the classes in LAZ chunks of point formats 6-8 without recompressing other layers.
 
-A layered chunk of LASzip holds its first record uncompressed, the number of records, the size of every layer and the
-layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ specification 1.4, sections on POINT14). The
-layer of classes depends only on the classes, the return numbers and the scanner channels (the context), so records that
-are zero elsewhere give the same layer. lazrs compresses such records; their layer replaces the old one, all other bytes
-are copied. So that no damage is copied with them, every layer is decoded once before, by the reader or here.
+COPC stays COPC.
 
-A COPC file (COPC 1.0: hobu, 2021) is LAZ with a chunk for every node of an octree; the index names the first byte and
-the length of every chunk, which change; nothing else does.
+A layered chunk of LASzip holds its first record uncompressed, the number of records, the size of
+every layer and the layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ
+specification 1.4, sections on POINT14). The layer of classes depends only on the classes, the
+return numbers and the scanner channels (the context), so records that are zero elsewhere give the
+same layer. lazrs compresses such records; their layer replaces the old one, all other bytes are
+copied. So that no damage is copied with them, every layer is decoded once before, by the reader or
+here.
+
+A COPC file (COPC 1.0: hobu, 2021) is LAZ with a chunk for every node of an octree; the index names
+the first byte and the length of every chunk, which change; nothing else does.
 """
 
 from __future__ import annotations
@@ -72,7 +76,10 @@ def contexts_of(records: U8) -> U8:
 
 
 def records_of(contexts: U8) -> U8:
-    """Return raw records of point format 6 with these contexts, else zero; the inverse of :func:`contexts_of`."""
+    """Return raw records of point format 6 with these contexts, else zero.
+
+    The inverse of :func:`contexts_of`.
+    """
     records = np.zeros((len(contexts), standard_bytes(6)), np.uint8)
     records[:, _RETURNS_AT] = np.where(contexts & _ONLY, 0x11, 0x21)
     records[:, _CHANNEL_AT] = (contexts & 3) << np.uint8(4)
@@ -80,7 +87,10 @@ def records_of(contexts: U8) -> U8:
 
 
 class LazContexts:
-    """Contexts of the first records of a file, kept from reading: the writer need not decompress returns again."""
+    """Contexts of the first records of a file, kept from reading.
+
+    The writer need not decompress returns again.
+    """
 
     def __init__(self) -> None:
         self.n_seen = 0
@@ -102,7 +112,10 @@ class LazContexts:
                 self.n_seen += len(contexts)
 
     def check(self, first: int, n: int) -> None:
-        """Note that every layer of ``n`` records could be decoded; only those that follow the last ones count."""
+        """Note that every layer of ``n`` records could be decoded.
+
+        Only those that follow the last ones count.
+        """
         with self._lock:
             if first == self.n_checked:
                 self.n_checked += n
@@ -122,7 +135,10 @@ class Splice:
 
 
 def find_chunks(source: Source, las: LasHeader) -> Splice | None:
-    """Return the chunks whose classes can be replaced; None unless it is usual LAZ of formats 6 to 8."""
+    """Return the chunks whose classes can be replaced.
+
+    None unless it is usual LAZ of formats 6 to 8.
+    """
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
     chunks = LazRecords(source, las)
@@ -141,7 +157,10 @@ def find_chunks(source: Source, las: LasHeader) -> Splice | None:
 
 
 def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
-    """Return all pages of a COPC index; none if there is no index, or one lies outside it, is cut, or comes twice."""
+    """Return all pages of a COPC index.
+
+    None if there is no index, or one lies outside it, is cut, or comes twice.
+    """
     info = las.vlr(_COPC_KEY)
     hierarchy = [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
     if (
@@ -196,7 +215,10 @@ def splice_classes(
     codes: Iterator[U8],
     kept: ClassContexts | None = None,
 ) -> dict[int, tuple[int, int]]:
-    """Write all chunks with new classes and their table; return new position and length by old position."""
+    """Write all chunks with new classes and their table.
+
+    Return new position and length by old position.
+    """
     chunks = splice.chunks
     sizes = chunks.sizes()[:, 0].tolist()
     places = chunks.table.first_byte.tolist()
@@ -283,7 +305,10 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
 def _write_chunk(
     source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int
 ) -> int:
-    """Write a chunk with a new layer of classes and a new class of its first record; return its number of bytes."""
+    """Write a chunk with a new layer of classes and a new class of its first record.
+
+    Return its number of bytes.
+    """
     las = chunks.header
     first, stop = chunks.table.first_byte[chunk : chunk + 2].tolist()
     source.seek(first)
@@ -310,7 +335,10 @@ def move_index(
     moved: dict[int, tuple[int, int]],
     place: dict[int, int],
 ) -> None:
-    """Let the index of a COPC output point to its chunks and pages; ``place``: where the pages lie now."""
+    """Let the index of a COPC output point to its chunks and pages.
+
+    ``place``: where the pages lie now.
+    """
     with open_source(las.path) as source, written.open("r+b") as handle:
         for at, size in splice.pages:
             entries = []

@@ -1,6 +1,7 @@
 """What LAS files say of themselves in VLRs: the run record, names of classes, coordinate systems.
 
-laspy's own ``parse_crs`` needs pyproj, an extra of this program, and gives up on what pyproj does not understand.
+laspy's own ``parse_crs`` needs pyproj, an extra of this program, and gives up on what pyproj does
+not understand.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ VLR_LIMIT = 65_535
 RECORD_TEXT = "prc run record"
 """Description of the VLR that holds the run record."""
 LOOKUP_KEY = ("LASF_Spec", 0)
-"""LAS 1.4: entries of 16 bytes, the class number and 15 characters. The specification names the standard classes; user
+"""LAS 1.4: entries of 16 bytes, the class number and 15 characters.
+
+The specification names the standard classes; user
 codes, 64 and up, mean what this record says."""
 _ENTRY_BYTES = 16
 
@@ -75,7 +78,10 @@ def names_of_file(path: Path) -> dict[int, str]:
 def with_lookup(
     las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]
 ) -> tuple[list[Vlr], tuple[str, ...]]:
-    """Return VLRs that name some classes, and notices; an existing record is extended in its place."""
+    """Return VLRs that name some classes, and notices.
+
+    An existing record is extended in its place.
+    """
     if not names:
         return vlrs, ()
     if any(evlr.has(LOOKUP_KEY) for evlr in las.evlrs):
@@ -119,7 +125,10 @@ def _names(data: bytes) -> dict[int, str]:
 
 
 def find_crs(header: LasHeader) -> str | None:
-    """Return the coordinate system: WKT as it stands, else ``EPSG:CODE`` from GeoTIFF keys, else None."""
+    """Return the coordinate system.
+
+    WKT as it stands, else ``EPSG:CODE`` from GeoTIFF keys, else None.
+    """
     codes = (_horizontal(_geo_keys(data)) for data in header.find(GEO_KEYS_KEY))
     named = (f"EPSG:{code}" for code in codes if code)
     texts = (map(text_of, header.find(key)) for key in (WKT_KEY, _LIBLAS_WKT_KEY))

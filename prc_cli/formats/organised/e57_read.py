@@ -1,8 +1,8 @@
 """Reader of E57 (ASTM E2807), organised scans in a binary container, with pye57.
 
-Points carry the row and column of their cell; a cell without a point is a missing shot. A first pass reads only these
-two, for the number of lines and beams and the order of the points. Points that do not come column by column are grouped
-by columns in a temporary file.
+Points carry the row and column of their cell; a cell without a point is a missing shot. A first
+pass reads only these two, for the number of lines and beams and the order of the points. Points
+that do not come column by column are grouped by columns in a temporary file.
 """
 
 from __future__ import annotations
@@ -280,9 +280,9 @@ class _Scan:
 class E57Stream:
     """An E57 file as a :class:`prc_cli.core.stream.ScanStream`.
 
-    The origin of a scan's own coordinates is the scanner; the rotation of its pose turns z up. Cells without a
-    point, points marked invalid and points at the origin are missing shots. Cells with several points are shots with
-    several returns.
+    The origin of a scan's own coordinates is the scanner; the rotation of its pose turns z up.
+    Cells without a point, points marked invalid and points at the origin are missing shots. Cells
+    with several points are shots with several returns.
     """
 
     def __init__(
@@ -464,7 +464,10 @@ class E57Stream:
     def _points(
         self, file: E57File, scan: _Scan, tallies: list[ReadTally]
     ) -> Iterator[NDArray[Any]]:
-        """Yield points with their cells, in the order of the file; points refused are added to the tallies."""
+        """Yield points with their cells, in the order of the file.
+
+        Points refused are added to the tallies.
+        """
         table = scan.table
         shape = scan.shape
         cartesian = _is_cartesian(table)

@@ -1,7 +1,10 @@
-"""Writer of streams as E57 (ASTM E2807): organised scans, one point per cell, in pieces, with the library of pye57.
+"""Writer of streams as E57 (ASTM E2807).
 
-A point has the row (column of the range image) and the column (scan line) of its cell, Cartesian coordinates relative
-to the scanner as doubles, so that the range comes back bit for bit, and a state that says whether there was a return.
+Organised scans, one point per cell, in pieces, with the library of pye57.
+
+A point has the row (column of the range image) and the column (scan line) of its cell, Cartesian
+coordinates relative to the scanner as doubles, so that the range comes back bit for bit, and a
+state that says whether there was a return.
 """
 
 from __future__ import annotations
@@ -150,7 +153,10 @@ class E57Stream(StreamWriter):
             self._image.close()
 
     def _points(self, item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
-        """Return the fields of the points of some lines; the chosen return of a shot comes first."""
+        """Return the fields of the points of some lines.
+
+        The chosen return of a shot comes first.
+        """
         block = item.block
         m = item.block.points_per_line
         values = stream_rows(item, rows)
@@ -178,7 +184,10 @@ class E57Stream(StreamWriter):
         return points
 
     def _directions(self, item: StreamItem, rows: slice) -> F64:
-        """Return the unit vector of every beam, (shots, 3) float64; may be NaN for shots without return."""
+        """Return the unit vector of every beam, (shots, 3) float64.
+
+        May be NaN for shots without return.
+        """
         block = item.block
         if block.xyz_m is not None:
             places: F64 = block.xyz_m[rows].reshape(-1, 3).astype(np.float64)

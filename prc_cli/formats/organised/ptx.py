@@ -1,4 +1,7 @@
-"""Reader of PTX, organised scans as text: ten header lines per scan, then one point per line, column after column."""
+"""Reader of PTX, organised scans as text.
+
+Ten header lines per scan, then one point per line, column after column.
+"""
 
 from __future__ import annotations
 
@@ -406,7 +409,10 @@ class _Survey:
 
 
 def _intensity_scale(scan: _Scan) -> float:
-    """Return the factor for intensities: 65535 where they run from 0 to 1, as PTX defines, else 1."""
+    """Return the factor for intensities.
+
+    65535 where they run from 0 to 1, as PTX defines, else 1.
+    """
     n_seen = 0
     for rows in scan.parts(_LOOKED_AT * _ROW_BYTES):
         # leave out shots without return

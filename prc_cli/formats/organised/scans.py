@@ -27,7 +27,10 @@ MAX_SCANS = 1 << 16
 INTENSITY_STEPS = 65535.0
 """Full scale of intensities in LAS."""
 _ROTATION_TOLERANCE = 1e-3
-"""Tolerance for unit length and right angles of the axes of a pose: some are written with four digits."""
+"""Tolerance for unit length and right angles of the axes of a pose.
+
+Some are written with four digits.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +40,10 @@ class Pose:
     rotation: F64
     """(3, 3) float64, rows are the axes of the file in a frame with z up."""
     offset_m: F64
-    """(3,) float64, origin of the file relative to the scanner, in the rotated frame [m]; usually zero."""
+    """(3,) float64, origin of the file relative to the scanner, in the rotated frame [m].
+
+    Usually zero.
+    """
 
     station_m: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) float64, position of the scanner among all scans [m]."""
@@ -148,7 +154,10 @@ RULED_OUT = frozenset(
         "time_origin",
     )
 )
-"""Keys that scans refuse, or that do nothing for them: they hold lines, columns and angles themselves."""
+"""Keys that scans refuse, or that do nothing for them.
+
+They hold lines, columns and angles themselves.
+"""
 
 
 def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
@@ -252,7 +261,10 @@ def spans(n_lines: int, lines: int) -> Iterator[tuple[int, int]]:
 def in_turn(
     parts: Iterator[NDArray[Any]], sizes: Iterable[int], missing: InputError
 ) -> Iterator[NDArray[Any]]:
-    """Cut parts that come one after the other into pieces of such sizes; an error where they end too early."""
+    """Cut parts that come one after the other into pieces of such sizes.
+
+    An error where they end too early.
+    """
     waiting: list[NDArray[Any]] = []
     n_waiting = 0
     for wanted in sizes:

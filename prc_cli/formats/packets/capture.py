@@ -1,4 +1,7 @@
-"""Datagrams of a capture (pcap, pcapng): UDP over IPv4 or IPv6, fragments put together, in bounded memory."""
+"""Datagrams of a capture (pcap, pcapng).
+
+UDP over IPv4 or IPv6, fragments put together, in bounded memory.
+"""
 
 from __future__ import annotations
 
@@ -204,7 +207,10 @@ def _strip_link(link: int, packet: bytes) -> memoryview | None:
 
 
 def _strip_ip(ip: memoryview, time_s: float, waiting: _Fragments) -> Datagram | None:
-    """Return the UDP datagram in an IP packet, or that which it completes; None if there is none."""
+    """Return the UDP datagram in an IP packet, or that which it completes.
+
+    None if there is none.
+    """
     version = ip[0] >> 4 if len(ip) >= 20 else 0
     if version == 4:
         head = (ip[0] & 15) * 4

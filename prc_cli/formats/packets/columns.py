@@ -1,7 +1,10 @@
-"""Firing columns of a spinning scanner become scan lines: rings from low to high, staggering undone in angle.
+"""Firing columns of a spinning scanner become scan lines.
 
-A scanner whose lasers point to different azimuths at a time sees a vertical line at different times. A cell takes the
-shot that points along its line, and keeps the shot's own time. Columns that did not arrive are lines without returns.
+Rings from low to high, staggering undone in angle.
+
+A scanner whose lasers point to different azimuths at a time sees a vertical line at different
+times. A cell takes the shot that points along its line, and keeps the shot's own time. Columns that
+did not arrive are lines without returns.
 """
 
 from __future__ import annotations
@@ -37,7 +40,10 @@ class Columns(NamedTuple):
     """Consecutive firing columns, decoded; rings from low to high."""
 
     line: I64
-    """(n,) int64, number of the column since the first; numbers that are left out did not arrive."""
+    """(n,) int64, number of the column since the first.
+
+    Numbers that are left out did not arrive.
+    """
     range_m: F32
     """(n, M) float32 [m]; NaN = no return."""
     record: I64
@@ -100,7 +106,10 @@ class ColumnLines:
         self._n_columns = self._n_lost = self._unplaced = self._not_fired = self._collisions = 0
 
     def count_not_fired(self, n: int) -> None:
-        """Count records of columns that the scanner itself marks as empty; they have no place in a line."""
+        """Count records of columns that the scanner itself marks as empty.
+
+        They have no place in a line.
+        """
         self._not_fired += n
 
     def count_unplaced(self, n: int) -> None:
@@ -286,7 +295,10 @@ class ColumnLines:
 
 
 class PacketClock:
-    """Turns time stamps of packets into columns and times; a clock unlike the capture's is set to that."""
+    """Turns time stamps of packets into columns and times.
+
+    a clock unlike the capture's is set to that.
+    """
 
     def __init__(self, period_s: float, column_s: float) -> None:
         self._period_s = period_s

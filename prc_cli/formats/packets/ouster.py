@@ -1,9 +1,10 @@
 """Lidar packets of Ouster scanners, with the metadata (JSON) that the sensor gives.
 
-A packet has columns; a column has a time stamp, a number within the frame, a status and a pixel a ring (Ouster firmware
-user manual, "Lidar data packet format": LEGACY, and the profiles RNG19_RFL8_SIG16_NIR16, its _DUAL form and
-RNG15_RFL8_NIR8). The lasers of a column point to different azimuths, by whole columns of the frame
-(``pixel_shift_by_row``): a line is made of the shots that point along it.
+A packet has columns; a column has a time stamp, a number within the frame, a status and a pixel a
+ring (Ouster firmware user manual, "Lidar data packet format": LEGACY, and the profiles
+RNG19_RFL8_SIG16_NIR16, its _DUAL form and RNG15_RFL8_NIR8). The lasers of a column point to
+different azimuths, by whole columns of the frame (``pixel_shift_by_row``): a line is made of the
+shots that point along it.
 """
 
 from __future__ import annotations

@@ -304,7 +304,10 @@ def _key(datagram: Datagram) -> str:
 
 
 def find_metadata(path: Path | None, config: InputConfig) -> Metadata | None:
-    """Return the metadata of an Ouster: those named, else of the same name with ``.json``; None without."""
+    """Return the metadata of an Ouster.
+
+    Those named, else of the same name with ``.json``; None without.
+    """
     if config.metadata is not None:
         named = Path(config.metadata).expanduser()
         # the calibration of a Velodyne is no metadata

@@ -1,4 +1,7 @@
-"""Messages and packets that a recording holds twice: two recorders at work, or two parts that overlap."""
+"""Messages and packets that a recording holds twice.
+
+Two recorders at work, or two parts that overlap.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,13 @@
-"""Data packets of Velodyne and Hesai: blocks of an azimuth and the distances of all lasers, by a table of models.
+"""Data packets of Velodyne and Hesai.
 
-Velodyne (user manuals of VLP-16, VLP-32C, HDL-32E, HDL-64E S3, VLS-128): 1206 bytes, 12 blocks of a flag, an azimuth
-and 32 distances with reflectivity; then a time stamp, the return mode and the model. Angles are those of the
-calibrations that velodyne-decoder brings along; an HDL-64E has one of its own. Hesai (user manuals of Pandar40P, 64,
-QT64, QT128, XT, XT32M, 128 and OT128): a header, blocks of an azimuth and the channels, a tail with mode and time.
-Angles and times of firing are the makers' nominal ones (``hesai.json``). Cells without return are zeros.
+Blocks of an azimuth and the distances of all lasers, by a table of models.
+
+Velodyne (user manuals of VLP-16, VLP-32C, HDL-32E, HDL-64E S3, VLS-128): 1206 bytes, 12 blocks of a
+flag, an azimuth and 32 distances with reflectivity; then a time stamp, the return mode and the
+model. Angles are those of the calibrations that velodyne-decoder brings along; an HDL-64E has one
+of its own. Hesai (user manuals of Pandar40P, 64, QT64, QT128, XT, XT32M, 128 and OT128): a header,
+blocks of an azimuth and the channels, a tail with mode and time. Angles and times of firing are the
+makers' nominal ones (``hesai.json``). Cells without return are zeros.
 """
 
 from __future__ import annotations
@@ -442,7 +445,10 @@ class SpinningDecoder:
             raise InputError(self._where, problem, _SPLIT)
 
     def _by_column(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of blocks, (n, blocks, shots), as (columns, M, returns); rings from low to high."""
+        """Return the values of blocks, (n, blocks, shots), as (columns, M, returns).
+
+        Rings from low to high.
+        """
         model = self._model
         shape = (
             len(values),

@@ -29,12 +29,18 @@ def config_path(path: Path) -> Path:
 
 
 def open_stream(path: Path, shape: StreamShape) -> StreamWriter:
-    """Return the writer of a dump: a frame where only returns with coordinates relative to the scanner are wanted."""
+    """Return the writer of a dump.
+
+    a frame where only returns with coordinates relative to the scanner are wanted.
+    """
     return FrameStream(path, shape) if shape.points and shape.xyz else RawStream(path, shape)
 
 
 class FrameStream(StreamWriter):
-    """Writer of returns as KITTI stores them: float32 x, y, z, intensity, in the order of the input's records."""
+    """Writer of returns as KITTI stores them.
+
+    Float32 x, y, z, intensity, in the order of the input's records.
+    """
 
     one_scanner = "a frame"
 
@@ -81,7 +87,10 @@ class FrameStream(StreamWriter):
 
 
 class RawStream(StreamWriter):
-    """Writer of little-endian records: range, then intensity, time, x, y, z, angle, class if present."""
+    """Writer of little-endian records.
+
+    Range, then intensity, time, x, y, z, angle, class if present.
+    """
 
     one_scanner = "a raw dump"
 
@@ -97,7 +106,8 @@ class RawStream(StreamWriter):
         shape = self.shape
         self._m = item.block.points_per_line
         angle_rad = item.block.angle_rad
-        # with registered heights, write the angle per record: both are needed to find straight down again
+        # with registered heights, write the angle per record: both are needed to find straight down
+        # again
         if angle_rad is not None and not shape.registered:
             degrees: F64 = np.rad2deg(angle_rad).round(10)
             self._even = even_steps(degrees)
@@ -183,11 +193,14 @@ def even_steps(degrees: F64) -> tuple[float, float] | None:
 
 
 class FrameFolder:
-    """Writes ``velodyne/NNNNNN.bin``, ``labels/NNNNNN.label``, ``poses.txt`` and ``times.txt``; whole or not at all.
+    """Writes ``velodyne/NNNNNN.bin``, ``labels/NNNNNN.label``, ``poses.txt`` and ``times.txt``.
 
-    Points are float32 x, y, z, intensity of the returns, ring after ring from the lowest, each ring in the order of
-    firing; classes are uint32 class codes. A pose is the first three rows of the matrix that brings points of the
-    middle of the turn to the frame of the first pose; a time is that of the turn's first shot [s].
+    Whole or not at all.
+
+    Points are float32 x, y, z, intensity of the returns, ring after ring from the lowest, each ring
+    in the order of firing; classes are uint32 class codes. A pose is the first three rows of the
+    matrix that brings points of the middle of the turn to the frame of the first pose; a time is
+    that of the turn's first shot [s].
     """
 
     def __init__(self, folder: Path) -> None:

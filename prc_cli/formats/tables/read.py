@@ -40,8 +40,9 @@ def open_table(path: Path) -> RecordSource | None:
 class ArrayTable:
     """Reader of ``.npy`` and ``.npz`` files as records: one per cell of an image, in stream order.
 
-    An array with one number per record is a column: (records,), or (lines, M) for images. ``xyz`` has one axis more and
-    becomes three columns. Images also have ``scan_line``, the row, and ``column``.
+    An array with one number per record is a column: (records,), or (lines, M) for images. ``xyz``
+    has one axis more and becomes three columns. Images also have ``scan_line``, the row, and
+    ``column``.
     """
 
     format = "array"
@@ -187,7 +188,10 @@ class ParquetTable:
 
 
 class FeatherTable(ParquetTable):
-    """Reader of the numeric columns of a Feather file; a ring and coordinates are frames of rings."""
+    """Reader of the numeric columns of a Feather file.
+
+    a ring and coordinates are frames of rings.
+    """
 
     format = "Feather"
     """Reader name."""

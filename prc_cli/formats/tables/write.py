@@ -1,7 +1,9 @@
-"""Writers of streams as tables: one row per cell, missing shots included, and one per further return of a shot.
+"""Writers of streams as tables.
 
-``.csv`` (plain, gzip or zstd) is read by column name; numbers are the shortest text that gives the same bits again.
-``.parquet`` has the same columns, for other programs.
+One row per cell, missing shots included, and one per further return of a shot.
+
+``.csv`` (plain, gzip or zstd) is read by column name; numbers are the shortest text that gives the
+same bits again. ``.parquet`` has the same columns, for other programs.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ def table_columns(shape: StreamShape) -> dict[str, pa.DataType]:
         ("range_m", True, pa.float32()),
         ("time_s", shape.times, pa.float64()),
         *((axis, shape.xyz or shape.registered, xyz) for axis in "xyz"),
-        # without intensities a reader would choose the first return, whichever was chosen in the input
+        # without intensities a reader would choose the first return, whichever was chosen in the
+        # input
         ("intensity", shape.intensity or shape.returns, pa.float32()),
         ("class", shape.codes, pa.int32()),
     ]
@@ -103,7 +106,10 @@ class ParquetStream(_TableStream):
 
 
 def _close(stream: Any) -> None:
-    """Close the Arrow writer early, or it complains on stderr later; an abandoned file may be broken."""
+    """Close the Arrow writer early, or it complains on stderr later.
+
+    An abandoned file may be broken.
+    """
     with contextlib.suppress(OSError, ValueError, pa.ArrowException):
         stream.close()
 

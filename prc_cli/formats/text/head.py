@@ -1,4 +1,7 @@
-"""Lines before the rows of a text file: names, units, the number of rows, text of the program that wrote it."""
+"""Lines before the rows of a text file.
+
+Names, units, the number of rows, text of the program that wrote it.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,9 @@ class Head:
 
 
 def separator_of(text: str) -> str | None:
-    r"""Return the delimiter that the first line of a file for Excel gives; None where it is no such line.
+    r"""Return the delimiter that the first line of a file for Excel gives.
+
+    None where it is no such line.
 
     >>> separator_of("sep=;"), separator_of("sep=\\t"), separator_of("a;b")
     (';', '\t', None)

@@ -14,7 +14,10 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
 
 BLOCK_BYTES = 3 << 18
-"""Bytes of text read at a time; twice as many take 10 MiB more memory and save a few per cent of processor time."""
+"""Bytes of text read at a time.
+
+Twice as many take 10 MiB more memory and save a few per cent of processor time.
+"""
 MAX_LINE_BYTES = 1 << 20
 """Longest line; files with longer ones are not tables."""
 
@@ -45,7 +48,10 @@ def iter_lines(
     span: tuple[int, int] | None = None,
     line: int = 1,
 ) -> Iterator[Lines]:
-    """Read text, compressed or not, in blocks of whole lines; of ``span`` bytes alone, from ``line`` on."""
+    """Read text, compressed or not, in blocks of whole lines.
+
+    Of ``span`` bytes alone, from ``line`` on.
+    """
     rest = b""
     at_start = span is None
     n_bytes = 0
@@ -83,7 +89,9 @@ def iter_lines(
 
 
 def count_line_ends(data: bytes) -> int:
-    r"""Return how many line ends a text has; where lines are short, four times as fast as ``bytes.count``.
+    r"""Return how many line ends a text has.
+
+    Where lines are short, four times as fast as ``bytes.count``.
 
     >>> count_line_ends(b"1.5\n2.5\n3")
     2

@@ -1,7 +1,7 @@
 """Reader of text files, one record per row, plain or compressed, in bounded memory.
 
-Blocks of whole lines go through pyarrow's CSV parser. Blocks that it refuses are read again by a slow exact parser,
-which either names the line and cell or accepts what pyarrow was too strict for.
+Blocks of whole lines go through pyarrow's CSV parser. Blocks that it refuses are read again by a
+slow exact parser, which either names the line and cell or accepts what pyarrow was too strict for.
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ UOS = Layout(
         LayoutField(name=axis, source=index, scale=0.01) for index, axis in enumerate("xzy")
     ),
 )
-"""Scans of 3DTK, one point per row, columns x, y, z in centimetres: relative to the scanner in metres, z up."""
+"""Scans of 3DTK, one point per row, columns x, y, z in centimetres.
+
+Relative to the scanner in metres, z up.
+"""
 
 
 class TextBody:
@@ -67,7 +70,10 @@ class TextBody:
         self._comments = re.compile(run, re.MULTILINE) if text.comment else None
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, dict[str, F64], int]]:
-        """Yield first record, numbers by column, number of records; every row needs as many cells as the first."""
+        """Yield first record, numbers by column, number of records.
+
+        Every row needs as many cells as the first.
+        """
         first = 0
         for columns in self._blocks([int(key) for key in keys]):
             n = len(columns[0])
@@ -103,7 +109,10 @@ class TextBody:
                 yield Lines(lines.first + n_skipped, parts[-1])
 
     def _without_gaps(self, blocks: Iterator[Lines]) -> Iterator[Lines]:
-        """Refuse blank lines between the rows of one column, perhaps missing shots; at the end they say nothing."""
+        """Refuse blank lines between the rows of one column, perhaps missing shots.
+
+        At the end they say nothing.
+        """
         blank = None
         for lines in blocks:
             gap = _BLANK.search(lines.data) if blank is None else None
@@ -126,7 +135,10 @@ class TextBody:
         return self._parse_exactly(lines, used) if found is None else found
 
     def _plain(self, data: bytes) -> bytes:
-        """Return lines without comments and with single delimiters; fast where nothing is to be done."""
+        """Return lines without comments and with single delimiters.
+
+        Fast where nothing is to be done.
+        """
         if self._comments is not None and self.text.comment in data:
             data = self._comments.sub(b"", data)
         return single_blanks(data) if self.text.delimiter == BLANKS else data
@@ -266,7 +278,8 @@ def parse_fast(
                 null_values=["", *MISSING_WORDS],
                 decimal_point=decimal,
             ),
-            pa.system_memory_pool(),  # freed memory goes back to the system, not to pyarrow's own pool
+            # freed memory goes back to the system, not to pyarrow's own pool
+            pa.system_memory_pool(),
         )
     except pa.ArrowInvalid:
         return None
@@ -276,8 +289,9 @@ def parse_fast(
 class TextSource(FieldSource):
     """A text file as a :class:`prc_cli.formats.records.RecordSource`.
 
-    All values are float64; empty cells and ``nan`` are NaN. Angles are converted from degrees to radians, unless the
-    layout or the name of the column (``angle_rad``) gives another unit. A single column without a name is the range.
+    All values are float64; empty cells and ``nan`` are NaN. Angles are converted from degrees to
+    radians, unless the layout or the name of the column (``angle_rad``) gives another unit. A
+    single column without a name is the range.
     """
 
     def __init__(

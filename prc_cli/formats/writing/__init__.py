@@ -55,7 +55,10 @@ def outputs_of(path: Path) -> tuple[Path, ...]:
 
 
 def beside_of(path: Path) -> tuple[Path, ...]:
-    """Return what an output may add to its folder where there is none yet: a database of ROS 2 makes a bag of it."""
+    """Return what an output may add to its folder where there is none yet.
+
+    a database of ROS 2 makes a bag of it.
+    """
     return (path.with_name(METADATA),) if suffix_of(path) == DATABASE else ()
 
 

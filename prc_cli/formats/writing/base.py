@@ -1,4 +1,7 @@
-"""The base classes of all writers: blocks with labels or class codes in, a complete output with its run record out."""
+"""The base classes of all writers.
+
+Blocks with labels or class codes in, a complete output with its run record out.
+"""
 
 from __future__ import annotations
 
@@ -44,11 +47,16 @@ class StreamItem:
 
     block: ScanBlock
     codes: NDArray[Any] | None = None
-    """(lines, M), class code of every cell, :data:`NO_CODE` = none; None where the input has no classes."""
+    """(lines, M), class code of every cell, :data:`NO_CODE` = none.
+
+    None where the input has no classes.
+    """
     extra_codes: NDArray[Any] | None = None
     """(n,), class codes of ``block.extra``."""
     registered_m: F64 | None = None
-    """(lines, M, 3) float64, coordinates of the input, or made up for a cloud [m], NaN = none; None where they are
+    """(lines, M, 3) float64, coordinates of the input, or made up for a cloud [m], NaN = none.
+
+    None where they are
     those of ``block.xyz_m``."""
     extra_registered_m: F64 | None = None
     """(n, 3) float64, the same for ``block.extra``."""
@@ -77,7 +85,10 @@ class StreamShape:
     down_rad: float | None = None
     """Scan angle that points straight down [rad], None = unknown."""
     points: bool = False
-    """Whether clouds and frames (``.ply .pcd .bin``) hold returns alone: cells without a range have no point."""
+    """Whether clouds and frames (``.ply .pcd .bin``) hold returns alone.
+
+    Cells without a range have no point.
+    """
     rings: bool = False
     """Whether lines are cells of azimuth of a spinning scanner."""
     crs: str = ""
@@ -120,12 +131,16 @@ class Columns:
 class StagedWriter(ABC):
     """A context manager that fills temporary files and gives them their names at the end, or leaves none.
 
-    It takes blocks of a classifier (:meth:`add`) or of a stream (:meth:`add_item`). A writer says what becomes of an
-    item (:meth:`_add`) and how the file is closed (:meth:`_close`, or :meth:`_write` where it holds the run record).
+    It takes blocks of a classifier (:meth:`add`) or of a stream (:meth:`add_item`). A writer says
+    what becomes of an item (:meth:`_add`) and how the file is closed (:meth:`_close`, or
+    :meth:`_write` where it holds the run record).
     """
 
     one_scanner = ""
-    """Name of the format in messages, for formats of a single scanner; empty = several scanners are allowed."""
+    """Name of the format in messages, for formats of a single scanner.
+
+    Empty = several scanners are allowed.
+    """
 
     def __init__(
         self, path: Path, labels: LabelOutput | None = None, columns: Sequence[OptionalColumn] = ()
@@ -144,7 +159,10 @@ class StagedWriter(ABC):
         self._last_record: int | None = -1
         self._scanner: int | None = None
         self._files: list[tuple[Path, Path, bool]] = []
-        """Temporary name, name, and whether a file of this name is replaced: one that is there at the beginning."""
+        """Temporary name, name, and whether a file of this name is replaced.
+
+        One that is there at the beginning.
+        """
         self._temporary = self._output(path)
         self._record_temporary = self._output(record_path(path))
         self._stack = contextlib.ExitStack()
@@ -202,7 +220,10 @@ class StagedWriter(ABC):
             self._add(item)
 
     def finish(self, record: RunRecord) -> RunRecord:
-        """Write the output and ``<output>.prc.json`` and give them their names; return the record as written."""
+        """Write the output and ``<output>.prc.json`` and give them their names.
+
+        Return the record as written.
+        """
         with output_errors(self.path):
             self._settle(None)
             # the record beside the output has size and hash of what was written
@@ -308,7 +329,10 @@ class StagedWriter(ABC):
         return values.astype(column.dtype, copy=False)
 
     def _coordinates(self, item: StreamItem) -> tuple[F64, F64]:
-        """Coordinates of the cells and further returns of a block: its own, else as the output asks for."""
+        """Coordinates of the cells and further returns of a block.
+
+        Its own, else as the output asks for.
+        """
         if item.registered_m is not None and item.extra_registered_m is not None:
             return item.registered_m, item.extra_registered_m
         found, notice = coordinates(
@@ -439,7 +463,10 @@ class ScatterWriter(StagedWriter):
         return n
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
-        """Codes and optional columns in record order, in chunks; of a part, those of its records."""
+        """Codes and optional columns in record order, in chunks.
+
+        Of a part, those of its records.
+        """
         n = chunk or CHUNK_RECORDS
         first = 0
         end = total

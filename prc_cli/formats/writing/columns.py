@@ -1,4 +1,7 @@
-"""What is written beside class codes: the ``[output]`` table, optional columns of all writers, where returns lie."""
+"""What is written beside class codes.
+
+The ``[output]`` table, optional columns of all writers, where returns lie.
+"""
 
 from __future__ import annotations
 
@@ -217,7 +220,8 @@ def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
     >>> check_codes(ClassCodes(), OutputConfig(codes="below-32"))
     Traceback (most recent call last):
     ...
-    prc_cli.core.errors.ConfigError: classes.stem: found code 64, expected a code below 32 because [output] codes = \
+    prc_cli.core.errors.ConfigError: classes.stem: found code 64, expected a code below 32 because
+    [output] codes = \
 "below-32"; set stem to a code from 19 to 31 in [classes], or codes = "upgrade"
     """
     if options.codes != "below-32":

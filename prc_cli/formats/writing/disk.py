@@ -1,7 +1,10 @@
-"""Values by record index on disk, in any order in and in any order out; arrays that grow; temporary files.
+"""Values by record index on disk, in any order in and in any order out.
 
-The order of writing and that of reading differ when several scanners share a file or a file was sorted: then values are
-scattered and gathered page by page. Memory is a page and a buffer, whatever the size of the file.
+Arrays that grow; temporary files.
+
+The order of writing and that of reading differ when several scanners share a file or a file was
+sorted: then values are scattered and gathered page by page. Memory is a page and a buffer, whatever
+the size of the file.
 """
 
 from __future__ import annotations
@@ -29,7 +32,10 @@ copy."""
 
 
 class DiskColumn:
-    """One value, or one row of several, per record, in a file beside an output; others read as ``fill``."""
+    """One value, or one row of several, per record, in a file beside an output.
+
+    Others read as ``fill``.
+    """
 
     def __init__(
         self, output: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None
@@ -88,7 +94,10 @@ class DiskColumn:
         self._n_seen = max(self._n_seen, high + 1)
 
     def get(self, record: I64) -> NDArray[Any]:
-        """Return the values of records, in the shape of ``record``; unknown indices give the fill value."""
+        """Return the values of records, in the shape of ``record``.
+
+        Unknown indices give the fill value.
+        """
         self._flush()
         flat = record.ravel()
         rows: U8 = np.zeros((len(flat), self._size), np.uint8)
@@ -100,7 +109,10 @@ class DiskColumn:
         return self._values(rows).reshape(record.shape)
 
     def chunks(self, n: int, *, first: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
-        """Read arrays of up to ``n`` values, records ``first`` to ``stop``; beyond the last one: the fill value."""
+        """Read arrays of up to ``n`` values, records ``first`` to ``stop``.
+
+        Beyond the last one: the fill value.
+        """
         stop = len(self) if stop is None else stop
         for start in range(first, stop, n):
             yield self.span(start, min(start + n, stop))

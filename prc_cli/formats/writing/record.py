@@ -117,8 +117,9 @@ class RunRecord(Brief):
     def to_json_within(self, limit: int) -> bytes:
         """Return the record as JSON of at most ``limit`` bytes.
 
-        In a record that is too long, SHA-256 and counts replace first the configuration, then assumptions and notices;
-        ``complete`` names the file beside the output that has them. JSON is never cut.
+        In a record that is too long, SHA-256 and counts replace first the configuration, then
+        assumptions and notices; ``complete`` names the file beside the output that has them. JSON
+        is never cut.
         """
         whole = self.to_json()
         if len(whole) <= limit:
@@ -136,7 +137,9 @@ class RunRecord(Brief):
 
 
 def dropped_of(record: Any) -> str:
-    """Return what a run record says of shots that were left out (``prc thin``); empty where it says nothing.
+    """Return what a run record says of shots that were left out (``prc thin``).
+
+    Empty where it says nothing.
 
     >>> dropped_of({"program": PROGRAM, "notices": ["thinned: 3 of 9 returns were dropped"]})
     '3 of 9 returns were dropped'
@@ -155,7 +158,10 @@ def dropped_of(record: Any) -> str:
 
 
 def read_record(output: Path) -> Any:
-    """Return the run record beside an output as it stands there; raises OSError, ValueError or RecursionError."""
+    """Return the run record beside an output as it stands there.
+
+    Raises OSError, ValueError or RecursionError.
+    """
     return json.loads(read_small(record_path(output), LARGEST_RECORD))
 
 
@@ -178,7 +184,10 @@ def dense_line_beside(path: Path) -> int | None:
 
 
 def reading_beside(path: Path) -> dict[str, Any]:
-    """Return how the input of a run was read, as the run record beside its labels says; empty without a record."""
+    """Return how the input of a run was read, as the run record beside its labels says.
+
+    Empty without a record.
+    """
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
         if record["program"] == PROGRAM:
@@ -276,7 +285,10 @@ def _dump(value: Any) -> bytes:
 
 
 def _without_folders(value: Any) -> Any:
-    """Replace absolute paths (also behind ``trajectory:``) by file names: records must not differ by machine."""
+    """Replace absolute paths (also behind ``trajectory:``) by file names.
+
+    Records must not differ by machine.
+    """
     if isinstance(value, Mapping):
         return {str(key): _without_folders(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -86,8 +86,8 @@ def _rows(table: PathTable) -> Iterator[str]:
 def sbet_records(name: Path, table: PathTable, crs: str | None) -> F64:
     """Return a path as records of 17 doubles, (k, 17) float64.
 
-    The velocity is that of the path, the heading its course; roll, pitch, accelerations and rates are not known and
-    are 0. The wander angle is 0: velocities are north, east and down.
+    The velocity is that of the path, the heading its course; roll, pitch, accelerations and rates
+    are not known and are 0. The wander angle is 0: velocities are north, east and down.
     """
     place = unproject(name, table.xyz, crs)
     speed, heading = _course(table)

@@ -1,10 +1,12 @@
 """The engine of many machines: files as tasks of Dask's distributed scheduler.
 
-Every worker runs the same functions as a local run, in its own process, on paths that all machines share. The scheduler
-gives the files of a worker that died to another one; a file that has killed several workers fails. Workers report their
-progress (begun, number of lines, ended) as events of the scheduler.
+Every worker runs the same functions as a local run, in its own process, on paths that all machines
+share. The scheduler gives the files of a worker that died to another one; a file that has killed
+several workers fails. Workers report their progress (begun, number of lines, ended) as events of
+the scheduler.
 
-This is the only module that uses Dask. It imports Dask inside functions, because Dask is an optional package.
+This is the only module that uses Dask. It imports Dask inside functions, because Dask is an
+optional package.
 """
 
 from __future__ import annotations
@@ -52,13 +54,19 @@ FETCH_S = 10.0
 FETCHES = 5
 """An outcome that was lost with its worker so often is given up."""
 PROGRESS_S = 1.0
-"""Finished lines are reported at most so often [s]: the reports of all workers go through one scheduler."""
+"""Finished lines are reported at most so often [s].
+
+The reports of all workers go through one scheduler.
+"""
 CHECK_S = 2.0
 """How often the engine asks the scheduler which workers there are [s]."""
 STOP_S = 5.0
 """How long workers may take to roll back their files when a run is stopped [s]."""
 SHARE_S = 5.0
-"""How long a new file may take to appear on other machines: network file systems cache listings [s]."""
+"""How long a new file may take to appear on other machines.
+
+Network file systems cache listings [s].
+"""
 
 BEGUN = "begun"
 LINES = "lines"
@@ -82,7 +90,10 @@ class Order:
     version: str
     """Version of the program that sends the order."""
     folder: str
-    """Current folder of the program that sends the order: relative names in the configuration start there."""
+    """Current folder of the program that sends the order.
+
+    Relative names in the configuration start there.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +169,10 @@ def do_order(order: Order) -> Report:
 
 
 def _is_wanted(worker: Any, key: str) -> bool:
-    """Tell whether a task is still wanted: the client cancels it when the run ends or gives it up."""
+    """Tell whether a task is still wanted.
+
+    The client cancels it when the run ends or gives it up.
+    """
     state = worker.state.tasks.get(key)
     return state is not None and state.state != "cancelled"
 
@@ -438,7 +452,10 @@ class _Run:
         yield from report.results
 
     def _report(self, job: _Job) -> Report | None:
-        """Return the outcome of an order, whatever went wrong; None where it died with its worker: it comes again."""
+        """Return the outcome of an order, whatever went wrong.
+
+        None where it died with its worker: it comes again.
+        """
         future = job.future
         name = job.task.name
         worker = job.worker or "?"

@@ -1,7 +1,7 @@
 """Which files of an archive are inputs, and where their outputs go.
 
-Names are paths relative to the archive with POSIX slashes, in the order of their bytes, the same on every machine.
-Nothing is opened but folders.
+Names are paths relative to the archive with POSIX slashes, in the order of their bytes, the same on
+every machine. Nothing is opened but folders.
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ class Found:
     mtime_ns: int
     """Time of the last change [ns since 1970]."""
     drive: str = ""
-    """What the files of one drive have in common, see :class:`Drives`; the name of a file by itself."""
+    """What the files of one drive have in common, see :class:`Drives`.
+
+    The name of a file by itself.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +53,19 @@ class Discovery:
     """Contents of an archive."""
 
     files: tuple[Found, ...]
-    """Inputs of this run, sorted by the bytes of their names; those of a drive together, in the order of its parts."""
+    """Inputs of this run, sorted by the bytes of their names.
+
+    Those of a drive together, in the order of its parts.
+    """
     left_out: tuple[LeftOut, ...]
     """Files and folders that no run takes although they look like inputs."""
     n_not_selected: int
     """Inputs excluded from this run by patterns, times or the shard."""
     older: frozenset[str] = frozenset()
-    """Of these, the names of those that only ``--since`` excludes: they are part of the archive all the same."""
+    """Of these, the names of those that only ``--since`` excludes.
+
+    They are part of the archive all the same.
+    """
 
 
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
@@ -200,7 +209,10 @@ def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool)
 
 
 def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
-    """Run an iterator in a daemon thread, which may hang in a system call; raise if nothing comes for long."""
+    """Run an iterator in a daemon thread, which may hang in a system call.
+
+    Raise if nothing comes for long.
+    """
     answers: queue.SimpleQueue[tuple[_ItemT] | BaseException | None] = queue.SimpleQueue()
 
     def run() -> None:
@@ -267,7 +279,10 @@ class Patterns:
 
 
 class Drives:
-    """Patterns of files of drives: the last wildcards stand for the part, all else is the same in one drive."""
+    """Patterns of files of drives.
+
+    The last wildcards stand for the part, all else is the same in one drive.
+    """
 
     def __init__(self, patterns: Iterable[str]) -> None:
         self._patterns: list[tuple[Patterns, str, str, str]] = []
@@ -282,7 +297,10 @@ class Drives:
             self._patterns.append((Patterns([text]), found[1], found[2], found[3]))
 
     def of(self, name: str) -> tuple[str, tuple[str | int, ...]]:
-        """Return the drive of a file and its part, numbers by their value; the name and () for one by itself."""
+        """Return the drive of a file and its part, numbers by their value.
+
+        The name and () for one by itself.
+        """
         folder, slash, last = name.rpartition("/")
         for pattern, before, part, after in self._patterns:
             middle = last.removesuffix(after)
@@ -298,7 +316,10 @@ class Drives:
 
 
 def _match(parts: Sequence[str], pattern: Sequence[re.Pattern[str] | None]) -> bool:
-    """Tell whether a pattern matches all parts of a name; ``**`` stands for any number, at the end for one or more."""
+    """Tell whether a pattern matches all parts of a name.
+
+    ``**`` stands for any number, at the end for one or more.
+    """
     reached = {0}
     """Numbers of parts that the pattern so far may stand for."""
     for i, one in enumerate(pattern):

@@ -1,11 +1,15 @@
-"""Journal of the finished files, in SQLite in the output folder: one for the whole archive, one per shard.
+"""Journal of the finished files, in SQLite in the output folder.
 
-A row is written before a worker starts a file and when it has ended, each in a transaction that is on the disk when the
-call returns. A kill at any moment leaves the journal as it was before or after one of these steps. A file whose output
-may have been written without a final entry is still ``running``.
+One for the whole archive, one per shard.
 
-Only the owner of the lock writes (:mod:`prc_cli.jobs.batch.lock`). Anybody may read meanwhile, also from another
-machine: a rollback journal is kept, since SQLite's WAL needs memory that all who have the file open share.
+A row is written before a worker starts a file and when it has ended, each in a transaction that is
+on the disk when the call returns. A kill at any moment leaves the journal as it was before or after
+one of these steps. A file whose output may have been written without a final entry is still
+``running``.
+
+Only the owner of the lock writes (:mod:`prc_cli.jobs.batch.lock`). Anybody may read meanwhile, also
+from another machine: a rollback journal is kept, since SQLite's WAL needs memory that all who have
+the file open share.
 """
 
 from __future__ import annotations
@@ -85,7 +89,10 @@ def journal_paths(folder: Path) -> list[Path]:
 
 
 class Journal:
-    """The journal of one run, written by it alone; newer entries of the folder's other journals count, too."""
+    """The journal of one run, written by it alone.
+
+    Newer entries of the folder's other journals count, too.
+    """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = folder / own_name("journal", shard, ".sqlite")
@@ -165,7 +172,10 @@ class Journal:
             self._database.execute(_SOURCE, source)
 
     def finish(self, outcome: Outcome) -> None:
-        """Record the outcome of a file, tried or refused; an output of somebody else does not become ours."""
+        """Record the outcome of a file, tried or refused.
+
+        An output of somebody else does not become ours.
+        """
         foreign = isinstance(outcome, Failed) and outcome.problem.kind == "OutputExistsError"
         entry = None if isinstance(outcome, Done) else self.entry(outcome.name)
         known = isinstance(outcome, Done) or (entry is not None and entry.owns_output)
@@ -189,14 +199,20 @@ class Journal:
         return max(found, key=lambda entry: entry.started, default=None)
 
     def entries(self) -> list[Entry]:
-        """Return all entries sorted by name; those of other journals as read when this one was opened."""
+        """Return all entries sorted by name.
+
+        Those of other journals as read when this one was opened.
+        """
         with _errors(self.path):
             own = list(map(_entry, _select(self._database)))
         found = _newest([*self._others.values(), *own])
         return [found[name] for name in sorted(found)]
 
     def forget(self, names: Iterable[str]) -> int:
-        """Remove files from all journals, whose locks the caller holds; return how many were in one."""
+        """Remove files from all journals, whose locks the caller holds.
+
+        Return how many were in one.
+        """
         known = {entry.name for entry in self.entries()}.intersection(names)
         keys = [(os.fsencode(name),) for name in known]
         for path in journal_paths(self._folder):

@@ -1,7 +1,10 @@
-"""Worker processes of this machine, each used for many files; a file that kills its worker fails alone.
+"""Worker processes of this machine, each used for many files.
 
-A worker (:mod:`prc_cli.jobs.batch.worker`) is started once, because loading the compiled loops takes a second. It gets
-the next task when it has finished the one before, so no task waits in a queue.
+a file that kills its worker fails alone.
+
+A worker (:mod:`prc_cli.jobs.batch.worker`) is started once, because loading the compiled loops
+takes a second. It gets the next task when it has finished the one before, so no task waits in a
+queue.
 """
 
 from __future__ import annotations

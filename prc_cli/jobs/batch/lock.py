@@ -1,11 +1,12 @@
 """One run at a time in an output folder, also when several machines share it.
 
-A run holds a lock of the operating system on the empty file ``lock``, a shard on ``lock.I-of-N`` (:mod:`filelock`).
-The lock ends with its process, however that ends. A JSON file beside it names the owner, for messages and for
-``prc batch status``. Both files are removed when the lock is released.
+A run holds a lock of the operating system on the empty file ``lock``, a shard on ``lock.I-of-N``
+(:mod:`filelock`). The lock ends with its process, however that ends. A JSON file beside it names
+the owner, for messages and for ``prc batch status``. Both files are removed when the lock is
+released.
 
-A run takes its own lock, writes the JSON file, and then looks for other runs that have files in common with it. Of two
-that start together at least one sees the other and stops.
+A run takes its own lock, writes the JSON file, and then looks for other runs that have files in
+common with it. Of two that start together at least one sees the other and stops.
 """
 
 from __future__ import annotations
@@ -91,7 +92,10 @@ class Holder:
 
 
 class Lock:
-    """The right to work in an output folder, in a ``with`` block; shards of one number work side by side."""
+    """The right to work in an output folder, in a ``with`` block.
+
+    Shards of one number work side by side.
+    """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = folder / own_name("lock", shard, ".json")
@@ -125,7 +129,9 @@ class Lock:
         """Make sure that the lock is still ours; called before each file."""
         try:
             found = _read(self.path)
-        except OSError:  # the network may come back; if it does not, reading or writing fails with its own message
+        except OSError:
+            # the network may come back; if it does not, reading or writing fails with its own
+            # message
             return
         if found is None or found.token != self.owner.token:
             how = "its file is gone" if found is None else f"taken over by {found}"
@@ -196,7 +202,10 @@ def has_locks(folder: Path) -> bool:
 
 
 def _is_held(path: Path, wait_s: float) -> bool:
-    """Tell whether a process holds the lock beside a JSON file; nobody does where the file system has no locks."""
+    """Tell whether a process holds the lock beside a JSON file.
+
+    Nobody does where the file system has no locks.
+    """
     lock = path.with_suffix("")
     if not lock.exists():
         return False
@@ -210,7 +219,10 @@ def _is_held(path: Path, wait_s: float) -> bool:
 
 
 def _read(path: Path) -> Owner | None:
-    """Return the owner that a file names, unknown if it was cut or edited; None if there is no such file."""
+    """Return the owner that a file names, unknown if it was cut or edited.
+
+    None if there is no such file.
+    """
     try:
         values = json.loads(read_small(path, _MOST_BYTES))
         owner = Owner(**{item.name: values[item.name] for item in fields(Owner)})

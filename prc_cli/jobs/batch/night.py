@@ -33,7 +33,10 @@ _LARGEST = 1 << 22
 
 
 def write_night(summary: BatchSummary, to: str) -> Path | None:
-    """Write ``report.html`` and keep the scores for the next nights; None where nothing was compared."""
+    """Write ``report.html`` and keep the scores for the next nights.
+
+    None where nothing was compared.
+    """
     found = summary.evaluation
     if found is None or not any(one.matrix is not None for one in found.files):
         return None

@@ -1,4 +1,7 @@
-"""What lies in an output folder: what dead runs left, and which outputs are as they were written."""
+"""What lies in an output folder.
+
+What dead runs left, and which outputs are as they were written.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.types import OWN_FOLDER, Done
 
 _SHARED = re.compile(r"shared-[0-9a-f]{16}")
-"""Empty files by which a run on Dask finds out whether its workers see OUT; no run is at work here now."""
+"""Empty files by which a run on Dask finds out whether its workers see OUT.
+
+No run is at work here now.
+"""
 OTHER_MACHINE_S = 86_400.0
 """A temporary file of another machine that was not written to for so long is taken for left behind [s]."""
 
@@ -125,7 +131,10 @@ class Verified:
 
 
 def verify_outputs(out: Path) -> Iterator[Verified]:
-    """Compare outputs with size and hash in the journals, else in records beside them; no lock is needed."""
+    """Compare outputs with size and hash in the journals, else in records beside them.
+
+    No lock is needed.
+    """
     expected: dict[str, tuple[int, str | None] | None] = dict(_recorded(out))
     for entry in read_entries(out / OWN_FOLDER):
         if isinstance(entry.outcome, Done):

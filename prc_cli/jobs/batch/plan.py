@@ -108,7 +108,10 @@ class Plan:
     adopted: tuple[tuple[Task, Done], ...] = ()
     """Outputs in no journal whose run record equals the one that would be written."""
     confirmed: tuple[Done, ...] = ()
-    """Done files whose input has a new time but the same content; their names are also in ``done``."""
+    """Done files whose input has a new time but the same content.
+
+    Their names are also in ``done``.
+    """
     refused: tuple[Failed, ...] = ()
     """Files that cannot be started."""
     left_out: tuple[LeftOut, ...] = ()
@@ -118,7 +121,10 @@ class Plan:
     n_not_selected: int = 0
     """Number of inputs excluded by patterns, times or the shard."""
     archive: frozenset[str] = frozenset()
-    """Names of all inputs, also of those that this run does not look at; their state decides the exit code."""
+    """Names of all inputs, also of those that this run does not look at.
+
+    Their state decides the exit code.
+    """
 
     @property
     def n_items(self) -> int:
@@ -144,11 +150,12 @@ class BatchConfig:
     """The configuration of every file of an archive.
 
     The TOML file may contain ``[[override]]`` tables: ``match`` selects files by patterns
-    (:class:`~prc_cli.jobs.batch.discovery.Patterns`), ``preset`` replaces the preset of the TOML file, and all other
-    keys replace its keys. If several tables match, the last one wins. Options of the command line override them all.
+    (:class:`~prc_cli.jobs.batch.discovery.Patterns`), ``preset`` replaces the preset of the TOML
+    file, and all other keys replace its keys. If several tables match, the last one wins. Options
+    of the command line override them all.
 
-    The name of a trajectory may contain placeholders: ``{name}`` and ``{stem}`` of the input, its ``{folder}``, and
-    ``{subfolder}``, the folder relative to the archive.
+    The name of a trajectory may contain placeholders: ``{name}`` and ``{stem}`` of the input, its
+    ``{folder}``, and ``{subfolder}``, the folder relative to the archive.
     """
 
     def __init__(self, layers: ConfigLayers) -> None:
@@ -350,7 +357,10 @@ def _tasks(
     config: BatchConfig,
     settings: BatchSettings,
 ) -> Iterator[Task]:
-    """Yield the tasks of the files of a drive, or of one alone; refuse another configuration than the first one's."""
+    """Yield the tasks of the files of a drive, or of one alone.
+
+    Refuse another configuration than the first one's.
+    """
     drive = tuple(one.name for one in some) if len(some) > 1 else ()
     first = ""
     for item in some:
@@ -427,7 +437,10 @@ def _decide(
 
 
 def _is_of_other(item: Found, entry: Entry) -> bool:
-    """Tell whether an output was made of a file elsewhere with another content: of another archive."""
+    """Tell whether an output was made of a file elsewhere with another content.
+
+    Of another archive.
+    """
     if not entry.source or entry.source == os.path.realpath(item.path):
         return False
     before = None if entry.outcome is None else entry.outcome.input
@@ -439,7 +452,10 @@ def _is_of_other(item: Found, entry: Entry) -> bool:
 def _compare(
     item: Found, task: Task, entry: Entry, written: os.stat_result | None, settings: BatchSettings
 ) -> tuple[Reason | None, Done | None]:
-    """Compare a file with its journal entry; return why it is to be done, or None and the outcome to note."""
+    """Compare a file with its journal entry.
+
+    Return why it is to be done, or None and the outcome to note.
+    """
     before = entry.outcome
     if entry.state == "running" or (entry.state == "done" and not isinstance(before, Done)):
         return "unfinished", None
@@ -447,7 +463,8 @@ def _compare(
         return "failed before", None
     if entry.version not in (__version__, *settings.keep_versions):
         return "changed version", None
-    # versions may differ in their configuration keys, so hashes are compared only within one version
+    # versions may differ in their configuration keys, so hashes are compared only within one
+    # version
     if entry.version == __version__ and entry.config_sha256 != task.config_sha256:
         return "changed config", None
     if _is_accepted_otherwise(before, task.config.config, entry.version):
@@ -481,7 +498,10 @@ def _is_accepted_otherwise(done: Done, config: RunConfig, version: str) -> bool:
 
 
 def _stat(output: Path) -> os.stat_result | None:
-    """Return size and time of an output, of a link what it points to; of a link to nothing its own."""
+    """Return size and time of an output, of a link what it points to.
+
+    Of a link to nothing its own.
+    """
     with contextlib.suppress(OSError):
         return output.stat()
     try:
@@ -504,7 +524,10 @@ def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
 def _is_changed(
     output: Path, written: os.stat_result, before: Done, settings: BatchSettings
 ) -> bool:
-    """Tell whether an output is another than was written: by size and time, by content where only the time differs."""
+    """Tell whether an output is another than was written.
+
+    By size and time, by content where only the time differs.
+    """
     if (
         written.st_size == before.output_size
         and written.st_mtime_ns == before.output_mtime_ns

@@ -49,7 +49,10 @@ from prc_cli.jobs.evaluate.options import (
 from prc_cli.matching.pairs import stem_of
 
 SCHEMA = 1
-"""Version of the form of :func:`as_dict`; keys are added without a new number, never renamed or taken away."""
+"""Version of the form of :func:`as_dict`.
+
+Keys are added without a new number, never renamed or taken away.
+"""
 FAILED = 1
 """Exit code when a file failed."""
 
@@ -79,7 +82,10 @@ class BatchSummary:
     standing: tuple[Failed, ...] = ()
     """Files of the archive that failed in an earlier run and were not tried in this one."""
     n_waiting: int = 0
-    """Files that are due and were not begun or not ended: ``--limit``, ``--fail-fast``, a signal."""
+    """Files that are due and were not begun or not ended.
+
+    ``--limit``, ``--fail-fast``, a signal.
+    """
     reasons: tuple[tuple[str, int], ...] = ()
     """Why files were done, or were to be done: ``new``, ``changed input``, ... and how many."""
     alarms: tuple[Alarm, ...] = ()
@@ -123,7 +129,10 @@ class BatchSummary:
 
     @property
     def exit_code(self) -> int:
-        """0 done, 1 a file of the archive failed, 3 a gate did, 4 doubt or drift; the first of these."""
+        """0 done, 1 a file of the archive failed, 3 a gate did, 4 doubt or drift.
+
+        The first of these.
+        """
         if self.failed or self.standing:
             return FAILED
         if self.evaluation is not None and not self.evaluation.passed:
@@ -147,7 +156,10 @@ EXIT_CODES: dict[int, str] = {
 
 
 def as_dict(summary: BatchSummary) -> dict[str, Any]:
-    """Return a run as plain values, as in ``summary.json``; bytes that are no UTF-8 are surrogates."""
+    """Return a run as plain values, as in ``summary.json``.
+
+    Bytes that are no UTF-8 are surrogates.
+    """
     return {
         "schema": SCHEMA,
         "program": "prc-cli",
@@ -264,7 +276,10 @@ def _gate(text: str, mapping: ClassMapping) -> Gate | None:
 
 
 def _results(texts: Sequence[str], mapping: ClassMapping, found: Scores) -> Iterator[GateResult]:
-    """Yield every gate with its score; one that the classes of the outputs do not have is not reached."""
+    """Yield every gate with its score.
+
+    One that the classes of the outputs do not have is not reached.
+    """
     for text in texts:
         gate = _gate(text, mapping)
         if gate is not None:
@@ -377,7 +392,10 @@ def evaluate_tree(
 def _reference_of(
     output: Output, tree: Path, folders: dict[Path, dict[str, list[Path]]]
 ) -> Path | None:
-    """Return the reference named as the input, or as any run's output, but for the suffix; None = none is."""
+    """Return the reference named as the input, or as any run's output, but for the suffix.
+
+    None = none is.
+    """
     name = PurePosixPath(output.name)
     place = tree / name.parent
     if place not in folders:
@@ -410,9 +428,10 @@ def _by_stem(folder: Path) -> dict[str, list[Path]]:
 
 # -- drift -------------------------------------------------------------------------------------------------------------
 #
-# A sensor that loses range, a wrong preset or a covered window make no file fail, they change what is found in it.
-# The shares of the classes are compared with those of earlier files of the same configuration. Robust statistics are
-# taken, so that some earlier files that were odd as well neither hide the next one nor raise an alarm for good ones.
+# A sensor that loses range, a wrong preset or a covered window make no file fail, they change what
+# is found in it. The shares of the classes are compared with those of earlier files of the same
+# configuration. Robust statistics are taken, so that some earlier files that were odd as well
+# neither hide the next one nor raise an alarm for good ones.
 
 MIN_EARLIER = 8
 """Least number of earlier files for an alarm."""
@@ -421,7 +440,10 @@ FLOOR = 0.05
 SPREADS = 6.0
 """Least distance for an alarm, in robust standard deviations above the median distance."""
 KNOWN_FRACTION = 0.05
-"""An archive holds several kinds of drive: a file is not odd if so many earlier ones are like it."""
+"""An archive holds several kinds of drive.
+
+a file is not odd if so many earlier ones are like it.
+"""
 KNOWN_FILES = 3
 """The same, as the least number of files."""
 _MAD_TO_SIGMA = 1.4826
@@ -431,10 +453,11 @@ _MAD_TO_SIGMA = 1.4826
 def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> str | None:
     """Compare the classes of a file with those of earlier ones.
 
-    The distance of two files is half the sum of the differences of their shares (total variation, 0 to 1): the part of
-    the records that would have to change class. A file is odd if its distance from the median of the earlier files is
-    above :data:`FLOOR` and above the median of their own distances by :data:`SPREADS` robust standard deviations,
-    and there is no small group of earlier files within :data:`FLOOR` of it.
+    The distance of two files is half the sum of the differences of their shares (total variation, 0
+    to 1): the part of the records that would have to change class. A file is odd if its distance
+    from the median of the earlier files is above :data:`FLOOR` and above the median of their own
+    distances by :data:`SPREADS` robust standard deviations, and there is no small group of earlier
+    files within :data:`FLOOR` of it.
     """
     known = [histogram for histogram in earlier if sum(histogram.values()) > 0]
     if len(known) < MIN_EARLIER:
@@ -454,7 +477,8 @@ def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> st
     n_alike = int(np.count_nonzero(_distance(shares, own) <= FLOOR))
     if n_alike >= max(KNOWN_FILES, KNOWN_FRACTION * len(known)):
         return None
-    # rounded, so that of two classes that moved by the same the first is named whatever the last bit says
+    # rounded, so that of two classes that moved by the same the first is named whatever the last
+    # bit says
     moved = int(np.argmax(np.round(np.abs(own - usual), 9)))
     low, high = 100.0 * np.quantile(shares[:, moved], [0.1, 0.9])
     return (

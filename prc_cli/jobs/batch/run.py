@@ -252,12 +252,16 @@ class _Run:
         for item in todo:
             outcome = self._outcomes.get(item.task.name)
             if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
-                # the worker may have named its output just before it died: the next one sees that it is ours
+                # the worker may have named its output just before it died: the next one sees that
+                # it is ours
                 again[item.names] = outcome.problem.kind in ALONE
         return [(item, again[item.names]) for item in todo if item.names in again]
 
     def _may_go_on(self, failed: Failed, attempt: int) -> bool:
-        """Tell whether a file is tried again after an attempt; one that died with its worker always, once."""
+        """Tell whether a file is tried again after an attempt.
+
+        One that died with its worker always, once.
+        """
         allowed = max(self._settings.retry, 1 if failed.problem.kind == "killed" else 0)
         return attempt < allowed and may_pass(failed.problem)
 
@@ -294,7 +298,10 @@ class _Run:
             yield replace(tasks[0], others=tuple(tasks[1:]))
 
     def _keep_aside(self, task: Task) -> None:
-        """Move an output away that is not as it was written; a link is moved, not what it points to."""
+        """Move an output away that is not as it was written.
+
+        a link is moved, not what it points to.
+        """
         kept = self._settings.out / OWN_FOLDER / "changed" / task.name
         kept = kept.with_name(f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{task.output.name}")
         make_folder(kept.parent)
@@ -404,7 +411,10 @@ class _Run:
 
 
 def _earlier(known: Iterable[Entry]) -> dict[str, list[Entry]]:
-    """Return the files that were done last before this run, by configuration; one more than are compared with."""
+    """Return the files that were done last before this run, by configuration.
+
+    One more than are compared with.
+    """
     files: dict[str, list[Entry]] = {}
     for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
         if (

@@ -1,8 +1,11 @@
-"""Data types shared by the parts of a batch run; plain values, so that they can be sent to other processes.
+"""Data types shared by the parts of a batch run.
 
-The *name* of a file is its path relative to the archive with POSIX slashes. Bytes of a name that are not UTF-8 are held
-as surrogates, as by :func:`os.fsdecode`. Sizes are bytes, times of files nanoseconds since 1970, durations seconds on
-the clock, hashes SHA-256 in hexadecimal, moments UTC in ISO 8601.
+Plain values, so that they can be sent to other processes.
+
+The *name* of a file is its path relative to the archive with POSIX slashes. Bytes of a name that
+are not UTF-8 are held as surrogates, as by :func:`os.fsdecode`. Sizes are bytes, times of files
+nanoseconds since 1970, durations seconds on the clock, hashes SHA-256 in hexadecimal, moments UTC
+in ISO 8601.
 """
 
 from __future__ import annotations
@@ -57,7 +60,10 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def holds(self, name: str) -> bool:
-        """Tell whether a file belongs to this shard; the same on every machine and in every version."""
+        """Tell whether a file belongs to this shard.
+
+        The same on every machine and in every version.
+        """
         return (
             int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big") % self.count
             == self.index - 1
@@ -254,7 +260,10 @@ class Entry:
     outcome: Outcome | None
     """Outcome of the last attempt that ended; a later attempt may have been cut off."""
     owns_output: bool = True
-    """Whether the output belongs to this program, because a worker was sent to write it; False for refused files."""
+    """Whether the output belongs to this program, because a worker was sent to write it.
+
+    False for refused files.
+    """
     source: str = ""
     """Real path of the input that it was made of; empty in journals of versions before 1.2."""
 
@@ -304,7 +313,10 @@ class LeftOut:
 
 
 def doubts_of(found: Done | Entry) -> tuple[Doubted, ...]:
-    """Return the doubts that the run record of a file holds; of an entry of the journal, if the file is done."""
+    """Return the doubts that the run record of a file holds.
+
+    Of an entry of the journal, if the file is done.
+    """
     done = (found.outcome if found.state == "done" else None) if isinstance(found, Entry) else found
     told = (doubt_of(notice) for notice in (done.notices if isinstance(done, Done) else ()))
     return tuple(Doubted(found.name, *doubt) for doubt in told if doubt is not None)
@@ -325,7 +337,10 @@ class Engine(Protocol):
     """Runs the tasks."""
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks; an error in one ends no run; closing the iterator stops all workers within seconds."""
+        """Run tasks; an error in one ends no run.
+
+        Closing the iterator stops all workers within seconds.
+        """
         ...
 
 
@@ -334,9 +349,14 @@ class ReferenceSettings:
     """What outputs are compared with, and what they must reach."""
 
     tree: Path
-    """Folder of reference classes that mirrors the archive; a file has the name of the input but for the suffix."""
+    """Folder of reference classes that mirrors the archive.
+
+    a file has the name of the input but for the suffix.
+    """
     mapping_name: str | None = None
-    """Preset or file of the class mapping; None = that of the method in the run records of the outputs, as
+    """Preset or file of the class mapping.
+
+    None = that of the method in the run records of the outputs, as
     ``prc evaluate`` takes it."""
     match: str = "order"
     """How records find their partner, as ``prc evaluate --match``."""

@@ -1,7 +1,9 @@
-"""A worker process of :mod:`prc_cli.jobs.batch.local`, which does one file after another; every error is an outcome.
+"""A worker process of :mod:`prc_cli.jobs.batch.local`, which does one file after another.
 
-It reads tasks from its standard input and writes outcomes to its standard output. When its input ends, because the
-parent closed it or died, the current file is rolled back and the process ends.
+Every error is an outcome.
+
+It reads tasks from its standard input and writes outcomes to its standard output. When its input
+ends, because the parent closed it or died, the current file is rolled back and the process ends.
 """
 
 from __future__ import annotations
@@ -119,7 +121,8 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
     except Exception as error:
         if before is not None and isinstance(error, OutputExistsError):
-            # an attempt before this one finished and could not report: nobody else writes here, the run has the lock
+            # an attempt before this one finished and could not report: nobody else writes here, the
+            # run has the lock
             with contextlib.suppress(OSError):
                 written = task.output.lstat()
                 found = outcome_of_record(task, before, written)
@@ -279,7 +282,10 @@ class _Interrupts:
             sys.__unraisablehook__(dropped)
 
     def end(self) -> None:
-        """End the main thread's work, from another thread; the process ends however long that takes."""
+        """End the main thread's work, from another thread.
+
+        The process ends however long that takes.
+        """
         end = time.monotonic() + STOP_S
         main = threading.main_thread().ident
         while time.monotonic() < end:
@@ -357,7 +363,10 @@ def _limit_memory(mib: int) -> None:
 
 
 def bytes_moved() -> Callable[[], int]:
-    """Return a function that tells how much this process has moved: bytes where the system tells, else CPU time."""
+    """Return a function that tells how much this process has moved.
+
+    Bytes where the system tells, else CPU time.
+    """
     place = Path("/proc/self/io")
     own = 0
 
@@ -382,7 +391,10 @@ def bytes_moved() -> Callable[[], int]:
 
 
 def beat(tell: Callable[[], None], ended: threading.Event) -> None:
-    """Tell that data is moving although no line is finished, as at the end of a file; in a thread."""
+    """Tell that data is moving although no line is finished, as at the end of a file.
+
+    In a thread.
+    """
     moved = bytes_moved()
     last = 0
     while not ended.wait(BEAT_S):

@@ -75,7 +75,10 @@ class SearchOptions:
     seed: int = 0
     """Seed for drawing the training lines."""
     max_shots: int = 4_000_000
-    """Most shots kept in memory, training and held-out together; longer streams are sampled by groups."""
+    """Most shots kept in memory, training and held-out together.
+
+    Longer streams are sampled by groups.
+    """
     keep: tuple[str, ...] = ()
     """Keys that are not searched; they take the value implied by the sensor."""
 
@@ -129,8 +132,9 @@ def calibrate(
     source : path
         Any readable input.
     config : LoadedConfig, optional
-        How the stream is read, and the initial parameters. Where no method is named it stays open, and what is
-        calibrated is the method that would be chosen: PRC's parameters, or nothing for ``fused``.
+        How the stream is read, and the initial parameters. Where no method is named it stays open,
+        and what is calibrated is the method that would be chosen: PRC's parameters, or nothing for
+        ``fused``.
     search : SearchOptions, optional
         Reference and options of the search; without it, parameters are those implied by the sensor.
     progress : callable, optional
@@ -145,8 +149,8 @@ def calibrate(
     Raises
     ------
     InputError
-        When the stream is damaged, has fewer than three lines or no range; when the reference holds another number of
-        records, codes that the mapping does not list, or no scored record.
+        When the stream is damaged, has fewer than three lines or no range; when the reference holds
+        another number of records, codes that the mapping does not list, or no scored record.
     EvidenceError
         When the evidence is against the stream; ``input.accept_doubts`` names what is accepted.
     ConfigError
@@ -291,7 +295,10 @@ def _groups(
 
 
 def _spool(codes: CodeSource, mapping: ClassMapping, spool: Any, n_records: int, path: str) -> Any:
-    """Write the reference class of every record to a temporary file; return it as a memory-mapped array."""
+    """Write the reference class of every record to a temporary file.
+
+    Return it as a memory-mapped array.
+    """
     n = n_scored = 0
     for chunk in codes.chunks():
         found = mapping.class_indices(chunk, "reference").astype("<i2")

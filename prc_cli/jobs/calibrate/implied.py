@@ -1,6 +1,7 @@
 """Shares of supported shots and of background over many thresholds, and the parameters that they and the sensor imply.
 
-The curves of Lehtola et al. (2019), Fig. 4, for every pair of zeta_p and zeta_s at once, from one pass over the stream.
+The curves of Lehtola et al. (2019), Fig. 4, for every pair of zeta_p and zeta_s at once, from one
+pass over the stream.
 """
 
 from __future__ import annotations
@@ -61,7 +62,10 @@ class Curves:
     n_shots: int
 
     def share(self, zeta_p: float, zeta_s: float) -> float | None:
-        """Return the supported share of the returns at thresholds of the grid; None off the grid."""
+        """Return the supported share of the returns at thresholds of the grid.
+
+        None off the grid.
+        """
         p = np.flatnonzero(self.zetas_p == zeta_p)
         q = np.flatnonzero(self.zetas_s == zeta_s)
         return float(self.supported[p[0], q[0]] / self.n_returns) if p.size and q.size else None
@@ -159,20 +163,31 @@ class CurveCounter:
 
 
 D_C_SIGMAS = 17.0
-"""d_c in standard deviations of the noise: the deviation in eq. 9 on a flat has 1.22 of them, 0.2 d_c should be 2.8
+"""d_c in standard deviations of the noise.
+
+The deviation in eq. 9 on a flat has 1.22 of them, 0.2 d_c should be 2.8
 times that."""
 D_C_STEPS = 2.0
 """d_c in distances between successive shots: eq. 9 compares three of them."""
 ZETA_SIGMAS = 6.0
-"""Least zeta in standard deviations: the difference of two ranges has 1.41 of them, and must nearly always agree."""
+"""Least zeta in standard deviations.
+
+The difference of two ranges has 1.41 of them, and must nearly always agree.
+"""
 PLATEAU_M = 10.0
 """Threshold beyond which the supported share no longer rises (Fig. 4, upper end of both ranges)."""
 PLATEAU_SHARE = {"urban": 0.95, "forest": 0.5}
-"""Part of the share at :data:`PLATEAU_M` that a threshold must reach; in forest, thresholds are narrow on purpose."""
+"""Part of the share at :data:`PLATEAU_M` that a threshold must reach.
+
+In forest, thresholds are narrow on purpose.
+"""
 LEAST_PLATEAU = 0.2
 """Least supported share at :data:`PLATEAU_M` for a curve to be usable."""
 LEAST_AREA = 12.0
-"""Pixels of the smallest surface: three lines of four shots, of which the middle line is supported."""
+"""Pixels of the smallest surface.
+
+Three lines of four shots, of which the middle line is supported.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +231,8 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
     support = params.support
     need = PLATEAU_SHARE[params.environment]
     noise = sensor.noise_at(sensor.range_quantiles_m["75%"]) or 0.0
-    # each threshold is examined with the other at its widest, so that a narrow one does not hide the other
+    # each threshold is examined with the other at its widest, so that a narrow one does not hide
+    # the other
     rows = (
         ("zeta_s", support.zeta_s, curves.zetas_s, curves.over_zeta_s(PLATEAU_M)),
         ("zeta_p", support.zeta_p, curves.zetas_p, curves.over_zeta_p(PLATEAU_M)),

@@ -1,6 +1,7 @@
 """Search for the parameters that agree best with a reference; scores on held-out lines.
 
-Training and held-out lines are contiguous groups, so that neighbouring shots are not split between the two.
+Training and held-out lines are contiguous groups, so that neighbouring shots are not split between
+the two.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class Axis:
 
 
 ZETA_BOUNDS = (0.01, 10.0)
-"""Bounds between which the method is stable in the paper (IV-A); a reference without noise would widen thresholds
+"""Bounds between which the method is stable in the paper (IV-A).
+
+a reference without noise would widen thresholds
 without limit."""
 
 ZETA_S = "prc.support.zeta_s"
@@ -138,7 +141,10 @@ class Searcher:
                 return best
 
     def _advisable(self, values: dict[str, float], key: str) -> dict[str, float]:
-        """Let zeta_s and zeta_p keep the order of the paper (II-B): the other follows, or stops a lone one."""
+        """Let zeta_s and zeta_p keep the order of the paper (II-B).
+
+        The other follows, or stops a lone one.
+        """
         support = self.config.prc.support
         zeta_s = values.get(ZETA_S, support.zeta_s)
         zeta_p = values.get(ZETA_P, support.zeta_p)
@@ -206,7 +212,10 @@ def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
 def confusion(
     groups: tuple[Group, ...], config: RunConfig, mapping: ClassMapping
 ) -> ConfusionMatrix:
-    """Classify groups of lines, each as a stream, and compare them with their reference; first returns alone."""
+    """Classify groups of lines, each as a stream, and compare them with their reference.
+
+    First returns alone.
+    """
     names = mapping.names("reference"), mapping.names("predicted")
     n_classes = len(names[0])
     counts = np.zeros((len(Label), n_classes + 1), dtype=np.int64)

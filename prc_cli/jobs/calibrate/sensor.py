@@ -1,4 +1,6 @@
-"""Estimates sensor properties from a stream of ranges: noise, angular step, rounding, missing shots.
+"""Estimates sensor properties from a stream of ranges.
+
+Noise, angular step, rounding, missing shots.
 
 All estimates use histograms accumulated block by block, in bounded memory.
 """
@@ -21,7 +23,10 @@ from prc_cli.streams.evidence.periods import estimate_line_frequency, first_time
 STRETCH = 9
 """Successive shots in a stretch that is tested for flatness."""
 MAX_SPREAD = 1.3
-"""Greatest ratio of ranges in a stretch: beyond it incidence is grazing, and the noise of the shots differs."""
+"""Greatest ratio of ranges in a stretch.
+
+Beyond it incidence is grazing, and the noise of the shots differs.
+"""
 MIN_STRETCHES = 50
 """Least number of stretches in a usable range bin."""
 FLAT_M = 0.1
@@ -105,7 +110,10 @@ class SensorEstimate:
         return math.hypot(self.sigma_m, self.sigma_per_m * range_m)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values: the share of missing shots, and the step in degrees."""
+        """Return everything as plain values.
+
+        The share of missing shots, and the step in degrees.
+        """
         shown = {
             "n_missing": ("missing_share", self.missing_share),
             "step_rad": (
@@ -234,8 +242,8 @@ class SensorMeter:
 def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
     """Measure the deviation of stretches of successive shots from a plane, for any slope and angular step.
 
-    On a plane the reciprocal of the range is a cosine of the scan angle, approximated by a parabola over a few shots.
-    The residual of the reciprocals, times range squared, is the range noise.
+    On a plane the reciprocal of the range is a cosine of the scan angle, approximated by a parabola
+    over a few shots. The residual of the reciprocals, times range squared, is the range noise.
 
     A wall 5 m away under steps of 1 degree, whose ranges differ by more than a centimetre:
 
@@ -287,8 +295,8 @@ def _log_mode(counts: I64, edges: F64, smooth: int) -> float:
 def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
     """Return the most frequent deviation by range, and whether it is that of a flat surface.
 
-    The mode of the logarithm of sample standard deviations is that of the population, even for small samples. Foliage
-    and edges are frequent, but spread over decades.
+    The mode of the logarithm of sample standard deviations is that of the population, even for
+    small samples. Foliage and edges are frequent, but spread over decades.
     """
     found: list[tuple[float, float, int]] = []
     for low, high, row in zip(_RANGE_EDGES[:-1], _RANGE_EDGES[1:], counts, strict=True):

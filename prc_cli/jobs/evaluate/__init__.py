@@ -54,7 +54,10 @@ from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SECONDS, 
 
 APART_M = 0.5
 MOST_APART = 0.25
-"""Ranges of one cell that differ by more are not one shot; the share of them in two scans of one street is .38 [m]."""
+"""Ranges of one cell that differ by more are not one shot.
+
+The share of them in two scans of one street is .38 [m].
+"""
 
 
 def open_pools(
@@ -175,12 +178,14 @@ def evaluate_all(
     Parameters
     ----------
     predicted, reference : sequence of path
-        As many on either side: the k-th of one is compared with the k-th of the other. Two folders: the files of one
-        name (except the suffix). With ``pool``, or where files cannot be paired (a file and a folder, different names
-        or numbers) and the match is not by order, all files of a side are compared as one, for example tiles.
+        As many on either side: the k-th of one is compared with the k-th of the other. Two folders:
+        the files of one name (except the suffix). With ``pool``, or where files cannot be paired (a
+        file and a folder, different names or numbers) and the match is not by order, all files of a
+        side are compared as one, for example tiles.
     mapping : ClassMapping, name or path, optional
-        Which codes mean which class on either side: a preset name, a TOML file or a mapping. Default: the one that fits
-        the method in the run records beside the predicted files and the reference's codes, else ``prc``.
+        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
+        Default: the one that fits the method in the run records beside the predicted files and the
+        reference's codes, else ``prc``.
     options : EvaluateOptions, optional
         How records are matched, which splits are computed, and how intervals are computed.
 
@@ -194,8 +199,8 @@ def evaluate_all(
     ConfigError
         Invalid options, or options that need what the files do not hold.
     InputError
-        A damaged file; different counts (``order``), too few records with a partner, or different coordinate systems
-        (``nearest``).
+        A damaged file; different counts (``order``), too few records with a partner, or different
+        coordinate systems (``nearest``).
 
     Examples
     --------
@@ -310,12 +315,14 @@ def evaluate(
     mapping : ClassMapping, name or path, optional
         As for :func:`evaluate_all`.
     predicted_dimension, reference_dimension : str, optional
-        Column or dimension that holds the codes; default ``class``, ``label`` or ``classification``.
+        Column or dimension that holds the codes; default ``class``, ``label`` or
+        ``classification``.
 
     Raises
     ------
     InputError
-        When the files hold different numbers of records, and one does not know the cells of its records.
+        When the files hold different numbers of records, and one does not know the cells of its
+        records.
     """
     options = EvaluateOptions(
         predicted_dimension=predicted_dimension, reference_dimension=reference_dimension
@@ -501,7 +508,10 @@ def _pairs(
 def _in_order(
     left: Side, right: Side, plan: Plan, tally: JoinTally, third: Side | None
 ) -> Iterator[tuple[Columns, Columns, I64 | None]]:
-    """Yield records of the same number; refuse sides of other lengths, or other cells where both know them."""
+    """Yield records of the same number.
+
+    Refuse sides of other lengths, or other cells where both know them.
+    """
     knows_cells = all(len(side.files) == 1 and side.files[0].knows_cells for side in (left, right))
     compared = knows_cells and any(side.files[0].has_cells for side in (left, right))
     if compared:
@@ -527,7 +537,8 @@ def _in_order(
     off = None
     for one, other, *more in in_step(streams, check):
         if (compared or numbered) and len(one[KEY]):
-            # cells and records that are counted from other numbers are in the same order all the same
+            # cells and records that are counted from other numbers are in the same order all the
+            # same
             apart = other[KEY] - one[KEY]
             off = apart[0] if off is None else off
             if np.any(apart != off):
@@ -543,7 +554,10 @@ def _in_order(
 
 
 def _hint_for_registered(left: Side, right: Side) -> str:
-    """Return how shots find their partners among registered points; empty where the reference has no coordinates."""
+    """Return how shots find their partners among registered points.
+
+    Empty where the reference has no coordinates.
+    """
     if not set(AXES) <= set(right.dimensions):
         return ""
     points = (
@@ -557,7 +571,10 @@ def _hint_for_registered(left: Side, right: Side) -> str:
 
 
 def _length_of(side: Side) -> int | None:
-    """Return how many codes the headers of all files of a side announce; None where one does not."""
+    """Return how many codes the headers of all files of a side announce.
+
+    None where one does not.
+    """
     lengths = [file.codes.n for file in side.files]
     return None if None in lengths else sum(length or 0 for length in lengths)
 

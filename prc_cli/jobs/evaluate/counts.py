@@ -1,4 +1,7 @@
-"""Confusion counts of an evaluation: all pairs, parts of its splits, blocks of its intervals, and a plan of states."""
+"""Confusion counts of an evaluation.
+
+All pairs, parts of its splits, blocks of its intervals, and a plan of states.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +75,10 @@ class StatePlan:
         self._counts = counts
 
     def picture(self) -> bytes | None:
-        """Draw the most frequent error of every square, grey where none is; None without coordinates."""
+        """Draw the most frequent error of every square, grey where none is.
+
+        None without coordinates.
+        """
         from PIL import Image
 
         column, row = cell_places(self._keys)
@@ -315,7 +321,10 @@ def _parts(
 
 
 def confidence_parts(counts: GroupedCounts, edges: Sequence[int]) -> tuple[SplitPart, ...]:
-    """Return the pairs of every span of confidence, from counts by its value; the last one includes 100."""
+    """Return the pairs of every span of confidence, from counts by its value.
+
+    The last one includes 100.
+    """
     parts = []
     bounds = sorted({0, *edges, MOST_CONFIDENCE + 1})
     for low, end in pairwise(bounds):
@@ -330,7 +339,10 @@ def confidence_parts(counts: GroupedCounts, edges: Sequence[int]) -> tuple[Split
 
 
 def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
-    """Tell how well confidence meets the share of right pairs, those of one class name: means, difference."""
+    """Tell how well confidence meets the share of right pairs, those of one class name.
+
+    Means, difference.
+    """
     n = np.zeros(MOST_CONFIDENCE + 1)
     right = np.zeros(MOST_CONFIDENCE + 1)
     for group in counts.groups:

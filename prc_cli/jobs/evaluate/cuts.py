@@ -1,4 +1,7 @@
-"""Cuts of an evaluation: lines or times, an area, heights above ground; and stems from a list of trees."""
+"""Cuts of an evaluation: lines or times, an area, heights above ground.
+
+And stems from a list of trees.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ GROUND_CELL_M = 1.0
 STEM_FROM_M = 0.3
 STEM_TO_M = 4.3
 STEM_DIAMETERS = 2.0
-"""Cylinders of Lehtola et al. (2019), sec. III: 4 m from 1 m below breast height, radius twice the diameter there."""
+"""Cylinders of Lehtola et al. (2019), sec.
+
+III: 4 m from 1 m below breast height, radius twice the diameter there.
+"""
 
 
 class ScoredWindow:
@@ -249,7 +255,10 @@ class Cover:
         self.n_outside = 0
 
     def holds(self, x: F64, y: F64) -> Mask:
-        """Return which predicted shots lie where the reference covers the plan; the others are counted."""
+        """Return which predicted shots lie where the reference covers the plan.
+
+        The others are counted.
+        """
         if not len(x):
             return np.zeros(0, np.bool_)
         keys = cell_keys(x, y, self.EDGE_M)

@@ -18,7 +18,9 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing.record import PROGRAM, read_record
 
 TIME_TOLERANCE_S = 6e-7
-"""Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz
+"""Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s.
+
+Shots of scanners up to 1 MHz
 are further apart, so none is paired with its neighbour."""
 
 PLACE_BY_POSES = "shots that are relative to the scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW"
@@ -31,10 +33,13 @@ class EvaluateOptions:
 
     match: str = "order"
     """``order``; ``time``; ``dimension:NAME``, or ``dimension:PREDICTED=REFERENCE`` where the names differ; or
-    ``nearest``. Files of other length or order are matched by cell instead, where both know line and column.
-    The dimension ``record`` is the record's index where a file has no such column (not in LAS)."""
+    ``nearest``. Files of other length or order are matched by cell instead, where both know line
+    and column. The dimension ``record`` is the record's index where a file has no such column (not
+    in LAS)."""
     tolerance: float | None = None
-    """Largest difference of a pair: seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`, or
+    """Largest difference of a pair.
+
+    Seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`, or
     chosen from the spacing of the reference and the distance of the two clouds."""
     min_matched: float = 0.5
     """Least share of the smaller side that must be matched."""
@@ -43,11 +48,17 @@ class EvaluateOptions:
     reference_dimension: str | None = None
     """Column or dimension with the reference codes; None = found by name."""
     predicted_points: Path | None = None
-    """Points of predicted labels that have no coordinates, record by record: the input of the run; or their folder."""
+    """Points of predicted labels that have no coordinates, record by record.
+
+    The input of the run; or their folder.
+    """
     reference_points: Path | None = None
     """Points of reference labels that have no coordinates, or their folder."""
     trajectory: Path | None = None
-    """Poses of the drive: predicted coordinates are made of its ranges and scan angles; None = the files have them."""
+    """Poses of the drive: predicted coordinates are made of its ranges and scan angles.
+
+    None = the files have them.
+    """
     mount: tuple[float, ...] = ()
     """Roll, pitch, yaw of the scanner on the vehicle [deg], and x, y, z from the trajectory's point to it [m]."""
     split_range_m: tuple[float, ...] = ()
@@ -70,7 +81,10 @@ class EvaluateOptions:
     """``nearest``: predicted shots without partner are left out (``leave``), or are ``noise`` in the reference where it
     covers the ground."""
     inside: str | None = None
-    """``nearest``: only shots inside are compared: ``X1,Y1,X2,Y2`` or a GeoJSON file of polygons."""
+    """``nearest``: only shots inside are compared.
+
+    ``X1,Y1,X2,Y2`` or a GeoJSON file of polygons.
+    """
     height: tuple[float, float] | None = None
     """``nearest``: only shots between these heights above the reference's ground are scored [m]."""
     trees: Path | None = None
@@ -82,7 +96,10 @@ class EvaluateOptions:
     allow_missing: bool = False
     """Whether files without partner in the other folder are left out instead of refused."""
     window: Window | None = None
-    """Only the records of these lines or times are scored; lines and times are those of the files."""
+    """Only the records of these lines or times are scored.
+
+    Lines and times are those of the files.
+    """
     pool: bool = False
     """Whether all files of a side are compared as one, for example tiles with equal names but different bounds."""
 
@@ -198,7 +215,10 @@ def _asked_by_all(paths: Sequence[Path]) -> tuple[str, str]:
 
 
 def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> str:
-    """Return the likest preset that lists the first codes of a reference, where a mapping does not; else empty."""
+    """Return the likest preset that lists the first codes of a reference, where a mapping does not.
+
+    Else empty.
+    """
     try:
         codes = np.unique(next(iter(open_codes(reference, dimension).chunks()), ()))
     except (PrcError, OSError):  # whoever compares the files says so
@@ -214,7 +234,10 @@ def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> s
 
 
 def _asked_by(path: Path) -> tuple[str, str]:
-    """Return the preset for one file and its method; a record that is missing or damaged asks for nothing."""
+    """Return the preset for one file and its method.
+
+    a record that is missing or damaged asks for nothing.
+    """
     try:
         record = read_record(path)
         config = record["config"]

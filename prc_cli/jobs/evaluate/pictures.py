@@ -45,7 +45,10 @@ def class_pictures(
     dimensions: tuple[str | None, str | None] = (None, None),
     points: tuple[Path | None, Path | None] = (None, None),
 ) -> tuple[tuple[str, bytes], ...]:
-    """Draw the first lines as predicted, as in the reference, and where they differ; time to the right, sky up."""
+    """Draw the first lines as predicted, as in the reference, and where they differ.
+
+    Time to the right, sky up.
+    """
     names = mapping.names("reference")
     names += tuple(name for name in mapping.names("predicted") if name not in names)
     paths = zip((predicted, reference), dimensions, strict=True)
@@ -147,7 +150,8 @@ class _Cells:
         wanted = most_lines * points_per_line
         if not file.has_cells:
             codes = _first_codes(file, wanted)
-            # LAS holds no shots without return; of labels the run record says whether there is one for every cell
+            # LAS holds no shots without return; of labels the run record says whether there is one
+            # for every cell
             is_said = file.dense_line == points_per_line
             is_assumed = (
                 not isinstance(file.table, LasSource)
@@ -174,14 +178,20 @@ class _Cells:
         return cls(codes, cell, file.codes.n, first or 0)
 
     def stop_line(self, points_per_line: int) -> int:
-        """Return the line behind the last one; an unfinished line of codes for every cell is left out."""
+        """Return the line behind the last one.
+
+        An unfinished line of codes for every cell is left out.
+        """
         assert self.cell is not None
         if np.array_equal(self.cell, np.arange(len(self.cell))):
             return len(self.cell) // points_per_line
         return int(self.cell.max()) // points_per_line + 1
 
     def image(self, first_line: int, n_lines: int, points_per_line: int) -> I64:
-        """Return the code of every cell, (lines, M) int64, that of its first record; -1 = it has none."""
+        """Return the code of every cell, (lines, M) int64, that of its first record.
+
+        -1 = it has none.
+        """
         assert self.cell is not None
         image = np.full(n_lines * points_per_line, NO_CODE, np.int64)
         cell = self.cell - first_line * points_per_line
@@ -223,7 +233,10 @@ def _first_codes(file: SideFile, wanted: int) -> I64:
 
 
 def _png(places: U8, names: tuple[str, ...]) -> bytes:
-    """Draw places in the table of classes; 0 = white, the place after the last class = they agree."""
+    """Draw places in the table of classes.
+
+    0 = white, the place after the last class = they agree.
+    """
     colours = [_NONE, *(bytes.fromhex(class_colour(name)[1:]) for name in names), _AGREE]
     height, width = places.shape
     across = max(1, _WIDTH // width)

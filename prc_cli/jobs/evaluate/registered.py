@@ -1,4 +1,7 @@
-"""A registered reference, compared by place: how it lies on the prediction, what it lacks, what that means."""
+"""A registered reference, compared by place.
+
+How it lies on the prediction, what it lacks, what that means.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +32,11 @@ STEM = "stem"
 REACHES = 8.0
 """Shots without partner are compared with the spacing of the reference up to this many tolerances."""
 CLEAR = 1.5
-"""From this many tolerances on, shots without partner are noise: no thinning reaches so far. Nearer, noise is taken to
-be as dense as in the next tolerance, down to the tolerance, and to thin out evenly from there to the surface: in all as
-many shots as that next tolerance holds."""
+"""From this many tolerances on, shots without partner are noise: no thinning reaches so far.
+
+Nearer, noise is taken to
+be as dense as in the next tolerance, down to the tolerance, and to thin out evenly from there to
+the surface: in all as many shots as that next tolerance holds."""
 _OVERLAP_M = 0.5
 """Tiles that overlap by less are cut at one edge and rounded."""
 _DEGREES_SPAN = 0.1
@@ -142,7 +147,10 @@ class Registered:
             yield columns
 
     def _around(self, columns: Columns) -> Columns:
-        """Return the reference points that can be partners of shots in the area; count those inside."""
+        """Return the reference points that can be partners of shots in the area.
+
+        Count those inside.
+        """
         assert self._area is not None
         x = columns["x"]
         y = columns["y"]
@@ -212,7 +220,8 @@ class Registered:
     def _compared(self, item: Nearest, plan: Plan, third: Cloud | None) -> Iterator[Compared]:
         """Yield the shots of a tile that are scored."""
         partner = item.to >= 0
-        # which shots without partner lie where the reference covers the plan, or in the area that is given
+        # which shots without partner lie where the reference covers the plan, or in the area that
+        # is given
         covered = np.zeros(len(partner), np.bool_)
         place = [item.left[axis][~partner] for axis in "xy"]
         covered[~partner] = self._cover.holds(*place) | (self._area is not None)
@@ -255,7 +264,10 @@ class Registered:
         )
 
     def _count_noise(self, one: Columns, rows: I64, sparse: Mask, apart: F64) -> None:
-        """Count what is noise in the reference and what is called so; ``apart`` is 0 for shots with a partner."""
+        """Count what is noise in the reference and what is called so.
+
+        ``apart`` is 0 for shots with a partner.
+        """
         if self._options.unmatched != NOISE:
             return
         names = self._mapping.names("predicted")

@@ -1,8 +1,8 @@
 """``prc objects``: lists stems, poles, cars and curbs as they pass.
 
-The classes are those of the input where it has some and no method is named, else it is classified on the way. Runs of
-shots of one class in a line are joined to objects across lines; an object is told when it has passed. Memory holds the
-objects in view.
+The classes are those of the input where it has some and no method is named, else it is classified
+on the way. Runs of shots of one class in a line are joined to objects across lines; an object is
+told when it has passed. Memory holds the objects in view.
 """
 
 from __future__ import annotations
@@ -191,7 +191,8 @@ def find_objects(
     output : path, optional
         ``.csv``, ``.geojson`` or ``.parquet``.
     config : LoadedConfig or RunConfig, optional
-        A method that is named classifies the file. Default: its own classes are taken where it has some of
+        A method that is named classifies the file. Default: its own classes are taken where it has
+        some of
         :data:`KINDS`, else the method that labels it best; a notice says so.
     kinds : tuple of str
         Some of :data:`KINDS`; default: all that the method tells.
@@ -222,7 +223,8 @@ def find_objects(
         run = _Run(
             source, loaded, own or rules_for(loaded.config, kinds), told, takes_classes=bool(own)
         )
-        # coordinates of the records wait beside the output, or where there is room for temporary files
+        # coordinates of the records wait beside the output, or where there is room for temporary
+        # files
         folder = (
             out
             or Path(stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))) / "objects.csv"

@@ -1,7 +1,7 @@
 """Objects grow line by line: runs of shots of one class in a line that lie near each other are one object.
 
-An object is closed when no run has joined it for some lines, and cut when it gets too long. What is kept of it does not
-grow with its size, so memory holds the objects in view.
+An object is closed when no run has joined it for some lines, and cut when it gets too long. What is
+kept of it does not grow with its size, so memory holds the objects in view.
 """
 
 from __future__ import annotations
@@ -104,7 +104,9 @@ class Part:
     """The same above the ground [m]; NaN = unknown."""
     nearest_m: float
     sums: F64
-    """(8,) float64, over the shots: distance to the side, range, angle, 1 where coordinates are registered, these,
+    """(8,) float64, over the shots.
+
+    Distance to the side, range, angle, 1 where coordinates are registered, these,
     confidence."""
     front: list[tuple[int, Extent, Extent]] = field(default_factory=list)
     """Line and extents of the last runs."""
@@ -237,7 +239,10 @@ class Grower:
         return self._end(None)
 
     def _end(self, line: int | None) -> list[Thing]:
-        """Close what no run joined for long, and cut what is too long; all where there are no more lines."""
+        """Close what no run joined for long, and cut what is too long.
+
+        All where there are no more lines.
+        """
         ended: list[Thing] = []
         for label, rule in self._rules.items():
             stay: list[Part] = []

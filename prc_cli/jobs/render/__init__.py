@@ -44,7 +44,8 @@ def render(
     source : path
         Any readable input.
     output : path
-        ``.png`` (further pages as ``NAME_2.png`` and so on) or ``.html`` (one file with all pictures).
+        ``.png`` (further pages as ``NAME_2.png`` and so on) or ``.html`` (one file with all
+        pictures).
     config : LoadedConfig
         How the input is read and classified.
     options : RenderOptions, optional
@@ -112,7 +113,10 @@ def render(
 
 
 def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> LoadedConfig:
-    """Return a configuration that names a method: PRC where its steps are asked for, or no method is needed."""
+    """Return a configuration that names a method.
+
+    PRC where its steps are asked for, or no method is needed.
+    """
     if config.config.is_decided or options.view != "scan":
         return config
     steps = set(options.steps or ())
@@ -139,7 +143,10 @@ def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
 
 
 def _pages_there(output: Path) -> tuple[Path, ...]:
-    """Return the further pages beside an output, in their order; a run that was killed may have left them."""
+    """Return the further pages beside an output, in their order.
+
+    a run that was killed may have left them.
+    """
     number = re.compile(re.escape(output.stem) + r"_([0-9]{1,6})" + re.escape(output.suffix))
     known = [
         (int(match[1]), path)

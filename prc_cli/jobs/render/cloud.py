@@ -75,7 +75,10 @@ class Cloud:
     loaded: LoadedConfig
     station: int | None
     records: RecordSource | None
-    """Records with the file's coordinates; None = use those of the stream, relative to the scanner."""
+    """Records with the file's coordinates.
+
+    None = use those of the stream, relative to the scanner.
+    """
 
     @classmethod
     def open(cls, source: Path, loaded: LoadedConfig, station: int | None) -> Cloud:
@@ -253,7 +256,10 @@ def _classes(
     *,
     has_own: bool,
 ) -> RecordClasses:
-    """Return the class of every record: from the label file, else from the file itself, else by classifying it."""
+    """Return the class of every record.
+
+    From the label file, else from the file itself, else by classifying it.
+    """
     if options.reference is not None:
         return words.read(options.reference, options.reference_dimension, "reference", folder)
     if options.labels is not None:
@@ -280,7 +286,10 @@ def _labelled(
 
 
 def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
-    """Return the points of a sample that a view must hold, (n, 3) float64: neither noise nor hidden ones, if any."""
+    """Return the points of a sample that a view must hold, (n, 3) float64.
+
+    Neither noise nor hidden ones, if any.
+    """
     if classes is None:
         return kept[:, :3]
     inside = ~np.isin(

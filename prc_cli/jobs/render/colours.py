@@ -1,4 +1,7 @@
-"""What the colours of a picture mean: tables of classes, label files, scales of values, and what made the labels."""
+"""What the colours of a picture mean.
+
+Tables of classes, label files, scales of values, and what made the labels.
+"""
 
 from __future__ import annotations
 
@@ -188,7 +191,10 @@ class Vocabulary:
         return found
 
     def turn_las(self, codes: I64) -> U8:
-        """Convert classes of a LAS file: the program's own codes first, then ASPRS codes; others are unclassified."""
+        """Convert classes of a LAS file.
+
+        The program's own codes first, then ASPRS codes; others are unclassified.
+        """
         if self.mapping is not None:
             return self.turn(codes, "predicted")
         table = np.full(256, Label.UNCLASSIFIED, np.uint8)
@@ -344,7 +350,10 @@ def made_with(loaded: LoadedConfig) -> str:
 
 
 def made_by(labels: Path) -> str:
-    """Return what labelled a file according to the run record beside it; empty where there is none."""
+    """Return what labelled a file according to the run record beside it.
+
+    Empty where there is none.
+    """
     return _method_of(_record_of(labels))
 
 
@@ -354,7 +363,10 @@ def labels_of(labels: Path) -> str:
 
 
 def origin(labels: Sequence[Path]) -> tuple[str, ...]:
-    """Return what made a page about label files: day and version, method and input as far as run records name them."""
+    """Return what made a page about label files.
+
+    Day and version, method and input as far as run records name them.
+    """
     found = [_record_of(path) for path in labels]
     methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
     inputs = dict.fromkeys(filter(None, (_text(record, "input", "name", 200) for record in found)))

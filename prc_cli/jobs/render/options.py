@@ -143,7 +143,9 @@ class RenderOptions:
     hide: tuple[str, ...] = ()
     """Names of classes that are not drawn."""
     azimuth_deg: float | None = None
-    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]; None = the side from which the
+    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg].
+
+    None = the side from which the
     points fill the picture best."""
     elevation_deg: float = 30.0
     """Elevation of the viewpoint, seen from the points [deg]."""
@@ -156,11 +158,20 @@ class RenderOptions:
     shots: int = 1_500_000
     """Most shots that a viewer page holds; of longer scans every n-th line and column is kept."""
     line_spacing_m: float | None = None
-    """Distance of scan lines in a viewer page, where the input has no coordinates [m]; None = assumed."""
+    """Distance of scan lines in a viewer page, where the input has no coordinates [m].
+
+    None = assumed.
+    """
     trajectory: Path | None = None
-    """Poses that place the shots of a viewer page; None = coordinates of the input, else lines one behind the other."""
+    """Poses that place the shots of a viewer page.
+
+    None = coordinates of the input, else lines one behind the other.
+    """
     mount: tuple[float, ...] = ()
-    """Roll, pitch, yaw of the scanner on the vehicle [deg]; and x, y, z from the trajectory's point to it [m]."""
+    """Roll, pitch, yaw of the scanner on the vehicle [deg].
+
+    And x, y, z from the trajectory's point to it [m].
+    """
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -1,4 +1,7 @@
-"""Scan pictures of lines and columns: a block as in the paper, a static scan upright, a drive in strips."""
+"""Scan pictures of lines and columns.
+
+a block as in the paper, a static scan upright, a drive in strips.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,10 @@ TESTS = ClassTable(
         np.uint8,
     ),
 )
-"""What became of the shots of intervals: :class:`~prc_cli.core.classes.CarTest` plus 1; 0 = missing."""
+"""What became of the shots of intervals.
+
+:class:`~prc_cli.core.classes.CarTest` plus 1; 0 = missing.
+"""
 STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
 
 
@@ -120,7 +126,8 @@ def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
     stream = open_stream(path, loaded)
     if loaded.config.needs_beams:
         return stream
-    # without a vertical direction pictures lie on their side; damage is reported when the stream is read
+    # without a vertical direction pictures lie on their side; damage is reported when the stream is
+    # read
     with suppress(InputError, ConfigError):
         return with_beams(stream, loaded.config.input)
     return stream
@@ -143,7 +150,9 @@ def of_station(
 
 
 def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
-    """Return the columns of a vertical line from the sky to the ground; None if lines are not vertical.
+    """Return the columns of a vertical line from the sky to the ground.
+
+    None if lines are not vertical.
 
     >>> upright(np.deg2rad([10.0, 90.0, 140.0])).tolist()
     [2, 1, 0]
@@ -187,7 +196,10 @@ def _ids(segments: NDArray[np.int64]) -> Plane:
 
 
 def _critical(trace: PrcTrace) -> Plane:
-    """Return the larger critical threshold of every shot: from there on both neighbourhoods support it."""
+    """Return the larger critical threshold of every shot.
+
+    From there on both neighbourhoods support it.
+    """
     assert trace.critical is not None
     return np.maximum(trace.critical.in_line_m, trace.critical.adjacent_m)
 
@@ -305,7 +317,9 @@ class _Layout:
     """Arrangement of lines and columns on the page."""
 
     kind: str
-    """``paper``: columns across, lines down; ``upright``: lines across, the sky at the top; ``strips``: lines
+    """``paper``: columns across, lines down.
+
+    ``upright``: lines across, the sky at the top; ``strips``: lines
     across, columns down, folded."""
     line_step: int
     column_step: int
@@ -575,7 +589,10 @@ class _Sheet:
         return keys
 
     def _shared_key(self, keys: dict[str, Key]) -> Key:
-        """Return one key for a sheet of strips; with shares only if they belong to a single picture."""
+        """Return one key for a sheet of strips.
+
+        With shares only if they belong to a single picture.
+        """
         shown = [step for step in self.steps if step in keys]
         if len(shown) == 1:
             return keys[shown[0]]
@@ -653,7 +670,10 @@ class _Sheet:
         )
 
     def _shape(self) -> float | None:
-        """Return the ratio of height to width of a drawn cell, as angles from the scanner; None = unknown."""
+        """Return the ratio of height to width of a drawn cell, as angles from the scanner.
+
+        None = unknown.
+        """
         if not self.turn_rad or self.beam_rad is None or len(self.beam_rad) < 2:
             return None
         step = float(np.median(np.abs(np.diff(self.beam_rad))))
@@ -681,7 +701,10 @@ def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
 
 
 def _elevations(beam_rad: F64, order: NDArray[np.intp], n_columns: int) -> Axis:
-    """Return the vertical axis of an upright picture: elevations if rows are evenly spaced, else columns."""
+    """Return the vertical axis of an upright picture.
+
+    Elevations if rows are evenly spaced, else columns.
+    """
     elevation = np.rad2deg(np.abs(beam_rad[order])) - 90.0
     if len(elevation) > 2:
         step = (elevation[-1] - elevation[0]) / (len(elevation) - 1)

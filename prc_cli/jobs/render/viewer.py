@@ -75,7 +75,10 @@ STAGES: dict[str, Values] = {
 
 @dataclass(slots=True)
 class _Kept:
-    """Shots that the page holds, collected while the stream is read: every n-th shot, but the counts of all."""
+    """Shots that the page holds, collected while the stream is read.
+
+    Every n-th shot, but the counts of all.
+    """
 
     part: Part
     words: Vocabulary

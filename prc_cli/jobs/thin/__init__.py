@@ -1,7 +1,8 @@
 """``prc thin``: drops noise and thins chosen classes, by line and column or by spacing.
 
-Dropped shots become shots without return. From LAS and LAZ files their records are removed and all else stays byte for
-byte; so are points of bags, and of frames of spinning scanners in PLY and PCD. Other formats are written anew, as in
+Dropped shots become shots without return. From LAS and LAZ files their records are removed and all
+else stays byte for byte; so are points of bags, and of frames of spinning scanners in PLY and PCD.
+Other formats are written anew, as in
 :mod:`prc_cli.jobs.convert`. A folder of frames becomes a folder of frames.
 """
 
@@ -126,22 +127,23 @@ def thin(
     source : path
         Any readable input, or a folder of frames of one kind.
     output : path
-        Any writable format, a bag of an input of the same kind, or of a folder a new folder. Between LAS and LAZ,
-        records are left out and everything else stays as it is; this includes the classes, even if ``labels`` decided
-        what was dropped.
+        Any writable format, a bag of an input of the same kind, or of a folder a new folder.
+        Between LAS and LAZ, records are left out and everything else stays as it is; this includes
+        the classes, even if ``labels`` decided what was dropped.
     rules : tuple of ThinRule, optional
         From :func:`parse_rules`; default: drop noise.
     config : LoadedConfig or RunConfig, optional
         How the stream is read, and, with ``labels = "classify"``, classified.
     labels : path or "classify", optional
-        A label file with one code per record (of a folder: a folder with a file for every frame), or the classifier.
-        Default: the classes of the input; the classifier where it has none.
+        A label file with one code per record (of a folder: a folder with a file for every frame),
+        or the classifier. Default: the classes of the input; the classifier where it has none.
     min_confidence : int, optional
-        Also drop returns whose label has less confidence [per cent], by the dimension ``confidence`` of the label file
-        or of the input, or as the classifier tells.
+        Also drop returns whose label has less confidence [per cent], by the dimension
+        ``confidence`` of the label file or of the input, or as the classifier tells.
     keep_empty : bool
-        Write a row for every cell of the grid to ``.ply``, ``.pcd`` and ``.bin``, too. Default: returns alone; a
-        ``.bin`` then holds x, y, z and intensity, as KITTI's frames, where the input has coordinates from the scanner.
+        Write a row for every cell of the grid to ``.ply``, ``.pcd`` and ``.bin``, too. Default:
+        returns alone; a ``.bin`` then holds x, y, z and intensity, as KITTI's frames, where the
+        input has coordinates from the scanner.
     every_frame : bool
         Number the frames of a folder from 000000 on. Default: they keep their names.
     overwrite : bool
@@ -223,7 +225,10 @@ def _thin_file(
 
 
 def _own_labels(source: Path, loaded: LoadedConfig) -> Path | str | None:
-    """Return where the classes of an input come from: its records, its clouds (of a bag), or else the classifier."""
+    """Return where the classes of an input come from.
+
+    Its records, its clouds (of a bag), or else the classifier.
+    """
     if is_bag(source):
         with contextlib.suppress(InputError):
             next(open_codes(source).chunks())
@@ -656,7 +661,10 @@ def _codes_of(codes: Any, kept: Mask) -> Any:
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
-    """Refuse a LAS file whose cells depend on the order of its records; return the options that read it."""
+    """Refuse a LAS file whose cells depend on the order of its records.
+
+    Return the options that read it.
+    """
     grid = opened.grid
     if grid is None:
         by = "the records around them"

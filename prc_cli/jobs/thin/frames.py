@@ -19,7 +19,10 @@ Summary = TypeVar("Summary")
 
 
 def frames_of(folder: Path) -> list[Path]:
-    """Return the frames of a folder, in the order of the numbers in their names; all of one kind."""
+    """Return the frames of a folder, in the order of the numbers in their names.
+
+    All of one kind.
+    """
     known = by_suffix("streams").keys() & by_suffix("scans").keys()
     try:
         found = [
@@ -45,7 +48,10 @@ def frames_of(folder: Path) -> list[Path]:
 
 
 def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
-    """Return the file of class codes of every frame: of its name, with another suffix or with one more."""
+    """Return the file of class codes of every frame.
+
+    Of its name, with another suffix or with one more.
+    """
     if not folder.is_dir():
         problem = "found a file, expected a folder" if folder.exists() else "no such folder"
         raise InputError(
@@ -73,7 +79,10 @@ def thin_frames(
     *,
     every_frame: bool,
 ) -> Iterator[list[Summary]]:
-    """Thin frames into a folder; an empty dump stays one; with ``every_frame`` they are numbered from 000000."""
+    """Thin frames into a folder; an empty dump stays one.
+
+    With ``every_frame`` they are numbered from 000000.
+    """
     for path in (output, record_path(output)):
         if path.exists() or path.is_symlink():
             raise OutputExistsError(

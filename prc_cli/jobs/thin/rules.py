@@ -246,7 +246,10 @@ def _positions(item: StreamItem) -> F64:
 
 
 def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
-    """Return a block without the dropped returns; if a main return is dropped, the nearest kept one takes its cell."""
+    """Return a block without the dropped returns.
+
+    If a main return is dropped, the nearest kept one takes its cell.
+    """
     block = item.block
     extra = item.block.extra
     range_m = np.where(kept, block.range_m, np.float32(np.nan))

@@ -1,7 +1,8 @@
 """``prc transfer``: copies the classes of a raw run to the registered points of the same drive.
 
-Both sides are read once for a survey (which refuses damaged files), sorted by key (on disk, unless sorted already), and
-merge-joined; a spool brings the classes back to the record order of the registered file.
+Both sides are read once for a survey (which refuses damaged files), sorted by key (on disk, unless
+sorted already), and merge-joined; a spool brings the classes back to the record order of the
+registered file.
 """
 
 from __future__ import annotations
@@ -180,7 +181,10 @@ class TransferSummary(Brief):
 
     output: Path
     record: RunRecord
-    """Provenance and what was written, as stored in the output; ``.notices`` holds warnings for the user."""
+    """Provenance and what was written, as stored in the output.
+
+    ``.notices`` holds warnings for the user.
+    """
     counts: TransferCounts
 
 
@@ -195,13 +199,16 @@ def transfer(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> TransferSummary:
-    """Write the registered file again with the classes of a raw run; the output is complete or absent.
+    """Write the registered file again with the classes of a raw run.
+
+    The output is complete or absent.
 
     Parameters
     ----------
     labels : path
-        LAS or LAZ with classes, text with classes and times, or labels alone (``.npy``, ``.csv``, ``.parquet``, ...) in
-        the order of ``points``. Code 0 of label files (a shot without return) is left out.
+        LAS or LAZ with classes, text with classes and times, or labels alone (``.npy``, ``.csv``,
+        ``.parquet``, ...) in the order of ``points``. Code 0 of label files (a shot without return)
+        is left out.
     registered : path
         LAS or LAZ. Points without partner keep their class; all else stays as it is.
     output : path
@@ -209,7 +216,8 @@ def transfer(
     options : TransferOptions, optional
         How records are matched; default: by gps_time and return number.
     points : path, optional
-        Record input (text, raw dump, LAS) that the labels belong to; must be given with labels alone.
+        Record input (text, raw dump, LAS) that the labels belong to; must be given with labels
+        alone.
     layout : Layout, optional
         Record layout of ``points``.
     overwrite : bool
@@ -226,8 +234,8 @@ def transfer(
     ------
     InputError
         When a side is damaged or lacks the key, labels and points differ in number, less than
-        ``options.min_matched`` of the smaller side is matched, or more than the rest of the matches are ambiguous
-        (several different labels).
+        ``options.min_matched`` of the smaller side is matched, or more than the rest of the matches
+        are ambiguous (several different labels).
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -342,7 +350,10 @@ def _partners(
 
 
 def _user_names(labels: Path) -> dict[int, str]:
-    """Return the names of user codes: those of the file with the classes, else those of this program."""
+    """Return the names of user codes.
+
+    Those of the file with the classes, else those of this program.
+    """
     own = names_of_file(labels) if suffix_of(labels) in LAS_SUFFIXES else {}
     return {**ClassCodes().user_names(), **own}
 

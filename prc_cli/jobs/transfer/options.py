@@ -18,10 +18,12 @@ class TransferOptions:
 
     match: str = "time"
     """``time``; ``order`` (equal on both sides; also ``record``), ``record:NAME`` (a dimension of the registered file
-    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides);
-    ``nearest`` (the label with the nearest coordinates)."""
+    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of
+    both sides); ``nearest`` (the label with the nearest coordinates)."""
     tolerance_s: float = 0.0
-    """Largest difference of times [s]; float64 rounding at these times is always allowed in addition. ``nearest``:
+    """Largest difference of times [s].
+
+    Float64 rounding at these times is always allowed in addition. ``nearest``:
     largest distance [m]; 0 = chosen from both clouds, as ``prc evaluate`` does."""
     time_offset_s: float = 0.0
     """Added to the times of the labels [s]."""
@@ -30,12 +32,18 @@ class TransferOptions:
     same: tuple[str, ...] = ()
     """Further integer dimensions that must be equal, such as ``scanner_channel``; at most two."""
     dimension: str | None = None
-    """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.open_codes`."""
+    """Column or dimension with the class codes.
+
+    Default as :func:`~prc_cli.formats.labels.open_codes`.
+    """
     carry: tuple[str, ...] = ()
     """Dimensions of classified LAS labels to copy as well: ``segment_id``, ``range``, ``surface``,
     ``dense_vegetation``, ``ground_height``, ``height_above_ground``, ``confidence``."""
     min_confidence: int | None = None
-    """Labels with less confidence are not transferred [per cent]; the labels are classified LAS with ``confidence``."""
+    """Labels with less confidence are not transferred [per cent].
+
+    The labels are classified LAS with ``confidence``.
+    """
     trajectory: Path | None = None
     """``nearest``: poses from which the shots of the labels' input get their coordinates."""
     mount: tuple[float, ...] = ()

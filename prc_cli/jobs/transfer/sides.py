@@ -266,7 +266,10 @@ def _equal_order(
 
 
 def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse keys that do not overlap; suggest an offset between common time scales if one would help."""
+    """Refuse keys that do not overlap.
+
+    Suggest an offset between common time scales if one would help.
+    """
     labels, points = sides.found
     slack = sides.tolerance
     if labels.low <= points.high + slack and points.low <= labels.high + slack:

@@ -1,1 +1,4 @@
-"""Our own combination of both papers, working in the scan plane; needs only range, angle and time."""
+"""Our own combination of both papers, working in the scan plane.
+
+Needs only range, angle and time.
+"""

@@ -24,7 +24,10 @@ LINES = 12
 BINS = 200
 """As in :mod:`fans_loops`."""
 ROOM_SHARE = 0.01
-"""In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
+"""In a room a smaller share of the returns is as far away as streets are wide.
+
+In streets a quarter is, and more.
+"""
 BESIDE_THIN_LINES = 33
 """Lines before and after a line in which something is seen past a trunk or a post."""
 THING_LINES = 20
@@ -51,7 +54,9 @@ LOWEST_BRIDGE_M = 4.2
 
 
 def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
-    """Return whether the ranges, (lines, M) float32 [m], are those of a place indoors: under a low ceiling.
+    """Return whether the ranges, (lines, M) float32 [m], are those of a place indoors.
+
+    Under a low ceiling.
 
     >>> plane = ScanPlane.of(np.deg2rad(np.linspace(-179.0, 180.0, 360)))
     >>> way = np.abs(plane.cosine).clip(0.2)
@@ -111,7 +116,8 @@ def decide(
        isolated in a car without a smooth pair;
     6. part of a low object with level surfaces: car;
     7. thin and upright, or short and high above the ground: vegetation below a crown or where it is thick (a trunk),
-       otherwise pole; so is what is small to all sides and has a level top, whatever it was so far: bins, cabinets;
+       otherwise pole; so is what is small to all sides and has a level top, whatever it was so far:
+       bins, cabinets;
     8. in rough surroundings, and neither in or above a wall nor seen through its windows: vegetation;
     9. otherwise: building.
     """
@@ -135,7 +141,10 @@ def decide(
 
 @stage("votes")
 def vote(labels: U8, range_m: F32, plane: ScanPlane, limits: Votes | None) -> U8:
-    """Give every shot the majority label of its surroundings; see :func:`votes_loops.vote_labels`."""
+    """Give every shot the majority label of its surroundings.
+
+    See :func:`votes_loops.vote_labels`.
+    """
     if limits is None:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(
@@ -155,8 +164,8 @@ def ask_again(
 ) -> U8:
     """Label noise that only a wider window shows; see :func:`noise_loops.noise_again`.
 
-    ``labels`` tuple of (lines + 2, M) uint8 and (lines, M) uint8; ``range_m, above_m`` (lines + 6, M) float32, metres;
-    ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
+    ``labels`` tuple of (lines + 2, M) uint8 and (lines, M) uint8; ``range_m, above_m`` (lines + 6,
+    M) float32, metres; ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
     found: U8 = kernels.noise_again(

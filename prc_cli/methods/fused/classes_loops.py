@@ -20,7 +20,10 @@ MARGIN = 20
 BESIDE = 12
 """Lines before and after by which a pole is found to be thick."""
 BOX_ODD = 3
-"""Consecutive lines that see something else than a box where it ends; all of them but one see past it."""
+"""Consecutive lines that see something else than a box where it ends.
+
+All of them but one see past it.
+"""
 BOX_EVEN_M = np.float32(0.12)
 """Shots this much below the highest one of a box are on its top [m]."""
 BOX_SMOOTH = 3
@@ -59,7 +62,10 @@ _GROUND = int(Label.GROUND)
 _OPEN = 255
 _LEAF = 254
 _ODD = 253
-"""Marks of undecided shots, of lonely leaves, and of shots that may be noise; no reason is one of them."""
+"""Marks of undecided shots, of lonely leaves, and of shots that may be noise.
+
+No reason is one of them.
+"""
 _LABEL = np.uint8(LABEL_BITS)
 _LONELY, _ISOLATED, _SPIKE, _BELOW = (
     np.uint8(rule) for rule in (Reason.LONELY, Reason.ISOLATED, Reason.SPIKE, Reason.BELOW_GROUND)
@@ -84,7 +90,9 @@ _BOX = np.uint8(Reason.BOX)
 
 @helper
 def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
-    """Write the counts of a line's shots: one shot in the upper half of a word, its smooth pairs in the lower half.
+    """Write the counts of a line's shots.
+
+    One shot in the upper half of a word, its smooth pairs in the lower half.
 
     A place has at most 605 shots and 4840 pairs, so neither half overflows.
     """
@@ -95,7 +103,10 @@ def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None
 
 @helper
 def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None:
-    """Write the sums of the first 0, 1, ... columns of three lines together; as :func:`_sum_up` does."""
+    """Write the sums of the first 0, 1, ... columns of three lines together.
+
+    As :func:`_sum_up` does.
+    """
     own = so_far[1:]
     for i in range(len(one)):
         own[i] = one[i] + other[i] + third[i]
@@ -120,7 +131,10 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 def _half_widths(
     ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
 ) -> None:
-    """Write the half width of every shot's place in columns; any number where the shot is missing."""
+    """Write the half width of every shot's place in columns.
+
+    Any number where the shot is missing.
+    """
     fewest = np.float32(LEAST_COLUMNS)
     most_of_all = np.float32(most)
     for i in range(len(ranges)):
@@ -179,7 +193,10 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
 def _ground_rule(
     h: np.float32, is_walked: bool, up: np.uint8, flat: np.uint8, thresholds: DecisionThresholds
 ) -> np.uint8:
-    """Return why a shot is on the ground: walked over, or low and more level than upright; 0 = it is not."""
+    """Return why a shot is on the ground.
+
+    Walked over, or low and more level than upright; 0 = it is not.
+    """
     off = abs(h)
     rule = _LOW if (off < thresholds.soil_m) & (up <= flat + np.uint8(1)) else np.uint8(0)
     rule = _LEVEL_LOW if (off < thresholds.level_m) & (flat > up) else rule
@@ -195,7 +212,9 @@ def _label_plain(
     thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
-    """Label missing shots, near shots without any neighbour, and ground; mark the others as undecided.
+    """Label missing shots, near shots without any neighbour, and ground.
+
+    Mark the others as undecided.
 
     Without branches, so that the compiler can use vector instructions.
     """
@@ -245,10 +264,12 @@ def _count_bins(levels: U8, counts: U8) -> None:
 def _find_cars(
     every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]
 ) -> None:
-    """Write up to which height a smooth shot and a rough shot in every bin are of a car; 0 = no car.
+    """Write up to which height a smooth shot and a rough shot in every bin are of a car.
 
-    There is a car where enough bins around are level. It ends below what reaches above cars without a gap; where they
-    are those of a body that hangs high, lorries.
+    0 = no car.
+
+    There is a car where enough bins around are level. It ends below what reaches above cars without
+    a gap; where they are those of a body that hangs high, lorries.
     """
     smooth_bins = thresholds.car_bins
     rough_bins = thresholds.car_bins_rough
@@ -365,7 +386,10 @@ def _look_up(
     cars: tuple[F32, F32],
     found: tuple[F32, F32, F32, F32, F32],
 ) -> None:
-    """Write the walls and cars in the strips of some shots; a loop of its own, as all others read memory in order."""
+    """Write the walls and cars in the strips of some shots.
+
+    a loop of its own, as all others read memory in order.
+    """
     at, top, ahead = walls
     own_at, own_top, own_ahead, below, rough_below = found
     for k in range(len(shots)):
@@ -467,8 +491,9 @@ def _round_run(
 ) -> tuple[int, bool]:
     """Return the end of the run of a shot that stands alone, and whether it is as deep as the front half of a trunk.
 
-    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep as its radius, and
-    at least three times as high. What is deeper than that is something else, as is what goes up the whole line.
+    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep
+    as its radius, and at least three times as high. What is deeper than that is something else, as
+    is what goes up the whole line.
     """
     side, height, _ = points
     first = i
@@ -498,7 +523,10 @@ def _label_poles(
     thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
-    """Label a list of shots on poles and trunks; of a piece of few shots only whether it is in a crown is known."""
+    """Label a list of shots on poles and trunks.
+
+    Of a piece of few shots only whether it is in a crown is known.
+    """
     side, _, above = points
     end = 0
     is_round = False
@@ -549,7 +577,8 @@ def _lines_beside(
 ) -> int:
     """Return how many lines to one side see a thing in the direction of a shot, if those beyond see past it.
 
-    Otherwise :data:`MARGIN`. Single lines do not count: they see background light, or look through a pane.
+    Otherwise :data:`MARGIN`. Single lines do not count: they see background light, or look through
+    a pane.
     """
     last = window_m[line, i]
     n = odd = past = 0
@@ -578,7 +607,9 @@ def _end_of_box(
     way: int,
     thresholds: DecisionThresholds,
 ) -> tuple[int, int]:
-    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by.
+    """Follow a box along its line to one side.
+
+    Return its last shot, and the next one, -1 = none close by.
 
     The next one is the last itself where it is no box: too high, or cut off by the end of the line.
     """
@@ -614,7 +645,10 @@ def _is_box(
     labels: U8,
     thresholds: DecisionThresholds,
 ) -> bool:
-    """Return whether the shots from one to another are a bin or a cabinet: small to all sides, with a level top."""
+    """Return whether the shots from one to another are a bin or a cabinet.
+
+    Small to all sides, with a level top.
+    """
     side, _, above = points
     first, last = ends
     high = inner_top = inner = np.float32(np.inf)
@@ -661,7 +695,8 @@ def _label_boxes(
 ) -> None:
     """Label the boxes whose tops are in a list: bins and cabinets.
 
-    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is ground.
+    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is
+    ground.
     """
     ranges = window_m[line]
     height = points[1]
@@ -705,10 +740,11 @@ def fused_labels(
 ) -> U8_2:
     """Give every shot of consecutive lines the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
-    ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres; ``counts`` tuple of (lines
-    + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M) float32; ``slots`` tuple of (lines, STRIPS)
-    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``levels`` (lines, 2 STRIPS) uint8; ``alone`` (lines,
-    M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
+    ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres;
+    ``counts`` tuple of (lines + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M)
+    float32; ``slots`` tuple of (lines, STRIPS) uint64; ``walls`` tuple of (lines, STRIPS) float32,
+    metres; ``levels`` (lines, 2 STRIPS) uint8; ``alone`` (lines, M) uint8; ``beams`` tuple of (M,)
+    float32; returns (lines, M) uint8.
     """
     n_lines, m = texture.shape
     near, smooth, upright, level = counts

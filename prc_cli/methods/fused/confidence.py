@@ -1,8 +1,9 @@
 """How sure every label is, in per cent, for those who ask for it: nothing here runs otherwise.
 
-Six questions are asked of a shot, other ones for every label: how far it is from the limits that decided, how many of
-the shots around have its label, whether it was seen from near and steeply. Each has four answers. The confidence is the
-share of shots with this label and these answers that were right on simulated streets or forests: a table that ``python
+Six questions are asked of a shot, other ones for every label: how far it is from the limits that
+decided, how many of the shots around have its label, whether it was seen from near and steeply.
+Each has four answers. The confidence is the share of shots with this label and these answers that
+were right on simulated streets or forests: a table that ``python
 -m benchmarks.confidence calibrate`` makes.
 """
 
@@ -88,7 +89,10 @@ TABLE = Path(__file__).with_name("confidence.json")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What the labels of a block were decided by; of its lines alone, but for ``margin`` more before and after."""
+    """What the labels of a block were decided by.
+
+    Of its lines alone, but for ``margin`` more before and after.
+    """
 
     seen: Neighbours
     above_m: F32
@@ -137,7 +141,8 @@ def cells_of(
 def confidence_of(labels: U8, cells: I32, table: U8) -> U8:
     """Return the confidence of every shot.
 
-    ``labels`` (...) uint8; ``cells`` (...) int32; ``table`` (number of labels, cells) uint8; returns (...) uint8.
+    ``labels`` (...) uint8; ``cells`` (...) int32; ``table`` (number of labels, cells) uint8;
+    returns (...) uint8.
 
     >>> table = np.zeros((12, 4), np.uint8)
     >>> table[Label.GROUND] = 60, 70, 80, 90
@@ -149,7 +154,10 @@ def confidence_of(labels: U8, cells: I32, table: U8) -> U8:
 
 
 def of_further_returns(block: ScanBlock, confidence: U8, limit_m: float) -> U8:
-    """Return the confidence of further returns, (n,) uint8: that of the shot whose label they take, 0 without one."""
+    """Return the confidence of further returns, (n,) uint8.
+
+    That of the shot whose label they take, 0 without one.
+    """
     further = block.extra
     return label_extra_returns(
         block.range_m,
@@ -224,7 +232,10 @@ def true_heights(above_m: F32, block: ScanBlock) -> F32:
 
 
 def _cosine_of_tilt(block: ScanBlock) -> float:
-    """Return height per metre in the scan plane: 1 where the plane is upright, or its lean is not known."""
+    """Return height per metre in the scan plane.
+
+    1 where the plane is upright, or its lean is not known.
+    """
     if block.xyz_m is None or block.beam_rad is None:
         return 1.0
     down = np.cos(block.beam_rad)

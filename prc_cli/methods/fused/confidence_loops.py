@@ -36,7 +36,10 @@ SLOT_M = np.float32(0.25)
 """Rows of the measures."""
 N_MEASURES = 15
 PLACE_M = np.float32(0.25)
-"""Half width of the place, in five lines, in which labels are compared [m]; 2 columns at least, 60 at most."""
+"""Half width of the place, in five lines, in which labels are compared [m].
+
+2 columns at least, 60 at most.
+"""
 LEAST_COLUMNS = np.float32(2)
 MOST_COLUMNS = np.float32(60)
 """Limits of the half width of a place, in columns: five lines of 121 shots fit in ten bits."""
@@ -58,7 +61,10 @@ _MISSING = int(Label.MISSING)
 
 @helper
 def _count_groups(labels: U8, groups: I64, words: Words) -> None:
-    """Write the group of every shot of a line as a word with one count; nothing where it has none."""
+    """Write the group of every shot of a line as a word with one count.
+
+    Nothing where it has none.
+    """
     for i in range(len(labels)):
         group = groups[labels[i]]
         words[i] = (
@@ -68,7 +74,10 @@ def _count_groups(labels: U8, groups: I64, words: Words) -> None:
 
 @helper
 def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
-    """Write the sums of the first 0, 1, ... columns of some rows; they may overflow, their differences do not."""
+    """Write the sums of the first 0, 1, ... columns of some rows.
+
+    They may overflow, their differences do not.
+    """
     room = lines.shape[0]
     total = np.uint64(0)
     so_far[0] = total
@@ -82,7 +91,10 @@ def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
 def _agree(
     ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, agrees: F32
 ) -> None:
-    """Write the share of the shots around that are of a shot's group; noise counts for noise alone."""
+    """Write the share of the shots around that are of a shot's group.
+
+    Noise counts for noise alone.
+    """
     m = len(ranges)
     ones = np.uint64((1 << GROUP_BITS) - 1)
     for i in range(m):
@@ -122,7 +134,10 @@ def _length(word: np.uint64) -> int:
 
 @helper
 def _measure_strips(every: Words, rough: Words, strips: F32) -> None:
-    """Write of every strip of a line: the share of its slots that is rough, its top, and how much of it is filled."""
+    """Write of every strip of a line.
+
+    The share of its slots that is rough, its top, and how much of it is filled.
+    """
     for b in range(STRIPS):
         n = _bits(every[b])
         strips[0, b] = np.float32(_bits(rough[b])) / np.float32(max(n, 1))
@@ -215,10 +230,11 @@ def confidence_cells(
 ) -> I32_2:
     """Find which steps of its label's measures every shot reaches.
 
-    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;
-    ``counts`` tuple of (lines, M) uint8; ``slots`` tuple of (lines, STRIPS) uint64; ``walls`` tuple of (lines, STRIPS)
-    float32, metres; ``beams`` tuple of (M,) float32; ``groups`` (number of labels,) int64; ``questions`` (number of
-    labels, n) int64; ``limits`` (measures, k) float32; returns (lines, M) int32.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture``
+    (lines, M) float32; ``counts`` tuple of (lines, M) uint8; ``slots`` tuple of (lines, STRIPS)
+    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``beams`` tuple of (M,) float32;
+    ``groups`` (number of labels,) int64; ``questions`` (number of labels, n) int64; ``limits``
+    (measures, k) float32; returns (lines, M) int32.
     """
     n_lines, m = labels.shape
     cells = np.empty((n_lines, m), np.int32)

@@ -1,4 +1,7 @@
-"""Loop of the fused classifier that finds the faces of curbs: steep steps between two pieces of ground."""
+"""Loop of the fused classifier that finds the faces of curbs.
+
+Steep steps between two pieces of ground.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,8 @@ def _mark_climbing(
 ) -> None:
     """Write heights and places, and mark the shots near the ground and those of them where the line climbs outwards.
 
-    Places are NaN but near the ground. Without branches, so that the compiler can use vector instructions.
+    Places are NaN but near the ground. Without branches, so that the compiler can use vector
+    instructions.
     """
     most, climb = limits
     side, height = points
@@ -78,7 +82,10 @@ def _piece(i: int, low: U8) -> tuple[int, int]:
 
 @inlined
 def _is_beyond(side: F32, first: int, y: np.float32, half_m: np.float32) -> bool:
-    """Return whether one of CHUNK shots is not on a face; without branches, for vector instructions."""
+    """Return whether one of CHUNK shots is not on a face.
+
+    Without branches, for vector instructions.
+    """
     beyond = np.uint8(0)
     for j in range(first, first + CHUNK):
         beyond |= np.uint8(abs(side[j] - y) > half_m)
@@ -87,7 +94,10 @@ def _is_beyond(side: F32, first: int, y: np.float32, half_m: np.float32) -> bool
 
 @inlined
 def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
-    """Return the nearest column before a face whose shot is on the ground beside it, -1 = none; from ``first`` on."""
+    """Return the nearest column before a face whose shot is on the ground beside it, -1 = none.
+
+    From ``first`` on.
+    """
     j = i - 1
     first = max(first, i - MOST_COLUMNS)
     while j >= first and not _is_beyond(side, j + 1, y, thresholds.half_m):
@@ -99,7 +109,10 @@ def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresh
 
 @inlined
 def _after(i: int, last: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
-    """Return the nearest column after a face whose shot is on the ground beside it, -1 = none; up to ``last``."""
+    """Return the nearest column after a face whose shot is on the ground beside it, -1 = none.
+
+    Up to ``last``.
+    """
     j = i + 1
     last = min(last, i + MOST_COLUMNS)
     while j <= last and not _is_beyond(side, CHUNK + j, y, thresholds.half_m):
@@ -152,11 +165,11 @@ def curb_labels(
 ) -> U8_2:
     """Label the faces of curbs.
 
-    A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it than before it,
-    most of that within the width of the face, and the shot is between both heights.
+    A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it
+    than before it, most of that within the width of the face, and the shot is between both heights.
 
-    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32;
-    returns (lines, M) uint8.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` tuple of
+    (M,) float32; returns (lines, M) uint8.
     """
     n_lines, m = labels.shape
     found = np.empty((n_lines, m), np.uint8)

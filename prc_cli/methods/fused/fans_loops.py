@@ -47,7 +47,10 @@ def _is_thing(label: np.uint8) -> bool:
 
 @helper
 def _list_present(ranges: F32, outwards: I32, shots: I32) -> int:
-    """List the columns of one side with a return, from straight down to straight up; return how many there are."""
+    """List the columns of one side with a return, from straight down to straight up.
+
+    Return how many there are.
+    """
     n = 0
     for k in range(len(outwards)):
         i = outwards[k]
@@ -107,8 +110,8 @@ def _mark_side(
 ) -> int:
     """Mark the bins of the things of a line and side, and of those that are profiles across a roof.
 
-    Write the first and last shot and bin of those that are low enough for a car, each last one exclusive; return how
-    many there are.
+    Write the first and last shot and bin of those that are low enough for a car, each last one
+    exclusive; return how many there are.
     """
     k = n = 0
     while k < len(shots):
@@ -158,7 +161,10 @@ def _sum_up(marks: U8, bit: np.uint8, sums: I32) -> None:
 def _is_car(
     seeds: I32, things: I32, first: int, last: int, line: int, thresholds: FanThresholds
 ) -> bool:
-    """Return whether enough lines around cross a roof in the bins of a thing: in the bin where most do."""
+    """Return whether enough lines around cross a roof in the bins of a thing.
+
+    In the bin where most do.
+    """
     low = max(line - LINES, 0)
     high = min(line + LINES + 1, seeds.shape[1] - 1)
     most = 0
@@ -188,13 +194,14 @@ def fan_cars(
 ) -> tuple[U8_2, U8_2]:
     """Label cars where shots are far apart, as in fans of rings.
 
-    A line across a car climbs from the ground over flank and panes to the roof, and then sees far beyond. Walls and
-    hedges are higher, fences have no depth, plants are rougher. Where enough lines around are so, or see a thing that
-    is half a car already, low things other than poles are cars.
+    A line across a car climbs from the ground over flank and panes to the roof, and then sees far
+    beyond. Walls and hedges are higher, fences have no depth, plants are rougher. Where enough
+    lines around are so, or see a thing that is half a car already, low things other than poles are
+    cars.
 
-    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;
-    ``sine`` (M,) float32; ``sides`` tuple of (n,) int32; ``before`` (LINES, 2 BINS) uint8; returns ``labels`` (n_own,
-    M) uint8, ``marks`` (LINES, 2 BINS) uint8.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture``
+    (lines, M) float32; ``sine`` (M,) float32; ``sides`` tuple of (n,) int32; ``before`` (LINES, 2
+    BINS) uint8; returns ``labels`` (n_own, M) uint8, ``marks`` (LINES, 2 BINS) uint8.
     """
     n_lines, m = labels.shape
     found = np.empty((n_own, m), np.uint8)

@@ -1,4 +1,7 @@
-"""Loop of the fused classifier that finds flanks of vehicles: upright surfaces with ground beneath them."""
+"""Loop of the fused classifier that finds flanks of vehicles.
+
+Upright surfaces with ground beneath them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ LEVEL_BIN_M = np.float32(0.25)
 BODY_BINS = 6
 """Bins of level surfaces that are marked as the vehicle, from its flank on."""
 HANGS = 16
-"""Mark of the bins of bodies that hang higher: as many can be added up as are counted around a shot."""
+"""Mark of the bins of bodies that hang higher.
+
+As many can be added up as are counted around a shot.
+"""
 MOST_SLOTS = 12
 """Slots in which the bottom of a body is looked for."""
 FEWER = 4
@@ -78,8 +84,8 @@ def _ground_behind(
 ) -> tuple[int, int]:
     """Count the ground that is seen beneath a body at a distance, and through it.
 
-    By the height at which the line of sight passes the flank: below the sill, or above. At twice the distance of the
-    flank it passes at half the height of the scanner.
+    By the height at which the line of sight passes the flank: below the sill, or above. At twice
+    the distance of the flank it passes at half the height of the scanner.
     """
     beneath = beyond = 0
     first = min(int(min(away / BIN_M, _FAR)), BINS)
@@ -144,11 +150,14 @@ def find_flanks(
     levels: U8_2,
     thresholds: FlankThresholds,
 ) -> tuple[U8_2, U8_2]:
-    """Find strips with the flank of a vehicle: ground is seen right beneath it, and none farther behind.
+    """Find strips with the flank of a vehicle.
 
-    ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams`` tuple of (M,)
-    float32; ``sums`` tuple of (lines + 4, STRIPS) float32; ``every`` (lines + 4, STRIPS) uint64; ``levels`` (lines, 2
-    STRIPS) uint8; returns ``flanks`` (lines, STRIPS) uint8, ``levels`` (lines, 2 STRIPS) uint8.
+    Ground is seen right beneath it, and none farther behind.
+
+    ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams``
+    tuple of (M,) float32; ``sums`` tuple of (lines + 4, STRIPS) float32; ``every`` (lines + 4,
+    STRIPS) uint64; ``levels`` (lines, 2 STRIPS) uint8; returns ``flanks`` (lines, STRIPS) uint8,
+    ``levels`` (lines, 2 STRIPS) uint8.
     """
     length, wall, place = sums
     n_lines = levels.shape[0]

@@ -1,7 +1,8 @@
 """Classes in forest, in the scan plane: ground, stems, other vegetation, noise.
 
-Needs the ranges, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan plane; no pose. Blocks are
-independent: the ground is estimated anew every few lines, and a few lines are enough to find a stem.
+Needs the ranges, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan plane;
+no pose. Blocks are independent: the ground is estimated anew every few lines, and a few lines are
+enough to find a stem.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ MOST_COLUMNS = 8
 def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
     """Return the height of every return above the ground.
 
-    The ground height of a bin is its third-lowest return. Where plants hide the ground, the bin rises above its
-    neighbours by more than the terrain slope allows; such bins are interpolated.
+    The ground height of a bin is its third-lowest return. Where plants hide the ground, the bin
+    rises above its neighbours by more than the terrain slope allows; such bins are interpolated.
 
     ``range_m`` (lines, M) float32, metres; returns (lines, M) float32, metres.
 
@@ -52,11 +53,13 @@ def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
 def find_stems(range_m: F32, heights_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Mask:
     """Mark the shots on stems: upright, opaque, and continuous from line to line.
 
-    A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's diameter over the sine of
-    the tilt; an upright plane cuts it from foot to crown. So every line has a run of returns one above the other.
-    Crowns have such runs by chance, but these are short, have returns from behind, and end with their line.
+    A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's diameter
+    over the sine of the tilt; an upright plane cuts it from foot to crown. So every line has a run
+    of returns one above the other. Crowns have such runs by chance, but these are short, have
+    returns from behind, and end with their line.
 
-    ``range_m`` (lines, M) float32, metres; ``heights_m`` (lines, M) float32, metres; returns (lines, M) bool.
+    ``range_m`` (lines, M) float32, metres; ``heights_m`` (lines, M) float32, metres; returns
+    (lines, M) bool.
 
     A stem 4 m to the side, and ground; the same line four times:
 

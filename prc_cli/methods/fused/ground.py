@@ -34,10 +34,12 @@ class GroundMemory:
     level_m: F32
     """(2, DEPTHS) float32, sums of their heights [m]."""
     start_m: np.float32
-    """Height of the nearest known bins of earlier lines [m]: a walk starts there where its side is not known.
+    """Height of the nearest known bins of earlier lines [m].
 
-    Where the ground was hidden for long (by a lorry, or a gap in the stream), a walk from the scanner's height would
-    not reach it in small steps."""
+    a walk starts there where its side is not known.
+
+    Where the ground was hidden for long (by a lorry, or a gap in the stream), a walk from the
+    scanner's height would not reach it in small steps."""
     lost: int
     """Lines with level shots since any bin was known; below 0 = none ever was."""
     missed: int

@@ -57,7 +57,10 @@ def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float
 def _search(
     points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: F32, sums: F32
 ) -> bool:
-    """Count the level shots of a line at every depth below the scanner, near ones and all; return whether any."""
+    """Count the level shots of a line at every depth below the scanner, near ones and all.
+
+    Return whether any.
+    """
     side, height = points
     is_any = False
     for i in range(len(side)):
@@ -107,7 +110,10 @@ def _clear(counts: F32, sums: F32) -> None:
 
 @helper
 def _lowest(counts: F32, sums: F32) -> np.float32:
-    """Return the mean height of the lowest depth with many level shots; there is at least one shot."""
+    """Return the mean height of the lowest depth with many level shots.
+
+    There is at least one shot.
+    """
     row = 1
     most = np.float32(0.0)
     for d in range(DEPTHS):
@@ -205,7 +211,10 @@ def _walk(
 
 @helper
 def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThresholds) -> None:
-    """Update the memory by the heights of a line; fill the profile from the memory where the line saw no ground."""
+    """Update the memory by the heights of a line.
+
+    Fill the profile from the memory where the line saw no ground.
+    """
     lines = thresholds.memory_lines
     follow = thresholds.follow
     for b in range(BINS):
@@ -282,7 +291,10 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 @helper
 def _copy(memory: Memory, to: Memory) -> None:
-    """Copy a memory of the ground; element by element, because array copies take seconds to compile."""
+    """Copy a memory of the ground.
+
+    Element by element, because array copies take seconds to compile.
+    """
     heights, ages, counts, sums = memory
     to_heights, to_ages, to_counts, to_sums = to
     for s in range(2):
@@ -315,8 +327,9 @@ def _start_of_line(
 ) -> tuple[np.float32, int]:
     """Return where the walk of a line starts if its side is not known, and for how many lines no side has been.
 
-    That is the height of the nearest known place in the lines before, and where the ground is lost for long or was
-    never known, a depth with many level shots of the lines since then. The number is negative if it was never known.
+    That is the height of the nearest known place in the lines before, and where the ground is lost
+    for long or was never known, a depth with many level shots of the lines since then. The number
+    is negative if it was never known.
     """
     heights, ages, counts, sums = memory
     start_m, lost = start
@@ -350,12 +363,14 @@ def walk_ground(
 ) -> tuple[F32_2, Mask_2, tuple[F32_2, I32_2, F32_2, F32_2], float, int, int]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
-    A stream may begin with a part of the scene: a tile shows distant ledges or the roof of a car first, and the walk
-    stays on them. So lines are counted in which the walk misses level shots near the scanner that lie below it
-    (``missed``); after some in a row all is forgotten, and the walk begins at these shots.
+    A stream may begin with a part of the scene: a tile shows distant ledges or the roof of a car
+    first, and the walk stays on them. So lines are counted in which the walk misses level shots
+    near the scanner that lie below it (``missed``); after some in a row all is forgotten, and the
+    walk begins at these shots.
 
-    ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of (lines, M) uint8;
-    ``sides`` tuple of (n,) int32; returns ``above_m`` (lines, M) float32, metres, ``walked`` (lines, M) bool.
+    ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of
+    (lines, M) uint8; ``sides`` tuple of (n,) int32; returns ``above_m`` (lines, M) float32, metres,
+    ``walked`` (lines, M) bool.
     """
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)

@@ -1,8 +1,8 @@
 """Interlaced scanners: every other column is measured half a line later, and its ranges are put in step again.
 
-Some scanners halve their angular step by scanning twice, the second time between the beams of the first (SICK LMS 2xx
-at 0.5 degrees). In between the platform moves by half the distance of two lines, so that a wall that recedes is a
-zigzag, as rough as a hedge.
+Some scanners halve their angular step by scanning twice, the second time between the beams of the
+first (SICK LMS 2xx at 0.5 degrees). In between the platform moves by half the distance of two
+lines, so that a wall that recedes is a zigzag, as rough as a hedge.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.thresholds import Limits
 
 REACH_LINES = 12
-"""Lines before and after a line that it is found from whether columns are interlaced: others may begin with the other
+"""Lines before and after a line that it is found from whether columns are interlaced.
+
+Others may begin with the other
 half of the columns."""
 LEAST_SHOTS = 4
 """Fewest shots that it is found from."""
@@ -31,10 +33,11 @@ STEEP = 4.0
 def put_in_step(range_m: F32, plane: ScanPlane, noise_m: F64, limits: Limits) -> F32:
     """Return ranges as if all columns of a line had been measured together.
 
-    Where a surface recedes evenly from line to line, the odd columns are moved by half a line. Nothing is changed where
-    lines show no interlaced surface.
+    Where a surface recedes evenly from line to line, the odd columns are moved by half a line.
+    Nothing is changed where lines show no interlaced surface.
 
-    ``range_m`` (lines, M) float32, metres; ``noise_m`` (lines,) float64; returns (lines, M) float32, metres.
+    ``range_m`` (lines, M) float32, metres; ``noise_m`` (lines,) float64; returns (lines, M)
+    float32, metres.
 
     A wall that recedes by 0.4 m a line, odd columns half a line later:
 

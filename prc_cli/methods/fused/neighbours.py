@@ -34,8 +34,8 @@ class Neighbours:
 def near_neighbours(window_m: F32, plane: ScanPlane, limits: NearThresholds) -> U8:
     """Count the near neighbours of every shot, in its own line and two lines before and after.
 
-    Nearness is measured in the scan plane, not in range: at grazing incidence the ranges on one surface differ by
-    metres from shot to shot.
+    Nearness is measured in the scan plane, not in range: at grazing incidence the ranges on one
+    surface differ by metres from shot to shot.
     """
     counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, limits)
     return counts

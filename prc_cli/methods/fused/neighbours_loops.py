@@ -1,6 +1,9 @@
-"""Loops of the fused classifier over shots and their neighbours: near neighbours, smoothness, direction.
+"""Loops of the fused classifier over shots and their neighbours.
 
-The first two read the *window* of a block: its lines and :data:`LINES` more before and after. The points of a line have
+Near neighbours, smoothness, direction.
+
+The first two read the *window* of a block: its lines and :data:`LINES` more before and after. The
+points of a line have
 :data:`COLUMNS` columns of NaN on either side, so that neighbours are shifted arrays and comparisons with absent ones
 are false.
 """
@@ -30,8 +33,8 @@ PAD = MOST_COLUMNS + 2
 def plane_points(range_m: F32_2, sine: F32_1, cosine: F32_1) -> tuple[F32_2, F32_2]:
     """Turn ranges into points of the scan plane.
 
-    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float32; returns side_m, height_m : (lines, M)
-    float32, metres.
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float32; returns side_m, height_m
+    : (lines, M) float32, metres.
     """
     n_lines, m = range_m.shape
     side = np.empty((n_lines, m), np.float32)
@@ -114,7 +117,10 @@ def _count_across(
     thin: np.float32,
     row: U8,
 ) -> None:
-    """Add the near neighbours of the shots of a line among five of two other lines each; all have margins."""
+    """Add the near neighbours of the shots of a line among five of two other lines each.
+
+    All have margins.
+    """
     y, z = own
     y1, z1 = line
     y2, z2 = other
@@ -142,9 +148,12 @@ def _count_across(
 def near_counts(
     range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: NearThresholds
 ) -> U8_2:
-    """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
+    """Count the near neighbours of every shot.
 
-    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
+    Of 8 in its line and 20 in the two lines before and after.
+
+    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M)
+    uint8.
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
@@ -194,7 +203,10 @@ def _on_line(
     tolerance: np.float32,
     gap: np.float32,
 ) -> np.uint8:
-    """Return whether a point lies on the line through two others that are close; both limits are squared."""
+    """Return whether a point lies on the line through two others that are close.
+
+    Both limits are squared.
+    """
     dy = by - ay
     dz = bz - az
     long = dy * dy + dz * dz
@@ -255,7 +267,10 @@ def _pairs_in_line(
 
 @helper
 def _strides(ranges: F32, step: np.float32, thresholds: SmoothThresholds, strides: I32) -> None:
-    """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
+    """Write with every how many columns the shots of a line are compared.
+
+    Fewer at its ends, one for missing shots.
+    """
     m = len(ranges)
     most = np.float32(MOST_STRIDE)
     apart = thresholds.apart_m
@@ -345,7 +360,10 @@ def _pairs_across(
     thresholds: SmoothThresholds,
     row: U8,
 ) -> None:
-    """Add the pairs of shots before and after a line that its shots lie in the middle between; all have margins."""
+    """Add the pairs of shots before and after a line that its shots lie in the middle between.
+
+    All have margins.
+    """
     base = thresholds.tolerance_m
     per_m = thresholds.tolerance_per_m
     ya, yb, own_y, yd, ye = lines
@@ -367,14 +385,17 @@ def _pairs_across(
 def smooth_counts(
     range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: SmoothThresholds
 ) -> U8_2:
-    """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
+    """Count the pairs of neighbours that a shot lies on a smooth surface with.
 
-    In the line, a shot must lie on the straight line through the pair. Where columns are nearer to each other than
-    ``apart_m``, every second, third, ... column is compared, up to :data:`MOST_STRIDE`: two shots on one leaf are as
-    smooth as two on a wall. Across lines, whose distance is not known, in the middle between the pair, within twice the
-    tolerance.
+    6 in its line, 4 across the lines.
 
-    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
+    In the line, a shot must lie on the straight line through the pair. Where columns are nearer to
+    each other than ``apart_m``, every second, third, ... column is compared, up to
+    :data:`MOST_STRIDE`: two shots on one leaf are as smooth as two on a wall. Across lines, whose
+    distance is not known, in the middle between the pair, within twice the tolerance.
+
+    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M)
+    uint8.
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
@@ -407,16 +428,21 @@ def smooth_counts(
 def _is_upright(
     dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32
 ) -> np.uint8:
-    """Return whether a chord is upright and not too long; with the arguments exchanged, whether it is level."""
+    """Return whether a chord is upright and not too long.
+
+    With the arguments exchanged, whether it is level.
+    """
     return np.uint8((abs(dy) <= slope * abs(dz) + slack) & (dy * dy + dz * dz <= longest))
 
 
 @helper
 def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
-    """Write where the chords of a line end: at a column if it is smooth, else the next one out, else the next one in.
+    """Write where the chords of a line end.
 
-    ``way`` is out: -1 or 1. Column 0 is at PAD, and what lies beyond the line stays NaN. The second half of ``ends`` is
-    for shots to which the next one in is themselves.
+    At a column if it is smooth, else the next one out, else the next one in.
+
+    ``way`` is out: -1 or 1. Column 0 is at PAD, and what lies beyond the line stays NaN. The second
+    half of ``ends`` is for shots to which the next one in is themselves.
     """
     n = len(shown)
     for i in range(len(values)):
@@ -435,7 +461,10 @@ def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
 
 @helper
 def _look_up(reach: I32, way: int, ends: tuple[F32, F32], found: tuple[F32, F32]) -> None:
-    """Write the ends of the chords of a line; a loop of its own, as all others read memory in order."""
+    """Write the ends of the chords of a line.
+
+    a loop of its own, as all others read memory in order.
+    """
     m = len(reach)
     n = m + 2 * PAD
     side, height = ends
@@ -456,7 +485,10 @@ def _count_chords(
     upright: U8,
     level: U8,
 ) -> None:
-    """Count the chords of a line that are upright, and level: to one end, to the other, from end to end."""
+    """Count the chords of a line that are upright, and level.
+
+    To one end, to the other, from end to end.
+    """
     slope = thresholds.slope
     slack = thresholds.slack_m
     longest = thresholds.longest_m * thresholds.longest_m
@@ -494,11 +526,11 @@ def directions(
 ) -> tuple[U8_2, U8_2]:
     """Count which chords through a shot are upright and which are level.
 
-    A chord reaches as far to both sides as ``chord_m`` is long at that range, to shots that lie on something smooth; it
-    and its two halves are looked at.
+    A chord reaches as far to both sides as ``chord_m`` is long at that range, to shots that lie on
+    something smooth; it and its two halves are looked at.
 
-    ``range_m`` (lines, M) float32, metres; ``smooth`` (lines, M) uint8; ``sine, cosine`` (M,) float32; returns upright,
-    level : (lines, M) uint8.
+    ``range_m`` (lines, M) float32, metres; ``smooth`` (lines, M) uint8; ``sine, cosine`` (M,)
+    float32; returns upright, level : (lines, M) uint8.
     """
     n_lines, m = range_m.shape
     n = m + 2 * PAD

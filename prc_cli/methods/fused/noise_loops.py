@@ -41,7 +41,10 @@ _FAR = np.float32(1e9)
 def _mark(
     labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8
 ) -> None:
-    """Mark the rough shots of a line that may be alone, and noise that may be a leaf; without branches, as few are."""
+    """Mark the rough shots of a line that may be alone, and noise that may be a leaf.
+
+    Without branches, as few are.
+    """
     rough = thresholds.alone_texture
     foot = thresholds.foot_m
     for i in range(len(labels)):
@@ -53,7 +56,10 @@ def _mark(
 
 @helper
 def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
-    """Mark the rough shots of a line with a car on both sides: one of the two shots there is part of it."""
+    """Mark the rough shots of a line with a car on both sides.
+
+    One of the two shots there is part of it.
+    """
     m = len(labels)
     cars = 0
     car = np.uint8(_CAR)
@@ -151,7 +157,10 @@ def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> b
 def _is_leaf(
     range_m: F32, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds
 ) -> bool:
-    """Return whether leaves around are about as far as a lonely shot; ``labels`` begins ``before`` lines later."""
+    """Return whether leaves around are about as far as a lonely shot.
+
+    ``labels`` begins ``before`` lines later.
+    """
     line, i = at
     leaves = np.int32(0)
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
@@ -171,11 +180,13 @@ def noise_again(
     texture: F32_2,
     thresholds: AgainThresholds,
 ) -> U8_2:
-    """Find what a wider window alone shows: what a car mirrors, ranges that nothing around has, leaves among noise.
+    """Find what a wider window alone shows.
 
-    ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32, metres; ``smooth``
-    (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32; returns (lines, M)
-    uint8, the label, or the reason where it is one of these.
+    What a car mirrors, ranges that nothing around has, leaves among noise.
+
+    ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32,
+    metres; ``smooth`` (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture``
+    (lines, M) float32; returns (lines, M) uint8, the label, or the reason where it is one of these.
     """
     n_lines, m = voted.shape
     found = voted.copy()

@@ -1,11 +1,13 @@
 """The fused classifier: its stages in order, and the state between blocks.
 
-From Lehtola et al. (2019, II-B): shots without support of their neighbours are noise; here neighbours are compared in
-the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces are classified by their direction in
-the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
+From Lehtola et al. (2019, II-B): shots without support of their neighbours are noise; here
+neighbours are compared in the scan plane instead of in range. From Stamos et al. (2012, sec. 4):
+surfaces are classified by their direction in the scan plane; here over a chord instead of from shot
+to shot. docs/fused.md gives the equations and the reasons.
 
-Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
-block after block. All others need the block and 21 lines before and after it, 35 for the distance of lines.
+Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are
+short, and run block after block. All others need the block and 21 lines before and after it, 35 for
+the distance of lines.
 """
 
 from __future__ import annotations
@@ -85,7 +87,10 @@ from prc_cli.methods.fused.thresholds import FOREST, NEVER, STREET, Forest, Limi
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035
-"""Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
+"""Range noise that the search for stems stands [m].
+
+Scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1.
+"""
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label looks at."""
 FOLLOWING_LINES = SPACED_LINES + LINES
@@ -97,7 +102,10 @@ EXTRA_RETURN_M = 0.3
 ROOM_LINES = 4
 """Whether a place is a room is asked on every fourth line."""
 MOST_APART = 8
-"""Most lines from one to the next of a stream of close lines: too few beside the block are known for more."""
+"""Most lines from one to the next of a stream of close lines.
+
+Too few beside the block are known for more.
+"""
 FARTHEST_BESIDE = 4
 """Greatest distance of neighbours of those lines of such a stream that are beside the block."""
 FOREST_LABELS = frozenset(
@@ -139,7 +147,10 @@ class ForestParams(Params):
 
 
 class FusedParams(MethodParams):
-    """Parameters of the fused classifier (``[fused]``); its limits are constants, in thresholds.py."""
+    """Parameters of the fused classifier (``[fused]``).
+
+    Its limits are constants, in thresholds.py.
+    """
 
     environment: Literal["urban", "forest"] = Field(
         "urban",
@@ -189,7 +200,10 @@ PROFILES = Part[U8]("profiles")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """Neighbourhoods in a block and three lines before and after it; independent of earlier blocks."""
+    """Neighbourhoods in a block and three lines before and after it.
+
+    Independent of earlier blocks.
+    """
 
     window: F32
     """(lines + 10, M) float32, ranges [m]."""
@@ -247,7 +261,10 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     @property
     def usual(self) -> UsualLabels:
-        """Little noise, and level ground below the scanner; plants and hills tilt it in forests, streets are wide."""
+        """Little noise, and level ground below the scanner.
+
+        Plants and hills tilt it in forests, streets are wide.
+        """
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
             return replace(common, level_share=0.35, lean_deg=12.0)
@@ -326,7 +343,8 @@ def classify_block(
 ) -> U8:
     """Label a block of scan lines.
 
-    ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres; returns (lines, M) uint8.
+    ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres; returns (lines,
+    M) uint8.
 
     A road, with a stray shot above it:
 
@@ -494,20 +512,25 @@ def lines_apart(strides: I64) -> I64:
 
 
 def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
-    """Return how many lines after a block are labelled with it: those by which a car in its last line is found."""
+    """Return how many lines after a block are labelled with it.
+
+    Those by which a car in its last line is found.
+    """
     return LINES if are_wanted(plane, limits) else 0
 
 
 def streams_of(
     wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Limits
 ) -> list[Stream]:
-    """Look at the lines of a block; where they lie close together, as if lines between them had not been scanned.
+    """Look at the lines of a block.
 
-    Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
-    Where the platform stands all lines are looked at.
+    Where they lie close together, as if lines between them had not been scanned.
 
-    ``wide`` (lines + 2 SPACED_LINES, M) float32; ``strides`` (lines + 6,) int64; ``noise_m`` (lines + 2 SPACED_LINES,)
-    float64.
+    Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide
+    as they usually are. Where the platform stands all lines are looked at.
+
+    ``wide`` (lines + 2 SPACED_LINES, M) float32; ``strides`` (lines + 6,) int64; ``noise_m`` (lines
+    + 2 SPACED_LINES,) float64.
     """
     apart = lines_apart(strides)
     around = MARGIN_LINES - AROUND_LINES
@@ -536,7 +559,10 @@ def _follow_all(
     memory: GroundMemory,
     limits: Limits,
 ) -> tuple[Grounds, GroundMemory]:
-    """Follow the ground of every stream from the same memory on; return it, and the memory for the next block."""
+    """Follow the ground of every stream from the same memory on.
+
+    Return it, and the memory for the next block.
+    """
     found = []
     for stream in streams:
         seen = stream.seen
@@ -555,7 +581,9 @@ def _follow_all(
 
 
 def _rows_of(first: int, every: int, n_lines: int) -> I64:
-    """Return the rows of a stream in the wide window, with more before and after; of those beyond it the outermost.
+    """Return the rows of a stream in the wide window, with more before and after.
+
+    Of those beyond it the outermost.
 
     >>> _rows_of(1, 2, 4)[[0, MARGIN_LINES, MARGIN_LINES + 1]].tolist()
     [0, 36, 38]
@@ -570,7 +598,8 @@ def _rows_of(first: int, every: int, n_lines: int) -> I64:
 def _with_beside(wide: F32, strides: I64, noise_m: F64, every: int) -> tuple[F32, I64, F64]:
     """Return the wide window with more lines around, their distances and noise, for streams of every so many lines.
 
-    Lines beside the block have the distance of its outermost ones, as far as their neighbours are known.
+    Lines beside the block have the distance of its outermost ones, as far as their neighbours are
+    known.
     """
     more = BESIDE_LINES * (every - 1)
     around = SPACED_LINES - BESIDE_LINES - more
@@ -602,7 +631,10 @@ def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) ->
 def _woven_evidence(
     found: Sequence[Evidence], above_m: F32, streams: Sequence[Stream], apart: I64
 ) -> Evidence:
-    """Return the evidence of a block from that of its streams; what lies beside the block is left empty."""
+    """Return the evidence of a block from that of its streams.
+
+    What lies beside the block is left empty.
+    """
     if len(streams) == 1 and streams[0].every == 1:
         return found[0]
 
@@ -628,7 +660,10 @@ def _woven_evidence(
 
 
 def of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
-    """Return the limits for the place of a block, given with the lines around: no cars in rooms, no curbs indoors."""
+    """Return the limits for the place of a block, given with the lines around.
+
+    No cars in rooms, no curbs indoors.
+    """
     some = wide[::ROOM_LINES]
     limits = in_room(limits) if is_room(some, limits) else limits
     return limits._replace(curbs=None) if has_ceiling(some, plane) else limits
@@ -706,7 +741,10 @@ def _decide(
     *,
     with_reasons: bool,
 ) -> tuple[U8, U8]:
-    """Label every shot of a stream; return the labels and, where they are asked for, the reasons."""
+    """Label every shot of a stream.
+
+    Return the labels and, where they are asked for, the reasons.
+    """
     seen = stream.seen
     bits = np.uint8(LABEL_BITS)
     neighbours = seen.neighbours
@@ -740,7 +778,10 @@ def _with_cars(
     plane: ScanPlane,
     limits: Limits,
 ) -> U8:
-    """Label cars in a block by its lines and those around; ``labels`` and ``range_m`` are of lines after it as well."""
+    """Label cars in a block by its lines and those around.
+
+    ``labels`` and ``range_m`` are of lines after it as well.
+    """
     above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
     texture = evidence.texture[1 : 1 + len(labels)]
     seen = labels, range_m, above_m, texture
@@ -772,7 +813,8 @@ def label_further_returns(
 ) -> U8:
     """Label the returns of a shot other than its main one.
 
-    Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation, not noise.
+    Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation,
+    not noise.
 
     Returns (n,) uint8.
 

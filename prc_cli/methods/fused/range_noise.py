@@ -1,4 +1,7 @@
-"""Range noise of the scanner, measured: on streets along the stream, in forests from the smoothest runs of shots."""
+"""Range noise of the scanner, measured.
+
+On streets along the stream, in forests from the smoothest runs of shots.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ NORMAL_QUARTILE = 0.6745
 MIDDLE_OF_THREE = 1.5
 """Variance of a range's deviation from the mean of its two neighbours, in variances of one range."""
 PART_LINES = 32
-"""Lines by which the noise at the begin of a stream is measured; not more than are known after a block."""
+"""Lines by which the noise at the begin of a stream is measured.
+
+Not more than are known after a block.
+"""
 PIECE_PARTS = 4
 FIRST_PARTS = 12
 """Parts of so many lines by which it is measured later, and after how many it is measured ever more seldom."""
@@ -33,7 +39,10 @@ RUN_SHOTS = 9
 SMOOTHEST = 0.1
 """This share of the runs lies on stems and bare ground in every forest."""
 OF_SMOOTHEST = 1.4
-"""Range noise, in what the smoothest tenth of the runs shows: it is the tenth that has the least by chance as well."""
+"""Range noise, in what the smoothest tenth of the runs shows.
+
+It is the tenth that has the least by chance as well.
+"""
 SECOND_DIFFERENCE = 6.0
 """Variance of a second difference, in variances of one range."""
 FOREST_EVERY_LINE = 4
@@ -56,9 +65,10 @@ class SensorParams(Params):
 class Noise:
     """Range noise measured so far, of one piece of the stream after the other.
 
-    Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive may begin beneath
-    trees. The noise is a property of the scanner, so it is measured on every piece up to the first success (a stream
-    may begin without usable returns), then only on pieces 1, 2, 4, 8 and so on.
+    Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive
+    may begin beneath trees. The noise is a property of the scanner, so it is measured on every
+    piece up to the first success (a stream may begin without usable returns), then only on pieces
+    1, 2, 4, 8 and so on.
     """
 
     least_m: float = math.inf
@@ -96,7 +106,8 @@ class Noise:
 class NoiseAlong:
     """Range noise along a stream, measured at the same lines however the stream is cut.
 
-    The smallest measurement counts, as with :class:`Noise`; the first piece tells something before it is whole.
+    The smallest measurement counts, as with :class:`Noise`; the first piece tells something before
+    it is whole.
     """
 
     parts: int = 0
@@ -135,7 +146,10 @@ class NoiseAlong:
         return NoiseAlong(parts, off, (*self.steps, (parts, measured)))
 
     def _is_asked(self, parts: int, params: SensorParams) -> bool:
-        """Return whether the piece that ends after so many parts is measured: all at first, then ever fewer."""
+        """Return whether the piece that ends after so many parts is measured.
+
+        All at first, then ever fewer.
+        """
         if params.range_noise_m != "auto":
             return False
         piece, rest = divmod(parts, PIECE_PARTS)
@@ -143,7 +157,9 @@ class NoiseAlong:
         return not self.steps or parts <= FIRST_PARTS or is_seldom
 
     def of_lines(self, first_line: int, n_lines: int, params: SensorParams) -> F64:
-        """Return what is known of the noise at every line: from the parts before its own, and the first one.
+        """Return what is known of the noise at every line.
+
+        From the parts before its own, and the first one.
 
         Lines after a block, and blocks after it, know the same then.
 
@@ -181,8 +197,8 @@ def off_lines(side_m: F32, height_m: F32) -> F32:
 def range_noise(off_m: F32) -> float | None:
     """Return the standard deviation of ranges on smooth surfaces [m]; None with too few shots.
 
-    Computed from the median distance of a shot from the straight line through its two neighbours. On smooth surfaces
-    this is noise alone, and most surfaces along a road are smooth.
+    Computed from the median distance of a shot from the straight line through its two neighbours.
+    On smooth surfaces this is noise alone, and most surfaces along a road are smooth.
 
     ``off_m`` (n,) float32, metres.
 
@@ -198,7 +214,10 @@ def range_noise(off_m: F32) -> float | None:
 
 
 def _middle(values: F32) -> float:
-    """Return the median of finite values; reorders them in place; three times as fast as np.median."""
+    """Return the median of finite values.
+
+    Reorders them in place; three times as fast as np.median.
+    """
     half = len(values) // 2
     values.partition(half)
     if len(values) % 2:
@@ -208,7 +227,9 @@ def _middle(values: F32) -> float:
 
 @stage("range noise")
 def forest_noise(range_m: F32) -> float | None:
-    """Return the standard deviation of ranges on the smoothest surfaces [m]; None with too few runs of shots.
+    """Return the standard deviation of ranges on the smoothest surfaces [m].
+
+    None with too few runs of shots.
 
     ``range_m`` (lines, M) float32, metres.
 

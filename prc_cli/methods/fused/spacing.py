@@ -1,9 +1,10 @@
 """Distance of scan lines: neighbours in other lines lie so far away that they see other leaves.
 
-Where a scanner moves slowly, the next line meets the same leaves again, and a crown looks as smooth as a wall across
-the lines. How far apart lines lie is not known from ranges, but this is: how often a line so many lines back is as far
-at shots whose neighbours in the line are near and on no common surface. Leaves apart by more than their size agree by
-chance alone. Where even the farthest line agrees, the platform stands, and only the line itself tells anything.
+Where a scanner moves slowly, the next line meets the same leaves again, and a crown looks as smooth
+as a wall across the lines. How far apart lines lie is not known from ranges, but this is: how often
+a line so many lines back is as far at shots whose neighbours in the line are near and on no common
+surface. Leaves apart by more than their size agree by chance alone. Where even the farthest line
+agrees, the platform stands, and only the line itself tells anything.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ class Spacing:
     """What was seen of the distance of lines so far."""
 
     sums: F64
-    """(6, 2) float64, leaves compared and leaves seen again, at each of :data:`LAGS` and beside; earlier ones count
+    """(6, 2) float64, leaves compared and leaves seen again, at each of :data:`LAGS` and beside.
+
+    Earlier ones count
     less."""
     stride: int
     """Lines from neighbour to neighbour, :data:`STANDS` = none."""
@@ -66,8 +69,8 @@ def leaves_again(
 ) -> NDArray[np.int32]:
     """Count leaves that are seen again; see :func:`spacing_loops.leaf_repeats`.
 
-    ``window_m`` (lines + 2 SPACED_LINES, M) float32, metres; ``noise_m`` (lines + 2 SPACED_LINES,) float64; returns (n,
-    6, 2) int32.
+    ``window_m`` (lines + 2 SPACED_LINES, M) float32, metres; ``noise_m`` (lines + 2 SPACED_LINES,)
+    float64; returns (n, 6, 2) int32.
     """
     begin = _begin(first_line)
     end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
@@ -148,8 +151,8 @@ def spaced_pairs(
 ) -> U8:
     """Count smooth pairs with lines of the right distance.
 
-    ``window_m`` (lines + 64, M) float32, metres; ``strides`` (lines,) int64; ``noise_m`` (lines,) float64; returns
-    (lines, M) uint8.
+    ``window_m`` (lines + 64, M) float32, metres; ``strides`` (lines,) int64; ``noise_m`` (lines,)
+    float64; returns (lines, M) uint8.
     """
     margin = PAIR_LINES * MOST_LAG
     counts = [

@@ -1,4 +1,7 @@
-"""Loop of the fused classifier that asks how far lines lie apart: whether later lines meet the same leaves again."""
+"""Loop of the fused classifier that asks how far lines lie apart.
+
+Whether later lines meet the same leaves again.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,12 @@ EVERY_LINE = 4
 
 @helper
 def _mark_leaves(ranges: F32, thresholds: SpacingThresholds, limits: F32, leaves: U8) -> int:
-    """Mark the shots of a line whose neighbours on both sides are near but not on one surface; count them.
+    """Mark the shots of a line whose neighbours on both sides are near but not on one surface.
 
-    ``limits`` becomes how much a shot on the same leaf may differ in range, below zero where there is no leaf.
+    Count them.
+
+    ``limits`` becomes how much a shot on the same leaf may differ in range, below zero where there
+    is no leaf.
     """
     m = len(ranges)
     base = thresholds.tolerance_m

@@ -1,7 +1,7 @@
 """Loops of the fused classifier that find the ground and the stems of a forest in every scan plane.
 
-Coordinates in the scan plane are those of range and beam: y = r sin b to the side and z = -r cos b up, with b the
-angle of the beam from straight down.
+Coordinates in the scan plane are those of range and beam: y = r sin b to the side and z = -r cos b
+up, with b the angle of the beam from straight down.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from prc_cli.methods.fused.thresholds import (
 )
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
-"""Columns of the table of runs: shots, returns from behind, lowest and highest end in the plane [m]."""
+"""Columns of the table of runs.
+
+Shots, returns from behind, lowest and highest end in the plane [m].
+"""
 _SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
 """Columns of the sums of a stem: shots, returns from behind, runs, length of these [m]."""
 
@@ -37,7 +40,10 @@ NO_GROUND = -1e9
 N_LOWEST = 3
 """The ground of a bin is its third-lowest return: one or two may lie below by chance."""
 N_OPEN = 3
-"""Runs of a line that are followed at the same time: surfaces seen in turn through gaps of the nearest."""
+"""Runs of a line that are followed at the same time.
+
+Surfaces seen in turn through gaps of the nearest.
+"""
 MIN_SHOTS = 3
 """Least shots of a run."""
 SPACINGS = 3.0
@@ -86,7 +92,10 @@ def _low_shots(
     heights: F64,
     shots: I32,
 ) -> int:
-    """List the shots of a line that may be on the ground, write their bins and heights; return how many there are."""
+    """List the shots of a line that may be on the ground, write their bins and heights.
+
+    Return how many there are.
+    """
     sine, cosine = beams
     half = n_bins // 2
     per_metre = 1.0 / thresholds.bin_m
@@ -140,8 +149,9 @@ def ground_profiles(
 ) -> F64_2:
     """Find the height of the ground to the left and right of the scanner, for a few lines together.
 
-    In every bin to the side the third-lowest return counts that is about as far as the return before it in its line.
-    Of these heights those that rise above a neighbour by more than the slope allows do not: they are plants.
+    In every bin to the side the third-lowest return counts that is about as far as the return
+    before it in its line. Of these heights those that rise above a neighbour by more than the slope
+    allows do not: they are plants.
 
     ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64.
     """
@@ -185,7 +195,10 @@ def _floors(ranges: F32, sine: F64, n_bins: int, per_metre: float, bins: I32, sh
 
 @helper
 def _look_up(bins: I32, profile: F64, low: F64, high: F64) -> None:
-    """Write the ground of the two bins around every shot; a loop of its own, as all others read memory in order."""
+    """Write the ground of the two bins around every shot.
+
+    a loop of its own, as all others read memory in order.
+    """
     for column in range(len(bins)):
         b = np.uint64(bins[column])
         low[column] = profile[b]
@@ -207,8 +220,8 @@ def ground_heights(
 ) -> F32_2:
     """Return how far above the ground of its profile every return is.
 
-    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64; ``profiles`` (groups, n_bins) float64,
-    metres; returns (lines, M) float32, metres.
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64; ``profiles`` (groups,
+    n_bins) float64, metres; returns (lines, M) float32, metres.
     """
     n_lines, n_columns = range_m.shape
     heights = np.empty((n_lines, n_columns), np.float32)
@@ -232,7 +245,10 @@ def _aim(
     points: tuple[F64, F64, F64, F64, F64],
     shots: I32,
 ) -> int:
-    """Write place, range, tolerance and spacing of the shots of a line; list those high enough, return how many."""
+    """Write place, range, tolerance and spacing of the shots of a line.
+
+    List those high enough, return how many.
+    """
     sine, cosine = beams
     side, up, far, tolerances, spacings = points
     low = thresholds.above_m
@@ -265,7 +281,10 @@ def _goes_on(
     gap: float,
     gap_steep: float,
 ) -> bool:
-    """Return whether a return continues a run, given its distances to the last one; false for NaN."""
+    """Return whether a return continues a run, given its distances to the last one.
+
+    False for NaN.
+    """
     beside = (
         (tolerance + steep * spacing) + gap_steep * (up - spacing)
         if up > spacing
@@ -285,7 +304,10 @@ def _put_away(
     firsts: tuple[F64, F64],
     ends: F64,
 ) -> None:
-    """Write the shots, the returns from behind and the ends of a finished run; 0 shots if it is not kept."""
+    """Write the shots, the returns from behind and the ends of a finished run.
+
+    0 shots if it is not kept.
+    """
     y_first, z_first = firsts
     if run < 0:
         return
@@ -310,7 +332,10 @@ def _drop(
     firsts: tuple[F64, F64],
     ends: F64,
 ) -> None:
-    """Close a run, if there is one; short ones, which are most, without a call, which takes longer than the rest."""
+    """Close a run, if there is one.
+
+    Short ones, which are most, without a call, which takes longer than the rest.
+    """
     if n >= MIN_SHOTS:
         _put_away(run, n, passed, y, z, thresholds, firsts, ends)
     elif run >= 0:
@@ -326,11 +351,13 @@ def _line_runs(
     firsts: tuple[F64, F64],
     ends: F64,
 ) -> int:
-    """Write the run of every shot of a list, counted from 0, and the data of the runs; return how many there are.
+    """Write the run of every shot of a list, counted from 0, and the data of the runs.
 
-    Three runs are open, the latest first. Of each the last shot is kept (y, z, range r), its shots n, the returns from
-    behind that passed it, and those since its last shot (waiting). They are variables, not an array, to stay in
-    registers.
+    Return how many there are.
+
+    Three runs are open, the latest first. Of each the last shot is kept (y, z, range r), its shots
+    n, the returns from behind that passed it, and those since its last shot (waiting). They are
+    variables, not an array, to stay in registers.
     """
     side, up, far, tolerances, spacings = points
     steep = thresholds.steep
@@ -425,12 +452,12 @@ def upright_runs(
 ) -> tuple[I32_2, F64_2]:
     """Find runs of returns of a line that go straight up or down in the scan plane.
 
-    A return continues the first of the last three runs that it follows steeply. Returns in between may be nearer, of
-    things in front of a stem; returns from behind are counted, because nothing is seen through a stem. A run is dropped
-    if more than half as many returns pass it as it has shots.
+    A return continues the first of the last three runs that it follows steeply. Returns in between
+    may be nearer, of things in front of a stem; returns from behind are counted, because nothing is
+    seen through a stem. A run is dropped if more than half as many returns pass it as it has shots.
 
-    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64;
-    returns ``runs`` (lines, M) int32, ``table`` (n_runs + 1, 4) float64.
+    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``sine,
+    cosine`` (M,) float64; returns ``runs`` (lines, M) int32, ``table`` (n_runs + 1, 4) float64.
     """
     n_lines, n_columns = range_m.shape
     runs = np.empty((n_lines, n_columns), np.int32)
@@ -513,10 +540,12 @@ def _join_lines(
 
 @kernel()
 def stem_shots(range_m: F32_2, runs: I32_2, table: F64_2, thresholds: StemThresholds) -> Mask_2:
-    """Mark the runs that are stems: those that go on from line to line and are high, long and opaque together.
+    """Mark the runs that are stems.
 
-    ``range_m`` (lines, M) float32, metres; ``runs`` (lines, M) int32; ``table`` (n_runs + 1, 4) float64; returns
-    (lines, M) bool.
+    Those that go on from line to line and are high, long and opaque together.
+
+    ``range_m`` (lines, M) float32, metres; ``runs`` (lines, M) int32; ``table`` (n_runs + 1, 4)
+    float64; returns (lines, M) bool.
     """
     n_lines, n_columns = range_m.shape
     n_runs = len(table)
@@ -684,8 +713,8 @@ def forest_labels(
 ) -> U8_2:
     """Give every shot of a block of forest the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
-    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems`` (lines, M) bool; returns
-    (lines, M) uint8.
+    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems``
+    (lines, M) bool; returns (lines, M) uint8.
     """
     n_lines, n_columns = range_m.shape
     labels = np.empty((n_lines, n_columns), np.uint8)

@@ -1,4 +1,7 @@
-"""Objects above the ground in narrow strips beside the scanner: occupied heights, walls, low level surfaces."""
+"""Objects above the ground in narrow strips beside the scanner.
+
+Occupied heights, walls, low level surfaces.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ class Standing:
     slots: tuple[NDArray[np.uint64], NDArray[np.uint64]]
     """(lines, strips) uint64, occupied heights by all shots and by rough shots, one bit per 0.25 m."""
     walls: tuple[F32, F32, F32]
-    """(lines, strips) float32, distance and top of the wall in or before a strip; distance of the wall in or behind."""
+    """(lines, strips) float32, distance and top of the wall in or before a strip.
+
+    Distance of the wall in or behind.
+    """
     levels: U8
     """(lines, 2 strips) uint8, 1 = a low level surface."""
     columns: U8

@@ -1,8 +1,9 @@
 """Loops of the fused classifier over shots above the ground, sorted into narrow strips beside the scanner.
 
-A strip is :data:`STRIP_M` wide; heights above the ground are divided into slots of :data:`SLOT_M`, one bit each. Level
-surfaces are kept in bins of half the width. Strips of adjacent lines are combined: lines are close together, and
-upright things stay in their strip from line to line. Trunks and posts are no walls: lines on both sides see past them.
+A strip is :data:`STRIP_M` wide; heights above the ground are divided into slots of :data:`SLOT_M`,
+one bit each. Level surfaces are kept in bins of half the width. Strips of adjacent lines are
+combined: lines are close together, and upright things stay in their strip from line to line. Trunks
+and posts are no walls: lines on both sides see past them.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ UPRIGHT_CHORDS = 2
 _FAR_BINS = np.float32(1e6)
 """Limit of bin numbers, so that they fit an integer."""
 COLUMN, THIN, SHORT, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
-"""What stands alone: a trunk or post; a thin or short piece; one of few shots; something low; a part of a fence."""
+"""What stands alone: a trunk or post.
+
+a thin or short piece; one of few shots; something low; a part of a fence.
+"""
 FENCE_LINES = (9, 30)
 FENCE_M = np.float32(0.2)
 FENCE_SEEN = 6
@@ -187,7 +191,10 @@ def _kind(
     beams: tuple[F32, F32],
     thresholds: ColumnThresholds,
 ) -> np.uint8:
-    """Return what the run from one shot to before another is: a trunk or post, something low, or perhaps a piece."""
+    """Return what the run from one shot to before another is.
+
+    a trunk or post, something low, or perhaps a piece.
+    """
     (first, end) = ends
     (side, above) = points
     (before, after) = lines
@@ -275,10 +282,12 @@ def find_columns(
     beams: tuple[F32_1, F32_1],
     thresholds: ColumnThresholds,
 ) -> U8_2:
-    """Say of every shot what it is of, if that stands alone: some lines wide, with something far on both sides.
+    """Say of every shot what it is of, if that stands alone.
 
-    ``window_m`` (lines + 2 n, M) float32, metres; ``above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines,
-    M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
+    Some lines wide, with something far on both sides.
+
+    ``window_m`` (lines + 2 n, M) float32, metres; ``above_m`` (lines, M) float32, metres;
+    ``counts`` tuple of (lines, M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
     """
     n_lines, m = above_m.shape
     margin = (len(window_m) - n_lines) // 2
@@ -373,7 +382,8 @@ def _list_counted(
 def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
     """Mark the shots of a line that are rough between two rough ones on either side.
 
-    In crowns all shots are; at the ends of a pole or an edge of a wall, where every second one is compared, two are.
+    In crowns all shots are; at the ends of a pole or an edge of a wall, where every second one is
+    compared, two are.
     """
     m = len(pairs)
     for i in range(m):
@@ -429,7 +439,10 @@ def _mark_kinds(
 def _keep_walls(
     upright: U8, extents: F32, side: F32, height: F32, wall: F32, place: F32, top: F32
 ) -> None:
-    """Write the shares of a line's shots in walls: height extent, that times side, and top; 0 or no top off walls."""
+    """Write the shares of a line's shots in walls.
+
+    Height extent, that times side, and top; 0 or no top off walls.
+    """
     for i in range(len(upright)):
         wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
     for i in range(len(upright)):
@@ -525,9 +538,10 @@ def fill_strips(
 ) -> tuple[U64_2, U64_2, F32_2, F32_2, F32_2, F32_2, U8_2]:
     """Sort shots above the ground into strips, line by line.
 
-    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8; ``columns`` (lines, M) uint8;
-    ``beams`` tuple of (M,) float32; returns every, rough : (lines, STRIPS) uint64, length_m, wall_m, place, top_m :
-    (lines, STRIPS) float32, ``levels`` (lines, 2 STRIPS) uint8.
+    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8;
+    ``columns`` (lines, M) uint8; ``beams`` tuple of (M,) float32; returns every, rough : (lines,
+    STRIPS) uint64, length_m, wall_m, place, top_m : (lines, STRIPS) float32, ``levels`` (lines, 2
+    STRIPS) uint8.
     """
     n_lines, m = range_m.shape
     side = np.empty(m, np.float32)
@@ -693,8 +707,8 @@ def find_walls(
 ) -> tuple[F32_2, F32_2, F32_2]:
     """Find the walls beside every line: strips with enough smooth upright surface.
 
-    ``sums`` tuple of (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns at_m, top_m : (lines,
-    STRIPS) float32, metres, ``ahead_m`` (lines, STRIPS) float32, metres.
+    ``sums`` tuple of (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns at_m,
+    top_m : (lines, STRIPS) float32, metres, ``ahead_m`` (lines, STRIPS) float32, metres.
     """
     length, wall, place, top = sums
     n_lines = length.shape[0] - 2 * LINES

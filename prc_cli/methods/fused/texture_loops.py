@@ -25,7 +25,9 @@ DEPTH_SHOTS = 4
 
 @helper
 def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
-    """Write the counts of a line's shots: one shot in the upper half of a word, its smooth pairs in the lower half.
+    """Write the counts of a line's shots.
+
+    One shot in the upper half of a word, its smooth pairs in the lower half.
 
     A place has at most 605 shots and 4840 pairs, so neither half overflows.
     """
@@ -44,7 +46,10 @@ def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> 
 
 @helper
 def _sum_up(values: Pairs, so_far: Pairs) -> None:
-    """Write the sums of the first 0, 1, ... columns; they may overflow, their differences are still right."""
+    """Write the sums of the first 0, 1, ... columns.
+
+    They may overflow, their differences are still right.
+    """
     total = np.uint32(0)
     so_far[0] = total
     for i in range(len(values)):
@@ -56,7 +61,10 @@ def _sum_up(values: Pairs, so_far: Pairs) -> None:
 def _half_widths(
     ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
 ) -> None:
-    """Write the half width of every shot's place in columns; any number where the shot is missing."""
+    """Write the half width of every shot's place in columns.
+
+    Any number where the shot is missing.
+    """
     fewest = np.float32(LEAST_COLUMNS)
     most_of_all = np.float32(most)
     for i in range(len(ranges)):
@@ -66,7 +74,10 @@ def _half_widths(
 
 @helper
 def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
-    """Write the sums of the places of a line's shots; a loop of its own, as all others read memory in order."""
+    """Write the sums of the places of a line's shots.
+
+    a loop of its own, as all others read memory in order.
+    """
     m = len(columns)
     for i in range(m):
         half = columns[i]
@@ -160,10 +171,11 @@ def mean_smoothness(
 ) -> F32_2:
     """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
 
-    A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.
-    Then at most nine columns of it are read.
+    A place with few is looked at again without what is nearer or farther: leaves before a wall do
+    not make it rough. Then at most nine columns of it are read.
 
-    ``range_m`` (lines + 4, M) float32, metres; ``near, smooth`` (lines + 4, M) uint8; returns (lines, M) float32.
+    ``range_m`` (lines + 4, M) float32, metres; ``near, smooth`` (lines + 4, M) uint8; returns
+    (lines, M) float32.
     """
     n_lines = range_m.shape[0] - 2 * LINES
     m = range_m.shape[1]

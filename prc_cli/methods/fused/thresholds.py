@@ -1,7 +1,9 @@
-"""All limits of the fused classifier, by name: what the loops, their slow twins and ``prc explain`` read.
+"""All limits of the fused classifier, by name.
 
-The loops of the street compute in float32, those of the forest in float64, and their limits are of that type.
-docs/fused.md says what each is worth.
+What the loops, their slow twins and ``prc explain`` read.
+
+The loops of the street compute in float32, those of the forest in float64, and their limits are of
+that type. docs/fused.md says what each is worth.
 """
 
 from __future__ import annotations
@@ -75,7 +77,10 @@ class ChordThresholds(NamedTuple):
     chord_m: np.float32 = f32(0.15)
     """Half length of the chord [m]."""
     slope: np.float32 = f32(0.4)
-    """An upright chord goes less than this times its height to the side; a level one the other way round."""
+    """An upright chord goes less than this times its height to the side.
+
+    a level one the other way round.
+    """
     slack_m: np.float32 = f32(0.02)
     """Added to that limit [m]."""
     longest_m: np.float32 = f32(2)
@@ -96,7 +101,10 @@ class WalkThresholds(NamedTuple):
     gap_slope: np.float32 = f32(0.08)
     """Added to the step per metre between the two shots, at any distance."""
     known_m: np.float32 = f32(0.15)
-    """Greatest difference to the remembered height of the place [m]; enough without the other limits."""
+    """Greatest difference to the remembered height of the place [m].
+
+    Enough without the other limits.
+    """
     memory_lines: np.float32 = f32(60)
     """Lines that a place is remembered for."""
     follow: np.float32 = f32(0.4)
@@ -226,7 +234,10 @@ class DecisionThresholds(NamedTuple):
     leaf_slots: np.float32 = f32(4)
     """Slots with rough shots around a lonely shot that make it a leaf."""
     lone_m: np.float32 = f32(5)
-    """Shots without any near neighbour are noise up to this range [m]; farther ones may be leaves."""
+    """Shots without any near neighbour are noise up to this range [m].
+
+    Farther ones may be leaves.
+    """
     walked_m: np.float32 = f32(0.3)
     """Shots that the walk went over are ground up to this height difference [m]."""
     level_m: np.float32 = f32(0.12)
@@ -246,7 +257,10 @@ class DecisionThresholds(NamedTuple):
     over_m: np.float32 = f32(0.3)
     """Lines of sight up to this far above its top count as through it [m]."""
     roof_m: np.float32 = f32(6)
-    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m] ..."""
+    """Roofs are up to this far behind a wall.
+
+    Foliage must be as rough there as before it [m] ...
+    """
     storey_m: np.float32 = f32(2.5)
     """... if the wall is this high above the ground [m]."""
     car_top_m: np.float32 = CAR_TOP_M
@@ -305,7 +319,10 @@ class AgainThresholds(NamedTuple):
     leaves: np.float32 = f32(3)
     """Noise is a leaf where so many leaves around, in three lines, ..."""
     leaf_m: np.float32 = f32(2)
-    """... are within this in range [m]: where columns are as far apart as for :attr:`Foliage.depth_step_rad`."""
+    """... are within this in range [m].
+
+    Where columns are as far apart as for :attr:`Foliage.depth_step_rad`.
+    """
 
 
 class CurbThresholds(NamedTuple):
@@ -403,7 +420,10 @@ class Foliage(NamedTuple):
     """... at least this far apart [rad]."""
 
     def again(self, share: float, step_rad: float) -> tuple[np.float32, np.float32, np.float32]:
-        """Return what the loop is given, for an angle between columns [rad]: a share, a distance and smooth pairs."""
+        """Return what the loop is given, for an angle between columns [rad].
+
+        a share, a distance and smooth pairs.
+        """
         pairs = 0 if step_rad >= self.depth_step_rad else self.depth_pairs
         return f32(share if self.at_depth else 0.0), f32(self.depth_m), f32(pairs)
 
@@ -423,7 +443,10 @@ class Limits(NamedTuple):
     near: NearThresholds = NearThresholds()
     smoothness: Smoothness = Smoothness()
     interlace_rad: float = math.radians(0.2)
-    """Columns at least this far apart may be measured in two turns: finer scanners scan once [rad]."""
+    """Columns at least this far apart may be measured in two turns.
+
+    Finer scanners scan once [rad].
+    """
     spaced: Spaced | None = Spaced()
     chords: ChordThresholds = ChordThresholds()
     walk: WalkThresholds = WalkThresholds()
@@ -529,7 +552,10 @@ class ForestThresholds(NamedTuple):
     top_m: float = 1000.0
     """Stems end at this height; above it they are vegetation [m]."""
     beside_m: float = 0.05
-    """Shots that differ from an adjacent stem shot by at most this in range are of the stem [m]; below 0 = none."""
+    """Shots that differ from an adjacent stem shot by at most this in range are of the stem [m].
+
+    Below 0 = none.
+    """
     near_m: float = 0.3
     """Shots are alone without another this near in range [m]; below 0 = none is alone."""
 

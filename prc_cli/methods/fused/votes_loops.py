@@ -55,7 +55,8 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
     m = len(own)
     for i in range(m):
         unsettled[i] = _differs(before[i], own[i]) | _differs(after[i], own[i])
-    # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost shot
+    # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost
+    # shot
     n = min(VOTERS, m)
     for way in range(2):
         asker = own[: m - n] if way == 0 else own[n:]
@@ -167,11 +168,11 @@ def vote_labels(
 ) -> U8_2:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
-    A small thing keeps its label, and so does a shot where those four columns to both sides and in the adjacent lines
-    have the same one. Noise does not vote.
+    A small thing keeps its label, and so does a shot where those four columns to both sides and in
+    the adjacent lines have the same one. Noise does not vote.
 
-    ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` tuple of (M,) float32;
-    returns (lines, M) uint8.
+    ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` tuple of
+    (M,) float32; returns (lines, M) uint8.
     """
     n_lines = labels.shape[0] - 2
     m = labels.shape[1]

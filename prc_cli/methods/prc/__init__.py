@@ -1,1 +1,4 @@
-"""PRC, classification of a raw range stream (Lehtola et al. 2019): one file per stage; order in :mod:`.pipeline`."""
+"""PRC, classification of a raw range stream (Lehtola et al. 2019).
+
+One file per stage; order in :mod:`.pipeline`.
+"""

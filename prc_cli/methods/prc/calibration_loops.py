@@ -10,7 +10,9 @@ from prc_cli.kernels.cache import helper, kernel
 
 @helper
 def _keep_smallest(smallest: F32, differences: F32) -> None:
-    """Let differences take their place among the k smallest of every shot, (k, n) ascending; spoils ``differences``.
+    """Let differences take their place among the k smallest of every shot, (k, n) ascending.
+
+    Spoils ``differences``.
 
     Loops over shots inside, so that the compiler turns them into vector instructions.
     """
@@ -48,11 +50,11 @@ def support_histogram(
 ) -> I64_2:
     """Count returns by the first pair of thresholds that supports them.
 
-    A shot is supported when its k-th smallest range difference in the line is below zeta_p and that to adjacent lines
-    below zeta_s (eqs. 4 to 8): two numbers a shot answer for all thresholds.
+    A shot is supported when its k-th smallest range difference in the line is below zeta_p and that
+    to adjacent lines below zeta_s (eqs. 4 to 8): two numbers a shot answer for all thresholds.
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``zetas_p, zetas_s`` (P,), (Q,) float64, metres;
-    returns (P + 1, Q + 1) int64.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``zetas_p, zetas_s`` (P,),
+    (Q,) float64, metres; returns (P + 1, Q + 1) int64.
     """
     reach = max(n_columns + 1, 4)
     counts = np.zeros((len(zetas_p) + 1, len(zetas_s) + 1), np.int64)
@@ -99,10 +101,11 @@ def bend_histogram(
     """Count returns by the first length d_c at which they are no longer extended background (eq. 9, centred).
 
     A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least
-    ``(1/2 - alpha) * max(|b - a|, d_c)``: never when the first of the two asks for more, else up to one d_c.
+    ``(1/2 - alpha) * max(|b - a|, d_c)``: never when the first of the two asks for more, else up to
+    one d_c.
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``lengths`` (D,) float64, metres; returns (D +
-    1,) int64.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``lengths`` (D,) float64,
+    metres; returns (D + 1,) int64.
     """
     reach = max(n_columns + 1, 4)
     slack = 0.5 - alpha

@@ -1,4 +1,7 @@
-"""Connected components (Lehtola et al. 2019, II-D): connect, fill holes, carry labels over the block boundary."""
+"""Connected components (Lehtola et al. 2019, II-D).
+
+Connect, fill holes, carry labels over the block boundary.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ class Joined:
     """Components of a block after hole filling, before they take over labels of the previous block."""
 
     image: I32
-    """(lines, M) int32, component of every shot, 0 = none; numbered in the order of their first shots."""
+    """(lines, M) int32, component of every shot, 0 = none.
+
+    Numbered in the order of their first shots.
+    """
     pixels: I64
     """(n + 1,) int64, shots of every component; ``pixels[0]`` is 0."""
 
@@ -43,7 +49,10 @@ class Components:
     pixels: I64
     """(n + 1,) int64, shots of every component; ``pixels[0]`` is 0."""
     ids: I64
-    """(n + 1,) int64, segment id of every component; ``ids[0]`` is 0. Several components may share an id."""
+    """(n + 1,) int64, segment id of every component; ``ids[0]`` is 0.
+
+    Several components may share an id.
+    """
     first_new_id: int
     """Ids below this one come from the previous block; only these can be shared."""
     next_id: int
@@ -55,7 +64,10 @@ class Components:
         return segments
 
     def sum_by_id(self, counts: I64) -> I64:
-        """Sum (n + 1,) counts of components by segment id; return for each component the sum of its segment."""
+        """Sum (n + 1,) counts of components by segment id.
+
+        Return for each component the sum of its segment.
+        """
         sums = counts.copy()
         shared = np.flatnonzero((self.ids > 0) & (self.ids < self.first_new_id))
         _, position = np.unique(self.ids[shared], return_inverse=True)
@@ -79,10 +91,12 @@ def join(supported: Mask, background: Mask) -> Joined:
 
 @stage("votes")
 def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
-    """Give components the segment ids of the last line before the block, by vote (II-D.2); others get new ids.
+    """Give components the segment ids of the last line before the block, by vote (II-D.2).
 
-    Every column where both lines hold a label is one vote. A component takes the label with most votes, if there are
-    enough; on ties the oldest. Several components may take the same label.
+    Others get new ids.
+
+    Every column where both lines hold a label is one vote. A component takes the label with most
+    votes, if there are enough; on ties the oldest. Several components may take the same label.
 
     ``last_line`` (M,) int64.
 

@@ -1,4 +1,7 @@
-"""Loops over the binary image: connected components, hole filling, votes (Lehtola et al. 2019, II-D)."""
+"""Loops over the binary image.
+
+Connected components, hole filling, votes (Lehtola et al. 2019, II-D).
+"""
 
 from __future__ import annotations
 
@@ -24,10 +27,12 @@ def _root(parent: I32, run: int) -> int:
 
 @helper
 def _find_edges(row: Mask, edges: I32, n_edges: int) -> int:
-    """Append the columns where runs of ones begin and end to ``edges``; return how many there are now.
+    """Append the columns where runs of ones begin and end to ``edges``.
 
-    Eight shots at a time are passed over when they are all like the one before. In the others every column is
-    written, and kept where it is an edge, so that there is no branch to be guessed wrong.
+    Return how many there are now.
+
+    Eight shots at a time are passed over when they are all like the one before. In the others every
+    column is written, and kept where it is an edge, so that there is no branch to be guessed wrong.
     """
     n_columns = len(row)
     n_words = n_columns // 8
@@ -52,10 +57,11 @@ def _find_edges(row: Mask, edges: I32, n_edges: int) -> int:
 def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
     """Find the runs of an image, stretches of ones within a line, and join those that touch.
 
-    Runs of successive lines that share a column are joined, the earlier run always becoming the root, so that roots
-    come in raster order.
+    Runs of successive lines that share a column are joined, the earlier run always becoming the
+    root, so that roots come in raster order.
 
-    Returns ``edges`` (at least 2 n,) int32, ``first_run`` (n_lines + 1,) int32, ``parent`` (n,) int32.
+    Returns ``edges`` (at least 2 n,) int32, ``first_run`` (n_lines + 1,) int32, ``parent`` (n,)
+    int32.
     """
     n_lines, n_columns = image.shape
     most_runs = n_lines * ((n_columns + 1) // 2)
@@ -91,7 +97,10 @@ def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
 
 @helper
 def _draw_runs(edges: I32, first_run: I32, parent: I32, n_columns: int) -> tuple[I32, I64]:
-    """Draw the components, numbered in raster order; return the image and their pixels, (n + 1,) int64."""
+    """Draw the components, numbered in raster order.
+
+    Return the image and their pixels, (n + 1,) int64.
+    """
     number = np.empty(len(parent), np.int32)
     n_components = 0
     for run in range(len(parent)):
@@ -201,8 +210,8 @@ def _most_frequent(components: I32, line: int, column: int) -> int:
 def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     """Connect supported shots and give those of the background to the component around them.
 
-    ``supported, background`` (n_lines, n_columns) bool; returns ``components`` (n_lines, n_columns) int32, ``pixels``
-    (n + 1,) int64.
+    ``supported, background`` (n_lines, n_columns) bool; returns ``components`` (n_lines, n_columns)
+    int32, ``pixels`` (n + 1,) int64.
     """
     n_lines, n_columns = supported.shape
     foreground = np.empty((n_lines, n_columns), np.bool_)
@@ -260,7 +269,10 @@ def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
 
 @helper
 def _sort_votes(component: I32, label: I64, n: int) -> I32:
-    """Order votes by component, then by label; merged by hand, as the library's sort takes seconds to compile."""
+    """Order votes by component, then by label.
+
+    Merged by hand, as the library's sort takes seconds to compile.
+    """
     order = np.empty(n, np.int32)
     merged = np.empty(n, np.int32)
     for i in range(n):
@@ -294,8 +306,9 @@ def _sort_votes(component: I32, label: I64, n: int) -> I32:
 def carry_labels(first_line: I32_1, last_line: I64_1, n_components: int, min_votes: int) -> I64_1:
     """Let the last line before a block vote for the labels of the block's components.
 
-    Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,
-    given enough of them; of equals the oldest. Several components may take the same label.
+    Every column where both lines hold a label is a vote. A component takes the label that most of
+    its shots vote for, given enough of them; of equals the oldest. Several components may take the
+    same label.
 
     ``first_line`` (M,) int32; ``last_line`` (M,) int64; returns (n_components + 1,) int64.
     """

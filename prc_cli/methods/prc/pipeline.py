@@ -1,4 +1,7 @@
-"""PRC, Algorithm 1 of Lehtola et al. (2019): the stages in the paper's order, and the state that crosses blocks."""
+"""PRC, Algorithm 1 of Lehtola et al. (2019).
+
+The stages in the paper's order, and the state that crosses blocks.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,10 @@ from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.012
-"""Range noise that the thresholds of forests stand [m]: scanners in forests have 2 to 3 mm; 10 mm cost .1 of F1."""
+"""Range noise that the thresholds of forests stand [m].
+
+Scanners in forests have 2 to 3 mm; 10 mm cost .1 of F1.
+"""
 _EVERYWHERE = frozenset(
     {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION}
 )
@@ -128,7 +134,10 @@ class PrcTrace:
     labels: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
     segments: I64 | None
-    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None unless requested."""
+    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere.
+
+    None unless requested.
+    """
     critical: CriticalZetas | None
     """Thresholds from which on every shot is supported; None unless requested."""
 
@@ -252,9 +261,11 @@ def classify_block(
     ('NOISE', 'GROUND')
     """
     tail = turn.hand_on(TAIL, lambda before: (before, tail_after(before, range_m)))
-    # steps 1 to 3: the block with the shots before and after it, S, G, and components of S without G
+    # steps 1 to 3: the block with the shots before and after it, S, G, and components of S without
+    # G
     seen = see(stream_window(tail, range_m, next_m), range_m.shape[1], params)
-    # step 3: H, components with the labels of the previous block; only smooth shots vote in the next one
+    # step 3: H, components with the labels of the previous block; only smooth shots vote in the
+    # next one
     connected = turn.hand_on(LINK, lambda before: connect(seen, before, params, segments=segments))
     # steps 4 and 5: V, the small segments of H, dilated and connected; R, H and V together
     v = grow(seen, connected, params)

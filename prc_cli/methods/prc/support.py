@@ -1,4 +1,7 @@
-"""Support and background (Lehtola et al. 2019, II-B and II-C): shots that enough neighbours agree with, and edges."""
+"""Support and background (Lehtola et al. 2019, II-B and II-C).
+
+Shots that enough neighbours agree with, and edges.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,8 @@ def unusual(params: SupportParams) -> str | None:
     >>> unusual(SupportParams()), unusual(SupportParams(zeta_s=0.1, zeta_p=0.1))
     (None, None)
     >>> unusual(SupportParams(zeta_s=0.1))
-    'prc.support.zeta_s = 0.1 m is below zeta_p = 1 m: zeta_s >= zeta_p is advisable, as shots of adjacent lines lie \
+    'prc.support.zeta_s = 0.1 m is below zeta_p = 1 m: zeta_s >= zeta_p is advisable, as shots of
+    adjacent lines lie \
 farther apart than shots of one line'
     """
     if params.zeta_s >= params.zeta_p:
@@ -83,8 +87,8 @@ def window_reach(points_per_line: int) -> int:
 def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
     """Return a block with the shots before and after it, as one flat array.
 
-    ``tail`` (reach,) float32, metres; ``range_m`` (lines, M) float32, metres; ``next_m`` (any number of lines, M)
-    float32, metres; returns (reach + lines * M + reach,) float32, metres.
+    ``tail`` (reach,) float32, metres; ``range_m`` (lines, M) float32, metres; ``next_m`` (any
+    number of lines, M) float32, metres; returns (reach + lines * M + reach,) float32, metres.
     """
     reach = len(tail)
     window = np.full(reach + range_m.size + reach, np.nan, dtype=np.float32)
@@ -97,7 +101,10 @@ def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
 
 
 def tail_after(tail: F32, range_m: F32) -> F32:
-    """Return the last ``reach`` shots up to the end of a block, (reach,) float32 [m]: the next block's tail."""
+    """Return the last ``reach`` shots up to the end of a block, (reach,) float32 [m].
+
+    The next block's tail.
+    """
     reach = len(tail)
     lines = -(-reach // range_m.shape[1])
     return np.concatenate([tail, range_m[-lines:].ravel()])[-reach:].copy()
@@ -107,8 +114,9 @@ def tail_after(tail: F32, range_m: F32) -> F32:
 def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
     """Mark supported shots (eqs. 4 to 8).
 
-    Neighbours are taken by flat index, so the first shots of a line are neighbours of the last ones of the line
-    before. Missing and absent neighbours never agree, and do not lower the required counts.
+    Neighbours are taken by flat index, so the first shots of a line are neighbours of the last ones
+    of the line before. Missing and absent neighbours never agree, and do not lower the required
+    counts.
 
     ``window`` (reach + lines * M + reach,) float32, metres; returns (lines, M) bool.
 
@@ -157,11 +165,13 @@ def background(window: F32, supported: Mask, params: BackgroundParams) -> Mask:
     """Mark supported shots that become background for the segmentation (eq. 9).
 
     The default reads eq. 9 as centred: with neighbours a and b, a shot r is marked when
-    ``|r - (a + b) / 2| >= (1/2 - alpha) * max(|b - a|, d_c)``. For |b - a| >= d_c this is eq. 9 itself, in both
-    directions; below d_c, flat surfaces stay unmarked. Computed in float64. A shot beside a missing or absent one is
-    not marked: it borders on background already. Ranges of unsupported neighbours are used.
+    ``|r - (a + b) / 2| >= (1/2 - alpha) * max(|b - a|, d_c)``. For |b - a| >= d_c this is eq. 9
+    itself, in both directions; below d_c, flat surfaces stay unmarked. Computed in float64. A shot
+    beside a missing or absent one is not marked: it borders on background already. Ranges of
+    unsupported neighbours are used.
 
-    ``window`` (reach + lines * M + reach,) float32, metres; ``supported`` (lines, M) bool; returns (lines, M) bool.
+    ``window`` (reach + lines * M + reach,) float32, metres; ``supported`` (lines, M) bool; returns
+    (lines, M) bool.
 
     The two shots of a step are marked, the flats beside it are not:
 

@@ -1,8 +1,11 @@
-"""Loops over shots and their neighbours: support and extension of the background (Lehtola et al. 2019, II-B, II-C).
+"""Loops over shots and their neighbours.
 
-Both read a *window* of the stream: the ranges of the block with ``reach`` shots before and after it, NaN where there
-is nothing, so that neighbours by flat index are plain shifts. Neighbours are slices of the window, one a shift,
-because the compiler turns loops over slices into vector instructions but not loops over offsets.
+Support and extension of the background (Lehtola et al. 2019, II-B, II-C).
+
+Both read a *window* of the stream: the ranges of the block with ``reach`` shots before and after
+it, NaN where there is nothing, so that neighbours by flat index are plain shifts. Neighbours are
+slices of the window, one a shift, because the compiler turns loops over slices into vector
+instructions but not loops over offsets.
 """
 
 from __future__ import annotations
@@ -33,7 +36,8 @@ def support_mask(
 ) -> Mask_2:
     """Mark shots that enough neighbours in their own and in the adjacent lines agree with (eqs. 4 to 8).
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; returns (n_lines, n_columns) bool.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; returns (n_lines, n_columns)
+    bool.
     """
     # differences are float32: below zeta means below the smallest float32 that is not below zeta
     limit_p = np.float32(zeta_p)
@@ -68,7 +72,9 @@ def support_mask(
         for h in range(size):
             r = own[h]
             in_slice = (
-                0  # booleans that are added are counted by numba and joined by NumPy; an integer settles it
+                # booleans that are added are counted by numba and joined by NumPy; an integer
+                # settles it
+                0
                 + (abs(r - before_4[h]) < limit_p)
                 + (abs(r - before_3[h]) < limit_p)
                 + (abs(r - before_2[h]) < limit_p)
@@ -97,8 +103,8 @@ def background_mask(
 ) -> Mask_2:
     """Mark supported shots where the range changes too abruptly for one smooth surface (eq. 9).
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported`` (n_lines, n_columns) bool; returns
-    (n_lines, n_columns) bool.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported`` (n_lines,
+    n_columns) bool; returns (n_lines, n_columns) bool.
     """
     n_lines, size = supported.shape
     reach = max(size + 1, 4)

@@ -1,4 +1,7 @@
-"""Smooth and non-smooth surfaces (Lehtola et al. 2019, II-E): large segments are smooth, small ones are joined."""
+"""Smooth and non-smooth surfaces (Lehtola et al. 2019, II-E).
+
+Large segments are smooth, small ones are joined.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +77,10 @@ class Surfaces:
         return self.components.next_id + self.n_patches
 
     def to_patches(self) -> I64:
-        """Return V as segment ids, (lines, M) int64, 0 = none; the dilated image, noise under it included."""
+        """Return V as segment ids, (lines, M) int64, 0 = none.
+
+        The dilated image, noise under it included.
+        """
         if self.patches is None:
             msg = "surfaces were found without patches"
             raise ValueError(msg)
@@ -84,7 +90,10 @@ class Surfaces:
         return patches
 
     def to_segments(self) -> I64:
-        """Return R: the segment id of every supported shot, 0 elsewhere, (lines, M) int64; needs patches."""
+        """Return R: the segment id of every supported shot, 0 elsewhere, (lines, M) int64.
+
+        Needs patches.
+        """
         segments: I64 = np.where(self.covered, self.to_patches(), self.components.to_segments())
         segments[~self.supported] = 0
         return segments
@@ -95,8 +104,8 @@ def area_threshold(
 ) -> float:
     """Return the least number of pixels of a smooth segment in a block of ``n_lines`` lines.
 
-    A shorter block at the end of the stream needs proportionally fewer. The division comes last, so that whole
-    results are exact.
+    A shorter block at the end of the stream needs proportionally fewer. The division comes last, so
+    that whole results are exact.
 
     >>> area_threshold(SurfacesParams(), 33, 99, 2154)
     10.0
@@ -114,8 +123,8 @@ def area_threshold(
 def find_small(components: Components, threshold: float) -> Mask:
     """Return which components are non-smooth, (n + 1,) bool.
 
-    The size of a segment is that of all its components together. Entry 0 is for supported shots without component
-    (background that hole filling did not assign): they are non-smooth as well.
+    The size of a segment is that of all its components together. Entry 0 is for supported shots
+    without component (background that hole filling did not assign): they are non-smooth as well.
     """
     small: Mask = components.sum_by_id(components.pixels) < threshold
     small[0] = True
@@ -133,12 +142,13 @@ def surfaces(
 ) -> Surfaces:
     """Split a block into smooth and non-smooth surfaces.
 
-    Small segments and background shots without component form the non-smooth image, which is dilated and connected.
-    Smooth shots under it become non-smooth, noise stays noise.
+    Small segments and background shots without component form the non-smooth image, which is
+    dilated and connected. Smooth shots under it become non-smooth, noise stays noise.
 
     ``supported`` (lines, M) bool; ``small`` (n + 1,) bool.
 
-    A segment of 8 pixels stays smooth, except where the dilated single pixel on its right covers it:
+    A segment of 8 pixels stays smooth, except where the dilated single pixel on its right covers
+    it:
 
     >>> image = np.array([[1, 1, 1, 1, 0, 2], [1, 1, 1, 1, 0, 0]], dtype=np.int32)
     >>> h = Components(image, np.array([0, 8, 1]), ids=np.array([0, 1, 2]), first_new_id=1, next_id=3)

@@ -12,8 +12,8 @@ from prc_cli.kernels.cache import kernel
 def select_components(supported: Mask_2, components: I32_2, wanted: Mask_1) -> Mask_2:
     """Mark the supported shots of some components.
 
-    ``supported`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; ``wanted`` (n + 1,) bool;
-    returns (n_lines, n_columns) bool.
+    ``supported`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; ``wanted``
+    (n + 1,) bool; returns (n_lines, n_columns) bool.
     """
     n_lines, n_columns = supported.shape
     selected = np.empty((n_lines, n_columns), np.bool_)
@@ -58,8 +58,8 @@ def count_covered(
 ) -> I64_1:
     """Count the supported shots of every component that lie under another image.
 
-    ``supported, covered`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; returns (n_components +
-    1,) int64.
+    ``supported, covered`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32;
+    returns (n_components + 1,) int64.
     """
     n_lines, n_columns = supported.shape
     counts = np.zeros(n_components + 1, np.int64)
@@ -90,9 +90,9 @@ def draw_components(
 ) -> U8_2:
     """Draw labels by component where nothing covers them.
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered`` (n_lines, n_columns) bool;
-    ``components`` (n_lines, n_columns) int32; ``label_of`` (n + 1,) uint8; ``others`` (3,) uint8; returns (n_lines,
-    n_columns) uint8.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered``
+    (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; ``label_of`` (n + 1,)
+    uint8; ``others`` (3,) uint8; returns (n_lines, n_columns) uint8.
     """
     missing = others[0]
     noise = others[1]
@@ -126,8 +126,9 @@ def draw_columns(
 ) -> U8_2:
     """Draw labels of what is covered and what is not, and another one in some columns.
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered`` (n_lines, n_columns) bool;
-    ``columns`` (n_columns,) bool; ``labels_of`` (5,) uint8; returns (n_lines, n_columns) uint8.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered``
+    (n_lines, n_columns) bool; ``columns`` (n_columns,) bool; ``labels_of`` (5,) uint8; returns
+    (n_lines, n_columns) uint8.
     """
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)

@@ -1,4 +1,7 @@
-"""Classes in the built environment (Lehtola et al. 2019, II-F): ground, buildings, vegetation, noise."""
+"""Classes in the built environment (Lehtola et al. 2019, II-F).
+
+Ground, buildings, vegetation, noise.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ class UrbanParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Totals:
-    """Smooth shots so far, by segment that may continue in the next block; ended segments are dropped."""
+    """Smooth shots so far, by segment that may continue in the next block.
+
+    Ended segments are dropped.
+    """
 
     ids: I64
     """(n,) int64, segment ids, ascending."""
@@ -145,7 +151,9 @@ def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
 
 
 def is_dense(smooth: Mask, params: ForestParams) -> Mask:
-    """Return for every group of columns whether its first column is dense: smooth often enough (eq. 12).
+    """Return for every group of columns whether its first column is dense.
+
+    Smooth often enough (eq. 12).
 
     Noise and missing shots count in the denominator.
 

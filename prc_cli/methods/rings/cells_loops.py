@@ -1,4 +1,7 @@
-"""Loops of the method for rings over what stands on the ground: shots beside each other, and columns of space."""
+"""Loops of the method for rings over what stands on the ground.
+
+Shots beside each other, and columns of space.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,10 @@ SMOOTH = 1
 ASKED = 2
 UPRIGHT = 4
 LEVEL = 8
-"""Bits of a mark: on the line through two shots of its ring; such two exist; on an upright, on a level surface."""
+"""Bits of a mark: on the line through two shots of its ring.
+
+Such two exist; on an upright, on a level surface.
+"""
 LINES = 3
 RINGS = 2
 """Shots this far away are around a shot."""
@@ -45,7 +51,10 @@ TOP_LEVEL = 61
 
 @helper
 def _beside(place: F32, line: int, way: int, i: int, most: int) -> int:
-    """Return the line of the nearest shot of a ring at or beyond a line, one more at most; -1 = none."""
+    """Return the line of the nearest shot of a ring at or beyond a line, one more at most.
+
+    -1 = none.
+    """
     for q in (line, line + way):
         if 0 <= q < most and place[q, i] == place[q, i]:
             return q
@@ -83,8 +92,8 @@ def mark_shots(
 ) -> U8_2:
     """Mark shots by what their ring shows and, higher than the foot of things, their line, (lines, M) uint8.
 
-    ``xyz_m`` (lines, M, 3) float32, metres; ``place, above_m`` (lines, M) float32; ``step_rad`` is the angle between
-    lines; ``root`` the number of bins of ``place`` per square root of a metre.
+    ``xyz_m`` (lines, M, 3) float32, metres; ``place, above_m`` (lines, M) float32; ``step_rad`` is
+    the angle between lines; ``root`` the number of bins of ``place`` per square root of a metre.
     """
     n_lines, m = place.shape
     marks = np.zeros((n_lines, m), np.uint8)
@@ -131,7 +140,8 @@ def lonely_shots(
 ) -> Mask_2:
     """Mark shots near the scanner that hardly any shot around is as far as, and that no surface around explains.
 
-    ``range_m`` (lines, M) float32, metres; ``intensity`` the same, or (1, 1) where ``is_lit`` is false.
+    ``range_m`` (lines, M) float32, metres; ``intensity`` the same, or (1, 1) where ``is_lit`` is
+    false.
     """
     n_lines, m = range_m.shape
     found = np.zeros((n_lines, m), np.bool_)
@@ -173,10 +183,11 @@ def fill_cells(
 ) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
     """Sum up what stands in every column of space.
 
-    ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8; ``leave_out``
-    (lines, M) bool; returns levels with shots, (cells,) int64, one bit each; sums (cells, N_SUMS) float64; where cells
-    lie in the grid, (cells, 2) int32; the grid, (n, n) int32 with the number of the cell, -1 = nothing stands there;
-    the cell of every shot, (lines, M) int32, -1 = none.
+    ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M)
+    uint8; ``leave_out`` (lines, M) bool; returns levels with shots, (cells,) int64, one bit each;
+    sums (cells, N_SUMS) float64; where cells lie in the grid, (cells, 2) int32; the grid, (n, n)
+    int32 with the number of the cell, -1 = nothing stands there; the cell of every shot, (lines, M)
+    int32, -1 = none.
     """
     n_lines, m = above_m.shape
     size = thresholds.cell_m
@@ -239,7 +250,10 @@ def fill_cells(
 
 @helper
 def _body_top(levels: int, gap: int) -> int:
-    """Return the first level above what stands on the ground without a gap of more levels; 0 = it hangs."""
+    """Return the first level above what stands on the ground without a gap of more levels.
+
+    0 = it hangs.
+    """
     top = misses = 0
     for level in range(TOP_LEVEL + 1):
         if levels >> level & 1:
@@ -258,11 +272,12 @@ def measure_cells(
 ) -> F64_2:
     """Measure every cell with those around.
 
-    ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels`` (cells,) int64;
-    returns (cells, N_MEASURES) float64: of 3 x 3 cells how thick and how long what stands there is (standard
-    deviations, [m]) and its share of upright shots; of 5 x 5 its share of smooth shots, the number of levels with
-    shots, the highest level, and the number of cells with shots; of the cell itself the first level above what stands
-    on the ground without a gap, 0 = it hangs.
+    ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels``
+    (cells,) int64; returns (cells, N_MEASURES) float64: of 3 x 3 cells how thick and how long what
+    stands there is (standard deviations, [m]) and its share of upright shots; of 5 x 5 its share of
+    smooth shots, the number of levels with shots, the highest level, and the number of cells with
+    shots; of the cell itself the first level above what stands on the ground without a gap, 0 = it
+    hangs.
     """
     found = np.zeros((len(where), N_MEASURES))
     cell_m = thresholds.cell_m
@@ -343,7 +358,9 @@ def _root(parent: I32, c: int) -> int:
 
 @kernel()
 def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
-    """Return the body that every cell is of, the number of its first cell, (cells,) int32; -1 where it is not of use.
+    """Return the body that every cell is of, the number of its first cell, (cells,) int32.
+
+    -1 where it is not of use.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``use`` (cells,) bool.
     """
@@ -377,9 +394,12 @@ def _is_low(above_m: float, x: float, y: float, thresholds: SoilThresholds) -> b
 
 @kernel()
 def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresholds) -> Mask_2:
-    """Mark the plants among low shots, (lines, M) bool: rough places, and what is high above smooth ones.
+    """Mark the plants among low shots, (lines, M) bool.
 
-    ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8.
+    Rough places, and what is high above smooth ones.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M)
+    uint8.
     """
     n_lines, m = above_m.shape
     n = int(2.0 * thresholds.half_m / thresholds.cell_m)

@@ -80,7 +80,9 @@ def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
 
 
 def tells_something(intensity: F32) -> bool:
-    """Return whether intensities, (lines, M) float32, tell shots apart: many values, none of which most shots have.
+    """Return whether intensities, (lines, M) float32, tell shots apart.
+
+    Many values, none of which most shots have.
 
     >>> tells_something(np.full((9, 9), 255.0, np.float32)), tells_something(np.arange(81, dtype=np.float32))
     (False, True)
@@ -138,7 +140,8 @@ def fill_cells(
 def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
     """Return the rule of every cell, (cells,) uint8.
 
-    ``sight_m`` (cells,) float64, height above the ground up to which rings look at the place of a cell.
+    ``sight_m`` (cells,) float64, height above the ground up to which rings look at the place of a
+    cell.
     """
     rules = np.where(is_foliage(cells, limits), Reason.ROUGH_PLACE, Reason.THIN_SMOOTH).astype(
         np.uint8

@@ -1,8 +1,8 @@
 """The ground around a spinning scanner: a smooth surface that the lowest returns lie on.
 
-Cells are sectors of azimuth by bins of distance, as in Patchwork++ (Lee et al. 2022). A plane through the lowest
-heights near the scanner gives its height, its lean, and whether it hangs upside down. From there the surface is
-followed outwards, smoothed, and corrected by the shots near it.
+Cells are sectors of azimuth by bins of distance, as in Patchwork++ (Lee et al. 2022). A plane
+through the lowest heights near the scanner gives its height, its lean, and whether it hangs upside
+down. From there the surface is followed outwards, smoothed, and corrected by the shots near it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ FEWEST = 20
 UPSIDE_DOWN = 1.5
 """A scanner hangs upside down where so many times more heights agree with a plane above than with one below ..."""
 BOTH = 0.2
-"""... and those below are less than this share of them; else both are level, a floor and a ceiling."""
+"""... and those below are less than this share of them.
+
+Else both are level, a floor and a ceiling.
+"""
 LEANS_RAD = math.radians(12.0)
 """A plane that leans more is levelled first: sectors and columns of space are upright [rad] ..."""
 LEVEL = 0.4
@@ -191,8 +194,8 @@ def find_plane(
 ) -> tuple[Polar, Lowest]:
     """Return the places of shots, (lines, M, 3) float32 [m], the lowest heights and their plane.
 
-    Where the block shows too little of the plane, it is that of the blocks before. ``up`` is -1 where z is told to
-    point down, 1 where it points up; None = it is looked for.
+    Where the block shows too little of the plane, it is that of the blocks before. ``up`` is -1
+    where z is told to point down, 1 where it points up; None = it is looked for.
     """
     if known.n_cells:
         polar = Polar.of(turned(xyz_m, known.turn), thresholds)

@@ -1,4 +1,7 @@
-"""Loops of the method for rings that find the ground: a surface of sectors of azimuth by bins of distance."""
+"""Loops of the method for rings that find the ground.
+
+a surface of sectors of azimuth by bins of distance.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ def lowest_heights(
 ) -> F32_2:
     """Return the lowest height of every cell that another shot of it confirms, (sectors, bins) float32; NaN = none.
 
-    ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``up`` is -1 where z points down.
+    ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``up`` is -1 where z
+    points down.
     """
     n_lines, m = place.shape
     n_sectors = (n_lines + sector_lines - 1) // sector_lines
@@ -59,9 +63,9 @@ def walk_outwards(
 ) -> tuple[F64_2, Mask_2]:
     """Follow the ground from cell to cell away from the scanner, in all sectors at once.
 
-    A height is ground where it is near what the sector and those beside it let expect. ``off_m`` (sectors, bins)
-    float32, lowest heights above a plane [m]; ``middle_m`` (bins,) float64; returns heights above it, (sectors, bins)
-    float64, and whether they were seen, bool.
+    A height is ground where it is near what the sector and those beside it let expect. ``off_m``
+    (sectors, bins) float32, lowest heights above a plane [m]; ``middle_m`` (bins,) float64; returns
+    heights above it, (sectors, bins) float64, and whether they were seen, bool.
     """
     n_sectors, n_bins = off_m.shape
     height = np.empty((n_sectors, n_bins))
@@ -108,7 +112,8 @@ def smooth_surface(
 ) -> F64_2:
     """Return the surface between the heights of cells and those of the cells around, (sectors, bins) float64.
 
-    ``height_m, weight, start_m`` (sectors, bins) float64; ``is_round``: the last sector is beside the first.
+    ``height_m, weight, start_m`` (sectors, bins) float64; ``is_round``: the last sector is beside
+    the first.
     """
     n_sectors, n_bins = height_m.shape
     found = start_m.copy()
@@ -151,9 +156,9 @@ def heights_above(
 ) -> tuple[F32_2, F64_2, F64_2]:
     """Return the height of every shot above a surface, and by cell sum and number of those near it.
 
-    ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``surface_m`` (sectors, bins) float64;
-    ``root`` is the number of bins per square root of a metre; returns (lines, M) float32, NaN = missing, and twice
-    (sectors, bins) float64.
+    ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``surface_m`` (sectors,
+    bins) float64; ``root`` is the number of bins per square root of a metre; returns (lines, M)
+    float32, NaN = missing, and twice (sectors, bins) float64.
     """
     n_lines, m = place.shape
     n_sectors, n_bins = surface_m.shape

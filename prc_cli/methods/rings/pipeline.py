@@ -1,7 +1,7 @@
 """The method for rings: its stages in order, and the state between blocks.
 
-A block is labelled by itself, up to the plane of the ground, which a block that shows too little of it takes from the
-blocks before. docs/rings.md gives the stages and the reasons.
+A block is labelled by itself, up to the plane of the ground, which a block that shows too little of
+it takes from the blocks before. docs/rings.md gives the stages and the reasons.
 """
 
 from __future__ import annotations
@@ -51,10 +51,15 @@ from prc_cli.methods.rings.ground import (
 from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 
 WIDEST_FAN_RAD = math.radians(60)
-"""Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
+"""Angle between the outermost rings of a spinning scanner, at most.
+
+27 to 45 degrees are usual, profilers see 125 and
 more."""
 STEEPEST_RAD = math.radians(40)
-"""Angle of the lowest ring from straight down, at least; strips from the air are narrow, and look straight down."""
+"""Angle of the lowest ring from straight down, at least.
+
+Strips from the air are narrow, and look straight down.
+"""
 FEWEST_RINGS = 4
 UP = {"auto": None, "z": 1.0, "-z": -1.0}
 EXTRA_RETURN_M = 0.3
@@ -94,7 +99,10 @@ def is_fan(beam_rad: F64) -> bool:
 
 
 class RingsParams(MethodParams):
-    """Parameters of the method for rings (``[rings]``); its limits are constants, in thresholds.py."""
+    """Parameters of the method for rings (``[rings]``).
+
+    Its limits are constants, in thresholds.py.
+    """
 
     lines_per_block: int = Field(
         1024, ge=1, le=100_000, description="scan lines that are labelled together"

@@ -1,4 +1,6 @@
-"""All limits of the method for rings, by name: what the loops, their slow twins and ``prc explain`` read.
+"""All limits of the method for rings, by name.
+
+What the loops, their slow twins and ``prc explain`` read.
 
 The loops compute in float64. docs/rings.md says what the limits were chosen on.
 """
@@ -9,7 +11,10 @@ import math
 from typing import NamedTuple
 
 BINS_PER_ROOT_M = 3.5
-"""Bins of the distance from the scanner, per square root of a metre: 1.3 m wide at 5 m, 4 m at 50 m."""
+"""Bins of the distance from the scanner, per square root of a metre.
+
+1.3 m wide at 5 m, 4 m at 50 m.
+"""
 N_BINS = 38
 """Bins: 118 m."""
 
@@ -191,7 +196,10 @@ class PoleThresholds(NamedTuple):
 
 
 class SoilThresholds(NamedTuple):
-    """Plants and bare ground among low shots, by a linear score of the places around; plants are above zero."""
+    """Plants and bare ground among low shots, by a linear score of the places around.
+
+    Plants are above zero.
+    """
 
     foot_m: float = 0.25
     """Shots up to this above the ground are asked [m] ..."""

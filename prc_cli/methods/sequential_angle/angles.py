@@ -1,8 +1,9 @@
 """Signed angles and line angles (Stamos et al. 2012, sec. 3), the basis of all later stages.
 
-The signed angle of a shot is the angle between the vertical and the chord to a later shot: 0 deg up a wall, 90 deg
-along the ground, 180 deg down; negative where the line turns back on itself, as in foliage. The line angle of a shot
-is the angle between the chord and the beam, plus the beam's angle; it is constant along a straight line.
+The signed angle of a shot is the angle between the vertical and the chord to a later shot: 0 deg up
+a wall, 90 deg along the ground, 180 deg down; negative where the line turns back on itself, as in
+foliage. The line angle of a shot is the angle between the chord and the beam, plus the beam's
+angle; it is constant along a straight line.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ class SignedAngles:
     """The chord that begins at every shot."""
 
     signed_deg: F32
-    """(R, n) float32, sV, signed angle of the chord with the vertical, -180 to 180 [deg]; NaN where the shot is
+    """(R, n) float32, sV, signed angle of the chord with the vertical, -180 to 180 [deg].
+
+    NaN where the shot is
     missing or no chord begins."""
     ahead: I32
     """(R, n) int32, beam that the chord ends at; -1 = no chord."""
@@ -29,11 +32,12 @@ class SignedAngles:
 def signed_angles(lines: VerticalLines, thresholds: ChordThresholds) -> SignedAngles:
     """Measure the signed angle of every shot.
 
-    The chord of a shot goes to the first later valid shot at least ``least_chord_m`` away; range differences within the
-    noise do not count towards that distance. Missing shots in between are bridged, as crowns are full of
-    gaps. The chord before a shot comes from the last earlier valid shot at that distance. Where the two chords point
-    against each other the angle is negative; without a chord before, as at the start of a line, it is positive. Shots
-    at the same place never make a chord.
+    The chord of a shot goes to the first later valid shot at least ``least_chord_m`` away; range
+    differences within the noise do not count towards that distance. Missing shots in between are
+    bridged, as crowns are full of gaps. The chord before a shot comes from the last earlier valid
+    shot at that distance. Where the two chords point against each other the angle is negative;
+    without a chord before, as at the start of a line, it is positive. Shots at the same place never
+    make a chord.
 
     Two shots on the ground, then up a wall; the last one begins no chord:
 
@@ -62,10 +66,11 @@ def angle_differences(signed_deg: F32) -> F32:
 def line_angles(lines: VerticalLines, ahead: I32, surface: U8) -> F32:
     """Measure the line angle of every horizontal shot (eq. 2).
 
-    For beams an angle ``a`` apart and ranges r and r', the angle between the chord and the beam to its first shot is
-    ``atan2(sin a, cos a - r / r')``: the arc tangent of eq. 2 with its quadrant, which chords towards the scanner
-    need. The angle of the beam is added, so that level ground gives 90 deg at any height, ground that rises by 3 deg
-    gives 93 deg, and a wall 180 deg. It depends on slope, not on height.
+    For beams an angle ``a`` apart and ranges r and r', the angle between the chord and the beam to
+    its first shot is ``atan2(sin a, cos a - r / r')``: the arc tangent of eq. 2 with its quadrant,
+    which chords towards the scanner need. The angle of the beam is added, so that level ground
+    gives 90 deg at any height, ground that rises by 3 deg gives 93 deg, and a wall 180 deg. It
+    depends on slope, not on height.
 
     ``ahead`` (R, n) int32; ``surface`` (R, n) uint8; returns (R, n) float32, degrees.
     """

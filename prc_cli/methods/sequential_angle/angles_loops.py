@@ -1,4 +1,6 @@
-"""Loops over the shots of vertical lines: signed angles, their differences, line angles (Stamos et al. 2012).
+"""Loops over the shots of vertical lines.
+
+Signed angles, their differences, line angles (Stamos et al. 2012).
 
 Valid shots of a row are gathered first, so that missing ones cost nothing in the searches.
 """
@@ -44,8 +46,8 @@ _TERMS = len(_ARC_SINE)
 def _to_degrees(cosine: F64, length: F64, m: int) -> None:
     """Turn heights of chords, given the squares of their lengths too, into angles from 0 to 180 [deg].
 
-    Many at a time: the library's arc cosine takes one by one. arccos(c) = 2 arcsin(sqrt((1 - c) / 2)) where the cosine
-    is above 1/2, and alike below -1/2; between them 90 deg less arcsin(c).
+    Many at a time: the library's arc cosine takes one by one. arccos(c) = 2 arcsin(sqrt((1 - c) /
+    2)) where the cosine is above 1/2, and alike below -1/2; between them 90 deg less arcsin(c).
     """
     for i in range(m):
         cosine[i] = min(max(cosine[i] / math.sqrt(length[i]), -1.0), 1.0)
@@ -81,7 +83,10 @@ _ARC_TANGENT = np.array(
         -0.017803896394812564,
     )
 )
-"""Polynomial for arctan(t) / t in powers of t squared, likewise, for t up to tan(pi / 8); it differs by 1.3e-18."""
+"""Polynomial for arctan(t) / t in powers of t squared, likewise, for t up to tan(pi / 8).
+
+It differs by 1.3e-18.
+"""
 _ARC_TERMS = len(_ARC_TANGENT)
 _EIGHTH = math.tan(math.pi / 8.0)
 
@@ -90,8 +95,8 @@ _EIGHTH = math.tan(math.pi / 8.0)
 def _directions(up: F64, along: F64, m: int) -> None:
     """Turn vectors with y >= 0 into their directions [rad], left in ``up``: atan2, many at a time.
 
-    The direction is twice that of (x + length, y), which for t = tan above tan(pi / 8) is pi / 4 and that of
-    (t - 1) / (t + 1) more.
+    The direction is twice that of (x + length, y), which for t = tan above tan(pi / 8) is pi / 4
+    and that of (t - 1) / (t + 1) more.
     """
     for i in range(m):
         y = up[i]
@@ -110,7 +115,10 @@ def _directions(up: F64, along: F64, m: int) -> None:
 
 @helper
 def _counted(square: float, range_m: float, other_m: float, depth_m: float) -> float:
-    """Square of the length that counts for a chord: along the beams, what noise may be does not count [m2]."""
+    """Square of the length that counts for a chord.
+
+    Along the beams, what noise may be does not count [m2].
+    """
     if depth_m == 0.0:
         return square
     depth = abs(other_m - range_m)
@@ -131,7 +139,10 @@ def _first_far(
     least: float,
     depth_m: float,
 ) -> int:
-    """Return the first of some shots that makes a chord with shot i, -1 = none; ``least`` is a square [m2]."""
+    """Return the first of some shots that makes a chord with shot i, -1 = none.
+
+    ``least`` is a square [m2].
+    """
     for j in range(begin, end, step):
         dx = x[j] - x[i]
         dy = y[j] - y[i]
@@ -148,8 +159,8 @@ def signed_angles(
 ) -> tuple[F32_2, I32_2]:
     """Measure the signed angle of every chord with the vertical, sV.
 
-    ``range_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; returns
-    ``signed_deg`` (R, n) float32, degrees, ``ahead`` (R, n) int32.
+    ``range_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32;
+    returns ``signed_deg`` (R, n) float32, degrees, ``ahead`` (R, n) int32.
     """
     n_rows, n = range_m.shape
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
@@ -229,13 +240,14 @@ def angle_differences(signed_deg: F32_2) -> F32_2:
 def line_angles(range_m: F32_2, ahead: I32_2, surface: U8_2, beam_rad: F64_2) -> F32_2:
     """Measure the line angle of every horizontal shot that begins a chord (eq. 2).
 
-    ``range_m`` (R, n) float32, metres; ``ahead`` (R, n) int32; ``surface`` (R, n) uint8; ``beam_rad`` (n_sides, n)
-    float64; returns (R, n) float32, degrees.
+    ``range_m`` (R, n) float32, metres; ``ahead`` (R, n) int32; ``surface`` (R, n) uint8;
+    ``beam_rad`` (n_sides, n) float64; returns (R, n) float32, degrees.
     """
     n_rows, n = range_m.shape
     n_sides = len(beam_rad)
     found = np.full((n_rows, n), np.nan, np.float32)
-    # most chords go to the same beam as in the row before: sine and cosine of the angle between them are kept
+    # most chords go to the same beam as in the row before: sine and cosine of the angle between
+    # them are kept
     known = np.full((n_sides, n), -1, np.int32)
     sine = np.empty((n_sides, n), np.float64)
     cosine = np.empty((n_sides, n), np.float64)

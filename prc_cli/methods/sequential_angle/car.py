@@ -1,4 +1,7 @@
-"""Cars (Stamos et al. 2012, sec. 7): suspicious lines, their intervals, and the tests that reject intervals."""
+"""Cars (Stamos et al. 2012, sec. 7).
+
+Suspicious lines, their intervals, and the tests that reject intervals.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,9 @@ def high_verticals(
 ) -> F32:
     """Find the horizontal distance beyond which there is no car.
 
-    This is the distance of the last point of the first sequence of vertical points that ends higher above the ground
-    than the limit. A missing shot ends a sequence, so that a tower seen over a wall does not extend the wall.
+    This is the distance of the last point of the first sequence of vertical points that ends higher
+    above the ground than the limit. A missing shot ends a sequence, so that a tower seen over a
+    wall does not extend the wall.
 
     ``surface`` (R, n) uint8; ``z_g`` (R,) float32, metres; returns (R,) float32.
     """
@@ -41,11 +45,12 @@ def high_verticals(
 def suspicious(car_surface: U8, n_beams: I32, thresholds: SuspiciousThresholds) -> I32:
     """Find the beam at which every line becomes suspicious.
 
-    ``S <- max(0, S + ln(H1/H0))`` over the transitions from the first return on; the first state adds nothing. Points
-    of T', and points of lines without an angle, end it. With the published numbers every change from V to H or M and
-    any two successive missing shots trigger at once; ground alone, one missing shot in the ground, or a wall up to the
-    end of the line do not. On a regular surface there is a trigger every 18 beams, and every line that ends in the sky
-    has one: this is a pre-selection, not a decision.
+    ``S <- max(0, S + ln(H1/H0))`` over the transitions from the first return on; the first state
+    adds nothing. Points of T', and points of lines without an angle, end it. With the published
+    numbers every change from V to H or M and any two successive missing shots trigger at once;
+    ground alone, one missing shot in the ground, or a wall up to the end of the line do not. On a
+    regular surface there is a trigger every 18 beams, and every line that ends in the sky has one:
+    this is a pre-selection, not a decision.
 
     ``car_surface`` (R, n) uint8; ``n_beams`` (R,) int32; returns (R,) int32.
 
@@ -73,7 +78,10 @@ def increments(thresholds: SuspiciousThresholds) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """Parts of lines that may be cars: row, first beam, last beam, both of them returns; by row and beam."""
+    """Parts of lines that may be cars.
+
+    Row, first beam, last beam, both of them returns; by row and beam.
+    """
 
     divided: I32
     """(K, 3) int32, t1 and t2 of every interval."""
@@ -91,33 +99,36 @@ def dividers(
 ) -> Intervals:
     """Cut suspicious lines into intervals that may be cars.
 
-    The search covers the whole line, not only the part from the trigger on, because the trigger often comes late on
-    the car. It ends before the first point of T' (or without an angle) that is not seen through the window of a car,
-    before the first point that is too high and not on the side of a van, or at the end of the line.
+    The search covers the whole line, not only the part from the trigger on, because the trigger
+    often comes late on the car. It ends before the first point of T' (or without an angle) that is
+    not seen through the window of a car, before the first point that is too high and not on the
+    side of a van, or at the end of the line.
 
     1. An interval begins at the first change from H to V that is gradual (a tyre), or sudden with something farther
        away under it (bumper, side; not a wall, curb or pole that stands on the ground).
     2. A jump of more than ``separation_m`` away from the scanner ends it; the next interval begins behind the jump.
     3. If an interval contains a long flat stretch within one run of H, it ends at the first point of the stretch
-       instead, and the search goes on as in 1. after its last point. A stretch is flat if a straight line fits its
-       heights (so sloping ground counts) and the line is not steep (so a roof and the ground behind it are not one
-       stretch), and if it begins low enough to be no roof. It may be part of a run, since only a jump separates such
-       a roof from such ground.
+       instead, and the search goes on as in 1. after its last point. A stretch is flat if a
+       straight line fits its heights (so sloping ground counts) and the line is not steep (so a
+       roof and the ground behind it are not one stretch), and if it begins low enough to be no
+       roof. It may be part of a run, since only a jump separates such a roof from such ground.
     4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the part above the end
-       of the search, as the interval holds only what is visible of a wall between the car's roof and ``height_m``. A
-       run ends where the distance changes: the side of a car and the wall behind it are two surfaces. So are lower
-       runs that are straight and upright, and rough walls, of which a part is H.
+       of the search, as the interval holds only what is visible of a wall between the car's roof
+       and ``height_m``. A run ends where the distance changes: the side of a car and the wall
+       behind it are two surfaces. So are lower runs that are straight and upright, and rough walls,
+       of which a part is H.
 
-    ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees; ``trigger`` (R,) int32; ``z_g`` (R,) float32,
-    metres.
+    ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees; ``trigger`` (R,) int32;
+    ``z_g`` (R,) float32, metres.
 
     Notes
     -----
-    Measured on simulated lines with exact labels: scanner 1.8 m above the ground, noise 5 mm, steps of 0.06 to
-    0.2 deg, objects at 3 to 13 m. The test for something under a point succeeds for 100 % of the sides of cars with
-    limits from 1 to 6 cm, and wrongly for up to 32 % of walls and curbs with 1 cm, 3 % with 2 cm, none with 3 cm:
-    within 5 m the ranges of successive ground points differ by little more than the noise. Chords of 8, 10, 12 cm
-    make .87, .92, .95 of walls sudden, and .03, .04, .11 of tyres; longer chords miss curbs.
+    Measured on simulated lines with exact labels: scanner 1.8 m above the ground, noise 5 mm, steps
+    of 0.06 to 0.2 deg, objects at 3 to 13 m. The test for something under a point succeeds for 100
+    % of the sides of cars with limits from 1 to 6 cm, and wrongly for up to 32 % of walls and curbs
+    with 1 cm, 3 % with 2 cm, none with 3 cm: within 5 m the ranges of successive ground points
+    differ by little more than the noise. Chords of 8, 10, 12 cm make .87, .92, .95 of walls sudden,
+    and .03, .04, .11 of tyres; longer chords miss curbs.
     """
     intervals = kernels.car_intervals(
         car_surface,
@@ -139,22 +150,24 @@ def dividers(
 def fourier(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
     """Classify intervals as car or vegetation.
 
-    The N angles of an interval, missing ones left out, are transformed: F_k, 0 <= k <= N/2, the mean included. An
-    interval is a car if no magnitude of F_k with k >= N/8 is above half of the largest one.
+    The N angles of an interval, missing ones left out, are transformed: F_k, 0 <= k <= N/2, the
+    mean included. An interval is a car if no magnitude of F_k with k >= N/8 is above half of the
+    largest one.
 
     ``signed_deg`` (R, n) float32, degrees; ``intervals`` (K, 3) int32; returns (K,) bool.
 
     Notes
     -----
-    In dense vegetation two of three signs are negative, so the mean is not zero: F_0 grows with N, the other
-    frequencies only with its square root. The whole spectrum therefore recognises foliage in .92 of intervals of 32
-    angles, .65 of 128, .20 of 256, and none of 512; windows of 64 angles miss only .16 of 256 and .03 of 512. Some
-    cars are lost either way: along a vertical side the mean is hardly above the noise.
-    ``python -m benchmarks.sequential_angle readings`` prints the effect of the windows, and of the test, in simulated
-    streets.
+    In dense vegetation two of three signs are negative, so the mean is not zero: F_0 grows with N,
+    the other frequencies only with its square root. The whole spectrum therefore recognises foliage
+    in .92 of intervals of 32 angles, .65 of 128, .20 of 256, and none of 512; windows of 64 angles
+    miss only .16 of 256 and .03 of 512. Some cars are lost either way: along a vertical side the
+    mean is hardly above the noise. ``python -m benchmarks.sequential_angle readings`` prints the
+    effect of the windows, and of the test, in simulated streets.
 
-    The cost of a spectrum grows with the square of the number of angles, which a window limits. Magnitudes that differ
-    by less than 1e-9 of their size are taken as equal: no transform is more exact.
+    The cost of a spectrum grows with the square of the number of angles, which a window limits.
+    Magnitudes that differ by less than 1e-9 of their size are taken as equal: no transform is more
+    exact.
 
     A car's side and roof, then foliage:
 
@@ -194,14 +207,14 @@ def cars(
 ) -> Cars:
     """Mark the points of cars.
 
-    ``surface`` (R, n) uint8; ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees; ``z_g`` (R,)
-    float32, metres.
+    ``surface`` (R, n) uint8; ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees;
+    ``z_g`` (R,) float32, metres.
 
     Notes
     -----
-    Intervals may include road or sidewalk behind a car: all of a short stretch, and the first point of a long flat
-    one. Therefore horizontal points next to the ground are removed. ``python -m benchmarks.sequential_angle readings``
-    prints the effect.
+    Intervals may include road or sidewalk behind a car: all of a short stretch, and the first point
+    of a long flat one. Therefore horizontal points next to the ground are removed. ``python -m
+    benchmarks.sequential_angle readings`` prints the effect.
     """
     trigger = suspicious(car_surface, lines.n_beams, thresholds.suspicious)
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, thresholds.dividers)
@@ -230,7 +243,10 @@ class CarSearch:
     interval: U16
     """(R, n) uint16, number of the interval in its row, from 1; 0 = none."""
     test: U8
-    """(R, n) uint8, :class:`~prc_cli.core.classes.CarTest`, before curbs are decided; OUTSIDE where missing."""
+    """(R, n) uint8, :class:`~prc_cli.core.classes.CarTest`, before curbs are decided.
+
+    OUTSIDE where missing.
+    """
 
     @classmethod
     def none(cls, n_rows: int) -> CarSearch:

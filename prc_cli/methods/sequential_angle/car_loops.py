@@ -29,14 +29,18 @@ _CHUNK = 64
 """Frequencies computed at once: enough for vector instructions, few enough to stop early."""
 
 _TIE = 1e-9
-"""Relative difference between two frequencies that counts as none: a spectrum is not computed more exactly."""
+"""Relative difference between two frequencies that counts as none.
+
+a spectrum is not computed more exactly.
+"""
 
 
 @kernel()
 def _powers(values: F64_1, first: int, n_frequencies: int, power: F64_1) -> None:
     """Compute the power of successive frequencies by Goertzel's recursion, all of them sample after sample.
 
-    The loop over frequencies is the inner one because it is the one that vector instructions can take.
+    The loop over frequencies is the inner one because it is the one that vector instructions can
+    take.
     """
     n = len(values)
     turn = np.empty(n_frequencies, np.float64)
@@ -62,10 +66,10 @@ def _powers(values: F64_1, first: int, n_frequencies: int, power: F64_1) -> None
 def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
     """Tell whether no frequency from ``band * N`` up exceeds ``ratio`` times the largest one.
 
-    With a ratio below 1 some frequency of the band exceeds that share of the largest of all if and only if one exceeds
-    that share of the largest below the band. Hence first the few frequencies below the band, then those of the
-    band until one exceeds; and none of them when all their energy together, which Parseval's theorem gives for
-    nothing, would not do.
+    With a ratio below 1 some frequency of the band exceeds that share of the largest of all if and
+    only if one exceeds that share of the largest below the band. Hence first the few frequencies
+    below the band, then those of the band until one exceeds; and none of them when all their energy
+    together, which Parseval's theorem gives for nothing, would not do.
     """
     n = len(values)
     n_low = min(math.ceil(band * n), n // 2 + 1)
@@ -83,7 +87,8 @@ def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
             largest = max(largest, power[k])
             rest -= power[k] if first + k == 0 or 2 * (first + k) == n else 2.0 * power[k]
     share = (ratio * (1.0 + _TIE)) ** 2
-    # every frequency but the one of N/2 has its energy twice, at k and at N - k; all of it is taken for that one
+    # every frequency but the one of N/2 has its energy twice, at k and at N - k; all of it is taken
+    # for that one
     if rest + 1e-12 * energy <= share * largest:
         return True
     for first in range(n_low, n // 2 + 1, _CHUNK):
@@ -99,8 +104,8 @@ def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
 def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThresholds) -> Mask_1:
     """Mark intervals whose signed angles hold no high frequency.
 
-    Long intervals are cut into the least number of windows of nearly equal size; at least half of them must be without
-    high frequencies.
+    Long intervals are cut into the least number of windows of nearly equal size; at least half of
+    them must be without high frequencies.
 
     ``signed_deg`` (R, n) float32, degrees; ``intervals`` (K, 3) int32; returns (K,) bool.
     """
@@ -162,7 +167,10 @@ def _behind_glass(
     limit_m: float,
     most_m: float,
 ) -> int:
-    """Return the first beam behind T' that is seen through a window, or -1: what follows is near again and no T'."""
+    """Return the first beam behind T' that is seen through a window, or -1.
+
+    What follows is near again and no T'.
+    """
     while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
         if xyz_m[row, k, 2] > limit_m:
             return -1
@@ -184,7 +192,10 @@ def _top_of_van(
     break_m: float,
     most_m: float,
 ) -> int:
-    """Return the beam after the vertical run that a beam goes on with, or -1: it ends too high, or with the row."""
+    """Return the beam after the vertical run that a beam goes on with, or -1.
+
+    It ends too high, or with the row.
+    """
     while k < n:
         here = np.float64(horizontal_m[row, k])
         if here == here:
@@ -212,10 +223,12 @@ def _gather(
     code: U8,
     thresholds: DividerThresholds,
 ) -> tuple[int, int]:
-    """List the returns of a row up to the first one that is neither H nor V, or too high; T' in windows is left out.
+    """List the returns of a row up to the first one that is neither H nor V, or too high.
 
-    Returns how many there are, and which of them is the first vertical one behind a horizontal one, or that of the
-    row with ``from_start``.
+    T' in windows is left out.
+
+    Returns how many there are, and which of them is the first vertical one behind a horizontal one,
+    or that of the row with ``from_start``.
     """
     size = int(np.int64(0))
     first = int(np.int64(-1))
@@ -278,7 +291,10 @@ def _place(
     size: int,
     points: F64,
 ) -> None:
-    """Put the points of a row together from one of its returns on: what comes before divides nothing."""
+    """Put the points of a row together from one of its returns on.
+
+    What comes before divides nothing.
+    """
     for i in range(first, size):
         k = beam[i]
         points[i, 0] = xyz_m[row, k, 0]
@@ -292,7 +308,10 @@ def _place(
 def _change_angle(
     xyz_m: F32, row: int, beam: I32, size: int, j: int, chord_m: float, reach: int
 ) -> float:
-    """Return the signed angle of the chord that begins at a point [deg]; NaN when no point is far enough away."""
+    """Return the signed angle of the chord that begins at a point [deg].
+
+    NaN when no point is far enough away.
+    """
     k = beam[j]
     x = np.float64(xyz_m[row, k, 0])
     y = np.float64(xyz_m[row, k, 1])
@@ -338,7 +357,10 @@ def _begins(
     j: int,
     thresholds: DividerThresholds,
 ) -> bool:
-    """Tell whether a change from H to V begins an interval: gradual, or sudden with something under it."""
+    """Tell whether a change from H to V begins an interval.
+
+    Gradual, or sudden with something under it.
+    """
     angle = math.nan
     if thresholds.change_chord_m > 0.0:
         angle = _change_angle(
@@ -371,8 +393,9 @@ def _flat_stretch(
 ) -> tuple[int, int]:
     """Find the first long flat stretch of a horizontal run; (-1, -1) = none.
 
-    The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the stretch is drawn out
-    point by point for as long as it stays flat. That first point is sought from where it was for the K before.
+    The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the
+    stretch is drawn out point by point for as long as it stays flat. That first point is sought
+    from where it was for the K before.
     """
     length_m = thresholds.flat_length_m
     residual_m = thresholds.flat_residual_m
@@ -419,7 +442,10 @@ def _first_flat(
     sums: F64,
     farthest: F64,
 ) -> tuple[int, int]:
-    """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
+    """Find the first long flat stretch of an interval, within one horizontal run.
+
+    (-1, -1) = none.
+    """
     i = begin
     lowest = np.inf
     done = begin
@@ -493,9 +519,9 @@ def car_intervals(
 ) -> I32_2:
     """Cut the triggered rows into intervals that may be cars.
 
-    ``surface`` (R, n) uint8; ``range_m, horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
-    ``signed_deg`` (R, n) float32, degrees; ``n_beams`` (R,) int32; ``triggered`` (R,) bool; ``ground_m`` (R,) float32,
-    metres; returns (K, 3) int32.
+    ``surface`` (R, n) uint8; ``range_m, horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3)
+    float32, metres; ``signed_deg`` (R, n) float32, degrees; ``n_beams`` (R,) int32; ``triggered``
+    (R,) bool; ``ground_m`` (R,) float32, metres; returns (K, 3) int32.
     """
     n_rows, n = surface.shape
     beam = np.empty(n, np.int32)
@@ -653,7 +679,8 @@ def _vertical_run(
     ):
         return j, last, True
     if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
-        # what is higher than the side of a car need not be straight, nor upright where its points are few
+        # what is higher than the side of a car need not be straight, nor upright where its points
+        # are few
         high = highest - lowest >= thresholds.vertical_extent_m
         residual_m = np.inf if high else thresholds.straight_m
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
@@ -693,7 +720,10 @@ def _mark_reliefs(
     thresholds: DividerThresholds,
     gone: Mask,
 ) -> None:
-    """Mark the rough walls of an interval: runs of H and V that are high, upright and nearly straight."""
+    """Mark the rough walls of an interval.
+
+    Runs of H and V that are high, upright and nearly straight.
+    """
     begin = first
     while begin < stop:
         if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:
@@ -742,8 +772,9 @@ def cut_verticals(
 
     Points behind an interval count in a run that goes on there.
 
-    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32, metres; ``n_beams``
-    (R,) int32; ``intervals`` (K, 3) int32; ``ground_m`` (R,) float32, metres; returns (L, 3) int32.
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32,
+    metres; ``n_beams`` (R,) int32; ``intervals`` (K, 3) int32; ``ground_m`` (R,) float32, metres;
+    returns (L, 3) int32.
     """
     n_most = 0
     for i in range(len(intervals)):

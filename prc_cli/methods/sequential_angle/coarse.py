@@ -1,10 +1,13 @@
-"""Coarse classification of every line: vegetation, horizontal, vertical (Stamos et al. 2012, sec. 4).
+"""Coarse classification of every line.
 
-The paper refers to Hadjiliadis and Stamos (2010). Vegetation is detected first, by the test between hidden Markov
-models (Chen and Willett 2000, eqs. 23 to 28). Its forward recursion gives the likelihoods of both models; the logarithm
-S of their ratio is reset whenever it falls below zero, and raises an alarm when it exceeds a threshold. The first
-sample after the last reset estimates the onset of the change. The rest of a line falls into runs; within a run, CUSUM
-tests for a change of the mean angle by 90 deg, one per direction, separate horizontal from vertical.
+Vegetation, horizontal, vertical (Stamos et al. 2012, sec. 4).
+
+The paper refers to Hadjiliadis and Stamos (2010). Vegetation is detected first, by the test between
+hidden Markov models (Chen and Willett 2000, eqs. 23 to 28). Its forward recursion gives the
+likelihoods of both models; the logarithm S of their ratio is reset whenever it falls below zero,
+and raises an alarm when it exceeds a threshold. The first sample after the last reset estimates the
+onset of the change. The rest of a line falls into runs; within a run, CUSUM tests for a change of
+the mean angle by 90 deg, one per direction, separate horizontal from vertical.
 """
 
 from __future__ import annotations
@@ -24,15 +27,16 @@ from prc_cli.methods.sequential_angle.thresholds import (
 def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
     """Mark the samples of every row that belong to model 1.
 
-    Rows are independent. After an alarm the test continues at the next sample with the models exchanged. When that
-    raises an alarm, the region ends just before the onset of the change back, and the search for the next region
-    begins after that alarm: every sample is used once in either direction. The end of a row closes an open region;
-    with ``sprt``, an unconfirmed region at the end of a row is dropped. A sample with zero probability in both
-    models restarts the test.
+    Rows are independent. After an alarm the test continues at the next sample with the models
+    exchanged. When that raises an alarm, the region ends just before the onset of the change back,
+    and the search for the next region begins after that alarm: every sample is used once in either
+    direction. The end of a row closes an open region; with ``sprt``, an unconfirmed region at the
+    end of a row is dropped. A sample with zero probability in both models restarts the test.
 
-    After a reset the first sample depends only on the initial probabilities. With the stationary probabilities of
-    each model (Chen and Willett) it counts like any other; a change from 0 to 90 deg, as on stairs, then begins no
-    region, but counts within one. With the same probabilities in both models it is neutral.
+    After a reset the first sample depends only on the initial probabilities. With the stationary
+    probabilities of each model (Chen and Willett) it counts like any other; a change from 0 to 90
+    deg, as on stairs, then begins no region, but counts within one. With the same probabilities in
+    both models it is neutral.
 
     ``values`` (R, n) float32, degrees; returns (R, n) bool.
 
@@ -61,7 +65,9 @@ def dense_vegetation(differences_deg: F32, thresholds: MarkovThresholds) -> Mask
 def car_surface(
     signed_deg: F32, dense: Mask, lines: VerticalLines, thresholds: SurfaceThresholds
 ) -> U8:
-    """Classify every shot for the car algorithm: like the coarse classification, with T' as vegetation.
+    """Classify every shot for the car algorithm.
+
+    Like the coarse classification, with T' as vegetation.
 
     Shots of T that are not T' are thus labelled horizontal or vertical.
 
@@ -98,8 +104,8 @@ def surface_image(
 ) -> U8:
     """Label the runs between vegetation as horizontal or vertical.
 
-    A run is a maximal stretch of shots with an angle that are not vegetation; missing shots do not end it. Runs are
-    independent of each other.
+    A run is a maximal stretch of shots with an angle that are not vegetation; missing shots do not
+    end it. Runs are independent of each other.
 
     ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; returns (R, n) uint8.
     """
@@ -109,9 +115,10 @@ def surface_image(
 def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresholds) -> U8:
     """Make vegetation vertical that lies in two upright layers, in the plane of a wall, or behind a wall above it.
 
-    Not in the paper. Behind glass a shot returns from the pane, or from a curtain or wall some way behind it, and
-    neighbours differ: the signed angles alternate as in a crown. But in a vertical line the pane is one horizontal
-    distance, and what is behind it is another: two upright layers hold the points. Foliage is spread over its depth.
+    Not in the paper. Behind glass a shot returns from the pane, or from a curtain or wall some way
+    behind it, and neighbours differ: the signed angles alternate as in a crown. But in a vertical
+    line the pane is one horizontal distance, and what is behind it is another: two upright layers
+    hold the points. Foliage is spread over its depth.
 
     ``surface`` (R, n) uint8; returns (R, n) uint8.
 
@@ -128,7 +135,8 @@ def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresho
     ...     leaves = np.ones((1, 10), np.uint8)
     ...     found.append(without_windows(leaves, lines, WindowThresholds()))
     >>> found
-    [array([[3, 3, 3, 3, 3, 3, 3, 3, 3, 3]], dtype=uint8), array([[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]], dtype=uint8)]
+    [array([[3, 3, 3, 3, 3, 3, 3, 3, 3, 3]], dtype=uint8), array([[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]],
+    dtype=uint8)]
     """
     if thresholds.share < 1.0:
         surface = kernels.upright_layers(surface, lines.horizontal_m, lines.n_beams, thresholds)

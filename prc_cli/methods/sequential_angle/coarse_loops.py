@@ -1,4 +1,7 @@
-"""Loops of the coarse classification: vegetation, horizontal and vertical, windows (Stamos et al. 2012, sec. 4)."""
+"""Loops of the coarse classification.
+
+Vegetation, horizontal and vertical, windows (Stamos et al. 2012, sec. 4).
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,9 @@ _EXPONENTIAL = np.array(
         2.5110046444457486e-08,
     )
 )
-"""Polynomial for exp(r), equal to it at Chebyshev's nodes of r up to ln(2) / 2: what it differs by is below the last
+"""Polynomial for exp(r), equal to it at Chebyshev's nodes of r up to ln(2) / 2.
+
+What it differs by is below the last
 bit."""
 _TERMS = len(_EXPONENTIAL)
 _LN2_HIGH = 2.0**-32 * round(2.0**32 * math.log(2.0))
@@ -78,10 +83,13 @@ def _densities(
     power: I64,
     top: I64,
 ) -> None:
-    """Densities of m values in the three states, divided by the largest: the ratio of likelihoods stays the same.
+    """Densities of m values in the three states, divided by the largest.
 
-    ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the library's one takes
-    one by one. That of the largest is 1, so the other two go into the first two rows for it.
+    The ratio of likelihoods stays the same.
+
+    ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the
+    library's one takes one by one. That of the largest is 1, so the other two go into the first two
+    rows for it.
     """
     mean_0 = means[0]
     mean_1 = means[1]
@@ -156,12 +164,12 @@ def _sequential_test(
 ) -> tuple[int, int, int]:
     """Follow the ratio of likelihoods of model 1 to model 0 until it leaves its bounds.
 
-    The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0. Between two
-    restarts their ratio stays in bounds, so that only their common size has to be looked after, and no logarithm and
-    no division is needed.
+    The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0.
+    Between two restarts their ratio stays in bounds, so that only their common size has to be
+    looked after, and no logarithm and no division is needed.
 
-    With ``restart`` (CUSUM) falling below the lower bound, or a sample that neither model can explain, forgets all
-    and begins anew at the next sample; without it (SPRT) it ends the test.
+    With ``restart`` (CUSUM) falling below the lower bound, or a sample that neither model can
+    explain, forgets all and begins anew at the next sample; without it (SPRT) it ends the test.
     """
     p = (0.0, 0.0, 0.0)
     q = (0.0, 0.0, 0.0)
@@ -194,7 +202,8 @@ def _next_region(
 ) -> tuple[int, int, int]:
     """Find the next region from a sample on that ends where the test with the models exchanged raises an alarm.
 
-    Returns its first and last sample, none between them where there is no more region, and where to go on.
+    Returns its first and last sample, none between them where there is no more region, and where to
+    go on.
     """
     anew = bool(np.bool_(True))  # not a literal, for each of which the test is compiled again
     verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
@@ -214,7 +223,10 @@ def _next_region(
 def _next_confirmed(
     density: F64, samples: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds
 ) -> tuple[int, int, int]:
-    """Find the next region from a sample on that tests between two bounds confirm, and end; as :func:`_next_region`."""
+    """Find the next region from a sample on that tests between two bounds confirm, and end.
+
+    As :func:`_next_region`.
+    """
     anew = bool(np.bool_(True))
     once = bool(np.bool_(False))
     verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
@@ -368,8 +380,8 @@ def surface_image(
 ) -> U8_2:
     """Label every shot of every row: missing, vegetation, horizontal, vertical, undecided.
 
-    ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; ``range_m`` (R, n) float32, metres; ``n_beams``
-    (R,) int32; returns (R, n) uint8.
+    ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; ``range_m`` (R, n) float32,
+    metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
     """
     n_rows, n = signed_deg.shape
     image = np.zeros((n_rows, n), np.uint8)
@@ -396,7 +408,8 @@ def surface_image(
                 end += np.uint64(1)
             _label_run(tilt, beam, begin, end, labels, thresholds)
             begin = end
-        # shots without an angle go with the shot before them, the first ones with the first that has one
+        # shots without an angle go with the shot before them, the first ones with the first that
+        # has one
         label = _UNDECIDED if m == 0 else int(labels[beam[0]])
         for k in range(width):
             here = int(labels[k])
@@ -451,9 +464,12 @@ _BINS = 256
 
 @helper
 def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) -> bool:
-    """Tell quickly whether two layers may hold a share of some values: most foliage need not be sorted.
+    """Tell quickly whether two layers may hold a share of some values.
 
-    A layer lies in two neighbouring bins at most, so two of them hold no more than the four fullest bins.
+    Most foliage need not be sorted.
+
+    A layer lies in two neighbouring bins at most, so two of them hold no more than the four fullest
+    bins.
     """
     if width <= 0.0:
         return True
@@ -494,7 +510,8 @@ def upright_layers(
 ) -> U8_2:
     """Make runs of vegetation vertical whose points lie in two upright layers.
 
-    ``surface`` (R, n) uint8; ``horizontal_m`` (R, n) float32, metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
+    ``surface`` (R, n) uint8; ``horizontal_m`` (R, n) float32, metres; ``n_beams`` (R,) int32;
+    returns (R, n) uint8.
     """
     n_rows, n = surface.shape
     image = np.empty((n_rows, n), np.uint8)
@@ -550,7 +567,10 @@ def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds)
 def _find_walls(
     x: F64, z: F64, code: U8, m: int, thresholds: WindowThresholds, first: I32, place: F64
 ) -> int:
-    """List the walls of a row: the first return of each, and its horizontal distance; returns how many."""
+    """List the walls of a row: the first return of each, and its horizontal distance.
+
+    Returns how many.
+    """
     n_walls = i = int(np.int64(0))
     while i < m:
         begin = i
@@ -575,8 +595,8 @@ def behind_walls(
 ) -> U8_2:
     """Make vegetation vertical that lies in the plane of a wall of its row, or behind one that stands above it.
 
-    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32, metres; ``n_beams``
-    (R,) int32; returns (R, n) uint8.
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32,
+    metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
     """
     n_rows, n = surface.shape
     image = np.empty((n_rows, n), np.uint8)

@@ -1,8 +1,9 @@
 """Curbs: possible curb points in a row, and verification across lines (Stamos et al. 2012, sec. 6).
 
-A possible curb point is the first vertical point after the ground with nothing under it. Vertical points that are
-neighbours on the grid of lines and beams and close in space form regions. A complete, low region with a possible curb
-point is a curb if it spans three lines, or if it is straight.
+A possible curb point is the first vertical point after the ground with nothing under it. Vertical
+points that are neighbours on the grid of lines and beams and close in space form regions. A
+complete, low region with a possible curb point is a curb if it spans three lines, or if it is
+straight.
 
 Interpretations where the text is silent or ambiguous:
 
@@ -66,9 +67,9 @@ def possible_curbs(
 ) -> I32:
     """Find the possible curb point of every row.
 
-    This is the first vertical point after the last ground point with nothing under it: none of the points before it
-    is farther from the scanner, as the road under a car would be. The search ends at the first point 2 m above the
-    ground.
+    This is the first vertical point after the last ground point with nothing under it: none of the
+    points before it is farther from the scanner, as the road under a car would be. The search ends
+    at the first point 2 m above the ground.
 
     ``surface`` (R, n) uint8; ``ground`` (R, n) bool; ``z_g`` (R,) float32; returns (R,) int32.
     """
@@ -87,7 +88,8 @@ def curbs(
 ) -> tuple[Mask, CurbState]:
     """Connect vertical points into regions, and return the rows whose regions are all decided.
 
-    ``surface`` (R, n) uint8; ``signed_deg`` (R, n) float32; ``possible`` (R,) int32; returns ``curb`` (F, n) bool.
+    ``surface`` (R, n) uint8; ``signed_deg`` (R, n) float32; ``possible`` (R,) int32; returns
+    ``curb`` (F, n) bool.
     """
     curb, regions = kernels.connect_verticals(
         surface,

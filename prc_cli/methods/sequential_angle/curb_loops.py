@@ -1,7 +1,8 @@
 """Loops for curbs: where one may begin in a row, and regions of vertical points across lines (Stamos et al. 2012, 6).
 
-Regions grow line by line, so that a region is known to be complete as soon as a line adds nothing to it. What can no
-longer be a curb because it is too high, walls above all, is merged into one label and costs next to nothing.
+Regions grow line by line, so that a region is known to be complete as soon as a line adds nothing
+to it. What can no longer be a curb because it is too high, walls above all, is merged into one
+label and costs next to nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ HIGH = 1
 REJECTED = 2
 CURB = 3
 FIRST_REGION = 4
-"""Labels: not vertical; too high for a curb; decided, not a curb; decided, a curb; from here on regions undecided."""
+"""Labels: not vertical; too high for a curb.
+
+Decided, not a curb; decided, a curb; from here on regions undecided.
+"""
 
 _MISSING = 0
 _VERTICAL = 3
@@ -68,8 +72,8 @@ def possible_curbs(
 ) -> I32_1:
     """Find the first vertical point after the ground of every row that nothing lies under.
 
-    ``surface`` (R, n) uint8; ``range_m`` (R, n) float32, metres; ``xyz`` (R, n, 3) float32, metres; ``ground`` (R, n)
-    bool; ``z_g`` (R,) float32, metres; returns (R,) int32, -1 = none.
+    ``surface`` (R, n) uint8; ``range_m`` (R, n) float32, metres; ``xyz`` (R, n, 3) float32, metres;
+    ``ground`` (R, n) bool; ``z_g`` (R,) float32, metres; returns (R,) int32, -1 = none.
     """
     n_rows, n = surface.shape
     reach = thresholds.under_points
@@ -225,7 +229,8 @@ def _connect_row(
 ) -> int:
     """Label the vertical points of a row, joining them to each other and to those of the row above.
 
-    ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on; returns how many.
+    ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on;
+    returns how many.
     """
     n = len(surface)
     side = row % n_sides
@@ -310,7 +315,10 @@ def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int)
 
 @helper
 def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) -> OpenRegions:
-    """Return rows and regions for the next call: labels that stand for themselves, numbered as they come."""
+    """Return rows and regions for the next call.
+
+    Labels that stand for themselves, numbered as they come.
+    """
     labels = table.labels
     parent = table.parent
     n_rows, n = labels.shape
@@ -366,8 +374,9 @@ def connect_verticals(
 ) -> tuple[Mask_2, OpenRegions]:
     """Connect vertical points across lines and decide which of the regions are curbs.
 
-    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``signed`` (R, n) float32, degrees; ``possible`` (R,)
-    int32; ``above_xyz`` (n_sides, n, 3) float32, metres; returns ``curb`` (F, n) bool.
+    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``signed`` (R, n) float32, degrees;
+    ``possible`` (R,) int32; ``above_xyz`` (n_sides, n, 3) float32, metres; returns ``curb`` (F, n)
+    bool.
     """
     n_rows, n = surface.shape
     n_before = len(regions.labels)

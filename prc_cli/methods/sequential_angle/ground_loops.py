@@ -1,10 +1,11 @@
 """Loops over rows: modes of samples, the ground within a row and its height across rows (Stamos et al. 2012, sec. 5).
 
-The ground algorithm asks after every point whether the line angles so far have one mode. Mean shift from every sample
-would make that cubic in the points of a row. Here samples fall into bins of an eighth of a bandwidth, the density of
-a bin is a sum of whole numbers from one table, and a sample that is added changes it by additions alone: exact, in any
-order, hence equal to the density computed anew. Its maxima are the points where mean shift ends, the minima between
-them part their samples.
+The ground algorithm asks after every point whether the line angles so far have one mode. Mean shift
+from every sample would make that cubic in the points of a row. Here samples fall into bins of an
+eighth of a bandwidth, the density of a bin is a sum of whole numbers from one table, and a sample
+that is added changes it by additions alone: exact, in any order, hence equal to the density
+computed anew. Its maxima are the points where mean shift ends, the minima between them part their
+samples.
 """
 
 from __future__ import annotations
@@ -46,12 +47,18 @@ WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDW
 )
 """Gaussian kernel in whole numbers, one entry a bin, and a zero at the end."""
 CLEAR = 2 * PER_BANDWIDTH - 1
-"""Samples that span at most this many bins have one mode: means within two standard deviations give a density whose
-logarithm is concave, since the variance of what lies in an interval is at most the square of half its length."""
+"""Samples that span at most this many bins have one mode.
+
+Means within two standard deviations give a density whose
+logarithm is concave, since the variance of what lies in an interval is at most the square of half
+its length."""
 LARGEST_DEG = 360.0
 """Line angles lie between 0 and this."""
 LOWEST_M = -310.0
-"""Height where the histogram of heights begins; what lies beyond its ends counts in its end bins."""
+"""Height where the histogram of heights begins.
+
+What lies beyond its ends counts in its end bins.
+"""
 PER_METRE = 500
 """Its bins in a metre, 2 mm each."""
 N_HEIGHTS = 370 * PER_METRE
@@ -75,7 +82,8 @@ _FIGURES = np.dtype(
             "lo",
             "hi",  # first and last coarse bin
             "cleared_from",
-            "cleared_to",  # coarse bins between which memory has been cleared: not all three megabytes
+            # coarse bins between which memory has been cleared: not all three megabytes
+            "cleared_to",
             "oldest",
             "newest",  # ends of the queue
         )
@@ -88,8 +96,9 @@ _AT_ONCE = 250
 class _Row(NamedTuple):
     """One row.
 
-    Take its arrays before a loop, not in it, and call nothing with an array for every point: numba counts the
-    references of each array that is taken or handed over, in atomic steps, which took most of the time.
+    Take its arrays before a loop, not in it, and call nothing with an array for every point: numba
+    counts the references of each array that is taken or handed over, in atomic steps, which took
+    most of the time.
     """
 
     surface: U8
@@ -100,7 +109,10 @@ class _Row(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Memory for the line angles of a row and their modes; ``hist`` and ``density`` are zero between calls."""
+    """Memory for the line angles of a row and their modes.
+
+    ``hist`` and ``density`` are zero between calls.
+    """
 
     sampled: I32
     """Beams of the samples."""
@@ -128,7 +140,10 @@ class _Heights(NamedTuple):
 
 @helper
 def _walk(hist: I64, density: I64, lo: int, hi: int, tops: I64, counts: I64) -> int:
-    """List the maxima of a density from low to high: twice their place, and the samples between the minima around."""
+    """List the maxima of a density from low to high.
+
+    Twice their place, and the samples between the minima around.
+    """
     n = 0
     last = 0
     best = 0
@@ -215,7 +230,8 @@ def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
 def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, noise: float) -> float:
     """Return the bandwidth for line angles [deg] at a point with a chord to another one.
 
-    The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from the cross product.
+    The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from
+    the cross product.
     """
     other = ahead[one]
     x = np.float64(xyz[one, 0])
@@ -248,7 +264,10 @@ def _bin(angle: float, width: float, size: int) -> int:
 
 @helper
 def _count(angles: F64, n: int, width: float, size: int, hist: I64) -> None:
-    """Count line angles, the first row of ``angles``, in their bins; the other row takes these, many at a time."""
+    """Count line angles, the first row of ``angles``, in their bins.
+
+    The other row takes these, many at a time.
+    """
     for i in range(n):
         angles[1, i] = min(max(np.floor(angles[0, i] / width), 0.0), size - 1.0)
     for i in range(n):
@@ -317,10 +336,12 @@ def _bridged(
 
 @helper
 def _follow_peak(hist: I64, peak: int, q: int) -> int:
-    """Return the only maximum of a density after a sample was added, given the one before; -1 = there may be two.
+    """Return the only maximum of a density after a sample was added, given the one before.
 
-    A second one can only arise between it and the new sample, on either side of which both parts of the density rise,
-    or fall, together.
+    -1 = there may be two.
+
+    A second one can only arise between it and the new sample, on either side of which both parts of
+    the density rise, or fall, together.
     """
     i = min(peak, q)
     end = max(peak, q)
@@ -361,10 +382,13 @@ def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, 
 def _potential(  # noqa: PLR0915 - what every point goes through calls nothing with an array
     row: _Row, n: int, start: int, thresholds: GroundThresholds, beams: I32, scratch: _Scratch
 ) -> tuple[int, float]:
-    """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a).
+    """Find potential ground in a row from a beam on.
 
-    What every point goes through stands here, see :class:`_Row`. As long as the samples lie so close together that they
-    have one mode, the least and the largest angle say so, and no bin is counted.
+    How many points, left in ``beams``, and the bandwidth (part a).
+
+    What every point goes through stands here, see :class:`_Row`. As long as the samples lie so
+    close together that they have one mode, the least and the largest angle say so, and no bin is
+    counted.
     """
     surface = row.surface
     xyz = row.xyz
@@ -442,8 +466,9 @@ def _potential(  # noqa: PLR0915 - what every point goes through calls nothing w
         if one_mode:
             q = int(np.int64(0))
             if n_samples >= renew_at:
-                # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
-                # work proportional to the number of points, whatever the bandwidth does
+                # the bandwidth follows the middle of the set whenever the set has grown by a half:
+                # that keeps the work proportional to the number of points, whatever the bandwidth
+                # does
                 renew_at = n_samples + n_samples // 2 + 1
                 b = _bandwidth(
                     xyz,
@@ -528,7 +553,10 @@ def _extend(
     b: float,
     thresholds: GroundThresholds,
 ) -> int:
-    """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
+    """Grow ground over the horizontal points that follow.
+
+    Returns how many points there are then in ``beams``.
+    """
     surface = row.surface
     xyz = row.xyz
     horizontal = row.horizontal
@@ -619,7 +647,10 @@ def _resume(
     thresholds: GroundThresholds,
     scratch: _Scratch,
 ) -> int:
-    """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
+    """Look for more ground in the rest of a run of horizontal points.
+
+    Returns how many points are in ``beams`` then.
+    """
     surface = row.surface
     guard = thresholds.growth_height_m
     start = k = int(np.int64(beams[n_points - 1] + 1))
@@ -662,7 +693,10 @@ def _grow(
     thresholds: GroundThresholds,
     scratch: _Scratch,
 ) -> int:
-    """Grow accepted ground over the rest of its run; returns how many points are in ``beams`` then."""
+    """Grow accepted ground over the rest of its run.
+
+    Returns how many points are in ``beams`` then.
+    """
     mode = _main_angle(row.phihat, beams, n_points, b, scratch)
     n_points = _extend(row, n, beams, n_points, mode, b, thresholds)
     return (
@@ -846,7 +880,10 @@ def _count_height(heights: _Heights, z: float, memory: int, share: float) -> Non
 
 @helper
 def _lowest(tops: I64, counts: I64, best: int, width: int, roof_m: float, roof_share: float) -> int:
-    """Return the lowest mode that makes a roof of the main one: far enough below, with a share of its samples."""
+    """Return the lowest mode that makes a roof of the main one.
+
+    Far enough below, with a share of its samples.
+    """
     for i in range(best):
         below_m = (((tops[best] - tops[i]) * width) // 2) / PER_METRE
         if below_m >= roof_m and np.float64(counts[i]) >= roof_share * np.float64(counts[best]):
@@ -943,8 +980,8 @@ def potential_heights(
 ) -> PotentialGround:
     """Find the first potential ground of every row and its height (part a).
 
-    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``horizontal`` (R, n) float32, metres; ``phihat`` (R,
-    n) float32, degrees; ``ahead`` (R, n) int32; ``n_beams`` (R,) int32.
+    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``horizontal`` (R, n) float32,
+    metres; ``phihat`` (R, n) float32, degrees; ``ahead`` (R, n) int32; ``n_beams`` (R,) int32.
     """
     n_rows, n = surface.shape
     size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
@@ -973,7 +1010,10 @@ def potential_heights(
 
 @helper
 def _horizontal_beams(surface: U8, first: int, last: int, beams: I32) -> int:
-    """List the horizontal points from one beam to another; returns how many; none where the first one is -1."""
+    """List the horizontal points from one beam to another.
+
+    Returns how many; none where the first one is -1.
+    """
     n_points = int(np.int64(0))
     if first >= 0:
         for k in range(first, last + 1):

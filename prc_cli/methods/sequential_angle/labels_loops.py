@@ -41,8 +41,8 @@ def first_high_verticals(
 ) -> I32_1:
     """Find the last beam of the first vertical run of every row that ends high above the ground.
 
-    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; ``ground_m`` (R,) float32,
-    metres; returns (R,) int32, -1 = none.
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32;
+    ``ground_m`` (R,) float32, metres; returns (R,) int32, -1 = none.
     """
     n_rows = len(n_beams)
     beam = np.full(n_rows, -1, np.int32)
@@ -66,9 +66,11 @@ def first_high_verticals(
 def first_triggers(surface: U8_2, n_beams: I32_1, increments: F64_2, threshold: float) -> I32_1:
     """Run the CUSUM of the observable chain H, V, M along every row until it triggers.
 
-    The chain begins at the first beam with a return and ends before the first return that is neither H nor V.
+    The chain begins at the first beam with a return and ends before the first return that is
+    neither H nor V.
 
-    ``surface`` (R, n) uint8; ``n_beams`` (R,) int32; ``increments`` (3, 3) float64; returns (R,) int32,
+    ``surface`` (R, n) uint8; ``n_beams`` (R,) int32; ``increments`` (3, 3) float64; returns (R,)
+    int32,
     -1 = never.
     """
     n_rows = len(n_beams)
@@ -107,8 +109,9 @@ def arrange_lines(
 ) -> tuple[F32_2, F32_3, F32_2]:
     """Pick the beams of half-lines out of scan lines with coordinates.
 
-    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32; ``columns`` (n_sides, n) int32; returns (lines *
-    n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32.
+    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32; ``columns`` (n_sides, n) int32;
+    returns (lines * n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n)
+    float32.
     """
     n_lines = range_m.shape[0]
     n_sides, n = columns.shape
@@ -145,10 +148,13 @@ def arrange_lines(
 def arrange_plane(
     range_m: F32_2, across: F64_1, up: F64_1, columns: I32_2, max_range_m: float
 ) -> tuple[F32_2, F32_3, F32_2]:
-    """Pick the beams of half-lines out of scan lines of ranges; coordinates are those in the scan plane.
+    """Pick the beams of half-lines out of scan lines of ranges.
 
-    ``range_m`` (lines, M) float32; ``across, up`` (M,) float64; ``columns`` (n_sides, n) int32; returns (lines *
-    n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32.
+    Coordinates are those in the scan plane.
+
+    ``range_m`` (lines, M) float32; ``across, up`` (M,) float64; ``columns`` (n_sides, n) int32;
+    returns (lines * n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n)
+    float32.
     """
     n_lines = range_m.shape[0]
     n_sides, n = columns.shape
@@ -183,8 +189,9 @@ def mark_cars(
 ) -> Mask_2:
     """Mark the returns of intervals that are neither too far away nor next to the ground.
 
-    ``intervals`` (K, 3) int32; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
-    ``surface`` (R, n) uint8; ``limit_m`` (R,) float32, metres; ``low_m`` (R,) float32, metres; returns (R, n) bool.
+    ``intervals`` (K, 3) int32; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3)
+    float32, metres; ``surface`` (R, n) uint8; ``limit_m`` (R,) float32, metres; ``low_m`` (R,)
+    float32, metres; returns (R, n) bool.
     """
     marked = np.zeros(surface.shape, np.bool_)
     for i in range(len(intervals)):
@@ -215,7 +222,9 @@ def _curb_of(curb: Mask, horizontal_m: F32, xyz_m: F32, row: int, n: int) -> tup
 def _foot(
     surface: U8, car: Mask, xyz_m: F32, row: int, k: int, n: int, base: float
 ) -> tuple[int, float]:
-    """Follow car points to the last one; return the beam after them, and the height of what they stand on.
+    """Follow car points to the last one.
+
+    Return the beam after them, and the height of what they stand on.
 
     That is the lowest of them, or the last horizontal point before them if it is lower.
     """
@@ -241,8 +250,9 @@ def combine_classes(
 ) -> U8_2:
     """Give every beam its class; cars behind a curb go back to the coarse classification.
 
-    ``surface`` (R, n) uint8; ``ground, car`` (R, n) bool; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3)
-    float32, metres; ``curb`` (R, n) bool; ``label_of`` (5,) uint8; returns (R, n) uint8.
+    ``surface`` (R, n) uint8; ``ground, car`` (R, n) bool; ``horizontal_m`` (R, n) float32, metres;
+    ``xyz_m`` (R, n, 3) float32, metres; ``curb`` (R, n) bool; ``label_of`` (5,) uint8; returns (R,
+    n) uint8.
     """
     n_rows, n = surface.shape
     labels = np.empty((n_rows, n), np.uint8)
@@ -298,7 +308,8 @@ def combine_classes(
 def mark_beyond(range_m: F32_2, labels: U8_2) -> tuple[U8_2, int]:
     """Call returns unclassified that are missing to the method, lying beyond the scanner's reach.
 
-    ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; returns ``labels`` (lines, M) uint8.
+    ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; returns ``labels`` (lines,
+    M) uint8.
     """
     n_lines, m = labels.shape
     marked = np.empty((n_lines, m), np.uint8)

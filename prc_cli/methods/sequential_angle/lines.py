@@ -1,7 +1,10 @@
-"""Vertical scan lines, beams from low to high: the input of all stages (Stamos et al. 2012, sec. 3).
+"""Vertical scan lines, beams from low to high.
 
-A line of a static scanner is one vertical line. A line of a profiler with a full circle is split at nadir and zenith
-into two half-lines, one per side. Rows are half-lines: ``row = line * n_sides + side``.
+The input of all stages (Stamos et al. 2012, sec. 3).
+
+A line of a static scanner is one vertical line. A line of a profiler with a full circle is split at
+nadir and zenith into two half-lines, one per side. Rows are half-lines: ``row = line * n_sides +
+side``.
 """
 
 from __future__ import annotations
@@ -26,7 +29,10 @@ class Sides:
     n_beams: I32
     """(n_sides,) int32, beams of every side."""
     beam_rad: F64
-    """(n_sides, n) float64, angle of every beam from straight down [rad], 0 to pi, rising; NaN = fill."""
+    """(n_sides, n) float64, angle of every beam from straight down [rad], 0 to pi, rising.
+
+    NaN = fill.
+    """
 
     @property
     def n_sides(self) -> int:
@@ -87,7 +93,8 @@ def vertical_lines(
 ) -> VerticalLines:
     """Arrange a block of scan lines as half-lines.
 
-    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None; ``beam_rad`` (M,) float64.
+    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None; ``beam_rad`` (M,)
+    float64.
     """
     if xyz_m is None:
         across = np.sin(beam_rad)

@@ -1,8 +1,9 @@
 """Order of the algorithms within a line and across lines (Stamos et al. 2012, sec. 8), and the state between blocks.
 
-All processing is online. Most stages need only their own line. The ground height needs the lines before it, and curbs
-need all lines of their component. So a line becomes final once the ground height is known and all components of
-vertical points on it are decided. Labels do not depend on how the stream was cut into blocks.
+All processing is online. Most stages need only their own line. The ground height needs the lines
+before it, and curbs need all lines of their component. So a line becomes final once the ground
+height is known and all components of vertical points on it are decided. Labels do not depend on how
+the stream was cut into blocks.
 
 :func:`classify_block` is the whole method. Two of its steps (:func:`follow_ground` and :func:`decide_curbs`) hand a
 state from block to block, the others need only their own block.
@@ -127,7 +128,10 @@ class Undecided:
     ground_height_m: F32
     """(R,) float32, z_g [m]."""
     trigger: U8
-    """(R, n) uint8, as in :class:`~prc_cli.methods.sequential_angle.car.CarSearch`; n = 0 if not wanted."""
+    """(R, n) uint8, as in :class:`~prc_cli.methods.sequential_angle.car.CarSearch`.
+
+    n = 0 if not wanted.
+    """
     car_interval: U16
     """(R, n) uint16, likewise."""
     car_test: U8
@@ -297,7 +301,10 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
 
 def _reasons(labels: U8, found: U8) -> U8:
-    """Return the rules behind labels; ``found`` lacks the returns that are beyond the reach of the method."""
+    """Return the rules behind labels.
+
+    ``found`` lacks the returns that are beyond the reach of the method.
+    """
     reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
     reasons[labels != found] = Reason.BEYOND_REACH
     return reasons
@@ -350,7 +357,10 @@ def classify_block(
 
 
 def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
-    """Return heights above the ground at every line [m], (lines, M) float32; NaN = missing or unknown."""
+    """Return heights above the ground at every line [m], (lines, M) float32.
+
+    NaN = missing or unknown.
+    """
     if block.xyz_m is None:
         up_m = block.range_m * -np.cos(beams.beam_rad).astype(np.float32)
     else:
@@ -419,7 +429,10 @@ def within_lines(
 def follow_ground(
     rows: Within, state: GroundSoFar, thresholds: SequentialAngleThresholds, *, last: bool
 ) -> tuple[list[OnGround], GroundSoFar]:
-    """Find the ground of the next rows, in order (sec. 5); the first rows wait until its height is known."""
+    """Find the ground of the next rows, in order (sec. 5).
+
+    The first rows wait until its height is known.
+    """
     ready, state = _start_ground(rows, state, thresholds.ground, last=last)
     found = []
     for part in ready:
@@ -488,7 +501,10 @@ def decide_curbs(
     *,
     last: bool,
 ) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
-    """Verify curbs across the next rows, in order (sec. 6); return the rows that became final, and their curbs."""
+    """Verify curbs across the next rows, in order (sec. 6).
+
+    Return the rows that became final, and their curbs.
+    """
     done: list[Undecided] = []
     masks: list[Mask] = []
     for number, part in enumerate(parts):

@@ -1,8 +1,11 @@
-"""The thresholds of the sequential-angle method: each once, for the configuration, the loops and their twins.
+"""The thresholds of the sequential-angle method.
 
-A field with :func:`~prc_cli.methods.keys.key` is a key of ``[sequential_angle]``; the others are constants. Lengths are
-in metres, angles in degrees; heights are counted from the scanner. :meth:`SequentialAngleThresholds.at_noise` gives
-what the loops compare with. ``R`` is the number of rows (half-lines) and ``n`` that of their beams.
+Each once, for the configuration, the loops and their twins.
+
+A field with :func:`~prc_cli.methods.keys.key` is a key of ``[sequential_angle]``; the others are
+constants. Lengths are in metres, angles in degrees; heights are counted from the scanner.
+:meth:`SequentialAngleThresholds.at_noise` gives what the loops compare with. ``R`` is the number of
+rows (half-lines) and ``n`` that of their beams.
 """
 
 from __future__ import annotations
@@ -46,16 +49,24 @@ class ChordThresholds(NamedTuple):
     range_noise_m: Annotated[float, key(0, 10)] = 0.005
     """Standard deviation of the range noise of the scanner [m] (published)."""
     min_chord_sigmas: Annotated[float, key(0, 1000)] = 4.0
-    """Shortest chord that an angle is measured on [standard deviations of the range noise]; below about 3 noise turns
+    """Shortest chord that an angle is measured on [standard deviations of the range noise].
+
+    Below about 3 noise turns
     chords round and looks like foliage; 0 takes successive shots, as published."""
     least_chord_m: Annotated[float, key(0, 10)] = 0.02
-    """Shortest chord, however small the noise: shorter ones measure rims and edges, not surfaces; published: 0 [m]."""
+    """Shortest chord, however small the noise.
+
+    Shorter ones measure rims and edges, not surfaces; published: 0 [m].
+    """
     chord_depth_sigmas: Annotated[float, key(0, 1000)] = 3.0
     """Differences of range up to this count nothing for the length of a chord, larger ones by what they have more
-    [standard deviations of the range noise]: where shots lie closer than the noise, it would choose the ends; 0 = the
-    whole chord counts."""
+    [standard deviations of the range noise]: where shots lie closer than the noise, it would choose
+    the ends; 0 = the whole chord counts."""
     max_shots: int = 256
-    """Valid shots before and after a shot among which its chords may end: bounds the time where all are at one spot."""
+    """Valid shots before and after a shot among which its chords may end.
+
+    Bounds the time where all are at one spot.
+    """
     depth_m: float = 0.0
     """``chord_depth_sigmas`` in metres."""
 
@@ -82,9 +93,11 @@ class MarkovThresholds(NamedTuple):
     h1: Annotated[Matrix, key()] = (UNIFORM, UNIFORM, UNIFORM)
     """Transition probabilities of model 1, vegetation; row = from, each adds up to 1."""
     initial_h0: Annotated[Row, key()] = (0.05, 0.475, 0.475)
-    """Probabilities of the states of model 0 at the first sample of a start: stationary, so that a region begins with a
-    value near -90 deg; with 1/3 each this sample tells nothing, values that alternate between -90 and 90 are never
-    found, and stairs are."""
+    """Probabilities of the states of model 0 at the first sample of a start.
+
+    Stationary, so that a region begins with a
+    value near -90 deg; with 1/3 each this sample tells nothing, values that alternate between -90
+    and 90 are never found, and stairs are."""
     initial_h1: Three = UNIFORM
     """Those of model 1."""
     threshold: Annotated[float, key(above=0, most=100)] = 10.0
@@ -92,9 +105,11 @@ class MarkovThresholds(NamedTuple):
     threshold_back: float = 10.0
     """Log-likelihood ratio that it ends at, without ``sprt`` [nats]."""
     sprt: Annotated[bool, key()] = False
-    """How a region ends: false runs the same test with the models exchanged; true confirms the region by a test between
-    two bounds on the samples after the alarm, repeats that until one rejects, and pulls the end back to the sample
-    after the last negative value."""
+    """How a region ends: false runs the same test with the models exchanged.
+
+    True confirms the region by a test between
+    two bounds on the samples after the alarm, repeats that until one rejects, and pulls the end
+    back to the sample after the last negative value."""
     accept: float = 10.0
     """Upper bound of these tests [nats]."""
     reject: float = -5.0
@@ -108,10 +123,11 @@ class MarkovThresholds(NamedTuple):
 class SurfaceThresholds(NamedTuple):
     """When a run turns from horizontal to vertical and back (``[sequential_angle.coarse.surfaces]``).
 
-    From horizontal to vertical the sum of (drift - angle), from vertical to horizontal the sum of (angle - drift) is
-    followed, never below zero, until it exceeds the threshold. Drift 45 and threshold 30 deg are the test between
-    Gaussians of mean 90 and 0 and standard deviation 30 deg at a log-likelihood ratio of 3. One clean sample moves
-    the sum by 45 deg: a threshold below that keeps curbs of a single sample.
+    From horizontal to vertical the sum of (drift - angle), from vertical to horizontal the sum of
+    (angle - drift) is followed, never below zero, until it exceeds the threshold. Drift 45 and
+    threshold 30 deg are the test between Gaussians of mean 90 and 0 and standard deviation 30 deg
+    at a log-likelihood ratio of 3. One clean sample moves the sum by 45 deg: a threshold below that
+    keeps curbs of a single sample.
     """
 
     drift_vertical_deg: Annotated[float, key(0, 180)] = 45.0
@@ -145,8 +161,11 @@ class WindowThresholds(NamedTuple):
     min_points: int = 8
     """Shorter runs stay vegetation [points]."""
     wall_extent_m: Annotated[float, key(0, 1e3)] = 0.3
-    """Runs of vertical points of this height that are straight and upright are walls: vegetation in their plane is
-    vertical, and so is what is seen behind a wall below its lower end; published: 0, none is [m]."""
+    """Runs of vertical points of this height that are straight and upright are walls.
+
+    Vegetation in their plane is
+    vertical, and so is what is seen behind a wall below its lower end; published: 0, none is
+    [m]."""
     wall_m: float = 0.03
     """Vegetation this near to a wall's distance is in its plane."""
     front_m: float = 0.1
@@ -184,7 +203,9 @@ class GroundThresholds(NamedTuple):
     lowest_points: Annotated[int, key(1, 1000)] = 5
     """Points, the lowest ones, whose mean z is the height of a line (published)."""
     start_heights: Annotated[int, key(1, 100_000)] = 200
-    """Heights of lines that the first estimate of the ground needs; published: 50, which the bonnet of a car beside the
+    """Heights of lines that the first estimate of the ground needs.
+
+    Published: 50, which the bonnet of a car beside the
     scanner can fill."""
     height_tolerance: Annotated[float, key(above=0, most=10)] = 0.10
     """Potential ground is ground when its height differs from the dominant height by less than this share of it
@@ -195,10 +216,15 @@ class GroundThresholds(NamedTuple):
     """Potential ground is ground, too, when its height differs by less than this from that of the last ground of the
     same side [m]; 0: the printed text."""
     height_points: Annotated[int, key(0, 100_000)] = 30
-    """Points at the beginning of potential ground that its lowest points are taken from; 0 = all of it, the printed
+    """Points at the beginning of potential ground that its lowest points are taken from.
+
+    0 = all of it, the printed
     text."""
     least_heights: Annotated[int, key(1, 100_000)] = 10
-    """Heights of lines, or those of half of all lines, without which the ground is unknown; 1: the printed text."""
+    """Heights of lines, or those of half of all lines, without which the ground is unknown.
+
+    1: the printed text.
+    """
     bandwidth_deg: float = 5.0
     """Bandwidth of the mean shift over line angles: the larger of this ..."""
     bandwidth_sigmas: float = 3.0
@@ -208,7 +234,10 @@ class GroundThresholds(NamedTuple):
     mode_samples: int = 2
     """Line angles that make a mode."""
     height_bandwidth: float = 0.05
-    """Bandwidth of the mean shift over heights, as a share of their median; rounded up to a multiple of 16 mm."""
+    """Bandwidth of the mean shift over heights, as a share of their median.
+
+    Rounded up to a multiple of 16 mm.
+    """
     roof_m: Annotated[float, key(0, 1e6)] = 0.6
     """Heights that much above a lower mode, which has a quarter of their number, are those of bonnets and roofs [m];
     published: so large that it is off."""
@@ -218,12 +247,16 @@ class GroundThresholds(NamedTuple):
     """The dominant height is computed anew after every line that has a height, not only after those that have ground
     (published)."""
     memory_heights: Annotated[int, key(0, 1_000_000)] = 2000
-    """Heights that the dominant height comes from, the latest ones, never fewer than start_heights; 0 = all
+    """Heights that the dominant height comes from, the latest ones, never fewer than start_heights.
+
+    0 = all
     (published)."""
     growth_points: int = 10
     """Points before a point that the local line is laid through."""
     jump_m: Annotated[float, key(above=0, most=1000)] = 0.10
-    """Height above or below the last point and the local line that ends potential ground [m]; 1000 turns it off, as in
+    """Height above or below the last point and the local line that ends potential ground [m].
+
+    1000 turns it off, as in
     the printed text."""
     growth_height_m: float = 0.10
     """Height above or below the local line up to which ground grows."""
@@ -266,7 +299,10 @@ class GroundState(NamedTuple):
     histogram: Ints
     """(185 000,) int32, heights of the rows so far, in bins of 2 mm from -310 m on."""
     recent: Ints
-    """(at most ``memory_heights``,) int32, their bins, the oldest one first; empty where none is forgotten."""
+    """(at most ``memory_heights``,) int32, their bins, the oldest one first.
+
+    Empty where none is forgotten.
+    """
     z_g: float
     """Height of the ground, NaN = unknown."""
     n_in_histogram_ahead: int
@@ -292,7 +328,10 @@ class CurbThresholds(NamedTuple):
     max_height_m: Annotated[float, key(above=0, most=100)] = 0.2
     """A higher region is not a curb (published) [m]."""
     min_height_m: Annotated[float, key(0, 100)] = 0.08
-    """Nor is a lower one, such as a lowered kerb or the edge of a verge: cars stand behind them; published: 0 [m]."""
+    """Nor is a lower one, such as a lowered kerb or the edge of a verge.
+
+    Cars stand behind them; published: 0 [m].
+    """
     stands_below_m: Annotated[float, key(0, 1e6)] = 0.05
     """A car whose foot, or the ground before it, is this much lower than the top of a curb stands on a road and not
     behind the curb; published: so large that it is off [m]."""
@@ -361,7 +400,10 @@ class DividerThresholds(NamedTuple):
     change_chord_m: Annotated[float, key(0, 10)] = 0.1
     """That angle is measured to the first return at least this far away, ... [m]."""
     change_chord_sigmas: Annotated[float, key(0, 1000)] = 8.0
-    """... and at least this many times the range noise; published: both 0, the signed angle of the point itself."""
+    """... and at least this many times the range noise.
+
+    Published: both 0, the signed angle of the point itself.
+    """
     change_reach: int = 200
     """Returns that are looked at for either end of that chord."""
     under_points: Annotated[int, key(1, 10_000)] = 30
@@ -374,7 +416,9 @@ class DividerThresholds(NamedTuple):
     separation_m: Annotated[float, key(above=0, most=1e4)] = 4.0
     """T_sep: successive returns farther apart are two objects, ... [m] (published)."""
     return_points: Annotated[int, key(0, 100_000)] = 8
-    """... unless one of so many returns after the jump is back at the object: such jumps go through its windows;
+    """... unless one of so many returns after the jump is back at the object.
+
+    Such jumps go through its windows;
     published: 0 [returns]."""
     from_start: Annotated[bool, key()] = True
     """A line that begins with V begins with an interval, because a car that stands close hides the ground before it;
@@ -398,7 +442,8 @@ class DividerThresholds(NamedTuple):
     of a van does; published: 0, they are not [m]."""
     glass_m: Annotated[float, key(0, 1e3)] = 1.0
     """Dense vegetation does not end the search where the next return behind it is horizontal or vertical and no farther
-    away than the last one before it by this: it is the window of a car; published: 0, it does [m]."""
+    away than the last one before it by this: it is the window of a car; published: 0, it does
+    [m]."""
     vertical_extent_m: float = 1.2
     """Runs of vertical points of this height or more are cut out, ..."""
     vertical_top_m: Annotated[float, key(0, 1e3)] = 2.6
@@ -407,7 +452,10 @@ class DividerThresholds(NamedTuple):
     vertical_slope: float = math.tan(math.radians(2.5))
     """... or if they lean less than this from the vertical, a tangent."""
     vertical_open: Annotated[bool, key()] = True
-    """Or if they go on to the last beam of the line, so that nothing tells where they end; published: false."""
+    """Or if they go on to the last beam of the line, so that nothing tells where they end.
+
+    Published: false.
+    """
     straight_points: int = 16
     """Fewer points do not show whether a run is straight or upright: their height decides."""
     straight_extent_m: Annotated[float, key(0, 1e3)] = 0.25
@@ -453,7 +501,9 @@ class FourierThresholds(NamedTuple):
     """Which spectra are those of vegetation (``[sequential_angle.car.fourier]``)."""
 
     longest: Annotated[int, key(0, 1_000_000)] = 16
-    """Test intervals of at most this many angles: windows of cars look like foliage to it, and where shots are many
+    """Test intervals of at most this many angles.
+
+    Windows of cars look like foliage to it, and where shots are many
     car.most_foliage tells more; published: 0, all [angles]."""
     band: Annotated[float, key(above=0, most=0.5)] = 0.125
     """Lowest of the high frequencies, as a share of the number of angles (published)."""
@@ -462,7 +512,9 @@ class FourierThresholds(NamedTuple):
     min_points: Annotated[int, key(1, 1_000_000)] = 8
     """An interval of fewer angles is no car [angles]."""
     window: Annotated[int, key(0, 1_000_000)] = 64
-    """Test windows of at most this many angles, of which at least half must be those of a car; published: 0, the whole
+    """Test windows of at most this many angles, of which at least half must be those of a car.
+
+    Published: 0, the whole
     interval, up to 2048 [angles]."""
 
     def at_noise(self) -> FourierThresholds:
@@ -487,7 +539,9 @@ class CarThresholds(NamedTuple):
     min_points: Annotated[int, key(1, 100_000)] = 8
     """An interval of fewer returns is no car; published: 1 [returns]."""
     ground_layer_m: Annotated[float, key(0, 10)] = 0.3
-    """Horizontal points below this height over the ground are no car, even inside an interval; published: 0, all of an
+    """Horizontal points below this height over the ground are no car, even inside an interval.
+
+    Published: 0, all of an
     interval is a car [m]."""
 
     def at_noise(self, range_noise_m: float) -> CarThresholds:
@@ -506,7 +560,10 @@ class SequentialAngleThresholds(NamedTuple):
     """Scan lines that are held back at most until the height of the ground is known from ground.start_heights lines;
     then it is taken from those there are."""
     start_shots: int = 4_000_000
-    """Shots that are held back at most for the same purpose: bounds memory where lines are very long."""
+    """Shots that are held back at most for the same purpose.
+
+    Bounds memory where lines are very long.
+    """
     extra_return_m: float = 0.3
     """Another return of a shot takes the label of the nearest range up to four columns away if it differs by less."""
     angles: ChordThresholds = ChordThresholds()

@@ -1,6 +1,7 @@
 """The steps of PRC with NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
 
-Names, arguments and results are those of the compiled loops in :mod:`prc_cli.methods.prc`; no code is shared.
+Names, arguments and results are those of the compiled loops in :mod:`prc_cli.methods.prc`; no code
+is shared.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ def support_mask(
     min_in_slice: int,
     min_adjacent: int,
 ) -> Mask:
-    """Mark shots that enough neighbours support (4 to 8); see :func:`support_loops.support_mask`."""
+    """Mark shots that enough neighbours support (4 to 8).
+
+    See :func:`support_loops.support_mask`.
+    """
     m = n_columns
     shot = np.arange(n_lines * m) + max(m + 1, 4)
     ranges = window[shot]
@@ -82,9 +86,10 @@ def is_intersection(
 ) -> bool:
     """Whether three successive ranges are of two surfaces that meet: (9) does not hold.
 
-    ``form`` is how (9) is read: "literal"; "abs", with absolute differences, since ranges may fall as well as rise;
-    "centred", the distance from the middle of the neighbours, which is (9) where they rise by ``d_c`` or more, and
-    symmetric; "guard", the same, but never where the neighbours differ by less than ``d_c``.
+    ``form`` is how (9) is read: "literal"; "abs", with absolute differences, since ranges may fall
+    as well as rise; "centred", the distance from the middle of the neighbours, which is (9) where
+    they rise by ``d_c`` or more, and symmetric; "guard", the same, but never where the neighbours
+    differ by less than ``d_c``.
     """
     if form == "literal":
         return not alpha < (here - before) / max(after - before, d_c) < 1.0 - alpha

@@ -9,6 +9,7 @@
 ``labels``              half-lines, suspicious lines, high verticals, the class of every point
 ======================  ===================================================================
 
-Thresholds and states have the names of :mod:`prc_cli.methods.sequential_angle.thresholds`. Where the text is silent the
-readings are those of the stage of the same name in :mod:`prc_cli.methods.sequential_angle`.
+Thresholds and states have the names of :mod:`prc_cli.methods.sequential_angle.thresholds`. Where
+the text is silent the readings are those of the stage of the same name in
+:mod:`prc_cli.methods.sequential_angle`.
 """

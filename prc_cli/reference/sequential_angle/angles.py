@@ -76,5 +76,8 @@ def angle_at_first(first_rad: float, second_rad: float, first_m: float, second_m
 
 
 def place(beam_rad: float, range_m: float) -> NDArray[np.float64]:
-    """Return a shot in the plane of its line, (2,) float64 [m]; the beam turns from the first axis to the second."""
+    """Return a shot in the plane of its line, (2,) float64 [m].
+
+    The beam turns from the first axis to the second.
+    """
     return range_m * np.array([np.cos(beam_rad), np.sin(beam_rad)])

@@ -55,7 +55,10 @@ T = int(Surface.VEGETATION)
 
 
 def change_angle(points: F64, j: int, chord_m: float, reach: int) -> float:
-    """Return the signed angle at point j of (n, 3) points with the vertical [deg]; NaN = no chord."""
+    """Return the signed angle at point j of (n, 3) points with the vertical [deg].
+
+    NaN = no chord.
+    """
     distances = np.sqrt(((points - points[j]) ** 2).sum(axis=1))
     far = [i for i in range(len(points)) if distances[i] >= chord_m and distances[i] > 0]
     after = [i for i in far if j < i <= j + reach]
@@ -200,7 +203,10 @@ class Line:
     ground_m: float
 
     def searched(self, thresholds: DividerThresholds) -> list[int]:
-        """Return the returns up to the first one that is too high, or neither H nor V; T' in windows is left out."""
+        """Return the returns up to the first one that is too high, or neither H nor V.
+
+        T' in windows is left out.
+        """
         returns = [k for k in range(len(self.surface)) if not np.isnan(self.distance[k])]
         found: list[int] = []
         while returns:
@@ -227,7 +233,10 @@ class Line:
     def behind_glass(
         self, returns: list[int], last: int, thresholds: DividerThresholds
     ) -> list[int]:
-        """Return those of the returns, T' first, that follow the window of a car; empty = it is none."""
+        """Return those of the returns, T' first, that follow the window of a car.
+
+        Empty = it is none.
+        """
         behind = next((i for i, k in enumerate(returns) if self.surface[k] != T), len(returns))
         window = returns[:behind]
         rest = returns[behind:]
@@ -242,7 +251,10 @@ class Line:
     def side_of_van(
         self, returns: list[int], last: list[int], thresholds: DividerThresholds
     ) -> list[int]:
-        """Return those of the returns, the first too high, that go on with the side of a van; empty = it is none."""
+        """Return those of the returns, the first too high, that go on with the side of a van.
+
+        Empty = it is none.
+        """
         if not last or self.surface[last[0]] != V:
             return []
         steps = [
@@ -260,7 +272,10 @@ class Line:
 def first_ground(
     codes: list[int], distance: F64, height: F64, t1: int, t2: int, thresholds: DividerThresholds
 ) -> tuple[int, int] | None:
-    """Find the first long flat stretch, within one horizontal run, between two dividers; None = there is none."""
+    """Find the first long flat stretch, within one horizontal run, between two dividers.
+
+    None = there is none.
+    """
     limits = (thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope)
     steps = [
         k for k in range(t1 + 1, t2 + 1) if abs(height[k] - height[k - 1]) > thresholds.flat_step_m
@@ -372,7 +387,10 @@ def cut_verticals(
 def reliefs(
     codes: list[int], distance: F64, height: F64, last: int, thresholds: DividerThresholds
 ) -> list[tuple[int, int]]:
-    """Return first and last position of rough walls: H and V that are high, upright and nearly straight."""
+    """Return first and last position of rough walls.
+
+    H and V that are high, upright and nearly straight.
+    """
     found: list[tuple[int, int]] = []
     begin = 0
     while begin <= last and thresholds.relief_m > 0:

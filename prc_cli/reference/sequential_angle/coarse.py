@@ -56,7 +56,10 @@ class Test(NamedTuple):
 
 
 def regions_both_ways(test: Test) -> list[tuple[int, int]]:
-    """Return the regions of model 1: from a change to it until a change back, both found by Page's test."""
+    """Return the regions of model 1.
+
+    From a change to it until a change back, both found by Page's test.
+    """
     log_density, h0, h1, thresholds = test
     regions: list[tuple[int, int]] = []
     now = 0
@@ -120,7 +123,10 @@ def page_test(
 def wald_test(
     log_density: F64, zero: Model, one: Model, begin: int, reject: float, accept: float
 ) -> tuple[bool | None, int]:
-    """Return the decision for model 1 and the sample after it; None if the samples run out before."""
+    """Return the decision for model 1 and the sample after it.
+
+    None if the samples run out before.
+    """
     s = 0.0
     state_0: F64 | None = None
     state_1: F64 | None = None
@@ -136,7 +142,10 @@ def wald_test(
 
 
 def step(before: F64 | None, transition: Matrix, initial: Three, log_density: F64) -> F64:
-    """Return the scaled forward variable of one sample as logarithms (eqs. 24 to 26); ``before`` None = restart."""
+    """Return the scaled forward variable of one sample as logarithms (eqs. 24 to 26).
+
+    ``before`` None = restart.
+    """
     share = initial if before is None else np.exp(before - logsumexp(before)) @ transition
     with np.errstate(divide="ignore"):
         after: F64 = np.log(share) + log_density
@@ -223,7 +232,10 @@ def upright_layers(
 
 
 def fullest(distances: F64, width_m: float) -> tuple[int, int]:
-    """Return where the fullest layer of sorted distances begins and ends; the first one of several."""
+    """Return where the fullest layer of sorted distances begins and ends.
+
+    The first one of several.
+    """
     counts = [
         int(np.count_nonzero((distances >= d) & (distances - d <= width_m)))
         for d in distances.tolist()

@@ -30,7 +30,10 @@ MISSING = int(Surface.MISSING)
 
 
 def weight(bins_away: int) -> int:
-    """Return the Gaussian kernel, a bin being an eighth of a bandwidth, as a whole number; zero beyond 43 bins."""
+    """Return the Gaussian kernel, a bin being an eighth of a bandwidth, as a whole number.
+
+    Zero beyond 43 bins.
+    """
     away = abs(bins_away) / EIGHTHS
     return round(2**20 * math.exp(-away * away / 2)) if abs(bins_away) <= 43 else 0
 
@@ -45,7 +48,8 @@ def grid_modes(samples: list[int]) -> list[tuple[float, int]]:
     lowest = min(samples)
     histogram = np.bincount(np.array(samples) - lowest)
     density = np.convolve(histogram, WEIGHTS)[43:-43].tolist()
-    # stretches of equal density, and those of them that are higher, or lower, than what is beside them
+    # stretches of equal density, and those of them that are higher, or lower, than what is beside
+    # them
     stretches: list[tuple[int, int, int]] = []
     for value, group in groupby(enumerate(density), key=lambda pair: pair[1]):
         places = [place for place, _ in group]
@@ -122,7 +126,10 @@ class Row:
         return [beam for beam, s in enumerate(self.surface) if beam > after and s != MISSING]
 
     def behind(self, points: list[int], after: int) -> int | None:
-        """Return the next beam of a surface, where there is one; a few that are not horizontal are passed over."""
+        """Return the next beam of a surface, where there is one.
+
+        a few that are not horizontal are passed over.
+        """
         valid = self.valid(after)
         passed = next(
             (i for i, beam in enumerate(valid) if self.surface[beam] == HORIZONTAL), len(valid)

@@ -1,1 +1,4 @@
-"""A forest without end, made from a seed as it is walked through: terrain, trees, undergrowth, dead wood."""
+"""A forest without end, made from a seed as it is walked through.
+
+Terrain, trees, undergrowth, dead wood.
+"""

@@ -10,7 +10,8 @@ from prc_cli.core.config import Params
 class ForestSceneParams(Params):
     """A managed boreal forest with a walker's rows through it.
 
-    The defaults are a mature mixed stand like the plot of Lehtola et al. (2019, III): rows of 40 m, 10 m apart.
+    The defaults are a mature mixed stand like the plot of Lehtola et al. (2019, III): rows of 40 m,
+    10 m apart.
     """
 
     stems_per_ha: float = Field(600.0, ge=0, le=2000, description="stems per hectare")

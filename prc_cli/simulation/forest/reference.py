@@ -1,4 +1,7 @@
-"""The reference of the paper's forest: cylinders around measured stems, ground by height, noise elsewhere."""
+"""The reference of the paper's forest.
+
+Cylinders around measured stems, ground by height, noise elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ GROUND_BELOW_BREAST_M = 0.5
 """Ground is what is lower than this under the breast height of the nearest tree [m]."""
 
 _SEARCH_M = 15.0
-"""The nearest tree of a point is looked for up to here beyond all points [m]; forests are denser than that."""
+"""The nearest tree of a point is looked for up to here beyond all points [m].
+
+Forests are denser than that.
+"""
 _NEIGHBOURS = 8
 """Stems keep apart; a point lies in no more cylinders than this."""
 _POINTS_AT_ONCE = 1_000_000
@@ -27,11 +33,12 @@ _POINTS_AT_ONCE = 1_000_000
 def reference_labels(scene: ForestScene, xyz: F64) -> U8:
     """Label registered points by the rule of Lehtola et al. (2019, III), right or wrong as it is.
 
-    A point is a stem within an upright cylinder on a tree: two diameters in radius, 4 m high, from 1 m below the place
-    where the diameter was measured (1.3 m above the ground). Outside of all cylinders it is ground where it lies 0.5 m
-    or more under the breast height of the nearest tree, low plants included. All else is noise. The paper's sentence
-    on the ground, "under 0.5 m from the nearest reference tree DBH altitude", can be read in other ways; read as
-    here, the ground ends 0.8 m above the foot of the nearest tree.
+    A point is a stem within an upright cylinder on a tree: two diameters in radius, 4 m high, from
+    1 m below the place where the diameter was measured (1.3 m above the ground). Outside of all
+    cylinders it is ground where it lies 0.5 m or more under the breast height of the nearest tree,
+    low plants included. All else is noise. The paper's sentence on the ground, "under 0.5 m from
+    the nearest reference tree DBH altitude", can be read in other ways; read as here, the ground
+    ends 0.8 m above the foot of the nearest tree.
     """
     labels = np.full(len(xyz), Label.MISSING, dtype=np.uint8)
     for start in range(0, len(xyz), _POINTS_AT_ONCE):
@@ -58,7 +65,8 @@ def _label(scene: ForestScene, xyz: F64) -> U8:
     tree = cKDTree(breast[:, :2])
     away, nearest = tree.query(xyz[:, :2])
     labels[xyz[:, 2] <= breast[nearest, 2] - GROUND_BELOW_BREAST_M] = Label.GROUND
-    # cylinders overlap, and the nearest tree may have the thinner one: what is near any of them meets all around it
+    # cylinders overlap, and the nearest tree may have the thinner one: what is near any of them
+    # meets all around it
     near = np.flatnonzero(away <= radius.max())
     k = min(_NEIGHBOURS, len(stems))
     away, around = tree.query(xyz[near, :2], k=np.arange(1, k + 1))

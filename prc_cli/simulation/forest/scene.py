@@ -79,7 +79,10 @@ class Floor:
         return ellipsoids(place, half, chance.uniform(0, np.pi, n), Material.SOIL)
 
     def _herbs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
-        """Return patches near the ground: moss and grass, which are ground, and dwarf shrubs, which are not."""
+        """Return patches near the ground.
+
+        Moss and grass, which are ground, and dwarf shrubs, which are not.
+        """
         parts = []
         for material, share, low, high, density in (
             (Material.GRASS, 0.35, 0.05, 0.15, 8.0),
@@ -200,12 +203,17 @@ class ForestScene:
         self._candidates = lru_cache(_STEM_CELLS_KEPT)(self._stand.candidates)
         self._stems = lru_cache(_STEM_CELLS_KEPT)(self._make_stems)
         self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
-        # threads ask for the same cells at the same time, and a cache alone would have each of them make its own
+        # threads ask for the same cells at the same time, and a cache alone would have each of them
+        # make its own
         self._lock = RLock()
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
-        """Return the bodies whose circle on the map touches the one that is asked for; nothing moves in a forest."""
-        # one thread makes all that are missing: taking turns at every cell costs more than waiting once
+        """Return the bodies whose circle on the map touches the one that is asked for.
+
+        Nothing moves in a forest.
+        """
+        # one thread makes all that are missing: taking turns at every cell costs more than waiting
+        # once
         with self._lock:
             cells = [self._cell(i, j) for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M)]
         parts = []

@@ -37,7 +37,10 @@ def generator(seed: int, purpose: Purpose, *place: int) -> np.random.Generator:
 
 
 def first_number(seed: int, i: int, j: int) -> float:
-    """Return the identity of the first body of a cell; those of its others follow. All stay below 2^53."""
+    """Return the identity of the first body of a cell; those of its others follow.
+
+    All stay below 2^53.
+    """
     return float(generator(seed, Purpose.NUMBERS, i, j).integers(2**39)) * BODIES_PER_CELL
 
 
@@ -47,10 +50,12 @@ _TABLE_STEP_M = 0.02
 
 
 class Rows:
-    """Rows along x: even ones are walked towards +x, odd ones back; row k lies at y = k times the spacing.
+    """Rows along x: even ones are walked towards +x, odd ones back.
 
-    In a row the walker strays to either side, in the turns he does not. All rows are equally long on foot, so that
-    any distance is found without walking there.
+    Row k lies at y = k times the spacing.
+
+    In a row the walker strays to either side, in the turns he does not. All rows are equally long
+    on foot, so that any distance is found without walking there.
     """
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:

@@ -1,4 +1,7 @@
-"""Where trees stand, how thick, tall and crooked they are, and their bodies: stems, branches, crowns."""
+"""Where trees stand, how thick, tall and crooked they are, and their bodies.
+
+Stems, branches, crowns.
+"""
 
 from __future__ import annotations
 
@@ -137,7 +140,10 @@ class Stems:
         return self.axis(np.full(len(self), BREAST_HEIGHT_M))
 
     def rows(self) -> Iterator[str]:
-        """Yield the trees as lines of CSV, the names of the columns first; x, y, z are those at breast height."""
+        """Yield the trees as lines of CSV, the names of the columns first.
+
+        x, y, z are those at breast height.
+        """
         yield "species,x_m,y_m,z_m,dbh_m,height_m,lean_deg,lean_azimuth_deg"
         lean = np.degrees(np.arctan(np.hypot(*self.lean.T)))
         azimuth = np.degrees(np.arctan2(self.lean[:, 1], self.lean[:, 0]))
@@ -213,7 +219,8 @@ class Stand:
         scale = (params.dbh_mean_m - params.dbh_min_m) / math.gamma(1 + 1 / params.dbh_shape)
         above_least = scale * (-np.log1p(-chance[:, 1])) ** (1 / params.dbh_shape)
         dbh = np.minimum(params.dbh_min_m + above_least, _THICKEST_M)
-        # heights by Näslund's curve, h = 1.3 + d² / (a + b d)² (d in centimetres), give or take a tenth
+        # heights by Näslund's curve, h = 1.3 + d² / (a + b d)² (d in centimetres), give or take a
+        # tenth
         a = np.array([1.2, 1.7, 1.0])[species]
         b = np.array([0.195, 0.185, 0.185])[species]
         height = 1.3 + (100 * dbh / (a + b * 100 * dbh)) ** 2 * (0.9 + 0.2 * chance[:, 2])

@@ -1,4 +1,7 @@
-"""What stands beside a street: lamps, signs, bins, shelters, wires, walls, fences; trees, bushes and hedges."""
+"""What stands beside a street.
+
+Lamps, signs, bins, shelters, wires, walls, fences; trees, bushes and hedges.
+"""
 
 from __future__ import annotations
 
@@ -147,7 +150,10 @@ def bollard(pile: Pile, frame: Frame) -> None:
 
 
 def shelter(pile: Pile, frame: Frame) -> None:
-    """Add a bus shelter of glass that is open towards the road, with a bench; v points away from the road."""
+    """Add a bus shelter of glass that is open towards the road, with a bench.
+
+    v points away from the road.
+    """
     pile.box(frame, ((-2.0, 2.0), (-0.2, 1.3), (2.35, 2.45)), Material.POLE)
     pile.box(frame, ((-1.95, 1.95), (1.15, 1.17), (0.15, 2.25)), Material.GLASS)
     pile.box(frame, ((-1.2, 1.2), (0.75, 1.1), (0.42, 0.48)), Material.POLE)

@@ -1,7 +1,8 @@
 """Houses: facades with recessed windows, doors, balconies and cornices, gable and flat roofs, yards and passages.
 
-A facade costs few bodies: piers between the columns of windows and bands between the storeys are boxes as deep as
-the recess, and one pane of glass runs behind all of them; so jambs, sills and lintels come by themselves.
+A facade costs few bodies: piers between the columns of windows and bands between the storeys are
+boxes as deep as the recess, and one pane of glass runs behind all of them; so jambs, sills and
+lintels come by themselves.
 """
 
 from __future__ import annotations
@@ -226,7 +227,10 @@ def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
 
 
 def _balconies(pile: Pile, frame: Frame, style: Style, first: int) -> None:
-    """Balconies before every other column of windows: a slab and a railing whose bars let shots through."""
+    """Balconies before every other column of windows.
+
+    a slab and a railing whose bars let shots through.
+    """
     for middle in style.middles[first::2]:
         for storey in range(1, min(style.storeys, 6)):
             floor = storey * style.storey + 0.1

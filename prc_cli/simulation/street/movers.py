@@ -1,11 +1,12 @@
 """Cars, vans and lorries, standing or oncoming, and people who walk: where they are at any time.
 
-A car is a body with wheel arches, a cabin of glass with a roof and pillars, wheels, and a gap below. Measures are those
-of common models: cars 3.8 to 4.8 m long, 1.75 to 1.85 m wide and 1.45 to 1.65 m high with 16 to 20 cm of ground
-clearance and tyres of 62 to 66 cm; vans 5 to 5.6 m long and 1.95 to 2.5 m high; lorries of 7.5 t.
+A car is a body with wheel arches, a cabin of glass with a roof and pillars, wheels, and a gap
+below. Measures are those of common models: cars 3.8 to 4.8 m long, 1.75 to 1.85 m wide and 1.45 to
+1.65 m high with 16 to 20 cm of ground clearance and tyres of 62 to 66 cm; vans 5 to 5.6 m long and
+1.95 to 2.5 m high; lorries of 7.5 t.
 
-All of one stream have the same speed, so that they are beads on a string that moves along the street; which beads are
-near a place at a time follows by arithmetic, without what was before.
+All of one stream have the same speed, so that they are beads on a string that moves along the
+street; which beads are near a place at a time follows by arithmetic, without what was before.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What stands where in a piece: parked cars, street trees and furniture along the curb, gardens, people, wires."""
+"""What stands where in a piece.
+
+Parked cars, street trees and furniture along the curb, gardens, people, wires.
+"""
 
 from __future__ import annotations
 

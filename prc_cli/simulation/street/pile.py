@@ -1,4 +1,7 @@
-"""How bodies are put together: a place with axes of its own, and a pile to which bodies are added."""
+"""How bodies are put together.
+
+a place with axes of its own, and a pile to which bodies are added.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,10 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A place with axes u (forward), v (left, or mirrored), w (up); slopes lift points and keep uprights."""
+    """A place with axes u (forward), v (left, or mirrored), w (up).
+
+    Slopes lift points and keep uprights.
+    """
 
     x: float
     y: float
@@ -97,7 +103,10 @@ class Pile:
     def box(
         self, frame: Frame, spans: tuple[Span, Span, Span], material: Material, density: float = 0.0
     ) -> None:
-        """Add a level box that spans (from, to) along the axes of a frame; the slopes lift it as a whole."""
+        """Add a level box that spans (from, to) along the axes of a frame.
+
+        The slopes lift it as a whole.
+        """
         (u0, u1), (v0, v1), (w0, w1) = spans
         centre = frame.at((u0 + u1) / 2, (v0 + v1) / 2, (w0 + w1) / 2)
         half = ((u1 - u0) / 2, (v1 - v0) / 2, (w1 - w0) / 2)

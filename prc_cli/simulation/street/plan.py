@@ -1,4 +1,7 @@
-"""What can be chosen about a street, and its plan, piece by piece: junctions, lots, driveways and crossings."""
+"""What can be chosen about a street, and its plan, piece by piece.
+
+Junctions, lots, driveways and crossings.
+"""
 
 from __future__ import annotations
 
@@ -314,7 +317,10 @@ def _kind(rng: np.random.Generator, character: Character, width: float) -> tuple
 
 
 def kerbside_of(seed: int, piece: int, side: int) -> Span:
-    """Return two numbers from 0 to 1 of a side of a block: they decide on its kerb and its verge."""
+    """Return two numbers from 0 to 1 of a side of a block.
+
+    They decide on its kerb and its verge.
+    """
     low, raised = (
         generator(seed, Purpose.KERBSIDE, piece // PIECES_IN_BLOCK, side).random(2).tolist()
     )

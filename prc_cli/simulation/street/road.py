@@ -1,8 +1,8 @@
 """The ground: road with a crown, curbs that drop at driveways and crossings, sidewalks, land and side streets.
 
-One surface of triangles that share their corners. Across the street it is made of strips between lines of constant
-distance from the crown; along the street its lines are straight between stations of 5 m, so that corners that stand
-on a line between stations leave no cracks.
+One surface of triangles that share their corners. Across the street it is made of strips between
+lines of constant distance from the crown; along the street its lines are straight between stations
+of 5 m, so that corners that stand on a line between stations leave no cracks.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ from prc_cli.simulation.street.plan import (
 from prc_cli.simulation.world import Material
 
 LANE_M = -1.75
-"""The lane's middle is this far to the left of the crown of the road [m]; the line of arc length runs here."""
+"""The lane's middle is this far to the left of the crown of the road [m].
+
+The line of arc length runs here.
+"""
 PERIOD_M = 4800.0
 """The curves repeat after this way [m]; what stands along the street does not."""
 _STEP_M = 1.0
@@ -40,11 +43,13 @@ _SIDE_SLOPES = ((5, 0.025), (19, 0.012))
 
 
 class Centreline:
-    """A line that is followed by the middle of the right-hand lane; its arc length (in plan) is the parameter s.
+    """A line that is followed by the middle of the right-hand lane.
 
-    The heading is a sum of three sines of s; the position is its integral, tabulated once over one period and
-    interpolated by cubics that have the line's own tangents (error below a micrometre). All periods are alike but
-    for a shift, so that any s costs the same.
+    Its arc length (in plan) is the parameter s.
+
+    The heading is a sum of three sines of s; the position is its integral, tabulated once over one
+    period and interpolated by cubics that have the line's own tangents (error below a micrometre).
+    All periods are alike but for a shift, so that any s costs the same.
     """
 
     def __init__(self, rng: np.random.Generator, curves: float, hills: float) -> None:
@@ -62,7 +67,10 @@ class Centreline:
         self._table: F64 = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
     def heading(self, s_m: F64) -> F64:
-        """Direction of the street, 0 = +x, counter-clockwise, 0 at the start [rad]; same shape as ``s_m``."""
+        """Direction of the street, 0 = +x, counter-clockwise, 0 at the start [rad].
+
+        Same shape as ``s_m``.
+        """
         return _sum(self._turns, s_m) - self._turn_0
 
     def height(self, s_m: F64) -> F64:
@@ -166,7 +174,10 @@ class Ground:
         self.curb_m = curb_m
 
     def road(self, s_m: F64, d_m: F64) -> F64:
-        """Height of the road's surface, continued under the sidewalks and the land; (n,) float64 [m]."""
+        """Height of the road's surface, continued under the sidewalks and the land.
+
+        (n,) float64 [m].
+        """
         away = np.abs(d_m)
         slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
         fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)
@@ -380,7 +391,10 @@ def _stretches(side: Side, base: list[float]) -> list[Span]:
 def _stops(
     side: Side, base: list[float], stretch: Span, curb_m: float
 ) -> list[tuple[float, float, float, float, float]]:
-    """Places along a curb: s and d of its foot, s and d of its top, its height [m]; d without its sign."""
+    """Places along a curb: s and d of its foot, s and d of its top, its height [m].
+
+    d without its sign.
+    """
     low, high = stretch
     straight_low = low
     straight_high = high
@@ -458,6 +472,9 @@ def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> N
 
 
 def frame_at(ground: Ground, s: float, d: float, mirror: int = 1, *, tilted: bool = False) -> Frame:
-    """Return a frame on the ground with u along the street; ``tilted`` = with the slopes of the road."""
+    """Return a frame on the ground with u along the street.
+
+    ``tilted`` = with the slopes of the road.
+    """
     x, y, z, yaw, slope, roll = ground.spot(s, d, tilted=tilted)
     return Frame(x, y, z, yaw, slope, roll * mirror, mirror)

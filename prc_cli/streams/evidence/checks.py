@@ -30,7 +30,9 @@ from prc_cli.streams.evidence.table import verdict
 MANY = 0.01
 """Share of records that are lost or meet before doubt begins."""
 MANY_OF_RINGS = 0.05
-"""Share of records that meet before doubt begins in frames of rings: shots of a ring stray in azimuth, and where they
+"""Share of records that meet before doubt begins in frames of rings.
+
+Shots of a ring stray in azimuth, and where they
 meet, are labelled like further returns."""
 MOST = 0.2
 """Share of records from which an input is refused."""
@@ -60,7 +62,10 @@ COARSE_M = 0.03
 ROUNDED_DIGITS = 4
 LEAST_ROUNDED = 5000
 ALL_ROUNDED = 0.98
-"""Steps of rounded ranges [m]: scanners state them to 1 to 10 mm; thresholds on surfaces begin at a few centimetres."""
+"""Steps of rounded ranges [m].
+
+Scanners state them to 1 to 10 mm; thresholds on surfaces begin at a few centimetres.
+"""
 LEAST_RETURNED = 1000
 LEAST_RING_LINES = 32
 """With fewer returns, or lines, rings are not counted."""
@@ -69,7 +74,10 @@ MOST_COUNTED = 1 << 16
 
 
 def check_thinned(dropped: str) -> tuple[Finding, ...]:
-    """Ask whether the file is one that shots were left out of; ``dropped`` is what its run record says."""
+    """Ask whether the file is one that shots were left out of.
+
+    ``dropped`` is what its run record says.
+    """
     if not dropped:
         return ()
     hint = "classify the file it was made from, and thin afterwards"
@@ -238,7 +246,10 @@ def check_missing_code(seen: Seen) -> Finding | None:
 
 
 def _near_codes(known: F32) -> Finding | None:
-    """Return the doubt that very short ranges are error codes; None where there are few, or hardly others."""
+    """Return the doubt that very short ranges are error codes.
+
+    None where there are few, or hardly others.
+    """
     is_near = known < CODE_M
     share = float(np.mean(is_near))
     others = known[~is_near]
@@ -328,7 +339,10 @@ OTHER_UNIT = "if x, y, z and the trajectory are in another unit: "
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
-    """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
+    """Ask every check of a scanner that was seen, the gravest faults first.
+
+    a check that cannot tell finds nothing.
+    """
     along = any(
         one.key == "input.range" and one.value.startswith("trajectory")
         for one in seen.info.assumptions

@@ -19,10 +19,15 @@ MOST_LINES = 4096
 MOST_RAD = math.radians(0.15)
 """Rings of most scanners spread less in their own frame [rad]."""
 EXPLAINED = 0.3
-"""Another frame explains the rings if it leaves less than this share of their spread: of a real frame it left 0.52,
+"""Another frame explains the rings if it leaves less than this share of their spread.
+
+Of a real frame it left 0.52,
 of a walk in the frame of its map 1.0, of a sector on other axes 0.01."""
 NO_CONES_RAD = math.radians(3.0)
-"""Rings that spread more in every frame are none: those of a drive in the frame of a map spread by 0.7 deg [rad]."""
+"""Rings that spread more in every frame are none.
+
+Those of a drive in the frame of a map spread by 0.7 deg [rad].
+"""
 
 
 @dataclass(slots=True)

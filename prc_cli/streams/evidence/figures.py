@@ -1,7 +1,7 @@
 """What is seen of a stream: a sample of its lines, and how alike neighbouring shots and neighbouring lines are.
 
-Likeness is the median difference of the logarithms of two ranges, so that near and far surfaces count alike: 0 = equal,
-about 0.5 to 1 for ranges picked at random from a street or a forest.
+Likeness is the median difference of the logarithms of two ranges, so that near and far surfaces
+count alike: 0 = equal, about 0.5 to 1 for ranges picked at random from a street or a forest.
 """
 
 from __future__ import annotations
@@ -110,11 +110,16 @@ SMOOTH = 0.01
 ROUGH = 0.05
 AS_FAR = 0.2
 LEAST_ROUGH = 100
-"""Shots off the middle of their neighbours by so much are leaves or edges; they are seen again where the next line is
+"""Shots off the middle of their neighbours by so much are leaves or edges.
+
+They are seen again where the next line is
 nearer than so much of that; fewer tell nothing."""
 LIKE = 0.02
 MOST_ALONE = 0.5
-"""Shots are as far as one another within this share; flakes are fewer than this share of all shots."""
+"""Shots are as far as one another within this share.
+
+Flakes are fewer than this share of all shots.
+"""
 AROUND_SHOT = tuple(
     (line, column) for line in (-1, 0, 1) for column in (-1, 0, 1) if line or column
 )
@@ -139,7 +144,9 @@ class Figures:
     moved: tuple[float, float]
     """The least of the tenth that is least alike, of neighbouring lines and of lines far from each other."""
     noise_m: float
-    """Range noise [m], or above it where hardly anything is smooth: from the twentieth of the shots that lie nearest to
+    """Range noise [m], or above it where hardly anything is smooth.
+
+    From the twentieth of the shots that lie nearest to
     the middle of their neighbours."""
     roughness: float
     """Median distance of a range from the middle of its two neighbours in the line."""
@@ -152,7 +159,10 @@ class Figures:
 
 
 def likeness(first: NDArray[Any], second: NDArray[Any], share: float = 0.5) -> float:
-    """Return the median difference of two arrays of logarithms, or another quantile; NaN with too few pairs."""
+    """Return the median difference of two arrays of logarithms, or another quantile.
+
+    NaN with too few pairs.
+    """
     off = np.abs(first - second).ravel()
     off = off[np.isfinite(off)]
     if len(off) < LEAST_PAIRS:
@@ -204,9 +214,12 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
 
 
 def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
-    """Return windows without the shots that none of the eight around is as far as; None where these are not few.
+    """Return windows without the shots that none of the eight around is as far as.
 
-    Where shots are shuffled, or numbers misread, most shots are alone: there is nothing to leave out.
+    None where these are not few.
+
+    Where shots are shuffled, or numbers misread, most shots are alone: there is nothing to leave
+    out.
     """
     cleared = []
     n_lonely = 0
@@ -233,7 +246,10 @@ def _alone(range_m: F32) -> Mask:
 
 
 def spread(windows: tuple[Window, ...]) -> list[F32]:
-    """Return the ranges of a few runs of lines, even over the stream; a short stream is cut into as many."""
+    """Return the ranges of a few runs of lines, even over the stream.
+
+    a short stream is cut into as many.
+    """
     n = min(len(windows), MOST_RUNS)
     chosen = [windows[round(i * (len(windows) - 1) / max(n - 1, 1))].range_m for i in range(n)]
     each = -(-MOST_RUNS // max(n, 1))
@@ -288,7 +304,10 @@ def _noise(range_m: F32) -> float:
 
 LEAST_OFF = 0.05
 LEAST_OFF_SIGMA = 0.0627 * 1.5**0.5
-"""A twentieth of normal deviations is within 0.0627 standard deviations; the middle of two neighbours has noise too."""
+"""A twentieth of normal deviations is within 0.0627 standard deviations.
+
+The middle of two neighbours has noise too.
+"""
 
 
 def _lonely(rows: F32) -> tuple[int, int]:
@@ -309,9 +328,9 @@ def _lonely(rows: F32) -> tuple[int, int]:
 def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
     """Return how alike lines far apart are if lines had another length, NaN if that cannot be told.
 
-    The stream behind each window is cut into lines of the given length, counted from the start of the stream. With the
-    right length, what moves with the scanner (its dead angle, the ground) keeps its columns all along; with a length
-    that is off by one it turns through all of them.
+    The stream behind each window is cut into lines of the given length, counted from the start of
+    the stream. With the right length, what moves with the scanner (its dead angle, the ground)
+    keeps its columns all along; with a length that is off by one it turns through all of them.
     """
     step = max(points_per_line // FOLD_COLUMNS, 1)
     profiles: list[F64] = []
@@ -330,7 +349,10 @@ def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
 
 
 def pieces(windows: tuple[Window, ...]) -> list[Window]:
-    """Cut a few lines at uneven distances: at even ones a wrong length may shift them by whole turns."""
+    """Cut a few lines at uneven distances.
+
+    At even ones a wrong length may shift them by whole turns.
+    """
     each = -(-FOLD_PIECES // max(len(windows), 1))
     found: list[Window] = []
     for window in windows:
@@ -378,7 +400,10 @@ class Turned:
 
 
 def most_turned(windows: tuple[Window, ...]) -> Turned | None:
-    """Return the place along the stream where a shift of all columns helps most; None in short streams."""
+    """Return the place along the stream where a shift of all columns helps most.
+
+    None in short streams.
+    """
     places = pieces(windows)
     found: list[Turned] = []
     profiles = [
@@ -406,7 +431,10 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
 
 
 def _offs_of_shifts(first: F64, second: F64) -> F64:
-    """Return the difference of two profiles, the second shifted by every number of columns; NaN with too few ranges."""
+    """Return the difference of two profiles, the second shifted by every number of columns.
+
+    NaN with too few ranges.
+    """
     n = len(first)
     column = np.arange(n)
     shifted = second[(column - column[:, None]) % n]
@@ -421,7 +449,9 @@ def _offs_of_shifts(first: F64, second: F64) -> F64:
 TURN_COLUMNS = 256
 """Approximate columns that are compared."""
 TURNED = 0.65
-"""With the right shift places along the stream differ by less than this part: at least 0.8 in all scans at hand, 0.07
+"""With the right shift places along the stream differ by less than this part.
+
+At least 0.8 in all scans at hand, 0.07
 to 0.55 where a buffer of shots was lost."""
 LEAST_TURN = 0.03
 """Smaller shifts, as a share of a line: surfaces that pass by shift as much."""
@@ -438,7 +468,10 @@ def _profile(lines: F32) -> F64:
 
 
 def _profile_off(first: F64, second: F64) -> float:
-    """Return the mean difference of two profiles, at most :data:`MISSING_OFF` a column; NaN with too few."""
+    """Return the mean difference of two profiles, at most :data:`MISSING_OFF` a column.
+
+    NaN with too few.
+    """
     known = np.isfinite(first) | np.isfinite(second)
     if np.count_nonzero(known) < LEAST_KNOWN:
         return float("nan")
@@ -464,7 +497,10 @@ class Seen:
     angle_rad: F64 | None = None
     """(M,) float64, scan angle of every column [rad]; None = unknown."""
     beam_rad: F64 | None = None
-    """(M,) float64, angle of every column from straight down as it is used [rad]; None = unknown or not needed."""
+    """(M,) float64, angle of every column from straight down as it is used [rad].
+
+    None = unknown or not needed.
+    """
     most_noise_m: float = math.inf
     """Most range noise that the method stands [m]."""
     has_rings: bool = False

@@ -1,8 +1,10 @@
-"""Checks of the geometry against level ground: where down is, the angle between shots, and the unit of length.
+"""Checks of the geometry against level ground.
 
-The ground is the plane that nearly every line of the sample shows below the scanner; what the plane says is compared
-with the angles and ranges in use. The angle between shots is compared with what all planes say. Without planes nothing
-is said.
+Where down is, the angle between shots, and the unit of length.
+
+The ground is the plane that nearly every line of the sample shows below the scanner; what the plane
+says is compared with the angles and ranges in use. The angle between shots is compared with what
+all planes say. Without planes nothing is said.
 """
 
 from __future__ import annotations
@@ -28,14 +30,19 @@ UNITS = "units"
 
 DOWN_DOUBTFUL_RAD = math.radians(11.0)
 DOWN_AGAINST_RAD = math.radians(20.0)
-"""Largest angle between the direction in use and the one that the ranges show: the guess is off by up to 2 deg in
+"""Largest angle between the direction in use and the one that the ranges show.
+
+The guess is off by up to 2 deg in
 streets and 8 deg in forests."""
 LOOKS_DOWN_RAD = math.radians(30.0)
 """A scanner looks down if it measures this near to straight down."""
 LEAST_ASIDE = 3.0
 """Where it does not, the ground must be so many times the runner-up."""
 LEAST_WINDOWS = 2
-"""Windows that look elsewhere for the drive to contradict itself; also at least a quarter of all."""
+"""Windows that look elsewhere for the drive to contradict itself.
+
+Also at least a quarter of all.
+"""
 ELSEWHERE_RAD = math.radians(40.0)
 """From here on a window looks elsewhere."""
 
@@ -56,11 +63,16 @@ FAR_FACTOR = 1.6
 UNEVEN_RAD = math.radians(2.0)
 """Beams that lie farther from a straight line in the column are not even."""
 MOST_OFF = 0.03
-"""Uncertainty of measured angles above which they are a doubt: the error is at most 2.1 times as large, and one of 5 %
-costs fused .02 of the mean F1 of streets, one of 20 % .11, in forests .43 (``python -m benchmarks.angles``)."""
+"""Uncertainty of measured angles above which they are a doubt.
+
+The error is at most 2.1 times as large, and one of 5 %
+costs fused .02 of the mean F1 of streets, one of 20 % .11, in forests .43 (``python -m
+benchmarks.angles``)."""
 
 USUAL_M = 2.0
-"""Scans are scaled to this depth, so that planes are found in any unit; of the units that are possible, the one that
+"""Scans are scaled to this depth, so that planes are found in any unit.
+
+Of the units that are possible, the one that
 brings the scanner nearest to this height is offered."""
 LOW_M = 0.4
 HIGH_M = 5.0
@@ -68,7 +80,9 @@ BLIND_LOW_M = 0.3
 BLIND_HIGH_M = 6.0
 LOWEST_M = 0.1
 HIGHEST_M = 50.0
-"""Depths of the ground: outside the first are doubtful; where down is not known outside the second, because a slant
+"""Depths of the ground: outside the first are doubtful.
+
+Where down is not known outside the second, because a slant
 makes the depth larger; outside the third against."""
 
 
@@ -125,7 +139,10 @@ def _corrected(seen: Seen, guess: DownGuess) -> str:
 
 
 def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
-    """Return the number of windows with ground in another direction for sure; 0 where they are few."""
+    """Return the number of windows with ground in another direction for sure.
+
+    0 where they are few.
+    """
     if len(seen.windows) < 2 * LEAST_WINDOWS:
         return 0
     n_off = 0
@@ -137,7 +154,10 @@ def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
 
 
 def check_angle_step(seen: Seen) -> Finding | None:
-    """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain."""
+    """Compare the angle between shots with the one that planes show.
+
+    Doubt a measured one that is uncertain.
+    """
     if seen.angle_rad is not None and are_radians(seen.angle_rad):
         found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
         hint = (
@@ -180,7 +200,10 @@ _MEASURED = "--set input.angles=measured"
 
 
 def _even_step(beam_rad: F64) -> float | None:
-    """Return the angle from column to column of even beams, without its sign; None where they are not even."""
+    """Return the angle from column to column of even beams, without its sign.
+
+    None where they are not even.
+    """
     beam = np.unwrap(beam_rad)
     column = np.arange(len(beam_rad))
     if len(beam) < 2:
@@ -195,7 +218,10 @@ UNITS_M = (0.001, 0.01, 0.3048, 1000.0)
 
 
 def check_height(seen: Seen) -> Finding | None:
-    """Compare the depth of the ground below the scanner with what platforms have: ranges may be in another unit."""
+    """Compare the depth of the ground below the scanner with what platforms have.
+
+    Ranges may be in another unit.
+    """
     lines = _lines(seen)
     if not len(lines):
         return None
@@ -249,7 +275,10 @@ def _lines(seen: Seen) -> F32:
 
 
 def _scale(beam_rad: F64, range_m: F32) -> float:
-    """Return the factor that brings the median depth below the scanner to :data:`USUAL_M`; 1 where nothing is there."""
+    """Return the factor that brings the median depth below the scanner to :data:`USUAL_M`.
+
+    1 where nothing is there.
+    """
     below = np.flatnonzero(np.abs(beam_rad) < ARC_RAD)
     below = below[spread_rows(len(below), MOST_ANGLES)]
     depth = range_m[:, below].astype(np.float64) * np.cos(beam_rad[below])

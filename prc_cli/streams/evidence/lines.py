@@ -1,7 +1,10 @@
-"""Checks of shots and lines by their ranges alone: in firing order, lines as long as they are said to be.
+"""Checks of shots and lines by their ranges alone.
 
-PRC compares a shot with its neighbours in the line and in the lines before and after (Lehtola et al. 2019, section II).
-All that follows asks whether these neighbours are alike, as consecutive shots of a scanner are.
+In firing order, lines as long as they are said to be.
+
+PRC compares a shot with its neighbours in the line and in the lines before and after (Lehtola et
+al. 2019, section II). All that follows asks whether these neighbours are alike, as consecutive
+shots of a scanner are.
 """
 
 from __future__ import annotations
@@ -125,7 +128,10 @@ MOST_ODD = 0.01
 """Share of numbers that are no range, nor stand for a missing one (0 or NaN)."""
 LEAST_RANGES = 2000
 READABLE = 0.1
-"""Likeness of neighbouring shots, as a share of that of random shots: at most 0.05 in all scans at hand."""
+"""Likeness of neighbouring shots, as a share of that of random shots.
+
+At most 0.05 in all scans at hand.
+"""
 MOST_HEADER_BYTES = 4096
 _SEED = 7
 
@@ -203,7 +209,10 @@ def _as_ranges(values: np.ndarray) -> tuple[float, float]:
 
 
 def _header_bytes(size: int, item_bytes: int, phase: int, points_per_line: int | None) -> int:
-    """Return the bytes before the first whole line, if they can be a header; else those before the first number."""
+    """Return the bytes before the first whole line, if they can be a header.
+
+    Else those before the first number.
+    """
     if points_per_line is not None:
         over = size % (item_bytes * points_per_line)
         if over % item_bytes == phase and over <= MOST_HEADER_BYTES:
@@ -232,31 +241,46 @@ LEAST_LINES = 24
 """Shorter streams are not judged."""
 ORDER_DOUBTFUL = 0.3
 ORDER_AGAINST = 0.7
-"""Likeness of neighbouring shots, as a share of that of random shots: at most 0.05 in all scans at hand, 1 in shuffled
+"""Likeness of neighbouring shots, as a share of that of random shots.
+
+At most 0.05 in all scans at hand, 1 in shuffled
 ones and in misread numbers."""
 LINE_DOUBTFUL = 0.12
 LINE_AGAINST = 0.4
 """The same of neighbouring lines: at most 0.03 in all scans at hand."""
 SECOND = 0.5
-"""A second neighbour this much more like a shot than the first: every other shot or line is of something else. In scans
+"""A second neighbour this much more like a shot than the first.
+
+Every other shot or line is of something else. In scans
 the second is less alike than the first."""
 ALIKE = 0.005
-"""Neighbouring lines this much alike are no lines of different scanners: where a turn has a number of shots and a half,
-every second line has the same angles, and differs by less than the others even while standing (0.001)."""
+"""Neighbouring lines this much alike are no lines of different scanners.
+
+Where a turn has a number of shots and a half,
+every second line has the same angles, and differs by less than the others even while standing
+(0.001)."""
 HALF = 2.0
-"""The next line turned round is as alike as the line after it, within this factor: every second line runs back."""
+"""The next line turned round is as alike as the line after it, within this factor.
+
+Every second line runs back.
+"""
 FAR_OFF = 1.5
 """A period so many times longer or shorter than M makes lines of several turns, or of a part of one."""
 AS_ALIKE = 1.25
-"""Shots a period apart must be as alike as those M apart within this factor: at most 1.05 in 32 scans read with 2 to
-100 times their M, or a half to a tenth of it; in a room half a turn is a period, and not as alike."""
+"""Shots a period apart must be as alike as those M apart within this factor.
+
+At most 1.05 in 32 scans read with 2 to
+100 times their M, or a half to a tenth of it; in a room half a turn is a period, and not as
+alike."""
 MOST_UNLIKE = 0.06
 """Likeness of the lines of a period where M cannot be compared: at most 0.02 in the same scans."""
 PERIOD_SHOTS = 1 << 17
 """Shots in which a period is looked for."""
 FOLD_DOUBTFUL = 1.05
 FOLD_AGAINST = 1.2
-"""How much better another line length must agree along the stream: at most 0.9 in all scans at hand, with M off by one
+"""How much better another line length must agree along the stream.
+
+At most 0.9 in all scans at hand, with M off by one
 1.16 to 7."""
 SHIFTS = 400
 """A scene that shifts from line to line moves the period by a share of it up to this."""
@@ -267,24 +291,35 @@ TURNED_AGAINST = 0.45
 SHIFT_NEAR = 0.012
 """A shift is known to this share of a line."""
 NEXT_CLEAR = 0.8
-"""Neighbouring lines of the right length differ by so much less than those of any other: 0.004 to 0.63 in 22 frames of
+"""Neighbouring lines of the right length differ by so much less than those of any other.
+
+0.004 to 0.63 in 22 frames of
 spinning scanners and 6 drives."""
 FRAME_SHOTS = 160
 """Lines of at most so many shots may be those of a spinning scanner, of 128 rings at most."""
 FAN_DEG = 60.0
-"""Beams of a spinning scanner lie closer: its lines far apart look other ways, and have nothing in common."""
+"""Beams of a spinning scanner lie closer.
+
+Its lines far apart look other ways, and have nothing in common.
+"""
 FOLD_SHORT = 1.25
 """The first limit for streams of fewer lines than a twelfth of M."""
 FOLD_LONG = 12
-"""Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
+"""Lines of a stream, as a part of M.
+
+With M off by one all columns turn by 30 deg in so many, and before that moving
 things shift as much."""
 FOLD_RANDOM = 0.8
 FOLD_NOTHING = 0.97
-"""Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
+"""Places along the stream that differ more than this have nothing in common, not even the ground.
+
+At most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
 MOVED_SAME = 1.6
 MOVED_AGAINST = 1.4
-"""Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
+"""Lines far apart must differ by so much more than neighbours.
+
+At least 2.1 in all scans at hand, 0.8 to 1.2 with
 shuffled lines and while standing."""
 MOVED_NOISE = 15.0
 """Changes of less than so many times the roughness of surfaces, in the tenth that changes most, may be noise and stray
@@ -295,7 +330,10 @@ apart, and .97 where each line comes 20 times."""
 STANDING_LINES = 200
 """Lines of a stream before standing is told: a stop at a light is none."""
 LONELY = 0.085
-"""Share of missing shots amid smooth surfaces: at most 0.06 in all scans at hand, 0.1 if a tenth of them is lost."""
+"""Share of missing shots amid smooth surfaces.
+
+At most 0.06 in all scans at hand, 0.1 if a tenth of them is lost.
+"""
 
 _ORDER_HINT = (
     "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
@@ -303,7 +341,10 @@ _ORDER_HINT = (
 
 
 def _share_of_random(difference: float, figures: Figures) -> float:
-    """Return a difference beside that of random shots; NaN where all shots see one surface at one distance."""
+    """Return a difference beside that of random shots.
+
+    NaN where all shots see one surface at one distance.
+    """
     return difference / figures.random if figures.random >= SMOOTH else math.nan
 
 
@@ -325,7 +366,10 @@ def check_shot_order(figures: Figures) -> Finding | None:
 
 
 def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
-    """Ask whether lines repeat after M shots; where all columns ``turned`` at one place, M is right."""
+    """Ask whether lines repeat after M shots.
+
+    Where all columns ``turned`` at one place, M is right.
+    """
     m = seen.points_per_line
     first = figures.line[0]
     if figures.random < SMOOTH:
@@ -392,7 +436,10 @@ def _next_alike(seen: Seen, lengths: list[int]) -> int | None:
 
 
 def is_shifted(turned: Turned | None, points_per_line: int) -> bool:
-    """Tell whether all columns shift at a single place; a wrong M shifts them from every line to the next."""
+    """Tell whether all columns shift at a single place.
+
+    a wrong M shifts them from every line to the next.
+    """
     if turned is None or turned.gain >= TURNED or turned.n_places > 1:
         return False
     n_shots = abs(turned.share) * points_per_line
@@ -434,7 +481,10 @@ def _repeating(period: int, m: int) -> Finding:
 
 
 def _step_alike(figures: Figures) -> int:
-    """Return how many lines later comes one that is far more alike than the next; 0 where none is."""
+    """Return how many lines later comes one that is far more alike than the next.
+
+    0 where none is.
+    """
     steps = (
         step
         for step in range(2, len(figures.line) + 1)
@@ -479,7 +529,10 @@ def _longest(seen: Seen) -> F32:
 
 
 def _is_as_alike(seen: Seen, period: int) -> bool:
-    """Return whether shots a period apart are as alike as those M apart; where these are too few, alike at all."""
+    """Return whether shots a period apart are as alike as those M apart.
+
+    Where these are too few, alike at all.
+    """
     logs = np.log(_longest(seen))
     m = seen.points_per_line
     of_period, of_m = (likeness(logs[:-lag], logs[lag:]) for lag in (period, m))

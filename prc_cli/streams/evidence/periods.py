@@ -1,10 +1,12 @@
 """Periods: how many shots make a line, and how many shots and lines a second.
 
-From ranges: consecutive lines of a mobile scanner see nearly the same profile, so ranges repeat after M shots
-(Lehtola et al. 2019, section II: shot i, i + M and i - M are neighbours), if missing shots are in the stream.
+From ranges: consecutive lines of a mobile scanner see nearly the same profile, so ranges repeat
+after M shots (Lehtola et al. 2019, section II: shot i, i + M and i - M are neighbours), if missing
+shots are in the stream.
 
-From times, where a file has neither line numbers, columns nor scan angles: shots are fired evenly, so the times of
-returns lie on a lattice; sky and ground come back once a line, so what returns, and how high it lies, repeats.
+From times, where a file has neither line numbers, columns nor scan angles: shots are fired evenly,
+so the times of returns lie on a lattice; sky and ground come back once a line, so what returns, and
+how high it lies, repeats.
 """
 
 from __future__ import annotations
@@ -23,7 +25,10 @@ MAX_SHOTS = 1 << 21
 MIN_LINES = 16
 """Least number of lines for an estimate."""
 WEAK = 0.35
-"""Least strength of an estimate: random ranges, random walks and streams of too few lines stay below."""
+"""Least strength of an estimate.
+
+Random ranges, random walks and streams of too few lines stay below.
+"""
 WEAK_PERIOD = 0.5
 """Least strength of a period that is offered as M."""
 RANDOM_PAIRS = 1_000_000
@@ -31,7 +36,10 @@ RANDOM_PAIRS = 1_000_000
 _MULTIPLES = 6
 """Multiples of the period at which the correlation must rise again."""
 _MULTIPLES_SEEN = 16
-"""Multiples checked where the stream is long enough: lines of different lengths lose step by then."""
+"""Multiples checked where the stream is long enough.
+
+Lines of different lengths lose step by then.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +50,8 @@ class PeriodEstimate:
     """M, None if there is no estimate."""
     strength: float
     """Least rise of the autocorrelation from between the lines to the next line, over the first multiples of
-    M: about 1 and more = lines alike, below :data:`WEAK` = no evidence; 0 if nothing could be computed."""
+    M: about 1 and more = lines alike, below :data:`WEAK` = no evidence; 0 if nothing could be
+    computed."""
     n_shots_used: int
     """Number of shots used."""
     reason: str
@@ -52,8 +61,9 @@ class PeriodEstimate:
 def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimate:
     """Estimate M from the autocorrelation of the logarithms of the ranges.
 
-    The correlation at a lag uses only pairs with two valid ranges, in products and energies. The smallest lag that
-    rises almost as high above the dip before it as any other is the fundamental; its visible multiples refine it.
+    The correlation at a lag uses only pairs with two valid ranges, in products and energies. The
+    smallest lag that rises almost as high above the dip before it as any other is the fundamental;
+    its visible multiples refine it.
     """
     flat = np.ravel(range_m)[:MAX_SHOTS].astype(np.float64)
     with np.errstate(invalid="ignore"):
@@ -89,7 +99,10 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
 
 
 def _autocorrelation(signal: F64, n_lags: int, valid: F64 | None = None) -> F64:
-    """Correlation at lags 0 to ``n_lags``, (n_lags + 1,): of the valid pairs, -1 to 1; of all, 1 at lag 0."""
+    """Correlation at lags 0 to ``n_lags``, (n_lags + 1,).
+
+    Of the valid pairs, -1 to 1; of all, 1 at lag 0.
+    """
     fft = np.fft  # that of SciPy takes 25 MiB more
     least_size = len(signal) + n_lags + 1
     size = min(odd << max(-(-least_size // odd) - 1, 0).bit_length() for odd in (1, 3, 5, 9, 15))
@@ -111,7 +124,10 @@ def _autocorrelation(signal: F64, n_lags: int, valid: F64 | None = None) -> F64:
 
 
 def _fundamental(correlation: F64) -> int:
-    """Return the smallest lag that rises almost as high above the dip before it as any lag does; 0 if none."""
+    """Return the smallest lag that rises almost as high above the dip before it as any lag does.
+
+    0 if none.
+    """
     dip = np.minimum.accumulate(correlation)
     rise = correlation - dip
     peaks = _peaks(correlation)
@@ -182,7 +198,10 @@ class RangeCorrelation:
     """Whether consecutive shots see the same surface."""
 
     ratio: float
-    """Median range step between neighbours over that between random pairs; NaN with too few pairs."""
+    """Median range step between neighbours over that between random pairs.
+
+    NaN with too few pairs.
+    """
     n_pairs: int
     """Number of neighbouring pairs with two valid ranges."""
 
@@ -405,10 +424,14 @@ def shot_period(time_s: F64) -> float:
 
 
 def _lattice(time_s: F64, usual: float) -> float:
-    """Return the step of a lattice on which times lie, refined over ever longer distances; ``usual`` = about it."""
+    """Return the step of a lattice on which times lie, refined over ever longer distances.
+
+    ``usual`` = about it.
+    """
     lag = 1
     while lag < len(time_s):
-        # the number of shots between two returns is certain only while the error has not grown to a share of a shot
+        # the number of shots between two returns is certain only while the error has not grown to a
+        # share of a shot
         distance = time_s[lag:] - time_s[:-lag]
         n_shots = np.rint(distance / usual)
         use = (n_shots >= 1) & (n_shots <= 4 * lag) & (np.abs(distance / usual - n_shots) < 0.25)
@@ -420,7 +443,10 @@ def _lattice(time_s: F64, usual: float) -> float:
 
 
 def _rounded_period(time_s: F64, quantum: float) -> float:
-    """Return the time from shot to shot where several share a stamp: from the longest stretches without a gap."""
+    """Return the time from shot to shot where several share a stamp.
+
+    From the longest stretches without a gap.
+    """
     best = 0.0
     width = 64
     while width < len(time_s):

@@ -1,7 +1,8 @@
 """Street or forest: what kind of place the first lines of a scan show.
 
-A road is smooth, and what stands beside it mostly too. The floor of a forest is rough, and what stands on it mostly
-leaves. Smooth is a shot near the line between two shots a little before and after it in its line.
+A road is smooth, and what stands beside it mostly too. The floor of a forest is rough, and what
+stands on it mostly leaves. Smooth is a shot near the line between two shots a little before and
+after it in its line.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ JOINED_STEPS = 6.0
 """Shots are on one surface if the two are at most this far apart, or this many times their distance across the beam."""
 SMOOTH_M = 0.015
 SMOOTH_PER_M = 0.002
-"""A smooth shot is this near to the line, and so much farther per metre of range: roads are rough to 5 mm, ranges of
+"""A smooth shot is this near to the line, and so much farther per metre of range.
+
+Roads are rough to 5 mm, ranges of
 coarse scanners to 10 mm, plants to 5 cm."""
 LOW_RAD = math.radians(75.0)
 LOW_M = 15.0
@@ -41,14 +44,18 @@ LEAST_HIGH_SHARE = 0.01
 """With fewer shots on high things, of all cells, nothing stands there."""
 FOREST_SCORE = 0.98
 OPEN_SCORE = 0.05
-"""The smooth share of the ground, and a third of that of what stands higher: 0.99 and more in streets, forests have
-0.5 to 0.97. Chosen on 31 simulated streets (of four scanners) and 10 forests. So near to it more lines are looked at:
-coarse noisy scanners have 0.978 in 64 lines of a street, 1.02 and more in 256."""
+"""The smooth share of the ground, and a third of that of what stands higher.
+
+0.99 and more in streets, forests have
+0.5 to 0.97. Chosen on 31 simulated streets (of four scanners) and 10 forests. So near to it more
+lines are looked at: coarse noisy scanners have 0.978 in 64 lines of a street, 1.02 and more in
+256."""
 CLOSE_SCORE = 0.03
 """So near to it the kind is in doubt."""
 BUILT_SHARE = 0.42
 """Where less than this share of what stands higher is smooth, a place with a smooth floor may be a park, or a forest
-whose floor is level: of 48 simulated streets one has less in 256 lines, forests have 0.05 to 0.41, a park 0.2."""
+whose floor is level: of 48 simulated streets one has less in 256 lines, forests have 0.05 to 0.41,
+a park 0.2."""
 
 
 Kind = Literal["street", "forest", "unknown"]
@@ -113,7 +120,10 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
 
 
 def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return which shots have both others on one surface, and which of all are smooth; without k columns each side."""
+    """Return which shots have both others on one surface, and which of all are smooth.
+
+    Without k columns each side.
+    """
     r = range_m.astype(np.float64)
     y = r * np.sin(beam_rad)
     z = -r * np.cos(beam_rad)
@@ -130,7 +140,10 @@ def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarra
 
 
 def place_of_blocks(blocks: Iterator[ScanBlock]) -> Place:
-    """Tell the place from the first lines of the first scanner, however cut; needs beam directions."""
+    """Tell the place from the first lines of the first scanner, however cut.
+
+    Needs beam directions.
+    """
     rows: list[F32] = []
     beam_rad: F64 | None = None
     first: Place | None = None

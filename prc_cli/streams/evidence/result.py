@@ -1,12 +1,12 @@
 """Checks of the result: labels that no rightly told scan gets.
 
-A wrong direction of down, a wrong M or damaged ranges show in the labels: the ground is not below the scanner or leans,
-things lie below it, most of the scan is noise. The shares that are usual differ between methods
-(:class:`prc_cli.methods.base.UsualLabels`).
+A wrong direction of down, a wrong M or damaged ranges show in the labels: the ground is not below
+the scanner or leans, things lie below it, most of the scan is noise. The shares that are usual
+differ between methods (:class:`prc_cli.methods.base.UsualLabels`).
 
-Lines are kept while they pass: every n-th, in up to 128 of their columns; n doubles whenever there are too many. All
-figures are computed from these when they are asked for. The choice depends on the line numbers alone, so the findings
-depend neither on threads nor on the reader's chunks.
+Lines are kept while they pass: every n-th, in up to 128 of their columns; n doubles whenever there
+are too many. All figures are computed from these when they are asked for. The choice depends on the
+line numbers alone, so the findings depend neither on threads nor on the reader's chunks.
 """
 
 from __future__ import annotations
@@ -125,7 +125,10 @@ class _Kept:
 
 
 def _columns_with_returns(range_m: F32) -> I64:
-    """Return evenly spread columns, (n,) int64; where these miss most returns, of the columns that have some."""
+    """Return evenly spread columns, (n,) int64.
+
+    Where these miss most returns, of the columns that have some.
+    """
     step = -(-range_m.shape[1] // MAX_COLUMNS)
     even = np.arange((step - 1) // 2, range_m.shape[1], step)
     n_returns = np.count_nonzero(np.isfinite(range_m), axis=0)
@@ -170,7 +173,10 @@ class ResultWatch:
         kept.add(item)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the answers of all checks to what has passed so far; too little to tell gives no finding."""
+        """Return the answers of all checks to what has passed so far.
+
+        Too little to tell gives no finding.
+        """
         scanners = sorted(self._scanners.items())
         return tuple(worst_of({one: self._fitted(kept.sample()) for one, kept in scanners}))
 
@@ -409,7 +415,10 @@ def _along(
 
 
 def _share(part: F64, whole: F64) -> F64:
-    """Return shares pooled over as many stretches as make a long one; NaN where there are too few returns."""
+    """Return shares pooled over as many stretches as make a long one.
+
+    NaN where there are too few returns.
+    """
     kernel = np.ones(LONG_STRETCHES)
     parts = np.convolve(part, kernel, "valid")
     wholes = np.convolve(whole, kernel, "valid")

@@ -1,7 +1,7 @@
 """The table of checks: what each asks, its limit, why the limit is that number, and what it cannot see.
 
-``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use these names. The limits of the result
-are those of :class:`prc_cli.methods.base.UsualLabels` of every method.
+``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use these names. The
+limits of the result are those of :class:`prc_cli.methods.base.UsualLabels` of every method.
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ def verdict(*, doubtful: bool, against: bool = False) -> Verdict:
 
 
 def worst_of(by_scanner: Mapping[int, Iterable[Finding]]) -> list[Finding]:
-    """Return one answer to every check: of several scanners the worst, with the name of the scanner."""
+    """Return one answer to every check.
+
+    Of several scanners the worst, with the name of the scanner.
+    """
     found: dict[str, Finding] = {}
     for scanner, findings in by_scanner.items():
         for one in findings:

@@ -1,7 +1,8 @@
 """Watches a stream while it passes, and asks all checks of it.
 
-Nothing is read twice: a bounded sample of the lines is kept while blocks pass. Evidence against the input is raised as
-soon as the sample is full for the first time, and again at the end; outputs get their final name later.
+Nothing is read twice: a bounded sample of the lines is kept while blocks pass. Evidence against the
+input is raised as soon as the sample is full for the first time, and again at the end; outputs get
+their final name later.
 """
 
 from __future__ import annotations
@@ -90,7 +91,10 @@ class EvidenceStream(Brief):
             refuse(self.info.path, self._final)
 
     def _see(self, block: ScanBlock) -> bool:
-        """Take what is needed of a block; return whether the sample of its scanner became full just now."""
+        """Take what is needed of a block.
+
+        Return whether the sample of its scanner became full just now.
+        """
         self._tally += block.tally
         self._repeats.add(block)
         one = self._scanners.get(block.scanner)
@@ -135,11 +139,17 @@ class EvidenceStream(Brief):
         )
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the answers of all checks once the stream was read to its end; before that, none."""
+        """Return the answers of all checks once the stream was read to its end.
+
+        Before that, none.
+        """
         return self._final
 
     def see(self, block: ScanBlock) -> int:
-        """Take what is needed of a block that is read elsewhere; return how often samples have been full."""
+        """Take what is needed of a block that is read elsewhere.
+
+        Return how often samples have been full.
+        """
         self._see(block)
         return sum(one.sample.n_full for one in self._scanners.values())
 
@@ -170,7 +180,10 @@ class EvidenceStream(Brief):
 def _ask_of_all(
     seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]
 ) -> tuple[Finding, ...]:
-    """Ask all checks of every scanner; ``others`` are answers to what was asked of the whole stream."""
+    """Ask all checks of every scanner.
+
+    ``others`` are answers to what was asked of the whole stream.
+    """
     told = {
         one.scanner: [
             _fitted(with_other_reading(each, one.info.path, one.points_per_line), one)
@@ -251,7 +264,10 @@ class LiveEvidence:
         self.hear(self._watch.question(is_whole=True)())
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the worst answer of every check so far: what was labelled in doubt stays doubtful."""
+        """Return the worst answer of every check so far.
+
+        What was labelled in doubt stays doubtful.
+        """
         return tuple(self._worst.values())
 
     def hear(self, findings: Iterable[Finding]) -> None:

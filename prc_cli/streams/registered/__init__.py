@@ -1,7 +1,7 @@
 """The stream from a registered cloud: lines, columns and ranges from coordinates and times alone.
 
-A rotating scanner turns evenly, so the bearing of a shot in its own scan plane is known from its time. Every scan line
-is then a resection: known bearings to known points, an unknown station.
+A rotating scanner turns evenly, so the bearing of a shot in its own scan plane is known from its
+time. Every scan line is then a resection: known bearings to known points, an unknown station.
 
 - :mod:`.rotation` finds how fast the beam turns.
 - :mod:`.resection` finds the station and the frame of single lines, in closed form.

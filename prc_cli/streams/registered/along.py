@@ -1,7 +1,9 @@
-"""The stream of a cloud whose path is given: rate and frames of the beam from the directions to the points.
+"""The stream of a cloud whose path is given.
 
-A tile is cut and sorted in space, so neither the first records nor whole lines tell the rate. The directions of short
-pieces do: they turn evenly in a plane through the scanner.
+Rate and frames of the beam from the directions to the points.
+
+A tile is cut and sorted in space, so neither the first records nor whole lines tell the rate. The
+directions of short pieces do: they turn evenly in a plane through the scanner.
 """
 
 from __future__ import annotations
@@ -115,7 +117,9 @@ def rate_of_directions(time_s: F64, offset_m: F64) -> float | None:
 def windows_along(
     time_s: F64, xyz_m: F64, station_m: F64, turning: Turning, spacing_s: float
 ) -> Windows:
-    """Return the frames of single lines whose stations are given; see :func:`.start.stations_of_lines`.
+    """Return the frames of single lines whose stations are given.
+
+    See :func:`.start.stations_of_lines`.
 
     Parameters
     ----------
@@ -187,7 +191,9 @@ def _with_bearings(
 
 
 def turning_along(time_s: F64, xyz_m: F64, places: Places) -> Turning | None:
-    """Find the rate of turns of a scanner whose path is given; None where the directions do not turn.
+    """Find the rate of turns of a scanner whose path is given.
+
+    None where the directions do not turn.
 
     Parameters
     ----------

@@ -1,7 +1,10 @@
-"""Holds a trajectory against the path that was found from the points: its clock, its lever arm, its coordinates.
+"""Holds a trajectory against the path that was found from the points.
 
-The scanner lies at a constant place in the frame of the vehicle, so path less trajectory is constant on the axes of
-the scanner once the clocks agree. Where the speed changes, the clock and the lever arm along the path are told apart.
+Its clock, its lever arm, its coordinates.
+
+The scanner lies at a constant place in the frame of the vehicle, so path less trajectory is
+constant on the axes of the scanner once the clocks agree. Where the speed changes, the clock and
+the lever arm along the path are told apart.
 """
 
 from __future__ import annotations
@@ -25,7 +28,10 @@ BATCH = 512
 LEAST_OVERLAP = 0.5
 """Share of the path that the trajectory must cover."""
 FAR_M = 15.0
-"""Farther from the path, a trajectory is in other coordinates or of another drive: no vehicle is longer [m]."""
+"""Farther from the path, a trajectory is in other coordinates or of another drive.
+
+No vehicle is longer [m].
+"""
 FAR_HEIGHT_M = 10.0
 """Heights that differ by more are of other systems, not of a lever arm [m]."""
 FOOT_M = 0.3048
@@ -33,7 +39,10 @@ MUCH_NEARER = 0.1
 """Share of the distance that another unit must leave."""
 MOST_CLOCKS = 5
 APART_S = 1.0
-"""Clocks from which the fit begins, and how far they are apart [s]: a street may be passed twice."""
+"""Clocks from which the fit begins, and how far they are apart [s].
+
+a street may be passed twice.
+"""
 ALIKE_FITS = 1.5
 """Fits that leave less than this multiple of the least are alike."""
 LEAST_CLOCK_S = 5e-4
@@ -53,7 +62,10 @@ STRAIGHT_M = 1.0
 """A path that leaves its straight line by less (standard deviation) has no shape [m]."""
 ALIKE_M = 2.0
 ALIKE_SHARE = 0.03
-"""Shapes are alike within this, or this share of their extent: a lever arm turns with the vehicle."""
+"""Shapes are alike within this, or this share of their extent.
+
+a lever arm turns with the vehicle.
+"""
 MOST_DEGREES = (180.0, 90.0)
 LEAST_METRES = 1000.0
 """Coordinates beyond this are no degrees."""
@@ -102,7 +114,10 @@ class Comparison:
 
     scanner: int
     distance_m: float
-    """Median distance of the path from the trajectory as it is given [m]; NaN where their times do not overlap."""
+    """Median distance of the path from the trajectory as it is given [m].
+
+    NaN where their times do not overlap.
+    """
     clock_s: float
     """What the trajectory's times lack [s]."""
     clock_sigma_s: float
@@ -190,7 +205,10 @@ def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
 
 
 def _clocks(sample: _Sample, trajectory: Positions) -> F64:
-    """Return the clocks that are tried, all at which enough of the path is covered; 0 is one of them."""
+    """Return the clocks that are tried, all at which enough of the path is covered.
+
+    0 is one of them.
+    """
     first_s, last_s = sample.time_s[[0, -1]]
     low = first_s - trajectory.time_s[-1]
     high = last_s - trajectory.time_s[0]
@@ -264,7 +282,10 @@ def _best_fit(
 
 
 def _fit(scanner: int, sample: _Sample, trajectory: Positions, clock_s: float) -> Comparison:
-    """Fit clock and lever arm together; the clock as it is given where the drive does not tell of another."""
+    """Fit clock and lever arm together.
+
+    The clock as it is given where the drive does not tell of another.
+    """
     height_m = _height_off(sample, trajectory, clock_s)
     misfit = ""
     if abs(height_m) > FAR_HEIGHT_M:
@@ -345,7 +366,10 @@ def _solve(sample: _Sample, trajectory: Positions, clock_s: float, *, with_clock
 
 
 def _clock_sigma(off_m: F64, weight: F64, stiffness: float, time_s: F64) -> float:
-    """Return the standard deviation of the clock [s]; neighbouring errors are alike and count as one."""
+    """Return the standard deviation of the clock [s].
+
+    Neighbouring errors are alike and count as one.
+    """
     variance = float((weight[:, None] * off_m * off_m).sum()) / max(2.0 * float(weight.sum()), 1e-9)
     n_times = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
     alike = max(len(time_s) / n_times, 1.0)
@@ -353,7 +377,10 @@ def _clock_sigma(off_m: F64, weight: F64, stiffness: float, time_s: F64) -> floa
 
 
 def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
-    """Say what a trajectory that lies far from the path may be: in other coordinates, or of another drive."""
+    """Say what a trajectory that lies far from the path may be.
+
+    In other coordinates, or of another drive.
+    """
     far = f"the trajectory lies {distance_m:,.0f} m from the path found, at the best of all clocks"
     xy = np.abs(trajectory.xyz_m[:, :2]).max(axis=0)
     in_degrees = bool(np.all(xy <= MOST_DEGREES))
@@ -375,7 +402,10 @@ def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
 
 
 def _moved_as_given(sample: _Sample, trajectory: Positions) -> str:
-    """Say by what a trajectory is moved throughout, with the clock as it is given; empty if by nothing constant."""
+    """Say by what a trajectory is moved throughout, with the clock as it is given.
+
+    Empty if by nothing constant.
+    """
     if not trajectory.covers(sample.time_s).all():
         return ""
     off = sample.xyz_m - trajectory.xyz_at(sample.time_s)

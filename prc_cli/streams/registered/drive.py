@@ -405,7 +405,8 @@ def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tup
     range_m
         (n,) float64 [m].
     by_time
-        Whether points of one time are returns of one shot; else the cloud itself says so, or every point is a shot.
+        Whether points of one time are returns of one shot; else the cloud itself says so, or every
+        point is a shot.
     """
     if by_time:
         is_first = np.diff(records["time"], prepend=-np.inf) > 0

@@ -79,7 +79,10 @@ class Placed:
 
     @property
     def height_m(self) -> float:
-        """Return the height of the scanner above the ground [m]; NaN where no point lies near straight down."""
+        """Return the height of the scanner above the ground [m].
+
+        NaN where no point lies near straight down.
+        """
         return float(np.median(self.heights_m)) if self.heights_m else math.nan
 
     @property
@@ -117,7 +120,10 @@ class PathFigures:
     points_s: tuple[float, float]
     """Times of the first and the last point [s]."""
     height_m: float = math.nan
-    """Height of the scanner above the ground, the median over points near straight down [m]; NaN = not known."""
+    """Height of the scanner above the ground, the median over points near straight down [m].
+
+    NaN = not known.
+    """
     scanner: int = 0
     """Number of the scanner that made the pass; 0 where there is one."""
 

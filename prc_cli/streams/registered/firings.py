@@ -1,7 +1,10 @@
-"""The firings of a spinning head: which shots were fired together, from the times of the points of every ring.
+"""The firings of a spinning head.
 
-A ring fires at the same place of every firing, so the times of its points are whole firings apart. The clock of the
-points and that of the scanner may drift, so the phase of the firings is followed along the drive.
+Which shots were fired together, from the times of the points of every ring.
+
+A ring fires at the same place of every firing, so the times of its points are whole firings apart.
+The clock of the points and that of the scanner may drift, so the phase of the firings is followed
+along the drive.
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ NEIGHBOURS = 1.5
 SAME = 1e-3
 """Places nearer than this are the same, as a share of a firing."""
 MIN_EVENNESS = 0.8
-"""Least length of the mean phase of a ring's points, 0 to 1: times to a tenth of a firing give 0.94."""
+"""Least length of the mean phase of a ring's points, 0 to 1.
+
+Times to a tenth of a firing give 0.94.
+"""
 BLOCK_S = 0.05
 """The phase is followed from block to block of this length [s]."""
 
@@ -42,7 +48,10 @@ class Firings:
     evenness: float
     """How evenly the rings fire, 0 to 1."""
     before: tuple[float, float] = (math.nan, 0.0)
-    """Time [s] and drift of the phase, in firings, of the last block followed; not a number at first."""
+    """Time [s] and drift of the phase, in firings, of the last block followed.
+
+    Not a number at first.
+    """
 
 
 def find_firings(time_s: F64, ring: I64, ahead_rad: F64, turn_hz: float) -> Firings | None:
@@ -113,7 +122,8 @@ def firing_numbers(
     firings
         As found, or as returned with the piece before.
     shot_s
-        (n,) float64, the times of the shots by their azimuths, if the times themselves are too coarse [s].
+        (n,) float64, the times of the shots by their azimuths, if the times themselves are too
+        coarse [s].
 
     Returns
     -------
@@ -149,7 +159,10 @@ def starting(firings: Firings, time_s: float) -> Firings:
 
 
 def line_numbers(number: I64, ring: I64, firings: Firings) -> I64:
-    """Return the line of every point: shots of a line look one way, as rings that look ahead fire earlier there."""
+    """Return the line of every point.
+
+    Shots of a line look one way, as rings that look ahead fire earlier there.
+    """
     lines: I64 = np.where(ring >= 0, number - firings.late[ring], -1)
     return lines
 

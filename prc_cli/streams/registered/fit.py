@@ -1,4 +1,7 @@
-"""Finds how a scanner moved and turned from its points, in three steps: rate, first guess, smooth path."""
+"""Finds how a scanner moved and turned from its points, in three steps.
+
+Rate, first guess, smooth path.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ LEAST_WINDOWS = 20
 POINTS_BETWEEN_KNOTS = 120
 """Points that are used between two knots."""
 MOST_WHOLE_M = 0.08
-"""Lines are looked at as arcs where whole lines fit worse than this (median) [m]: the platform moves meanwhile."""
+"""Lines are looked at as arcs where whole lines fit worse than this (median) [m].
+
+The platform moves meanwhile.
+"""
 ARC_GAIN = 0.3
 """Lines are arcs where that lowers the residual of whole lines to this share."""
 LEAST_TRUSTED = 3
@@ -67,7 +73,10 @@ class Track:
 
 
 def window_spacing(duration_s: float) -> float:
-    """Return the time between the lines whose station is found alone [s]; less than usual in short passes."""
+    """Return the time between the lines whose station is found alone [s].
+
+    Less than usual in short passes.
+    """
     return min(WINDOW_SPACING_S, duration_s / LEAST_WINDOWS)
 
 
@@ -177,7 +186,10 @@ def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator
 
 
 def _smooth_all(pieces: PassPieces, turning: Turning, knots: Knots, share_trusted: float) -> Track:
-    """Smooth the knots in overlapping segments; neighbouring segments give half of what they share."""
+    """Smooth the knots in overlapping segments.
+
+    Neighbouring segments give half of what they share.
+    """
     n = len(knots.time_s)
     sigma = np.zeros((n, 3))
     slope = 0.0

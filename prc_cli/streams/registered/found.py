@@ -1,4 +1,7 @@
-"""The path of a scanner as it was found, with its uncertainty: for users, and to hold a trajectory against it."""
+"""The path of a scanner as it was found, with its uncertainty.
+
+For users, and to hold a trajectory against it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ from prc_cli.streams.registered.spinning_drive import SpinningDrive
 def found_paths(drive: Drive | SpinningDrive) -> tuple[FoundPath, ...]:
     """Return the path of every scanner of a drive.
 
-    Every pass reaches from its first to its last point, so that a trajectory of it holds all points.
+    Every pass reaches from its first to its last point, so that a trajectory of it holds all
+    points.
     """
     passes = drive.paths if isinstance(drive, SpinningDrive) else _paths_of_passes(drive)
     by_scanner: dict[int, list[FoundPath]] = {}
@@ -62,7 +66,10 @@ def _path_of_pass(drive: Drive, number: int) -> FoundPath:
 
 
 def _level_frames(scan: Scan) -> F64:
-    """Return the axes of the scanner at its knots, (k, 3, 3): they stay while its mirror wanders."""
+    """Return the axes of the scanner at its knots, (k, 3, 3).
+
+    They stay while its mirror wanders.
+    """
     knots = scan.knots
     down, _ = down_bearings(knots)
     since = knots.time_s - knots.time_s[0]

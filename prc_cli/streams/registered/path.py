@@ -1,9 +1,10 @@
 """The path of the scanner: station and frame over time, smooth, from all lines together.
 
-Knots lie about one turn of the beam apart; between them the station is a straight line and the frame an even turn.
-Gauss-Newton minimises, with Cauchy weights, the distance of every point from its beam (in the scan plane and across
-it), and the changes of speed and of turn between neighbouring knots. So a line that cannot tell its station alone, such
-as one of open ground, is held by its neighbours.
+Knots lie about one turn of the beam apart; between them the station is a straight line and the
+frame an even turn. Gauss-Newton minimises, with Cauchy weights, the distance of every point from
+its beam (in the scan plane and across it), and the changes of speed and of turn between
+neighbouring knots. So a line that cannot tell its station alone, such as one of open ground, is
+held by its neighbours.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ SPEED_CHANGE_M_S2 = 4.0
 TURN_CHANGE_RAD_S2 = 6.0
 """Usual change of its turn: a pot hole, the sway of a walker [rad/s2]."""
 SCALES_M = (1.0, 0.3, 0.1, 0.05)
-"""Residuals at which the weight of a point halves, round by round [m]; the last one then follows the residuals."""
+"""Residuals at which the weight of a point halves, round by round [m].
+
+The last one then follows the residuals.
+"""
 LEAST_SCALE_M = 0.01
 MOST_FINE_ROUNDS = 10
 STEEPEST = 0.1
@@ -53,7 +57,10 @@ class Knots:
 
 @dataclass(frozen=True, slots=True)
 class FoundPath:
-    """Where one scanner was, and how it stood, at ``k`` times of all its passes; straight lines in between."""
+    """Where one scanner was, and how it stood, at ``k`` times of all its passes.
+
+    Straight lines in between.
+    """
 
     scanner: int
     time_s: F64
@@ -104,11 +111,16 @@ class Fit:
     sigma_m: F64
     """(k, 3) float64, standard deviation of the stations [m]."""
     slope: float
-    """Rise of the beam along the axis per metre across it: tangent of the cone on which the beam turns."""
+    """Rise of the beam along the axis per metre across it.
+
+    Tangent of the cone on which the beam turns.
+    """
 
 
 def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
-    """Return positions on the straight lines between knots, (n, 3) [m]; beyond them the speed goes on.
+    """Return positions on the straight lines between knots, (n, 3) [m].
+
+    Beyond them the speed goes on.
 
     Parameters
     ----------
@@ -131,7 +143,10 @@ def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
 
 
 def rotation_vectors(matrices: F64) -> F64:
-    """Return the rotation vectors of rotation matrices (k, 3, 3), (k, 3) [rad]; for turns well below half a turn."""
+    """Return the rotation vectors of rotation matrices (k, 3, 3), (k, 3) [rad].
+
+    For turns well below half a turn.
+    """
     skew = matrices - np.swapaxes(matrices, 1, 2)
     vector = 0.5 * np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     sine = np.linalg.norm(vector, axis=1)
@@ -208,8 +223,8 @@ def smooth(knots: Knots, observed: Observations, slope: float = 0.0) -> Fit:
     Returns
     -------
     Fit
-        The path with its residuals. Its standard deviations are those of the normal equations, for the spread that the
-        residuals have.
+        The path with its residuals. Its standard deviations are those of the normal equations, for
+        the spread that the residuals have.
     """
     centre = knots.position_m.mean(axis=0)
     knots = replace(knots, position_m=knots.position_m - centre)
@@ -238,7 +253,10 @@ def smooth(knots: Knots, observed: Observations, slope: float = 0.0) -> Fit:
 
 
 def _stepped(knots: Knots, step: F64) -> Knots:
-    """Move knots by a step (k, 6); long moves of a station are cut, since they leave the linear part."""
+    """Move knots by a step (k, 6).
+
+    Long moves of a station are cut, since they leave the linear part.
+    """
     length = np.linalg.norm(step[:, 3:], axis=1)
     cut = np.minimum(1.0, LONGEST_STEP_M / np.maximum(length, 1e-12))[:, None]
     turn = np.linalg.norm(step[:, :3], axis=1)
@@ -362,7 +380,8 @@ def _add_smoothness(blocks: F64, gradient: F64, knots: Knots, turn: F64, scale_m
     before = step[:-1]
     after = step[1:]
     span = 0.5 * (before + after)
-    # a change of speed over the mean step, as a length; points count per residual scale of a centimetre
+    # a change of speed over the mean step, as a length; points count per residual scale of a
+    # centimetre
     usual_m = SPEED_CHANGE_M_S2 * span
     usual_rad = TURN_CHANGE_RAD_S2 * span
     noise = min(scale_m, 0.02)
@@ -390,7 +409,10 @@ def _add_smoothness(blocks: F64, gradient: F64, knots: Knots, turn: F64, scale_m
 
 
 def _banded(blocks: F64) -> F64:
-    """Return lower diagonals (18, 6 k) of block rows: blocks[k, j] couples knot k with knot k + j."""
+    """Return lower diagonals (18, 6 k) of block rows.
+
+    Blocks[k, j] couples knot k with knot k + j.
+    """
     n = len(blocks)
     banded = np.zeros((18, 6 * n))
     for j in range(3):
@@ -399,7 +421,8 @@ def _banded(blocks: F64) -> F64:
                 diagonal = 6 * j + row - column
                 if diagonal < 0:
                     continue
-                # element (6 (k + j) + row, 6 k + column); blocks hold [k, k + j] = (column of k, row of k + j)
+                # element (6 (k + j) + row, 6 k + column); blocks hold [k, k + j] = (column of k,
+                # row of k + j)
                 banded[diagonal, column::6] = blocks[:, j, column, row]
     return banded
 
@@ -410,7 +433,8 @@ def inverse_blocks(banded: F64) -> F64:
     Parameters
     ----------
     banded
-        (18, 6 k) float64, lower diagonals of a positive definite matrix whose blocks couple at most two knots apart.
+        (18, 6 k) float64, lower diagonals of a positive definite matrix whose blocks couple at most
+        two knots apart.
     """
     n = banded.shape[1] // 6
     n_pairs = -(-n // 2)

@@ -34,7 +34,10 @@ class Stations:
     in_front: F64
     """(w,) float64, share of the points that lie in front of the beam, not behind it."""
     spread_m: F64
-    """(w,) float64, spread of the points across their main direction, in the plane [m]; small on open ground."""
+    """(w,) float64, spread of the points across their main direction, in the plane [m].
+
+    Small on open ground.
+    """
 
     @property
     def misfit_m(self) -> F64:
@@ -95,9 +98,9 @@ def fit_planes(xyz_m: F64, weight: F64) -> Planes:
 def resect(planes: Planes, xyz_m: F64, bearing_rad: F64, weight: F64, sense: int) -> Stations:
     """Find the station of every window from bearings in its plane.
 
-    With C and S the cosine and sine of the unknown turn, q a point, a its bearing and v the turned station,
-    ``C (q x a) + S (q . a) + (-sin, cos) . v = 0`` is linear and homogeneous: v is eliminated, and the smallest
-    eigenvector of a 2 x 2 matrix is (C, S).
+    With C and S the cosine and sine of the unknown turn, q a point, a its bearing and v the turned
+    station, ``C (q x a) + S (q . a) + (-sin, cos) . v = 0`` is linear and homogeneous: v is
+    eliminated, and the smallest eigenvector of a 2 x 2 matrix is (C, S).
 
     Parameters
     ----------
@@ -160,7 +163,10 @@ def resect(planes: Planes, xyz_m: F64, bearing_rad: F64, weight: F64, sense: int
 
 
 def masked_median(values: F64, weight: F64) -> F64:
-    """Return the median of every row of (w, n) where the weight is not 0, (w,); infinite where there is no value."""
+    """Return the median of every row of (w, n) where the weight is not 0, (w,).
+
+    Infinite where there is no value.
+    """
     ordered = np.sort(np.where(weight > 0, values, np.inf), axis=1)
     middle = np.maximum(np.count_nonzero(weight > 0, axis=1) - 1, 0) // 2
     median: F64 = np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0]

@@ -1,7 +1,7 @@
 """How fast the beam turns: the rate at which the points of short pieces fit a turning beam.
 
-A wrong rate bends every plane: no station sees the points of a piece under bearings that grow by it. So one rate has
-a clear minimum of the residual, without a gap in the times, a whole line or M.
+A wrong rate bends every plane: no station sees the points of a piece under bearings that grow by
+it. So one rate has a clear minimum of the residual, without a gap in the times, a whole line or M.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ CLEAR_IN_FRONT = 0.98
 LEAST_CONTRAST = 4.0
 MOST_RESIDUAL_M = 0.15
 LEAST_IN_FRONT = 0.9
-"""No rotation fits where one of these is not met: 0.29 m in an airborne strip, 0.1 m with times in steps of 100 us."""
+"""No rotation fits where one of these is not met.
+
+0.29 m in an airborne strip, 0.1 m with times in steps of 100 us.
+"""
 MOST_RATE_OFF = 1e-3
 """Rates of turns and of lines that differ by less are the same."""
 
@@ -105,7 +108,10 @@ class Rotation:
     residual_m: float
     """Median residual of the pieces [m]."""
     contrast: float
-    """Residual away from the minimum, in residuals of the minimum: near 1 where no rate fits better."""
+    """Residual away from the minimum, in residuals of the minimum.
+
+    Near 1 where no rate fits better.
+    """
     in_front: float
     """Median share of points in front of the beam."""
 
@@ -129,7 +135,9 @@ class Rotation:
 
 
 def cut_pieces(time_s: F64, xyz_m: F64, length_s: float, n_pieces: int) -> Pieces | None:
-    """Choose pieces of consecutive points, spread evenly over the points; None where there are too few.
+    """Choose pieces of consecutive points, spread evenly over the points.
+
+    None where there are too few.
 
     Parameters
     ----------

@@ -14,7 +14,10 @@ from prc_cli.streams.registered.rotation import Turning
 
 TURN = 2.0 * math.pi
 LEVEL_S = 10.0
-"""Straight down is averaged over about this time: the platform rolls, the mirror wanders more slowly [s]."""
+"""Straight down is averaged over about this time.
+
+The platform rolls, the mirror wanders more slowly [s].
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,10 @@ class Scan:
         return Cells(line, column, range_m)
 
     def _columns_by_bearing(self, turns: F64, line: I64) -> I64:
-        """Return the columns of measured bearings; of two in one column one moves to a free one beside it."""
+        """Return the columns of measured bearings.
+
+        Of two in one column one moves to a free one beside it.
+        """
         order = np.argsort(turns, kind="stable")
         column = np.minimum(
             ((turns - line) * self.shots_per_turn).astype(np.int64), self.points_per_line - 1
@@ -127,7 +133,10 @@ class Scan:
         return turns
 
     def _shots_in_line(self, time_s: F64, turns: F64, line: I64) -> F64:
-        """Return the shot within its line, near whole numbers: shots lie on a comb, wherever the line begins."""
+        """Return the shot within its line, near whole numbers.
+
+        Shots lie on a comb, wherever the line begins.
+        """
         turning = self.turning
         per_line = self.shots_per_turn * turning.hz / turning.line_hz
         shot = (turns - line) * per_line
@@ -150,7 +159,10 @@ def down_bearings(knots: Knots) -> tuple[F64, float]:
 
 
 def slow_part(time_s: F64, angle_rad: F64) -> F64:
-    """Return the slow part of an angle, (k,) [rad]: straight lines through its means over :data:`LEVEL_S`."""
+    """Return the slow part of an angle, (k,) [rad].
+
+    Straight lines through its means over :data:`LEVEL_S`.
+    """
     n_parts = max(round((time_s[-1] - time_s[0]) / LEVEL_S), 1)
     if n_parts < 3:
         return np.full(len(time_s), float(np.mean(angle_rad)))
@@ -168,7 +180,8 @@ def slow_part(time_s: F64, angle_rad: F64) -> F64:
 def make_scan(knots: Knots, turning: Turning, shots_per_turn: float, *, by_bearing: bool) -> Scan:
     """Choose where lines begin, and M.
 
-    Whole turns begin straight up, where the fewest shots return. Arcs begin where their first shot is.
+    Whole turns begin straight up, where the fewest shots return. Arcs begin where their first shot
+    is.
     """
     down, cos_tilt = down_bearings(knots)
     level = slow_part(knots.time_s, down)

@@ -1,4 +1,7 @@
-"""Reads a registered cloud as the stream that it was: sorted by time, with lines, columns and ranges."""
+"""Reads a registered cloud as the stream that it was.
+
+Sorted by time, with lines, columns and ranges.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +83,10 @@ def _whole(source: RecordSource, cloud: RegisteredSource | SpinningSource, n_usa
 
 
 def sorts_by_itself(source: RecordSource, config: InputConfig) -> bool:
-    """Tell whether times are sorted without being told: where the stream is found from points and times."""
+    """Tell whether times are sorted without being told.
+
+    Where the stream is found from points and times.
+    """
     return config.range == "points" or is_tile(source, config)
 
 

@@ -8,7 +8,8 @@ Three steps, each of arrays in the order of time:
    :func:`ring_numbers` names the ring of every point, in a frame from any path, and :func:`find_firings` with
    :func:`firing_numbers` the firing.
 
-Nothing is kept of a drive but the results of its windows, so a drive of any length can pass in pieces.
+Nothing is kept of a drive but the results of its windows, so a drive of any length can pass in
+pieces.
 """
 
 from __future__ import annotations
@@ -60,18 +61,29 @@ N_FITTED = 3000
 MIN_POINTS = 200
 """Fewest points of a turn."""
 MIN_ROUNDNESS = 0.5
-"""Least ratio of the axes of the frame: 0.86 and more for spinning heads, 0.003 and less for scanners of one plane."""
+"""Least ratio of the axes of the frame.
+
+0.86 and more for spinning heads, 0.003 and less for scanners of one plane.
+"""
 SCALES_M = np.geomspace(1.0, 0.01, 25)
 """Residuals at which the weight of a point halves, for a fit that chooses among rings [m]."""
 FOLLOW_SCALES_M = (np.geomspace(1.0, 0.1, 6),) * 4 + (np.geomspace(0.1, 0.01, 5),) * 2
-"""The same for rings that look ahead by different, known angles: every point follows the nearest of them [m]."""
+"""The same for rings that look ahead by different, known angles.
+
+Every point follows the nearest of them [m].
+"""
 NEAR_M = 0.03
 WIDE_M = 0.3
 MIN_CONTRAST = 6.0
-"""Points near their half plane, for each expected from those around, if a window is to count: 1 = chance, at most 10;
+"""Points near their half plane, for each expected from those around, if a window is to count.
+
+1 = chance, at most 10;
 windows of a VLP-32C that follow a fifth of its rings reach 9, others 4."""
 MAX_RESIDUAL_M = 0.06
-"""Median distance from the half planes that always counts: clouds with 5 cm of noise reach 0.035 [m]."""
+"""Median distance from the half planes that always counts.
+
+Clouds with 5 cm of noise reach 0.035 [m].
+"""
 SHARP_M = 0.002
 """Residuals up to here are sharp in any cloud [m]."""
 RATE_ROUNDS = 5
@@ -215,8 +227,8 @@ def lock(windows: Windows, azimuth: F64, ahead_rad: F64 | None = None) -> Locked
     windows, azimuth
         Points, and the azimuth of their shots (w, n) [rad].
     ahead_rad
-        (a,) float64, the angles by which rings look ahead, about 0 [rad]. Without them, windows follow rings that all
-        look ahead alike, or a group of them.
+        (a,) float64, the angles by which rings look ahead, about 0 [rad]. Without them, windows
+        follow rings that all look ahead alike, or a group of them.
     """
     linear: LinearFit = fit_linear(windows, azimuth)
     poses = linear.poses
@@ -249,7 +261,10 @@ def _wrapped(angle: F64) -> F64:
 
 
 def _drift_hz(windows: Windows, poses: Poses, hz: float) -> float:
-    """Return by how much the rate is off: vehicles move along their heading, so velocity stands still in the frame."""
+    """Return by how much the rate is off.
+
+    Vehicles move along their heading, so velocity stands still in the frame.
+    """
     velocity = (poses.velocity_m_s[:, None, :] @ poses.frame)[:, 0, :2]
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > MIN_SPEED_M_S
     if moving.sum() < 4:
@@ -313,9 +328,15 @@ class Rings:
     n_points: I64
     """(k,) int64, points seen of every ring."""
     climb: float
-    """Speed of the head along its axis as a share of that square to it, usually: 0 for an axis square to the road."""
+    """Speed of the head along its axis as a share of that square to it, usually.
+
+    0 for an axis square to the road.
+    """
     is_up: bool
-    """Whether the axis points up; it points down if the head turns to the right, seen from above."""
+    """Whether the axis points up.
+
+    It points down if the head turns to the right, seen from above.
+    """
 
     @property
     def n_rings(self) -> int:
@@ -487,8 +508,8 @@ def _nan_medians(values: F64) -> F64:
 def _with_heights(poses: Poses, windows: Windows) -> Poses:
     """Move stations along their axes to where elevations are sharpest.
 
-    Half planes do not tell the speed along the axis either. An axis that is square to the road has none; a tilted one
-    has that of a platform that moves level.
+    Half planes do not tell the speed along the axis either. An axis that is square to the road has
+    none; a tilted one has that of a platform that moves level.
     """
     axis = poses.frame[:, :, 2]
     upright = np.where(np.abs(axis[:, 2]) > MIN_UPRIGHT, axis[:, 2], np.inf)
@@ -547,8 +568,8 @@ def sharpest_height(z_m: F64, level_m: F64) -> tuple[float, float]:
 def _sharpness(z_m: F64, level_m: F64, heights: NDArray[Any], bin_rad: float) -> F64:
     """Return how likely two points of a block of elevations share a bin, beyond chance, summed over blocks.
 
-    A block counts by the root of its points: else the ground, seen from its own height, would be sharper than all
-    rings.
+    A block counts by the root of its points: else the ground, seen from its own height, would be
+    sharper than all rings.
     """
     n_blocks = math.ceil(np.pi / BLOCK_RAD) + 1
     n_bins = round(BLOCK_RAD / bin_rad)
@@ -580,7 +601,10 @@ def _ring_bins(elevation: F64) -> I64:
 
 
 def _agreeing(elevation: F64, use: Mask, width_rad: float) -> Mask:
-    """Mark the windows whose points lie where those of the other windows crowd: the height of others is wrong."""
+    """Mark the windows whose points lie where those of the other windows crowd.
+
+    The height of others is wrong.
+    """
     every = [
         _ring_density(angle[known], width_rad) for angle, known in zip(elevation, use, strict=True)
     ]
@@ -620,7 +644,10 @@ def _ring_elevations(elevation: F64, width_rad: float) -> F64:
 N_WINDOW = 1500
 """Points of a window of the path."""
 MIN_ON_RINGS = 0.7
-"""Least share of a window's points near their beams, if it is to be trusted: 0.95 and more in streets."""
+"""Least share of a window's points near their beams, if it is to be trusted.
+
+0.95 and more in streets.
+"""
 BEAM_M = 0.05
 """Points up to here are near their beams [m]."""
 REACH_M = 0.3
@@ -780,7 +807,8 @@ def _ring_height(z_m: F64, level_m: F64, guess_m: float, rings: Rings) -> float 
 def _steered(windows: Windows, azimuth: F64, poses: Poses, rings: Rings) -> Poses:
     """Refine poses that are a little off by the half planes of the shots, then their heights by the rings.
 
-    A tilt of half the step from ring to ring takes points for those of the next ring. The half planes do not mind.
+    A tilt of half the step from ring to ring takes points for those of the next ring. The half
+    planes do not mind.
     """
     number = np.where(windows.use, ring_numbers(poses.local(windows), rings), -1)
     fitted = replace(windows, use=number >= 0)
@@ -880,7 +908,10 @@ def _moved_on(path: HeadPath, windows: Windows) -> Poses:
 SAMPLE_POINTS = 300_000
 """Points in a row in which the firings are sought."""
 MOST_SHARED = 0.02
-"""Most shots of a ring that may share their time with the one before: more, and times are coarser than firings."""
+"""Most shots of a ring that may share their time with the one before.
+
+More, and times are coarser than firings.
+"""
 SAME_SHOT_RAD = math.radians(0.05)
 """Points of one ring and time that lie closer are returns of one shot."""
 N_TRIES = 3
@@ -905,7 +936,10 @@ class SpinningScan:
 
     path: HeadPath
     line: I64
-    """(n,) int64, the line of every point, rising with time: its shots look one way; -1 = off every ring."""
+    """(n,) int64, the line of every point, rising with time.
+
+    Its shots look one way; -1 = off every ring.
+    """
     firing: I64
     """(n,) int64, number of the firing; -1 = off every ring."""
     ring: I64

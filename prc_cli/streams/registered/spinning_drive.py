@@ -32,7 +32,10 @@ PIECE_POINTS = 1 << 20
 NO_COLUMN = -1
 LEAST_CLEAR = 0.9
 WORST_CLEAR = 0.5
-"""Share of points that lie clearly on one ring, doubtful and refused below: half of them do by chance."""
+"""Share of points that lie clearly on one ring, doubtful and refused below.
+
+Half of them do by chance.
+"""
 LEAST_STATIONS = 5
 COURSE_S = 1.0
 STANDS_M_S = 0.2
@@ -211,7 +214,9 @@ def scatter(station_m: F64) -> F64:
 
 
 def course_frames(time_s: F64, xyz_m: F64) -> F64:
-    """Return axes along the course of a path, (k, 3, 3): forward, left, up; a platform that stands keeps its course.
+    """Return axes along the course of a path, (k, 3, 3).
+
+    Forward, left, up; a platform that stands keeps its course.
 
     Parameters
     ----------
@@ -324,7 +329,8 @@ def _place(
         local = upright(scan)
         for axis, values in zip(("x", "y", "z"), local.T, strict=True):
             rows[axis] = values
-        # rings that look ahead fire later where a line looks: the line has the time of its first shots
+        # rings that look ahead fire later where a line looks: the line has the time of its first
+        # shots
         rows["time"] -= np.where(known, head.firings.late[scan.ring], 0) * head.firings.period_s
         rows["range"] = scan.range_m
         rows[PASS] = number
@@ -360,8 +366,8 @@ def with_returns(rows: NDArray[np.void]) -> NDArray[np.void]:
 def upright(scan: SpinningScan) -> F64:
     """Return points relative to the head along its own axes, z upwards, (n, 3) [m].
 
-    The axis of the head and not the vertical: rings are level then, as the method for rings expects, however the head
-    is mounted and however the platform nods.
+    The axis of the head and not the vertical: rings are level then, as the method for rings
+    expects, however the head is mounted and however the platform nods.
     """
     if not len(scan.path.time_s):
         return scan.local_m

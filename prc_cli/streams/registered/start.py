@@ -44,8 +44,9 @@ class Windows:
     def settled(cls, time_s: F64, stations: Stations, mirrored: Stations) -> Windows:
         """Choose between mirror images, and mark what can be trusted.
 
-        A line that sees open ground alone is seen as well from its mirror image below the ground, by a beam that turns
-        the other way. The lines beside it that see more tell which it is; else the upper one.
+        A line that sees open ground alone is seen as well from its mirror image below the ground,
+        by a beam that turns the other way. The lines beside it that see more tell which it is; else
+        the upper one.
         """
         clear = stations.misfit_m < CLEAR_MISFIT * mirrored.misfit_m
         keep = stations.position_m[:, 2] >= mirrored.position_m[:, 2]
@@ -212,7 +213,9 @@ def knots_between(windows: Windows, knots_s: F64) -> Knots:
 
 
 def drift_hz(windows: Windows) -> float:
-    """Return how much the rate is too low: how fast straight down moves in the frame [turns a second].
+    """Return how much the rate is too low.
+
+    How fast straight down moves in the frame [turns a second].
 
     A platform stays level on average, so in the frame of the beam straight down stays where it is.
     """

@@ -1,9 +1,10 @@
 """Station, frame and speed of a spinning scanner for short windows of registered points.
 
-A head that spins evenly looks at azimuth ``phi = 2 pi f t`` in its own frame ``F = [e1 e2 n]``, ``n`` the spin axis. So
-every point lies in a known half plane through the axis: ``m . (p - o - v t) = 0`` with ``m = -sin(phi) e1 + cos(phi)
-e2``. That is linear in ten unknowns (:func:`fit_linear`). The frame of a platform that turns by itself and the cones of
-the rings need a few steps of Gauss-Newton (:func:`refine`). All functions work on many windows at once.
+A head that spins evenly looks at azimuth ``phi = 2 pi f t`` in its own frame ``F = [e1 e2 n]``,
+``n`` the spin axis. So every point lies in a known half plane through the axis: ``m . (p - o - v t)
+= 0`` with ``m = -sin(phi) e1 + cos(phi) e2``. That is linear in ten unknowns (:func:`fit_linear`).
+The frame of a platform that turns by itself and the cones of the rings need a few steps of
+Gauss-Newton (:func:`refine`). All functions work on many windows at once.
 """
 
 from __future__ import annotations
@@ -135,7 +136,8 @@ def cut_windows(time_s: F64, xyz_m: F64, middle_s: F64, length_s: float, n_point
     length_s
         Length of a window [s].
     n_points
-        Points of a window at most. They are spread by the golden ratio: even steps would meet the same rings again.
+        Points of a window at most. They are spread by the golden ratio: even steps would meet the
+        same rings again.
     """
     begin = np.searchsorted(time_s, middle_s - 0.5 * length_s)
     end = np.searchsorted(time_s, middle_s + 0.5 * length_s)
@@ -172,7 +174,10 @@ class LinearFit:
     residual_m: F64
     """(w,) float64, median distance of the points from their half planes [m]."""
     roundness: F64
-    """(w,) float64, length of the shorter axis of the frame over that of the longer one: 1 = a turn that fits."""
+    """(w,) float64, length of the shorter axis of the frame over that of the longer one.
+
+    1 = a turn that fits.
+    """
     in_front: F64
     """(w,) float64, share of the points in front of the head."""
 
@@ -180,7 +185,8 @@ class LinearFit:
 def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) -> LinearFit:
     """Fit poses in closed form, with weights from the residuals of the round before.
 
-    The component of station and velocity along the axis stays 0: half planes through the axis do not tell it.
+    The component of station and velocity along the axis stays 0: half planes through the axis do
+    not tell it.
     """
     cosine = np.cos(azimuth)[:, :, None]
     sine = np.sin(azimuth)[:, :, None]
@@ -240,11 +246,12 @@ def refine(
     windows, azimuth, poses
         Points, azimuth of their shots (w, n) [rad], first guess.
     scales_m
-        (rounds,) float64, residual at which the weight of a point halves, round by round [m]. Scales that fall let the
-        fit choose among rings that look ahead by different angles: it follows those of one angle.
+        (rounds,) float64, residual at which the weight of a point halves, round by round [m].
+        Scales that fall let the fit choose among rings that look ahead by different angles: it
+        follows those of one angle.
     slope
-        (w, n) float64, tangent of the elevation of every point's ring; NaN = none. Without it, nothing tells the
-        height along the axis: it stays as it is.
+        (w, n) float64, tangent of the elevation of every point's ring; NaN = none. Without it,
+        nothing tells the height along the axis: it stays as it is.
     """
     cosine = np.cos(azimuth)
     sine = np.sin(azimuth)

@@ -2,9 +2,8 @@
 
 Python imports this module at start.
 
-One file counts the steps of all processes of a run, a byte each. It can also change inputs when a run opens them, or
-delay workers there.
-"""
+One file counts the steps of all processes of a run, a byte each. It can also change inputs when a
+run opens them, or delay workers there."""
 
 import os
 import signal

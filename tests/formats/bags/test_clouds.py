@@ -23,7 +23,10 @@ TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("ti
 
 
 def shots(seed: int = 5) -> dict[str, np.ndarray]:
-    """Two turns of a scanner whose rings fire together, 1.8 degrees from column to column; a fifth did not return."""
+    """Two turns of a scanner whose rings fire together, 1.8 degrees from column to column.
+
+    a fifth did not return.
+    """
     rng = np.random.default_rng(seed)
     column, ring = (
         each.ravel() for each in np.meshgrid(np.arange(N_LINES), np.arange(N_RINGS), indexing="ij")
@@ -132,7 +135,10 @@ def test_a_ring_that_does_not_return_at_first_has_its_place() -> None:
 
 
 def test_lines_without_returns_have_times_between_those_around(tmp_path: Path) -> None:
-    """Columns of 48.83 microseconds, as an Ouster at 20 Hz has them: a whole number would run away from the others."""
+    """Columns of 48.83 microseconds, as an Ouster at 20 Hz has them.
+
+    a whole number would run away from the others.
+    """
     drive = shots()
     drive["time"] = np.round(drive["column"] * 0.1 / 2048, 9)
     drive["range"][(drive["column"] % 50 > 20) & (drive["column"] % 50 < 40)] = np.nan

@@ -1,4 +1,7 @@
-"""LAS files for tests of writers, and a small independent parser: nothing here is shared with the package."""
+"""LAS files for tests of writers, and a small independent parser.
+
+Nothing here is shared with the package.
+"""
 
 from __future__ import annotations
 
@@ -90,7 +93,10 @@ def same_but_class(before: Parsed, after: Parsed) -> None:
 
 
 def header_without_moved(header: bytes) -> bytes:
-    """The header with zeros for what may differ: point offset, number of VLRs, compression bit, tail offsets."""
+    """The header with zeros for what may differ.
+
+    Point offset, number of VLRs, compression bit, tail offsets.
+    """
     copy = bytearray(header)
     copy[96:104] = bytes(8)
     copy[104] &= 0x3F
@@ -139,9 +145,8 @@ def make_las(
 ) -> Parsed:
     """Write a LAS or LAZ file with laspy, then splice in what laspy cannot write.
 
-    Odd header fields are always there. ``raw_points`` fills every bit of the records at random (scanner channel 0 in
-    formats 9 and 10, whose waveforms laszip cannot keep otherwise).
-    """
+    Odd header fields are always there. ``raw_points`` fills every bit of the records at random
+    (scanner channel 0 in formats 9 and 10, whose waveforms laszip cannot keep otherwise)."""
     rng = np.random.default_rng(seed)
     version = (
         f"1.{minor}"

@@ -190,7 +190,10 @@ def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
 def test_extra_bytes_of_usual_names(
     tmp_path: Path, name: str, description: str, radians: float
 ) -> None:
-    """An angle beside range, line and column was renamed and ignored: PRC, exit 0, ground F1 .50 for .99."""
+    """An angle beside range, line and column was renamed and ignored.
+
+    PRC, exit 0, ground F1 .50 for .99.
+    """
     said = [laspy.ExtraBytesParams(name, "f4", description), laspy.ExtraBytesParams("line", "i4")]
     data = make(tmp_path / "a.las", 6, n=9, extra=[*said, laspy.ExtraBytesParams("range_mm", "i4")])
     source = LasSource(tmp_path / "a.las")
@@ -338,7 +341,10 @@ def test_extra_bytes_that_make_no_sense(tmp_path: Path) -> None:
 
 
 def laz(path: Path, point_format: int, n: int = 120_000) -> tuple[bytes, int, int]:
-    """Write a LAZ of three chunks; returns its bytes, where records begin and where the chunk table begins."""
+    """Write a LAZ of three chunks.
+
+    Returns its bytes, where records begin and where the chunk table begins.
+    """
     make(path, point_format, n)
     raw = path.read_bytes()
     start = struct.unpack_from("<I", raw, 96)[0]

@@ -1,4 +1,7 @@
-"""LAS and LAZ, rewritten and new: only the class and requested dimensions change; a record for every return."""
+"""LAS and LAZ, rewritten and new.
+
+Only the class and requested dimensions change; a record for every return.
+"""
 
 from __future__ import annotations
 

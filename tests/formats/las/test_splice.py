@@ -154,7 +154,10 @@ def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, s
 
 
 def random_laz(path: Path, rng: np.random.Generator) -> None:
-    """Any format, chunk size and records: rare return numbers such as 0 of 0, runs of channels and of classes."""
+    """Any format, chunk size and records.
+
+    Rare return numbers such as 0 of 0, runs of channels and of classes.
+    """
     form = int(rng.choice([6, 7, 8]))
     n = int(rng.choice([1, 2, 49, 50, 51, 300]))
     extra = bool(rng.integers(2))
@@ -212,7 +215,9 @@ def test_three_ways_to_the_same_bytes(
     monkeypatch.setattr(las_splice, "batch_records", lambda *_, **__: 120)
     kept = classify_again(source, tmp_path / "kept.laz", labels, kept=True)
     if damaged and kept is None:
-        return  # refused by the reader, which checks what chunks claim before the decoder takes memory for it
+        # refused by the reader, which checks what chunks claim before the decoder takes memory for
+        # it
+        return
     spliced = classify_again(source, tmp_path / "spliced.laz", labels)
     monkeypatch.setattr(las_rewrite, "find_chunks", lambda *_: None)
     full = classify_again(source, tmp_path / "full.laz", labels)

@@ -1,4 +1,7 @@
-"""Packets of spinning scanners: every cell as independent decoders have it, whatever the capture."""
+"""Packets of spinning scanners.
+
+Every cell as independent decoders have it, whatever the capture.
+"""
 
 from __future__ import annotations
 
@@ -328,7 +331,8 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
     device = np.concatenate(
         [stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans]
     )
-    # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their own ways
+    # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their
+    # own ways
     compare(block, points, 0.05, 0.002)
     assert block.time_s is not None
     assert block.xyz_m is not None

@@ -1,8 +1,7 @@
 """Writers of one journal, each killed at a random moment; a separate script, because it forks.
 
-``python killed_writers.py FOLDER SEED KILLS ROWS`` checks the journal after every kill and prints the number of rows.
-It goes on for at least KILLS kills and ROWS finished rows.
-"""
+``python killed_writers.py FOLDER SEED KILLS ROWS`` checks the journal after every kill and prints
+the number of rows. It goes on for at least KILLS kills and ROWS finished rows."""
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
-"""Processes that compete for one lock and die in the middle of it; a script of its own, because it forks.
+"""Processes that compete for one lock and die in the middle of it.
 
-``python rivals.py FOLDER SEED LIVES INHERITED KINDS`` prints what happened as JSON. Every step of a rival in the file
-system may be slow, and may be its last: it leaves with ``os._exit``, as a kill would make it. There are at least so
-many lives, and as many more as it takes until so many locks of dead rivals were inherited: how often that happens in
-a number of lives depends on who is scheduled when.
-"""
+a script of its own, because it forks.
+
+``python rivals.py FOLDER SEED LIVES INHERITED KINDS`` prints what happened as JSON. Every step of a
+rival in the file system may be slow, and may be its last: it leaves with ``os._exit``, as a kill
+would make it. There are at least so many lives, and as many more as it takes until so many locks of
+dead rivals were inherited: how often that happens in a number of lives depends on who is scheduled
+when."""
 
 from __future__ import annotations
 
@@ -31,7 +33,10 @@ DEATH_INSIDE = 0.4
 DIED = 9
 """Exit code of a rival that dropped dead."""
 MOST_LIVES = 20_000
-"""Locks that are not inherited in so many are never inherited: every fifth life or so ends with the lock held."""
+"""Locks that are not inherited in so many are never inherited.
+
+Every fifth life or so ends with the lock held.
+"""
 
 
 def main() -> None:

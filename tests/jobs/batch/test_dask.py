@@ -304,7 +304,10 @@ class Machines:
 
 @pytest.fixture
 def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Iterator[Machines]:
-    """``dask scheduler`` and twice ``dask worker`` on loopback; nobody starts a killed worker again."""
+    """``dask scheduler`` and twice ``dask worker`` on loopback.
+
+    Nobody starts a killed worker again.
+    """
     environment = {
         **os.environ,
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(getattr(request, "param", 3)),
@@ -431,7 +434,10 @@ def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None
 @pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
-    """The whole group of processes hears it; the run rolls back and says so, the workers say nothing."""
+    """The whole group of processes hears it.
+
+    The run rolls back and says so, the workers say nothing.
+    """
     tasks_in(tmp_path, {f"{i}.npy": 60_000 for i in range(6)}, m=100)
     command = [
         sys.executable,

@@ -26,7 +26,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="s
 
 
 STALL_S = 100_000.0
-"""So long that no machine is slow enough to be taken for one that hangs; tests turn the clock on instead."""
+"""So long that no machine is slow enough to be taken for one that hangs.
+
+Tests turn the clock on instead.
+"""
 
 
 class Clock:
@@ -104,7 +107,8 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
         count_pauses_as_silence(patch)
         for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
             found.append(event)
-            # the task is sent when the next event is asked for: the process dies, or sleeps, with the task before it
+            # the task is sent when the next event is asked for: the process dies, or sleeps, with
+            # the task before it
             if isinstance(event, Started) and event.name == "killed":
                 os.kill(process_of(event), signal.SIGKILL)
             if isinstance(event, Started) and event.name == "hangs":

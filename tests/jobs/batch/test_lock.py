@@ -239,7 +239,10 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
 
 
 def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -> None:
-    """Let rivals compete until so many lived, and so many took the lock of a dead one; no two may be inside at once."""
+    """Let rivals compete until so many lived, and so many took the lock of a dead one.
+
+    No two may be inside at once.
+    """
     command = [
         sys.executable,
         str(RIVALS),

@@ -1,4 +1,7 @@
-"""Files of an archive, with odd names, and the plan: action, reason and configuration of each, and the effort."""
+"""Files of an archive, with odd names, and the plan.
+
+Action, reason and configuration of each, and the effort.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Outputs against a tree of references: the same as prc evaluate per file, pooled; files without reference are
+"""Outputs against a tree of references.
+
+The same as prc evaluate per file, pooled; files without reference are
 listed."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Matching by order, time, id and position: the same pairs and matrix as counted one by one; pictures of both."""
+"""Matching by order, time, id and position.
+
+The same pairs and matrix as counted one by one; pictures of both.
+"""
 
 from __future__ import annotations
 
@@ -406,7 +409,10 @@ def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Labels of a raw section, its points with times, and a registered cloud: shuffled tiles, a fifth of it gone."""
+    """Labels of a raw section, its points with times, and a registered cloud.
+
+    Shuffled tiles, a fifth of it gone.
+    """
     folder = tmp_path_factory.mktemp("oakland")
     raw = real_data / "oakland" / "oakland_1.csv.gz"
     classify(raw, folder / "labels.npy", load_config(preset="urban"))
@@ -460,7 +466,10 @@ def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
 
 
 def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
-    """Wherever the lines, the columns or the ranges show it; labels of a part begin at a line that nobody knows."""
+    """Wherever the lines, the columns or the ranges show it.
+
+    Labels of a part begin at a line that nobody knows.
+    """
     config = load_config(preset="urban")
     for name, image in (("a", street()), ("b", street(100)), ("c", 1.5 * street(seed=2))):
         np.savez(tmp_path / f"{name}.npz", range_m=image, angle_deg=np.rad2deg(angles()))

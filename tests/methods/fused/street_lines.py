@@ -1,4 +1,7 @@
-"""A street of planes, without the simulator: road, kerbs, facades, a hedge, a parked car, stray points."""
+"""A street of planes, without the simulator.
+
+Road, kerbs, facades, a hedge, a parked car, stray points.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ HEIGHT_M = 2.4
 
 
 def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tuple[F32, U8]:
-    """Return ranges and what they are of: a facade on the left, a hedge on the right, a car in the middle lines.
+    """Return ranges and what they are of.
+
+    a facade on the left, a hedge on the right, a car in the middle lines.
 
     Returns
     -------

@@ -1,4 +1,7 @@
-"""The fused classifier on cars, curbs and poles: what they are, and what they are without their steps."""
+"""The fused classifier on cars, curbs and poles.
+
+What they are, and what they are without their steps.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Confidence of the fused method: what it means, where it is written, and what it does not depend on."""
+"""Confidence of the fused method.
+
+What it means, where it is written, and what it does not depend on.
+"""
 
 from __future__ import annotations
 

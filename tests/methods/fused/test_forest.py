@@ -1,4 +1,7 @@
-"""Ground, stems, vegetation and noise of a forest: hand-made scenes, single steps, and a simulated walk."""
+"""Ground, stems, vegetation and noise of a forest.
+
+Hand-made scenes, single steps, and a simulated walk.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> U8:
 
 
 def ground(slope: float = 0.0) -> F64:
-    """Ranges of one line on a plane, HEIGHT_M below the scanner, rising to the left by the slope; inf = sky."""
+    """Ranges of one line on a plane, HEIGHT_M below the scanner, rising to the left by the slope.
+
+    Inf = sky.
+    """
     with np.errstate(divide="ignore"):
         down = np.cos(BEAM) + slope * np.sin(BEAM)
         return np.where(down > 0.02, HEIGHT_M / np.where(down > 0.02, down, 1.0), np.inf)
@@ -97,7 +103,10 @@ def walk() -> tuple[F32, F64, U8]:
 
 @pytest.mark.slow
 def test_stems_and_ground_of_a_simulated_walk() -> None:
-    """Fewer lines and columns than a user has; the figures of whole walks are in the documentation."""
+    """Fewer lines and columns than a user has.
+
+    The figures of whole walks are in the documentation.
+    """
     ranges, angle, reference = walk()
     labels = forest(ranges, Plane.of(angle), 0.0, FOREST)
     for label, recall, precision in (

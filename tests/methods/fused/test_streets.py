@@ -155,7 +155,10 @@ def test_a_step_that_is_off_is_missed(
 
 @pytest.mark.parametrize("step", ["_measure", "see", "follow_ground", "_decide"])
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
+    """Before, in, between and after the steps that hand on.
+
+    Nobody waits for a turn that never comes.
+    """
     plain = getattr(pipeline, step)
     calls: list[None] = []
 

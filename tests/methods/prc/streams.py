@@ -35,7 +35,10 @@ def trace_block(
 def run_blocks(
     range_m: F32, params: PrcParams, extra_lines: int = 0
 ) -> list[tuple[PrcTrace, PrcState]]:
-    """Classify a stream as the program does, k lines and the least look-ahead at a time; the state after each."""
+    """Classify a stream as the program does, k lines and the least look-ahead at a time.
+
+    The state after each.
+    """
     k = params.lines_per_block
     width = range_m.shape[1]
     ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines

@@ -48,7 +48,10 @@ def test_threads_change_nothing(threads: int) -> None:
 
 
 def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
-    """Patches take numbers of their own only then; the order of the others, which ties go by, is the same."""
+    """Patches take numbers of their own only then.
+
+    The order of the others, which ties go by, is the same.
+    """
     for seed in range(200):
         rng = np.random.default_rng(70_000 + seed)
         params = random_params(rng)
@@ -70,7 +73,10 @@ def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
 def test_error_in_any_stage_is_the_one_that_is_seen(
     monkeypatch: pytest.MonkeyPatch, stage: str
 ) -> None:
-    """A block that fails before, in, between and after the turns; the blocks before it come out, nobody waits."""
+    """A block that fails before, in, between and after the turns.
+
+    The blocks before it come out, nobody waits.
+    """
     stream = np.full((60, 40), 20.0, np.float32)
     stream[33, 7] = 5.0
     plain = getattr(pipeline, stage)

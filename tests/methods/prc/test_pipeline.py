@@ -133,7 +133,10 @@ def test_parameters_out_of_bounds_name_key_found_and_expected(
 
 
 def random_window(rng: np.random.Generator, n_lines: int, m: int) -> F32:
-    """Ranges on a coarse grid, so that differences equal thresholds now and then; every tenth is missing."""
+    """Ranges on a coarse grid, so that differences equal thresholds now and then.
+
+    Every tenth is missing.
+    """
     ranges = (rng.integers(40, 60, (n_lines, m)) * 0.125).astype(np.float32)
     ranges[rng.random(ranges.shape) < 0.1] = np.nan
     tail = rng.choice([5.0, 6.0, np.nan], window_reach(m)).astype(np.float32)

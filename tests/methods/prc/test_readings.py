@@ -96,7 +96,10 @@ def wall(n_lines: int = 5, width: int = 20, far: float = 20.0) -> F32:
 
 
 class TestReading1Counts:
-    """Counts compare as real numbers: 3 of 8 in the line and 2 of 6 beside it; floor gives 2 and 2."""
+    """Counts compare as real numbers.
+
+    3 of 8 in the line and 2 of 6 beside it; floor gives 2 and 2.
+    """
 
     @pytest.mark.parametrize(
         ("agreeing", "rounding", "expected"), [(3, "ceil", 1), (2, "ceil", 0), (2, "floor", 1)]
@@ -118,12 +121,16 @@ class TestReading1Counts:
 
 
 class TestReading2Strictness:
-    """Range differences below zeta agree, equal ones do not; area A is smooth; eq. 9 holds strictly."""
+    """Range differences below zeta agree, equal ones do not.
+
+    Area A is smooth; eq. 9 holds strictly.
+    """
 
     def test_difference_of_exactly_zeta_does_not_agree(self) -> None:
         stripes = wall()
         stripes[:, ::2] += (
-            1.0  # every other shot agrees in the line: 4; beside it only those at the same column: 2
+            # every other shot agrees in the line: 4; beside it only those at the same column: 2
+            1.0
         )
         assert support_of(stripes, zeta_s=1.0, zeta_p=1.0)[2, 10]
         stripes[[1, 3], 10] = 20.0  # now none beside it is nearer than 1.0
@@ -172,7 +179,8 @@ class TestReading4BlockEdges:
             assert np.argwhere(g).tolist() == [[2, 11], [3, 0]]
 
     def test_thresholds_stay_at_the_ends(self) -> None:
-        # a lone line has nothing beside it; of two lines every shot sees at least two shots of the other
+        # a lone line has nothing beside it; of two lines every shot sees at least two shots of the
+        # other
         assert not support_of(wall(1)).any()
         assert support_of(wall(2)).all()
 
@@ -311,7 +319,10 @@ def test_reading_9_background_that_nobody_takes_back_is_non_smooth() -> None:
 
 
 class TestReading10Votes:
-    """Same column, most votes, three or more, of equals the older; forks share; joined segments take one label."""
+    """Same column, most votes, three or more, of equals the older.
+
+    Forks share; joined segments take one label.
+    """
 
     @staticmethod
     def carry(first: list[int], last: list[int], min_votes: int = 3) -> list[int]:
@@ -397,7 +408,10 @@ def test_reading_12_area_is_counted_in_the_block_alone() -> None:
 
 
 class TestReading13Dilation:
-    """Smooth shots under the dilated image become non-smooth; noise stays noise, missing stays missing."""
+    """Smooth shots under the dilated image become non-smooth.
+
+    Noise stays noise, missing stays missing.
+    """
 
     def test_smooth_shots_are_covered(self) -> None:
         h = h_of([[1, 1, 1, 1, 1, 0, 2]])
@@ -439,7 +453,10 @@ def test_reading_15_patches_have_ids_of_their_own_in_every_block() -> None:
 
 
 class TestReading16Ground:
-    """The ground is the smooth segment with most shots over the blocks seen; a variant looks at one block."""
+    """The ground is the smooth segment with most shots over the blocks seen.
+
+    a variant looks at one block.
+    """
 
     @staticmethod
     def label(
@@ -489,7 +506,10 @@ class TestReading16Ground:
 
 
 class TestReading17ForestGround:
-    """Every tenth column decides for ten; more than a third of all k lines must be smooth; noise is overwritten."""
+    """Every tenth column decides for ten.
+
+    More than a third of all k lines must be smooth; noise is overwritten.
+    """
 
     @staticmethod
     def label(smooth: list[int], width: int, **params: bool | float) -> list[list[int]]:

@@ -1,4 +1,7 @@
-"""The method for rings on a made scene: ground, a wall, a hedge, a car and a pole around a scanner of 32 rings."""
+"""The method for rings on a made scene.
+
+Ground, a wall, a hedge, a car and a pole around a scanner of 32 rings.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ PARAMS = RingsParams()
 def scene(
     seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf
 ) -> tuple[F32, F32, U8]:
-    """Ranges, coordinates and the body of every shot: 1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling."""
+    """Ranges, coordinates and the body of every shot.
+
+    1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling.
+    """
     random = np.random.default_rng(seed)
     own = np.stack(
         [

@@ -238,7 +238,10 @@ SCANNER_M = 1.8
 
 @dataclass(frozen=True)
 class Piece:
-    """A straight piece of a section: horizontal distance and height over the road at both ends [m]."""
+    """A straight piece of a section.
+
+    Horizontal distance and height over the road at both ends [m].
+    """
 
     name: str
     from_m: tuple[float, float]
@@ -278,7 +281,10 @@ def wall(
 
 
 def car(at_m: float, *, glass: bool = True, tyre: bool = False) -> list[Piece]:
-    """The section across a car whose side stands at a distance; with a tyre, nothing is open below."""
+    """The section across a car whose side stands at a distance.
+
+    With a tyre, nothing is open below.
+    """
     at = np.array([at_m, 0.0])
 
     def part(corners: list[tuple[float, float]], *, seen: bool = True) -> list[Piece]:

@@ -76,7 +76,10 @@ def straight_line(rng: Generator) -> tuple[F64, F64, float]:
 
 
 def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
-    """Geometry, across gaps and beyond 90 deg; constant along a line; the bare arc tangent has no quadrant."""
+    """Geometry, across gaps and beyond 90 deg.
+
+    Constant along a line; the bare arc tangent has no quadrant.
+    """
     n_blunt = 0
     for _ in range(200):
         beam, ranges, direction = straight_line(rng)
@@ -151,7 +154,10 @@ VALUES = dict(flatten(SequentialAngleParams().model_dump()))
 
 
 def documented() -> dict[str, str]:
-    """Keys and defaults of the table of constants: a row a table, cells of "`key` default (note)"."""
+    """Keys and defaults of the table of constants.
+
+    a row a table, cells of "`key` default (note)".
+    """
     section = PAGE[PAGE.index("## Constants") : PAGE.index("## The published constants")]
     found = {}
     for table, cells in re.findall(r"^\| (?:`([a-z_.]+)`)? ?\|(.*)\|$", section, re.MULTILINE):

@@ -46,7 +46,8 @@ def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: Coar
 @pytest.mark.parametrize(
     ("step_deg", "noise_m", "model", "least"),
     [
-        # measured on 300 lines: .948 .949 .943 .947 .929, .905, .930; the bounds leave room for another seed
+        # measured on 300 lines: .948 .949 .943 .947 .929, .905, .930; the bounds leave room for
+        # another seed
         (0.06, 0.005, MarkovThresholds(), 0.92),
         (0.115, 0.005, MarkovThresholds(), 0.92),
         (0.20, 0.005, MarkovThresholds(), 0.91),
@@ -89,7 +90,10 @@ WHOLE = plain(window=0)
 
 
 def foliage(rng: Generator, rows: int, n: int) -> F32:
-    """Independent ranges, neighbouring beams much closer than leaves are deep: nearly along the beam, either way."""
+    """Independent ranges, neighbouring beams much closer than leaves are deep.
+
+    Nearly along the beam, either way.
+    """
     signs = np.where(rng.random((rows, n)) < 2 / 3, -1, 1)
     return (signs * np.abs(90 + rng.normal(0, 20, (rows, n)))).astype(np.float32)
 

@@ -113,7 +113,7 @@ def test_sides_never_connect() -> None:
         CurbState.start(2, 1, plain(min_lines=2)),
         plain(min_lines=2),
         last=True,
-    )  # noqa: E501
+    )
     assert curb[:, 0].tolist() == [True, False, True, False]
 
 

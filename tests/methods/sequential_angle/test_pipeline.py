@@ -56,7 +56,10 @@ def cuts(
 def run(
     blocks: Iterator[ScanBlock], params: SequentialAngleThresholds, n_lines: int
 ) -> tuple[list[np.ndarray], int]:
-    """Feed blocks to the classifier; return all that it says, and the most lines that ever waited."""
+    """Feed blocks to the classifier.
+
+    Return all that it says, and the most lines that ever waited.
+    """
     turn: OneByOne[SequentialAngleState] | None = None
     parts: list[list[np.ndarray]] = []
     n_in = n_out = most = 0
@@ -77,7 +80,10 @@ def run(
 
 
 def both_sides(block: ScanBlock) -> ScanBlock:
-    """A profiler's stream out of a static scan: line i and line i + half a turn are the two sides of one line."""
+    """A profiler's stream out of a static scan.
+
+    Line i and line i + half a turn are the two sides of one line.
+    """
     half = block.n_lines // 2
     near = slice(0, half)
     far = slice(half, 2 * half)
@@ -107,7 +113,10 @@ def test_labels_do_not_depend_on_how_the_stream_is_cut(two_sides: bool) -> None:
 
 
 def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
-    """Half-lines of a profiler see what static lines see; only the order in which heights come in differs."""
+    """Half-lines of a profiler see what static lines see.
+
+    Only the order in which heights come in differs.
+    """
     block, _ = scan()
     single, _ = run(iter([block]), PARAMS, block.n_lines)
     pair = both_sides(block)
@@ -152,7 +161,8 @@ def config() -> RunConfig:
 
 def test_further_returns_are_labelled_from_their_own_line() -> None:
     block, _ = scan()
-    # the scanner counts millimetres: neighbours of one range would have a right to each other's class
+    # the scanner counts millimetres: neighbours of one range would have a right to each other's
+    # class
     distinct = block.range_m + np.arange(block.points_per_line, dtype=np.float32) * np.float32(2e-5)
     block = replace(block, range_m=distinct)
     line, column = (axis.astype(np.int32) for axis in np.nonzero(~np.isnan(block.range_m)))

@@ -127,7 +127,10 @@ def las_of_times(path: Path, time: Array, xyz: Array) -> None:
 
 
 def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> None:
-    """Lines and columns come back as they were; a guess of 48 lines a second makes shots collide."""
+    """Lines and columns come back as they were.
+
+    a guess of 48 lines a second makes shots collide.
+    """
     time, line, column = drive(54.0, 2154, 40)
     angle = 2 * np.pi * column / 2154 - 0.6 * np.pi + np.pi
     range_m = np.minimum(

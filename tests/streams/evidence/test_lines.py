@@ -1,4 +1,7 @@
-"""What a stream shows of itself: rightly read scans are fine, and each way of misreading one is noticed."""
+"""What a stream shows of itself.
+
+Rightly read scans are fine, and each way of misreading one is noticed.
+"""
 
 from __future__ import annotations
 

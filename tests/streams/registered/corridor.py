@@ -1,4 +1,7 @@
-"""A beam that turns in a corridor on a platform that moves: a registered cloud in closed form, with its true path."""
+"""A beam that turns in a corridor on a platform that moves.
+
+a registered cloud in closed form, with its true path.
+"""
 
 from __future__ import annotations
 

@@ -135,7 +135,10 @@ def test_a_given_path_tells_the_rate_from_the_directions_alone() -> None:
 
 
 def test_a_beam_that_turns_on_a_cone_is_no_offset_of_the_path() -> None:
-    """A mirror that is off by 0.3 degrees: found beside the path, which it would move along the axis."""
+    """A mirror that is off by 0.3 degrees.
+
+    Found beside the path, which it would move along the axis.
+    """
     cloud = canyon(1.5, noise_m=0.003)
     axis = frame(cloud.time_s)[:, :, 2]
     points = cloud.xyz_m + np.tan(np.radians(0.3)) * cloud.range_m[:, None] * axis
