@@ -149,8 +149,8 @@ def calibrate(
     \b
     Examples:
       prc calibrate drive.laz --method prc -o drive.toml --plot drive.svg
-      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o
-      strip.toml prc classify drive.laz out.laz --config drive.toml
+      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o strip.toml
+      prc classify drive.laz out.laz --config drive.toml
     """
     form = form_of(options)
     if plot is not None and plot.suffix.lower() != ".svg":

@@ -95,8 +95,7 @@ def classify(
       prc classify drive.laz drive_classified.laz --preset urban
       prc classify drive.bin labels.npy --preset urban -M 2154
       prc classify drive_01.laz drive_02.laz drive_03.laz classified/
-      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97
-      --columns time:414190
+      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97 --columns time:414190
     """
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")

@@ -278,8 +278,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
       prc evaluate classified.laz car.laz --match nearest --unmatched noise --mapping asprs
-      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory
-      path.csv --mount 0,25,0
+      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory path.csv --mount 0,25,0
     """
     form = form_of(options)
     how = _how(options)

@@ -36,7 +36,8 @@ def explain(
     The rule that decided, its limits, and what the stages measured.
 
     IN is classified from its start to the block of the shot, as prc classify does, so that the
-    class is the one that prc classify writes.
+    class is the one that
+    prc classify writes.
 
     \b
     Examples:

@@ -128,8 +128,8 @@ def render(
       prc render out.laz --html out.html
       prc render drive.laz block.png --preset urban --block 12
       prc render drive.laz figure1.html --preset urban --figure1
-      prc render drive.laz differences.png --labels out.laz --reference car.laz --steps
-      classes,reference,difference prc render out.laz cloud.png --view perspective --from 215,30
+      prc render drive.laz differences.png --labels out.laz --reference car.laz --steps classes,reference,difference
+      prc render out.laz cloud.png --view perspective --from 215,30
     """
     chosen = _render_options(options)
     if (output is None) == (html is None):

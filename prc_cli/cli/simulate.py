@@ -177,10 +177,10 @@ def street(**options: Any) -> None:
     \b
     Examples:
       prc simulate street drive.laz --length 900 --seed 7 --trajectory drive.csv
-      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 --set
-      trajectory.stop_every_m=0 prc simulate street drive.e57 --config terraces.toml prc simulate
-      street spin.npz --scanner vlp-16 --duration 5 --frames frames/ prc simulate street spin.bag
-      --scanner vlp-32c --duration 5 --set flake_m=150
+      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
+      prc simulate street drive.e57 --config terraces.toml
+      prc simulate street spin.npz --scanner vlp-16 --duration 5 --frames frames/
+      prc simulate street spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
     """
     _run("street", options)
 

@@ -207,9 +207,8 @@ def placed_source(
     )
     arm = mount[3:] or reading.trajectory_lever_arm or (0.0, 0.0, 0.0)
     turn = (*mount[:3], 0.0, 0.0, 0.0)[:3]
-    return PlacedSource(
-        stream, track, turn, arm, reading.nadir or 0.0, facts=SourceFacts(crs_wkt=system)
-    )  # type: ignore[arg-type]
+    facts = SourceFacts(crs_wkt=system)
+    return PlacedSource(stream, track, turn, arm, reading.nadir or 0.0, facts=facts)  # type: ignore[arg-type]
 
 
 def axes_of(

@@ -652,9 +652,8 @@ def _woven_evidence(
     )
     every, rough = (wider(lambda each, k=k: each.standing.slots[k]) for k in range(2))  # type: ignore[misc]
     at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
-    levels, columns = (
-        wider(lambda each, k=k: getattr(each.standing, k)) for k in ("levels", "columns")
-    )  # type: ignore[misc]
+    levels = wider(lambda each: each.standing.levels)
+    columns = wider(lambda each: each.standing.columns)
     standing = Standing((every, rough), (at, top, ahead), levels, columns)
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
 

@@ -379,7 +379,7 @@ def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, 
 
 
 @helper
-def _potential(  # noqa: PLR0915 - what every point goes through calls nothing with an array
+def _potential(
     row: _Row, n: int, start: int, thresholds: GroundThresholds, beams: I32, scratch: _Scratch
 ) -> tuple[int, float]:
     """Find potential ground in a row from a beam on.
