@@ -113,7 +113,12 @@ def car_classes(xyz: F64) -> I64:
     return codes
 
 
-def write_tiles(folder: Path, xyz: F64, codes: I64, seed: int = 2) -> None:
+def write_tiles(
+    folder: Path,
+    xyz: F64,
+    codes: I64,
+    seed: int = 2,
+) -> None:
     """Write tiles whose points are shuffled."""
     folder.mkdir()
     random = np.random.default_rng(seed)

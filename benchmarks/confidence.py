@@ -183,7 +183,12 @@ def table_of(
     return table
 
 
-def top_share(shots: U8, right: Mask, weight: F64, share: float = TOP) -> float:
+def top_share(
+    shots: U8,
+    right: Mask,
+    weight: F64,
+    share: float = TOP,
+) -> float:
     """Return how many are right of the given share with the most confidence.
 
     Of equals, each counts in part.

@@ -79,7 +79,12 @@ def write(scan: Scan, folder: Path) -> ScanFile:
     return ScanFile(path, (), nadir, None, np.empty(0, np.int64))
 
 
-def _write_records(scan: Scan, angle_deg: F64, nadir: tuple[str, ...], folder: Path) -> ScanFile:
+def _write_records(
+    scan: Scan,
+    angle_deg: F64,
+    nadir: tuple[str, ...],
+    folder: Path,
+) -> ScanFile:
     """Write one record per return, those of a shot one after the other."""
     assert scan.time_s is not None
     assert scan.intensity is not None

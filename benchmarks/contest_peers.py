@@ -42,7 +42,13 @@ PACKAGES = {
 class Points:
     """All returns of a scan."""
 
-    def __init__(self, xyz_m: F64, line: I32, scanner_m: F64, height_m: float) -> None:
+    def __init__(
+        self,
+        xyz_m: F64,
+        line: I32,
+        scanner_m: F64,
+        height_m: float,
+    ) -> None:
         self.xyz_m = xyz_m
         self.line = line
         self.scanner_m = scanner_m
@@ -86,7 +92,11 @@ def _left_out(n: int, kept: Any) -> Mask:
 
 
 def csf(
-    points: Points, resolution_m: float, threshold_m: float, rigidness: int, slope_smoothing: bool
+    points: Points,
+    resolution_m: float,
+    threshold_m: float,
+    rigidness: int,
+    slope_smoothing: bool,
 ) -> Mask:
     """Cloth simulation filter (Zhang et al. 2016), its authors' package."""
     module = import_module("CSF")
@@ -105,7 +115,11 @@ def csf(
 
 
 def patchwork(
-    points: Points, piece_m: float, distance_m: float, upright: float, reach_m: float
+    points: Points,
+    piece_m: float,
+    distance_m: float,
+    upright: float,
+    reach_m: float,
 ) -> Mask:
     """Patchwork++ (Lee et al. 2022), its authors' package, which takes clouds around the scanner one by one.
 
@@ -141,7 +155,12 @@ def patchwork(
 
 
 def smrf(
-    points: Points, cell_m: float, slope: float, window_m: float, threshold_m: float, scaler: float
+    points: Points,
+    cell_m: float,
+    slope: float,
+    window_m: float,
+    threshold_m: float,
+    scaler: float,
 ) -> Mask:
     """Simple morphological filter (Pingel et al. 2013).
 
@@ -170,7 +189,12 @@ def smrf(
     return found
 
 
-def _objects(surface: F64, slope: float, cell_m: float, most: int) -> Mask:
+def _objects(
+    surface: F64,
+    slope: float,
+    cell_m: float,
+    most: int,
+) -> Mask:
     """Mark cells above what openings with growing discs leave, by more than the slope allows."""
     ndimage = import_module("scipy.ndimage")
     found = np.zeros(surface.shape, dtype=bool)

@@ -41,7 +41,12 @@ COLOURS: U8 = np.array(
 """Of no return, the classes and what is not judged."""
 
 
-def failures(scan: Scan, codes: U8, method: str, path: Path) -> None:
+def failures(
+    scan: Scan,
+    codes: U8,
+    method: str,
+    path: Path,
+) -> None:
     """Draw the first lines of a scan and what a method makes of them into a PNG.
 
     Parameters

@@ -324,7 +324,12 @@ def _output_of(folder: Path, steps: list[dict[str, Any]]) -> Path:
     return folder / f"{_digest([json.dumps(steps)])}.npz"
 
 
-def _table(verdict: Verdict, scan: Scan, cpu_s: float, peak_mib: float | None) -> dict[str, Any]:
+def _table(
+    verdict: Verdict,
+    scan: Scan,
+    cpu_s: float,
+    peak_mib: float | None,
+) -> dict[str, Any]:
     returns = int((~np.isnan(scan.range_m)).sum()) + len(scan.extra)
     when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
     table = {

@@ -51,7 +51,10 @@ def write_drive(path: Path, ranges: Path, point_format: int) -> None:
 
 
 def drive_points(
-    image: np.ndarray, first: int, header: laspy.LasHeader, rng: np.random.Generator
+    image: np.ndarray,
+    first: int,
+    header: laspy.LasHeader,
+    rng: np.random.Generator,
 ) -> laspy.ScaleAwarePointRecord:
     """Records of some scan lines at 100 lines per second and 5 cm between lines."""
     line, column = np.indices(image.shape).reshape(2, -1)

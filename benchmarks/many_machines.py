@@ -77,7 +77,12 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
         target.unlink()
 
 
-def plan(rate: float, read: float, written: float, options: argparse.Namespace) -> Iterator[str]:
+def plan(
+    rate: float,
+    read: float,
+    written: float,
+    options: argparse.Namespace,
+) -> Iterator[str]:
     """Hours and cost of an archive.
 
     Parameters

@@ -108,7 +108,12 @@ def built(kind: str, settings: Any) -> Listed:
     return Listed(kind, base, np.zeros((n, 2)))
 
 
-def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
+def compare(
+    listed: Listed,
+    shots: F64,
+    things: list[Thing],
+    way: F64,
+) -> None:
     """Print a row for every ring around the way."""
     which, off = listed.nearest(shots)
     n_shots = np.bincount(which[off < NEAR_M[listed.kind]], minlength=len(listed.base))
@@ -186,7 +191,12 @@ def main() -> None:
                 _one(kind, settings, Path(name), options.preset)
 
 
-def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
+def _one(
+    kind: Kind,
+    settings: Any,
+    folder: Path,
+    preset: str | None,
+) -> None:
     scan = folder / "scan.laz"
     stems = folder / "stems.csv"
     simulate(

@@ -110,7 +110,12 @@ def labelled(folder: Path) -> list[I64]:
     return found
 
 
-def make(scene: Scene, seed: int, n_frames: int, folder: Path) -> Drive:
+def make(
+    scene: Scene,
+    seed: int,
+    n_frames: int,
+    folder: Path,
+) -> Drive:
     """Simulate a drive and label it."""
     scanner = {
         "name": scene.scanner,
@@ -309,7 +314,12 @@ def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, 
     return table(("library: points", *every, "failed"), rows)
 
 
-def drawn(name: str, paths: dict[str, F64], true_m: F64, picture: Path) -> None:
+def drawn(
+    name: str,
+    paths: dict[str, F64],
+    true_m: F64,
+    picture: Path,
+) -> None:
     """Draw paths from the side, and how far they are from the true one."""
     import matplotlib as mpl
 
@@ -329,7 +339,12 @@ def drawn(name: str, paths: dict[str, F64], true_m: F64, picture: Path) -> None:
     figure.savefig(picture, metadata={"Software": None})
 
 
-def results(names: list[str], seeds: list[int], n_frames: int, n_jobs: int) -> list[Result]:
+def results(
+    names: list[str],
+    seeds: list[int],
+    n_frames: int,
+    n_jobs: int,
+) -> list[Result]:
     """Run all scenes with all seeds."""
     jobs = [(name, seed, n_frames, seed == seeds[0]) for name in names for seed in seeds]
     with ProcessPoolExecutor(n_jobs, mp_context=get_context("spawn")) as pool:

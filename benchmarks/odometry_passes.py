@@ -75,7 +75,12 @@ class Pass:
     """(m, 3) true places of the scanner."""
 
 
-def drive(kind: Kind, options: dict[str, Any], folder: Path, name: str) -> Pass:
+def drive(
+    kind: Kind,
+    options: dict[str, Any],
+    folder: Path,
+    name: str,
+) -> Pass:
     """Simulate a pass and label it."""
     path = folder / f"{name}.laz"
     way = folder / f"{name}.csv"
@@ -116,7 +121,13 @@ def _columns(names: list[str]) -> list[str]:
 class Drift:
     """What an IMU alone makes of a trajectory."""
 
-    def __init__(self, one: Pass, seed: int, start_m: float = 0.0, start_deg: float = 0.0) -> None:
+    def __init__(
+        self,
+        one: Pass,
+        seed: int,
+        start_m: float = 0.0,
+        start_deg: float = 0.0,
+    ) -> None:
         random = np.random.default_rng(seed)
         self._one = one
         self._from_s = float(one.way_s[0])

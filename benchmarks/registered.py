@@ -330,7 +330,13 @@ class Part:
         return labels, runs
 
 
-def part(points: Path, cloud: Cloud, raw: Path | None = None, *, options: Options = POINTS) -> Part:
+def part(
+    points: Path,
+    cloud: Cloud,
+    raw: Path | None = None,
+    *,
+    options: Options = POINTS,
+) -> Part:
     """Return a cloud that is compared with its whole raw stream, or with another one."""
     reference = Reference(cloud.raw if raw is None else raw)
     path = cloud.path
@@ -339,7 +345,13 @@ def part(points: Path, cloud: Cloud, raw: Path | None = None, *, options: Option
     )
 
 
-def masked(points: Path, cloud: Cloud, name: str, *, options: Options = POINTS) -> Part:
+def masked(
+    points: Path,
+    cloud: Cloud,
+    name: str,
+    *,
+    options: Options = POINTS,
+) -> Part:
     """Return a cloud that is compared with the raw stream without all other records."""
     raw = part_of(cloud.raw, cloud.record, name)
     kept = np.sort(cloud.record)
@@ -488,7 +500,12 @@ def run_case(case: Case, work: Path, output: Path) -> Row:
     return row
 
 
-def _measure_path(case: Case, piece: Part, row: Row, output: Path) -> None:
+def _measure_path(
+    case: Case,
+    piece: Part,
+    row: Row,
+    output: Path,
+) -> None:
     if "points" not in piece.options:
         return
     found = output / "path.csv"
@@ -678,12 +695,22 @@ def as_ply(name: str, work: Path) -> list[Part]:
 # Hard ones
 
 
-def changed(name: str, change: Callable[[Cloud], Cloud], word: str, work: Path) -> list[Part]:
+def changed(
+    name: str,
+    change: Callable[[Cloud], Cloud],
+    word: str,
+    work: Path,
+) -> list[Part]:
     """Return a drive whose values are changed; all records stay."""
     return [part(work / f"{name}_{word}.laz", change(DRIVES[name].cloud(work)))]
 
 
-def thinned(name: str, keep: Callable[[Cloud], I64 | Mask], word: str, work: Path) -> list[Part]:
+def thinned(
+    name: str,
+    keep: Callable[[Cloud], I64 | Mask],
+    word: str,
+    work: Path,
+) -> list[Part]:
     """Return some of the points of a drive."""
     cloud = DRIVES[name].cloud(work)
     kept = cloud.take(keep(cloud))
@@ -731,7 +758,10 @@ def adjusted(cloud: Cloud) -> Cloud:
 
 
 def joined(
-    clouds: Sequence[Cloud], points: Path, order: Callable[[Cloud], I64] | None, word: str
+    clouds: Sequence[Cloud],
+    points: Path,
+    order: Callable[[Cloud], I64] | None,
+    word: str,
 ) -> list[Part]:
     """Return several clouds in one file, compared with the raw stream of each."""
     arrays = ("xyz_m", "time_s", "truth", "intensity", "return_number", "n_returns", "scanner")

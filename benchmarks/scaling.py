@@ -62,7 +62,12 @@ def checkerboard(n_lines: int, n_columns: int) -> Mask:
     return board
 
 
-def spiral(n_lines: int, n_columns: int, width: int, gap: int) -> Mask:
+def spiral(
+    n_lines: int,
+    n_columns: int,
+    width: int,
+    gap: int,
+) -> Mask:
     """One long spiral component, whose parts are joined late."""
     image = np.zeros((n_lines, n_columns), dtype=bool)
     top = 0

@@ -143,7 +143,10 @@ def made(kind: Kind, folder: Path, **options: Any) -> Path:
 
 
 def compared(
-    source: Path, config: LoadedConfig, mapping: str, reference: Path | None = None
+    source: Path,
+    config: LoadedConfig,
+    mapping: str,
+    reference: Path | None = None,
 ) -> ConfusionMatrix:
     """Classify a file and compare with its reference."""
     labels = source.with_name("labels.npy")
@@ -707,7 +710,13 @@ def park(folder: Path) -> None:
         max_range_m=300.0,
     )
 
-    def near(scene: ForestScene, x_m: float, y_m: float, radius_m: float, time_s: float) -> Bodies:
+    def near(
+        scene: ForestScene,
+        x_m: float,
+        y_m: float,
+        radius_m: float,
+        time_s: float,
+    ) -> Bodies:
         return scene.bodies_near(x_m, y_m, radius_m)
 
     for name, params in FORESTS.items():

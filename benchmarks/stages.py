@@ -28,7 +28,13 @@ ROUNDS = 7
 """Rounds; each runs every job once, so that other load affects all. The best time counts."""
 
 
-def classify_all(ranges: F32, params: PrcParams, threads: int, *, segments: bool = False) -> None:
+def classify_all(
+    ranges: F32,
+    params: PrcParams,
+    threads: int,
+    *,
+    segments: bool = False,
+) -> None:
     """Run the block pipeline over a range image; labels are dropped block by block."""
     for _ in label_blocks(
         iter([ScanBlock(0, ranges)]), params, threads=threads, wanted=Wanted(segments=segments)

@@ -142,7 +142,14 @@ class Trial:
             f"{ROOT}/", ""
         )
 
-    def judge(self, case: Case, told: Told, f1_right: float, *, is_right: bool = False) -> Result:
+    def judge(
+        self,
+        case: Case,
+        told: Told,
+        f1_right: float,
+        *,
+        is_right: bool = False,
+    ) -> Result:
         """Run a case and say what became of it."""
         done, command = self.classify(told, case.options)
         f1 = (
@@ -174,7 +181,13 @@ class Trial:
         self.results.append(result)
         return result
 
-    def follow(self, case: Case, told: Told, done: Done, f1_right: float) -> bool | None:
+    def follow(
+        self,
+        case: Case,
+        told: Told,
+        done: Done,
+        f1_right: float,
+    ) -> bool | None:
         """Type what a message says, then what the next one says.
 
         Return whether that gives the right labels.
@@ -261,7 +274,12 @@ def random_of(*parts: object) -> np.random.Generator:
 
 
 def try_window(
-    trial: Trial, source: Source, window: Window, rows: Iterable[Row], form: int, seed: int
+    trial: Trial,
+    source: Source,
+    window: Window,
+    rows: Iterable[Row],
+    form: int,
+    seed: int,
 ) -> None:
     """Run a window rightly told, then the rows, with every method."""
     for method in methods_of(window):
@@ -295,7 +313,12 @@ def _as_image(window: Window, labels: U8, told: Told) -> I64:
 
 
 def try_row(
-    trial: Trial, row: Row, window: Window, context: Context, f1_right: float, seed: int
+    trial: Trial,
+    row: Row,
+    window: Window,
+    context: Context,
+    f1_right: float,
+    seed: int,
 ) -> Result | None:
     """Run a row at a window."""
     random = random_of(seed, row.name, window.scan, window.first_line, context.method)
@@ -316,7 +339,12 @@ def try_row(
     return trial.judge(case, made, f1_right, is_right=row.is_right)
 
 
-def try_frame(trial: Trial, frame: Frame, only: str, seed: int) -> None:
+def try_frame(
+    trial: Trial,
+    frame: Frame,
+    only: str,
+    seed: int,
+) -> None:
     """Run a frame of rings rightly told, then its rows."""
     for method in ("fused", "sequential-angle"):
         context = Context(trial.folder, method, random_of(seed, frame.scan, method))
@@ -332,7 +360,13 @@ def try_frame(trial: Trial, frame: Frame, only: str, seed: int) -> None:
 
 
 def run_set(
-    trial: Trial, part: Part, seed: int, *, is_quick: bool, only: str, told: Callable[[str], None]
+    trial: Trial,
+    part: Part,
+    seed: int,
+    *,
+    is_quick: bool,
+    only: str,
+    told: Callable[[str], None],
 ) -> None:
     """Run all scans of a set."""
     rows = [row for row in ROWS if only in row.name]
@@ -352,7 +386,13 @@ def run_set(
         told(frame.scan)
 
 
-def chosen_windows(rows: list[Row], n: int, each: int, scan: str, seed: int) -> list[list[Row]]:
+def chosen_windows(
+    rows: list[Row],
+    n: int,
+    each: int,
+    scan: str,
+    seed: int,
+) -> list[list[Row]]:
     """Return the rows of every window.
 
     Those for everywhere, the others at some windows by chance.

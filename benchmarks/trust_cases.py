@@ -157,7 +157,10 @@ def taken(shots: Shots, order: NDArray[np.integer[Any]]) -> Shots:
 
 
 def dump(
-    path: Path, shots: Shots, names: Sequence[str], points_per_line: int | None = None
+    path: Path,
+    shots: Shots,
+    names: Sequence[str],
+    points_per_line: int | None = None,
 ) -> tuple[str, ...]:
     """Write records with the named fields and their layout; return the options that name it."""
     records = np.zeros(len(shots["range"]), np.dtype([(name, _TYPES[name]) for name in names]))
@@ -203,7 +206,12 @@ def _set(key: str, value: float) -> tuple[str, str]:
 
 
 def flat(
-    window: Window, context: Context, values: NDArray[Any], truth: I64 | None = None, *, m: int = 0
+    window: Window,
+    context: Context,
+    values: NDArray[Any],
+    truth: I64 | None = None,
+    *,
+    m: int = 0,
 ) -> Told:
     """Write values one after the other, as a plain dump of ranges with M told."""
     path = context.folder / "scan.bin"
@@ -914,7 +922,10 @@ class FrameRow:
 
 
 def frame_file(
-    frame: Frame, context: Context, points: NDArray[Any] | None = None, truth: I64 | None = None
+    frame: Frame,
+    context: Context,
+    points: NDArray[Any] | None = None,
+    truth: I64 | None = None,
 ) -> Told:
     """Write a frame with the options of its sample configuration."""
     path = context.folder / "frame.bin"

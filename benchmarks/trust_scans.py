@@ -166,7 +166,14 @@ class Source:
         return self.spec is not None and self.spec.usual_m > USUAL_M
 
 
-def cut(name: str, scan: Scan, first: int, n_lines: int, *, is_labelled: bool = True) -> Window:
+def cut(
+    name: str,
+    scan: Scan,
+    first: int,
+    n_lines: int,
+    *,
+    is_labelled: bool = True,
+) -> Window:
     """Return some lines of a scan; its angles count from the first column."""
     lines = slice(first, first + n_lines)
     degrees = np.rad2deg(np.unwrap(scan.angle_rad))

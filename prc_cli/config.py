@@ -461,7 +461,12 @@ FRAME_SAMPLE = "kitti_frame.toml"
 """Sample configuration that reads a frame of x, y, z and intensity."""
 
 
-def _with_table(loaded: LoadedConfig, own: Mapping[str, Any], name: str, note: str) -> LoadedConfig:
+def _with_table(
+    loaded: LoadedConfig,
+    own: Mapping[str, Any],
+    name: str,
+    note: str,
+) -> LoadedConfig:
     """Lay a table under what was told."""
     usual = dict(flatten(RunConfig().to_table()))
     table = merge(loaded.config.to_table(), own)
@@ -552,7 +557,10 @@ def params_to_toml(
 
 
 def _toml_lines(
-    table: Params, prefix: str, sources: Mapping[str, str], comments: bool
+    table: Params,
+    prefix: str,
+    sources: Mapping[str, str],
+    comments: bool,
 ) -> Iterator[str]:
     tables: list[tuple[str, Params]] = []
     for name, info in type(table).model_fields.items():
@@ -572,7 +580,11 @@ def _toml_lines(
 
 
 def _toml_key(
-    key: str, value: Any, info: FieldInfo, source: str | None, comments: bool
+    key: str,
+    value: Any,
+    info: FieldInfo,
+    source: str | None,
+    comments: bool,
 ) -> Iterator[str]:
     origin = _origin(source) if comments and source else ""
     if comments and info.description:

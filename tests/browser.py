@@ -51,7 +51,12 @@ class Browser:
         return self._call("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
 
     def open(
-        self, page: Path | str, *, width: int = 1280, height: int = 900, dark: bool = False
+        self,
+        page: Path | str,
+        *,
+        width: int = 1280,
+        height: int = 900,
+        dark: bool = False,
     ) -> None:
         """Open a page in a window of a size, light or dark."""
         self.devtools(

@@ -406,7 +406,12 @@ def _distance(file: str, test: str) -> int:
 # -- one fault at a time ----------------------------------------------------------------------------------------------
 
 
-def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> tuple[bool, str]:
+def judge(
+    mutant: Mutant,
+    tests: list[str],
+    cases: list[str],
+    golden: Path,
+) -> tuple[bool, str]:
     """Return whether the check of the generated pages, the tests or the golden cases notice a fault, and which does."""
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
         return False, "not run: the file was changed meanwhile"

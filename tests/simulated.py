@@ -19,7 +19,11 @@ HEIGHT_M = 1.75
 
 
 def static_scan(
-    elevation_step: float, azimuth_step: float, seed: int, *, turn: float = 360.0
+    elevation_step: float,
+    azimuth_step: float,
+    seed: int,
+    *,
+    turn: float = 360.0,
 ) -> SimulatedScan:
     """A tripod in a street, steps in degrees."""
     scanner = {
@@ -32,7 +36,11 @@ def static_scan(
 
 @cache
 def static_arrays(
-    elevation_step: float, azimuth_step: float, seed: int, *, turn: float = 360.0
+    elevation_step: float,
+    azimuth_step: float,
+    seed: int,
+    *,
+    turn: float = 360.0,
 ) -> tuple[ScanBlock, U8]:
     """The same as one block with ranges, coordinates and beams, and its reference labels."""
     return _whole(static_scan(elevation_step, azimuth_step, seed, turn=turn))

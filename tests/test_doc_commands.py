@@ -99,7 +99,10 @@ RUN = [path for path in PAGES if any(not reason for reason, _ in blocks(path))]
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RUN, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_run(
-    path: Path, sandbox: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path,
+    sandbox: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for reason, block in blocks(path):
         if reason:

@@ -146,7 +146,10 @@ def fill(page: Path, text: str) -> str:
     ],
 )
 def test_a_figure_is_written_from_its_cell(
-    page: Path, shown: str, title: str, expected: str
+    page: Path,
+    shown: str,
+    title: str,
+    expected: str,
 ) -> None:
     text = f'It is [{shown}](x_figures.md#streets-all "{title}") of 3.'
     assert fill(page, text) == text.replace(f"[{shown}]", f"[{expected}]")

@@ -44,7 +44,10 @@ def no_thread_left() -> Iterator[None]:
 @pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet", ".las", ".laz"])
 @pytest.mark.parametrize("kind", [".bin", ".csv", ".npz"])
 def test_bytes_are_equal_with_any_number_of_threads(
-    tmp_path: Path, image: np.ndarray, kind: str, suffix: str
+    tmp_path: Path,
+    image: np.ndarray,
+    kind: str,
+    suffix: str,
 ) -> None:
     write = {".bin": write_raw, ".csv": write_csv, ".npz": write_npz}[kind]
     source = write(tmp_path / f"drive{kind}", image)

@@ -95,7 +95,11 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(
     ],
 )
 def test_what_is_wrong_is_named(
-    name: str, method: str, seed: int, told: str, tmp_path: Path
+    name: str,
+    method: str,
+    seed: int,
+    told: str,
+    tmp_path: Path,
 ) -> None:
     row = next(row for row in ROWS if row.name == name)
     result = try_row(

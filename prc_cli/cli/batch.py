@@ -361,7 +361,12 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
 )
 @_option("--dry-run", is_flag=True, help="Only say what would be removed.")
 @_option("--json", "as_json", is_flag=True, help="Print it as JSON on stdout.")
-def clean(out: Path, archive: Path | None, dry_run: bool, as_json: bool) -> None:
+def clean(
+    out: Path,
+    archive: Path | None,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
     """Remove temporary files that dead runs left in OUT; outputs stay.
 
     \b

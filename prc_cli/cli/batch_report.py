@@ -170,7 +170,14 @@ class Teller:
     Quiet: only what is wrong.
     """
 
-    def __init__(self, *, quiet: bool, verbose: bool, stamps: bool, bar: bool) -> None:
+    def __init__(
+        self,
+        *,
+        quiet: bool,
+        verbose: bool,
+        stamps: bool,
+        bar: bool,
+    ) -> None:
         from tqdm import tqdm
 
         self._quiet = quiet
@@ -610,7 +617,10 @@ def _entry_dict(entry: Entry) -> dict[str, Any]:
 
 
 def print_status(
-    out: Path, entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]
+    out: Path,
+    entries: Sequence[Entry],
+    runs: Sequence[Run],
+    owners: Sequence[Holder],
 ) -> None:
     """Print the state of an output folder on stdout."""
     counts = Counter(entry.state for entry in entries)

@@ -27,7 +27,12 @@ BROKEN = 1
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print only what is not as it should be.")
-def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
+def doctor(
+    out: Path | None,
+    no_run: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Check the installation: packages, LAZ, compiled loops, memory, disks, and a small run from end to end.
 
     The compiled loops must give the same labels as --engine reference of prc classify.

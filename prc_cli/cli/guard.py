@@ -159,7 +159,12 @@ def _wait(
 
 
 def _exit_code(
-    status: int, sent: list[int], killed: bool, arguments: list[str], printed: int, notes: int
+    status: int,
+    sent: list[int],
+    killed: bool,
+    arguments: list[str],
+    printed: int,
+    notes: int,
 ) -> int:
     """Return the exit code for the status of the child; tell of a crash and clean up after it."""
     said = _read(printed)
@@ -190,7 +195,13 @@ def _exit_code(
     return 1
 
 
-def _message(number: int, name: str, arguments: list[str], said: bytes, left: str) -> str:
+def _message(
+    number: int,
+    name: str,
+    arguments: list[str],
+    said: bytes,
+    left: str,
+) -> str:
     named = [word for word in arguments[1:] if Path(word).is_file()]
     where = ", ".join(named[:MOST_NAMED]) + (
         f" and {len(named) - MOST_NAMED} more" * (len(named) > MOST_NAMED)

@@ -133,7 +133,11 @@ def _prepare_path(
 
 
 def _written_path(
-    inspection: Inspection, output: Path, loaded: LoadedConfig, *, overwrite: bool
+    inspection: Inspection,
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    overwrite: bool,
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     if inspection.drive is None:
         raise InputError(
@@ -143,7 +147,11 @@ def _written_path(
 
 
 def _drafted(
-    files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, overwrite: bool
+    files: tuple[Path, ...],
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    overwrite: bool,
 ) -> LoadedConfig:
     """Write the draft of one file; return the configuration with it."""
     if len(files) != 1 or loaded.files:
@@ -155,7 +163,13 @@ def _drafted(
     return load_config(output)
 
 
-def _print(inspection: Inspection, command: str, *, checks: bool, verbose: bool) -> None:
+def _print(
+    inspection: Inspection,
+    command: str,
+    *,
+    checks: bool,
+    verbose: bool,
+) -> None:
     """Print a file on one screen.
 
     The verdict, what to type, doubts, facts, and how many checks are fine.

@@ -263,7 +263,10 @@ def scanners(as_json: bool) -> None:
 )
 @click.option("--bare", is_flag=True, help="Without comments.")
 def parameters(
-    kind: Kind, config_file: Path | None, assignments: tuple[str, ...], bare: bool
+    kind: Kind,
+    config_file: Path | None,
+    assignments: tuple[str, ...],
+    bare: bool,
 ) -> None:
     """Print every parameter of a KIND of simulation as TOML that --config reads.
 

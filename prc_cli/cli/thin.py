@@ -131,7 +131,11 @@ def thin(
 
 
 def _print_summary(
-    summary: ThinningSummary, seconds: float, *, verbose: bool, as_json: bool
+    summary: ThinningSummary,
+    seconds: float,
+    *,
+    verbose: bool,
+    as_json: bool,
 ) -> None:
     headings = ("class", "code", "input", "kept", "dropped", "bytes saved")
     table = table_of(f"{summary.record.input.name}: returns kept", *headings)

@@ -63,7 +63,11 @@ def _quota(folder: Path) -> float | None:
 
 
 def ordered(
-    function: Callable[[_A], _B], items: Iterable[_A], *, threads: int, ahead: int | None = None
+    function: Callable[[_A], _B],
+    items: Iterable[_A],
+    *,
+    threads: int,
+    ahead: int | None = None,
 ) -> Iterator[_B]:
     """Apply a function to items in worker threads; yield the results in the order of the items."""
     source = iter(items)
@@ -80,7 +84,10 @@ def ordered(
 
 
 def _in_threads(
-    function: Callable[[_A], _B], items: Iterator[_A], threads: int, ahead: int
+    function: Callable[[_A], _B],
+    items: Iterator[_A],
+    threads: int,
+    ahead: int,
 ) -> Iterator[_B]:
     pending: deque[Future[_B]] = deque()
     error: Exception | None = None

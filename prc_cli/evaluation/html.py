@@ -88,7 +88,12 @@ def class_colour(name: str) -> str:
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
-def mark(place: int, x: float, y: float, size: float = 4.0) -> str:
+def mark(
+    place: int,
+    x: float,
+    y: float,
+    size: float = 4.0,
+) -> str:
     """Return the mark of a class as an SVG shape around a point."""
     s = size
     shapes = (
@@ -322,7 +327,12 @@ def _gates_line(gates: Sequence[GateResult]) -> str:
     )
 
 
-def _view(shown: ConfusionMatrix, key: str, name: str, words: str) -> dict[str, Any]:
+def _view(
+    shown: ConfusionMatrix,
+    key: str,
+    name: str,
+    words: str,
+) -> dict[str, Any]:
     """Return one of the tables of the confusion matrix."""
     shares = (shown.column_shares() if key == "columns" else shown.row_shares()).tolist()
     agreeing = set(shown.scored_names)
@@ -395,7 +405,10 @@ def _split(split: str, parts: Sequence[SplitPart], shown: ConfusionMatrix) -> di
 
 
 def _charts(
-    split: str, parts: Sequence[SplitPart], places: dict[str, int], breaks: set[int]
+    split: str,
+    parts: Sequence[SplitPart],
+    places: dict[str, int],
+    breaks: set[int],
 ) -> Iterator[tuple[str, str]]:
     """Yield scores and their charts, as SVG."""
     found = [{item.name: item for item in scores(part.matrix).classes} for part in parts]

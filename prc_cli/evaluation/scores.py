@@ -120,7 +120,11 @@ def gate_value(found: Scores, name: str) -> float:
 
 
 def _class_scores(
-    name: str, n_reference: int, n_predicted: int, n_agreed: int, total: int
+    name: str,
+    n_reference: int,
+    n_predicted: int,
+    n_agreed: int,
+    total: int,
 ) -> ClassScores:
     either = n_reference + n_predicted - n_agreed
     return ClassScores(

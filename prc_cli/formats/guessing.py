@@ -193,7 +193,12 @@ def byte_period(data: U8) -> int | None:
     return next((int(lag) for lag in good if lag >= 2), None)
 
 
-def _column(rows: U8, at: int, kind: str, endian: str) -> NDArray[Any]:
+def _column(
+    rows: U8,
+    at: int,
+    kind: str,
+    endian: str,
+) -> NDArray[Any]:
     dtype = np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
     return np.ascontiguousarray(rows[:, at : at + dtype.itemsize]).view(dtype)[:, 0]
 
@@ -262,7 +267,12 @@ def _likeness(values: F64) -> float:
     return float(np.median(np.abs(np.diff(known)))) / random if random > 0 else 1.0
 
 
-def _header_bytes(head: U8, size: int, period: int, rows: U8) -> int:
+def _header_bytes(
+    head: U8,
+    size: int,
+    period: int,
+    rows: U8,
+) -> int:
     """Return the bytes before the first record: all before that are unlike the records behind."""
     low, high = np.percentile(rows, (0.5, 99.5), axis=0)
     # bytes that take few values tell records from other bytes

@@ -206,7 +206,11 @@ def find_columns(
 
 
 def _find_source(
-    where: str, names: Sequence[str], item: LayoutField, position: int, hint: str
+    where: str,
+    names: Sequence[str],
+    item: LayoutField,
+    position: int,
+    hint: str,
 ) -> int:
     """Return the number of the column that a field is read from."""
     source = item.source

@@ -161,7 +161,11 @@ class FieldSource:
     """Number of records; None if only reading can tell."""
 
     def __init__(
-        self, path: Path | str, form: str, columns: Mapping[str, Column], body: Body
+        self,
+        path: Path | str,
+        form: str,
+        columns: Mapping[str, Column],
+        body: Body,
     ) -> None:
         self.path = str(path)
         """File name, for messages."""
@@ -186,7 +190,13 @@ class FieldSource:
         for first, stored, n in self.body.stored(keys or (next(iter(self.columns.values())).key,)):
             yield self.decoded(first, stored, names, n)
 
-    def decoded(self, first: int, stored: Stored, names: tuple[str, ...], n: int) -> RecordChunk:
+    def decoded(
+        self,
+        first: int,
+        stored: Stored,
+        names: tuple[str, ...],
+        n: int,
+    ) -> RecordChunk:
         """Return stored values as dimensions."""
         keys = [self.columns[name].key for name in names]
         values = {}

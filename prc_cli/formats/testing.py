@@ -29,7 +29,10 @@ from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 
 
 def check_reads(
-    form: Format, sample: Path, layout: Layout | None = None, config: InputConfig | None = None
+    form: Format,
+    sample: Path,
+    layout: Layout | None = None,
+    config: InputConfig | None = None,
 ) -> int:
     """Read a sample twice, and every dimension alone.
 
@@ -217,7 +220,10 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _records(
-    form: Format, path: Path, layout: Layout | None, names: tuple[str, ...]
+    form: Format,
+    path: Path,
+    layout: Layout | None,
+    names: tuple[str, ...],
 ) -> dict[str, NDArray[Any]]:
     """Return all values of some dimensions."""
     found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}

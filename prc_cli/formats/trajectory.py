@@ -178,7 +178,10 @@ def _find_columns(
 
 
 def _parse(
-    path: Path, batch: list[tuple[int, str]], delimiter: str | None, columns: list[int]
+    path: Path,
+    batch: list[tuple[int, str]],
+    delimiter: str | None,
+    columns: list[int],
 ) -> F64:
     """Return (n, 4) time and position, all finite."""
     try:

@@ -88,7 +88,12 @@ def bounds(sample: F64) -> tuple[F64, F64]:
     return np.maximum(low - more, sample.min(axis=0)), np.minimum(high + more, sample.max(axis=0))
 
 
-def fullest_azimuth(sample: F64, elevation_deg: float, width: int, height: int) -> float:
+def fullest_azimuth(
+    sample: F64,
+    elevation_deg: float,
+    width: int,
+    height: int,
+) -> float:
     """Return the azimuth whose view a sample (n, 3) fills best, clockwise from north [deg]."""
     points = sample[:: max(1, len(sample) // _TRIED)]
     coarse = 160, max(1, 160 * height // width)
@@ -177,7 +182,12 @@ class Perspective:
 
     @classmethod
     def around(
-        cls, sample: F64, azimuth_deg: float, elevation_deg: float, width: int, height: int
+        cls,
+        sample: F64,
+        azimuth_deg: float,
+        elevation_deg: float,
+        width: int,
+        height: int,
     ) -> Perspective:
         """Return the view from a direction that holds nearly all points of a sample (n, 3) float64."""
         low, high = bounds(sample)

@@ -129,7 +129,10 @@ NOT_SCORED_COLOUR = (196, 180, 224)
 
 
 def difference_picture(
-    predicted: U8, reference: U8, colours: U8, unscored: int | None = None
+    predicted: U8,
+    reference: U8,
+    colours: U8,
+    unscored: int | None = None,
 ) -> U8:
     """Show where two labellings (lines, M) uint8 differ, in colours (n, 3); (lines, M, 3) uint8."""
     picture = colours[predicted]

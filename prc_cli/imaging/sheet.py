@@ -131,7 +131,10 @@ def number_text(value: float, step: float = 1.0) -> str:
 
 
 def zoom_for(
-    width: int, height: int, least: tuple[int, int] = (1000, 180), most: int = 2200
+    width: int,
+    height: int,
+    least: tuple[int, int] = (1000, 180),
+    most: int = 2200,
 ) -> tuple[int, int]:
     """Return integer factors that enlarge a small picture to a readable size."""
     across, down = (
@@ -196,7 +199,13 @@ def _draw_key(
         top += KEY_HEIGHT
 
 
-def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, height: int) -> None:
+def _draw_axes(
+    draw: ImageDraw.ImageDraw,
+    panel: Panel,
+    top: int,
+    width: int,
+    height: int,
+) -> None:
     bottom = top + height
     small = font(_SMALL)
     room = width - math.ceil(draw.textlength(panel.x.name, font=small)) - 60
@@ -227,7 +236,12 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
 
 
 def _draw_bar(
-    canvas: Image.Image, draw: ImageDraw.ImageDraw, bar: Bar, left: int, top: int, height: int
+    canvas: Image.Image,
+    draw: ImageDraw.ImageDraw,
+    bar: Bar,
+    left: int,
+    top: int,
+    height: int,
 ) -> None:
     """Draw a colour bar with its numbers, the first colour at the bottom."""
     small = font(_SMALL)
@@ -250,7 +264,11 @@ def _draw_bar(
 
 
 def draw_sheet(
-    head: str, panels: Sequence[Panel], key: Key = (), *, columns: int = 1
+    head: str,
+    panels: Sequence[Panel],
+    key: Key = (),
+    *,
+    columns: int = 1,
 ) -> Image.Image:
     """Stack pictures under each other below a headline, a key at the bottom."""
     if not panels:

@@ -30,7 +30,11 @@ from prc_cli.imaging.sheet import Key, Panel, draw_panel
 
 
 def html_page(
-    title: str, head: str, sections: Iterable[tuple[str, Sequence[Panel]]], key: Key, foot: str
+    title: str,
+    head: str,
+    sections: Iterable[tuple[str, Sequence[Panel]]],
+    key: Key,
+    foot: str,
 ) -> str:
     """Return an HTML page of pictures with captions under headings, without external files."""
     values = {"title": title, "head": head, "sections": sections, "key": key, "foot": foot}
@@ -105,7 +109,13 @@ class Shots:
 
 
 def viewer_page(
-    shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str, why: str = ""
+    shots: Shots,
+    *,
+    title: str,
+    head: str,
+    notes: Sequence[str],
+    foot: str,
+    why: str = "",
 ) -> str:
     """Return the page."""
     n_lines, n_columns = shots.classes.shape

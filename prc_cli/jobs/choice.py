@@ -167,7 +167,11 @@ def decide_stream(
 
 
 def decide(
-    path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False
+    path: Path,
+    loaded: LoadedConfig,
+    *,
+    engine: Engine = "compiled",
+    trust_order: bool = False,
 ) -> LoadedConfig:
     """Return a configuration that names a method.
 
@@ -177,7 +181,11 @@ def decide(
 
 
 def decide_and_open(
-    path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False
+    path: Path,
+    loaded: LoadedConfig,
+    *,
+    engine: Engine = "compiled",
+    trust_order: bool = False,
 ) -> tuple[LoadedConfig, ScanStream | None]:
     """Return :func:`decide`, and the stream with its beam directions where it was opened and the method needs them."""
     loaded = with_layout_beside(path, loaded)

@@ -690,7 +690,10 @@ def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
 
 
 def _block_of(
-    given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None
+    given: NDArray[Any],
+    config: RunConfig,
+    beam_rad: ArrayLike | None,
+    xyz_m: ArrayLike | None,
 ) -> ScanBlock:
     """Check the arrays of a range image."""
     ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
@@ -708,7 +711,10 @@ def _block_of(
 
 
 def _directed(
-    config: RunConfig, block: ScanBlock, angle_deg: ArrayLike | None, engine: Engine
+    config: RunConfig,
+    block: ScanBlock,
+    angle_deg: ArrayLike | None,
+    engine: Engine,
 ) -> tuple[LoadedConfig, ScanBlock]:
     """Find where the beams point, as for a file.
 
@@ -773,7 +779,10 @@ def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
 
 
 def run_record(
-    info: StreamInfo, counts: Counts, loaded: LoadedConfig, input_print: Fingerprint | None = None
+    info: StreamInfo,
+    counts: Counts,
+    loaded: LoadedConfig,
+    input_print: Fingerprint | None = None,
 ) -> RunRecord:
     """Return the provenance of a finished run; reads the input again if its hash is not given."""
     config = loaded.config

@@ -200,7 +200,10 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
 
 
 def _copy_window(
-    source: Path, output: Path, loaded: LoadedConfig, progress: Progress | None
+    source: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    progress: Progress | None,
 ) -> ConversionSummary:
     """Copy the records of a window of a LAS or LAZ file, and nothing else changed."""
     las = read_las(source)
@@ -336,7 +339,10 @@ def open_items(
 
 
 def _carry_array(
-    source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack
+    source: Path,
+    info: StreamInfo,
+    output: Path,
+    stack: contextlib.ExitStack,
 ) -> Carried | None:
     """Write the class codes of a range image to a temporary file; None if it has none."""
     if CLASS not in ArrayFile(source).headers:
@@ -357,7 +363,11 @@ def _carry_array(
 
 
 def _item(
-    item: StreamItem, carried: Carried | None, made_up: LinesApart | None, *, shares: bool
+    item: StreamItem,
+    carried: Carried | None,
+    made_up: LinesApart | None,
+    *,
+    shares: bool,
 ) -> StreamItem:
     """Add the values of records that blocks do not hold."""
     block = item.block
@@ -380,7 +390,10 @@ def _item(
 
 
 def find_losses(
-    output: Path, opened: OpenedItems, counts: Counts, written: tuple[str, ...] = ()
+    output: Path,
+    opened: OpenedItems,
+    counts: Counts,
+    written: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
     """Return what the output does not hold of the input, one sentence each, those of the writer first."""
     n_odd = 0 if opened.carried is None else opened.carried.n_odd  # complete once the items are

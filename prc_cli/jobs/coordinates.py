@@ -212,7 +212,10 @@ def placed_source(
 
 
 def axes_of(
-    records: RecordSource | None, stream: ScanStream, first: ScanBlock, config: RunConfig
+    records: RecordSource | None,
+    stream: ScanStream,
+    first: ScanBlock,
+    config: RunConfig,
 ) -> tuple[str, ...]:
     """Return the names of coordinates that records have and blocks have not: registered ones."""
     if records is None or not set(XYZ) <= set(records.dimensions):
@@ -224,7 +227,10 @@ def axes_of(
 
 @contextlib.contextmanager
 def placement(
-    source: Path, output: Path, loaded: LoadedConfig, stream: ScanStream
+    source: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    stream: ScanStream,
 ) -> Iterator[Placement | None]:
     """Give where returns lie in a new cloud.
 
@@ -275,7 +281,11 @@ def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
 
 
 def spacing(
-    info: StreamInfo, time_s: NDArray[Any] | None, *, in_forest: bool, step: int = 1
+    info: StreamInfo,
+    time_s: NDArray[Any] | None,
+    *,
+    in_forest: bool,
+    step: int = 1,
 ) -> tuple[float, str]:
     """Return the distance of lines [m], and how it is known.
 
@@ -360,7 +370,10 @@ def carry(
 
 
 def _rows_of(
-    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], fields: np.dtype[Any]
+    records: RecordSource,
+    class_name: str | None,
+    xyz: tuple[str, ...],
+    fields: np.dtype[Any],
 ) -> Generator[tuple[NDArray[Any], int]]:
     """Yield classes and coordinates of the next records, and the number of codes that are no whole numbers."""
     names = (*xyz, *([class_name] if class_name is not None else []))

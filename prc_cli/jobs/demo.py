@@ -137,7 +137,11 @@ def run_demo(
 
 
 def _run(
-    folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None
+    folder: Path,
+    part: Part,
+    options: Mapping[str, Any],
+    overwrite: bool,
+    progress: Progress | None,
 ) -> DemoPart:
     """Simulate what is not there, classify into LAZ and labels, compare with the simulator's labels, draw."""
     more = folder / MORE

@@ -24,7 +24,13 @@ _KEPT = ("lines", "columns", "range")
 _KEYS = {"scale", "missing"}
 
 
-def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = False) -> str:
+def draft(
+    path: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    overwrite: bool = False,
+) -> str:
     """Write a configuration with what a file says of itself, and what its numbers show."""
     prepare_outputs(output, overwrite=overwrite, inputs=(path, *loaded.files))
     lines, layout = _layout_lines(path, loaded)

@@ -129,7 +129,11 @@ def explain(
 
 
 def _find(
-    source: Path, loaded: LoadedConfig, line: int, scanner: int | None, progress: Progress | None
+    source: Path,
+    loaded: LoadedConfig,
+    line: int,
+    scanner: int | None,
+    progress: Progress | None,
 ) -> LabelledBlock:
     """Classify up to the line of a scanner, by default the first that comes."""
     last = -1

@@ -175,7 +175,11 @@ def _path_as_dict(drive: Drive | SpinningDrive) -> dict[str, Any]:
 
 
 def inspect(
-    path: Path, loaded: LoadedConfig, *, deep: bool = False, checks_path: bool = False
+    path: Path,
+    loaded: LoadedConfig,
+    *,
+    deep: bool = False,
+    checks_path: bool = False,
 ) -> Inspection:
     """Read a file once or twice and describe its contents.
 
@@ -390,7 +394,10 @@ def _measured_rates(source: RecordSource) -> TimedScan | None:
 
 
 def _with_estimate(
-    path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate
+    path: Path,
+    loaded: LoadedConfig,
+    refused: Inspection,
+    period: PeriodEstimate,
 ) -> Inspection:
     """Add the estimate of M to an input that cannot be opened, and try it where it is another than the one given."""
     refused = replace(refused, period=period)

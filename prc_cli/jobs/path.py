@@ -43,14 +43,25 @@ FROM_POINTS = "--range points"
 _KIND = "trajectory:"
 
 
-def prepare_path(output: Path, loaded: LoadedConfig, path: Path, *, overwrite: bool) -> None:
+def prepare_path(
+    output: Path,
+    loaded: LoadedConfig,
+    path: Path,
+    *,
+    overwrite: bool,
+) -> None:
     """Refuse an output for a path before any work is done."""
     check_path_suffix(output)
     prepare_outputs(output, overwrite=overwrite, inputs=(path, *loaded.files))
 
 
 def save_path(
-    output: Path, drive: Drive | SpinningDrive, loaded: LoadedConfig, path: Path, *, overwrite: bool
+    output: Path,
+    drive: Drive | SpinningDrive,
+    loaded: LoadedConfig,
+    path: Path,
+    *,
+    overwrite: bool,
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     """Write the path of every scanner of a drive; of several scanners, one file each.
 
@@ -95,7 +106,12 @@ def save_path(
     return tuple(names), doubts(findings)
 
 
-def _write(temporary: Path, name: Path, table: PathTable, crs: str | None) -> None:
+def _write(
+    temporary: Path,
+    name: Path,
+    table: PathTable,
+    crs: str | None,
+) -> None:
     try:
         write_path(temporary, name, table, crs)
     except ConfigError as error:

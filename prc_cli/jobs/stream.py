@@ -179,7 +179,12 @@ def stream(
     return StreamSummary(rate, counts, opened.info, watch.findings(), loaded.choice)
 
 
-def _rate(counts: Counts, start: float, info: StreamInfo, latency: float) -> Rate:
+def _rate(
+    counts: Counts,
+    start: float,
+    info: StreamInfo,
+    latency: float,
+) -> Rate:
     return Rate(counts.n_lines, counts.n_shots, time.perf_counter() - start, info.line_hz, latency)
 
 

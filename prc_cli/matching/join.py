@@ -29,7 +29,11 @@ SORT_RECORDS = 1 << 18
 
 
 def columns_of(
-    source: RecordSource, names: tuple[str, ...], *, sort: bool, with_record: bool = True
+    source: RecordSource,
+    names: tuple[str, ...],
+    *,
+    sort: bool,
+    with_record: bool = True,
 ) -> Iterator[Columns]:
     """Yield dimensions of a source, and :data:`RECORD` if asked.
 
@@ -241,7 +245,11 @@ def merge_join(
 
 
 def _decide(
-    one: Columns, other: Columns, decided: tuple[float, float], match: Matcher, tally: JoinTally
+    one: Columns,
+    other: Columns,
+    decided: tuple[float, float],
+    match: Matcher,
+    tally: JoinTally,
 ) -> Iterator[Joined]:
     """Match the records of a window, and hand on the left ones whose key lies in ``decided``."""
     first, stop = np.searchsorted(one[KEY], decided).tolist()

@@ -377,7 +377,11 @@ class Nearest:
 
 
 def nearest_join(
-    left: Cloud, right: Cloud, tolerance: float, tally: JoinTally, reach: float | None = None
+    left: Cloud,
+    right: Cloud,
+    tolerance: float,
+    tally: JoinTally,
+    reach: float | None = None,
 ) -> Iterator[Nearest]:
     """Find the nearest right point of every left one, by tiles.
 
@@ -415,7 +419,11 @@ def nearest_join(
 
 
 def nearest_of(
-    ours: Columns, cloud: Cloud, box: Box, bound: float, margin: float = 0.0
+    ours: Columns,
+    cloud: Cloud,
+    box: Box,
+    bound: float,
+    margin: float = 0.0,
 ) -> tuple[Columns, F64, I64, Any]:
     """Return points of a cloud around a box, distance (inf beyond ``bound``), index of the nearest, their tree."""
     theirs = cloud.read(box, margin + bound)

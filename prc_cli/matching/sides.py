@@ -481,14 +481,26 @@ class Side:
     def _counted(self, name: str, index: I64) -> I64:
         return index // self.points_per_line if name == LINE and self.points_per_line else index
 
-    def _typed(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> NDArray[Any]:
+    def _typed(
+        self,
+        file: SideFile,
+        name: str,
+        found: NDArray[Any],
+        first: int,
+    ) -> NDArray[Any]:
         if name == KEY and self.key is not None and self.key.kind == "dimension":
             return self._ids(file, self.key.dimension, found, first)
         if name in (KEY, RANGE, SECONDS, *AXES):
             return np.asarray(found, np.float64)
         return np.clip(_whole(found), 0, MAX_RETURN) if name == SAME else _whole(found)
 
-    def _ids(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> F64:
+    def _ids(
+        self,
+        file: SideFile,
+        name: str,
+        found: NDArray[Any],
+        first: int,
+    ) -> F64:
         """Return ids as float64, in which they must be exact; NaN = none."""
         ids, exact = exact_keys(found)
         wrong = ~(exact | np.isnan(ids))
@@ -521,7 +533,13 @@ def _columns(source: RecordSource, names: tuple[str, ...]) -> Iterator[Columns]:
     return (chunk.values for chunk in source.chunks(names))
 
 
-def _check_lengths(file: SideFile, n_codes: int, n_records: int, *, equal: bool) -> None:
+def _check_lengths(
+    file: SideFile,
+    n_codes: int,
+    n_records: int,
+    *,
+    equal: bool,
+) -> None:
     if not equal:
         points = file.points.path if file.points is not None else "its own columns"
         problem = f"{n_codes} class codes, but {points} holds {n_records} records; expected a code for every record"

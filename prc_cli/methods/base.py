@@ -231,7 +231,11 @@ class Classifier(Protocol[ScannerT, StateT_co]):
 
     @abstractmethod
     def label(
-        self, block: ScanBlock, scanner: ScannerT, turn: Turn, wanted: Wanted
+        self,
+        block: ScanBlock,
+        scanner: ScannerT,
+        turn: Turn,
+        wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, in any thread.
 

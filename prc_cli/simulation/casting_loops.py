@@ -71,7 +71,13 @@ class _Bins(NamedTuple):
 
 
 @helper
-def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
+def _wrap(
+    shape: int,
+    numbers: F64,
+    turn: F64,
+    hull: F64,
+    j: int,
+) -> None:
     """Write what encloses a body.
 
     Three points, a distance around their triangle, and the reach from the first.
@@ -116,7 +122,12 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
 
 
 @helper
-def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
+def _prepare(
+    shape: int,
+    numbers: F64,
+    turn: F64,
+    ready: F64,
+) -> None:
     """Write the numbers of a body that can be computed once for all shots."""
     for k in range(6):
         ready[k] = numbers[k]
@@ -172,7 +183,14 @@ def _middle(numbers: F64) -> tuple[float, float]:
 
 
 @helper
-def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, line: int, rays: F64) -> None:
+def _read_line(
+    origin: F64,
+    direction: F64,
+    time_s: F64,
+    t_min: F64,
+    line: int,
+    rays: F64,
+) -> None:
     """Write the shots of a line in rows: origin, direction, time, least range."""
     for i in range(rays.shape[1]):
         for k in range(3):
@@ -302,7 +320,12 @@ def _bin(angle: float, bins: _Bins, n_bins: int) -> int:
 
 @helper
 def _look_around(
-    hull: F64, velocity: F64, frame: _Frame, corners: F64, seen: I64, spans: F64
+    hull: F64,
+    velocity: F64,
+    frame: _Frame,
+    corners: F64,
+    seen: I64,
+    spans: F64,
 ) -> int:
     """List the bodies that shots of a line can meet.
 
@@ -409,7 +432,14 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
 
 
 @helper
-def _list_windows(low: float, high: float, bins: _Bins, first: I64, last: I64, windows: I64) -> int:
+def _list_windows(
+    low: float,
+    high: float,
+    bins: _Bins,
+    first: I64,
+    last: I64,
+    windows: I64,
+) -> int:
     """List the windows of columns, first and one past the last, whose shots go between two angles, at any turn."""
     n = 0
     turns = np.ceil((bins.first - high) / 4.0)
@@ -446,7 +476,14 @@ def _sort(keys: F64, rows: I64, n: int) -> None:
 
 @helper
 def _cast_triangle(
-    rays: F64, start: int, stop: int, velocity: F64, ready: F64, b: int, t: F64, body: I32
+    rays: F64,
+    start: int,
+    stop: int,
+    velocity: F64,
+    ready: F64,
+    b: int,
+    t: F64,
+    body: I32,
 ) -> None:
     """Intersect a window of shots with a triangle (Möller and Trumbore 1997, with the normal prepared)."""
     vx = velocity[0]
@@ -487,7 +524,11 @@ def _cast_triangle(
 
 @helper
 def _turned(
-    rays: F64, i: int, vx: float, vy: float, ready: F64
+    rays: F64,
+    i: int,
+    vx: float,
+    vy: float,
+    ready: F64,
 ) -> tuple[float, float, float, float, float, float]:
     """Return a shot in the coordinates of an ellipsoid or box.
 
@@ -528,7 +569,11 @@ def _roots(a: float, b: float, c: float) -> tuple[float, float]:
 
 @helper
 def _along_cone(
-    rays: F64, i: int, vx: float, vy: float, ready: F64
+    rays: F64,
+    i: int,
+    vx: float,
+    vy: float,
+    ready: F64,
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return the terms of the equation of a shot and a cone.
 
@@ -552,7 +597,13 @@ def _along_cone(
 
 @helper
 def _cut_ellipsoid(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    ready: F64,
 ) -> tuple[float, float]:
     p = ready[8]
     q = ready[9]
@@ -579,7 +630,13 @@ def _through_slab(place: float, step: float, half: float) -> tuple[float, float]
 
 @helper
 def _cut_box(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    ready: F64,
 ) -> tuple[float, float]:
     low, high = _through_slab(x, dx, ready[3])
     enter, leave = _through_slab(y, dy, ready[4])

@@ -214,7 +214,11 @@ def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
 
 
 def _as_static(
-    found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind: Hits | None
+    found: Measured,
+    bodies: Bodies,
+    shots: Shots,
+    hits: Hits,
+    behind: Hits | None,
 ) -> Measured:
     """Return what was measured with the labels of static scans."""
 
@@ -249,7 +253,12 @@ It falls with the square of the range.
 """
 
 
-def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Measured:
+def in_snow(
+    found: Measured,
+    flake_m: float,
+    first_line: int,
+    seed: int,
+) -> Measured:
     """Return what is measured where flakes, or drops, lie in the way of the beams.
 
     Their returns are noise.
@@ -310,7 +319,12 @@ def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
     )
 
 
-def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
+def ground_below(
+    bodies_near: BodiesNear,
+    x_m: float,
+    y_m: float,
+    z_m: float,
+) -> float:
     """Return the height of what lies under a place [m]; ``z_m`` where nothing does."""
     origin = np.array([[[x_m, y_m, z_m + 1.0]] * 2])
     down = np.array([[[0.0, 0.0, -1.0]] * 2])
@@ -318,7 +332,12 @@ def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) ->
     return z_m + 1.0 - float(t[0, 0]) if np.isfinite(t[0, 0]) else z_m
 
 
-def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
+def room_around(
+    bodies_near: BodiesNear,
+    x_m: float,
+    y_m: float,
+    z_m: float,
+) -> float:
     """Return how far everything is from a place, between knee and head, at time 0 [m]."""
     heights = np.array([0.5, 1.0, 1.5])
     turns = np.arange(0.0, 2.0 * np.pi, np.pi / 90.0)
@@ -360,7 +379,12 @@ _ASKED = (
 """Materials that are VERTICAL or HORIZONTAL."""
 
 
-def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
+def static_labels(
+    label: U8,
+    bodies: Bodies,
+    body: I32,
+    place_m: F64,
+) -> U8:
     """Return the labels of a static scan.
 
     The classes of Stamos et al. (2012) instead of those of materials.

@@ -118,7 +118,13 @@ class Measured:
     """(e,) float32."""
 
 
-def goes_behind(hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, seed: int) -> Mask:
+def goes_behind(
+    hits: Hits,
+    bodies: Bodies,
+    scanner: Scanner,
+    first_line: int,
+    seed: int,
+) -> Mask:
     """Mark shots through glass, or past a leaf.
 
     Cast them again from there and give the result to :func:`scan`.

@@ -113,7 +113,13 @@ def _slope(facing: float) -> float:
 
 
 @helper
-def _goes_on(key: np.uint64, column: int, what: int, facing: float, model: SensorModel) -> bool:
+def _goes_on(
+    key: np.uint64,
+    column: int,
+    what: int,
+    facing: float,
+    model: SensorModel,
+) -> bool:
     """Return whether the light goes on behind the first surface: through glass, or past a leaf."""
     if what & GLASS:
         return (
@@ -129,7 +135,14 @@ def _goes_on(key: np.uint64, column: int, what: int, facing: float, model: Senso
 
 @helper
 def _prepare(
-    t: F64, body: I32, facing: F64, surface: F64, kind: U8, model: SensorModel, work: F64, what: U8
+    t: F64,
+    body: I32,
+    facing: F64,
+    surface: F64,
+    kind: U8,
+    model: SensorModel,
+    work: F64,
+    what: U8,
 ) -> None:
     """Write power, slope and label of what every shot of a line meets, and what it is."""
     for column in range(t.shape[0]):
@@ -150,7 +163,13 @@ def _prepare(
 
 
 @helper
-def _split(key: np.uint64, body: I32, work: F64, what: U8, model: SensorModel) -> None:
+def _split(
+    key: np.uint64,
+    body: I32,
+    work: F64,
+    what: U8,
+    model: SensorModel,
+) -> None:
     """Write the shares of every beam, up to half, that fall on the surfaces of the adjacent shots.
 
     An edge lies anywhere between two shots, each of which it splits if it is within its width.
@@ -213,7 +232,14 @@ def _pane_echo(
 
 
 @helper
-def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: int) -> int:
+def _add_echo(
+    echo: F64,
+    n: int,
+    t: float,
+    power: float,
+    slope: float,
+    label: int,
+) -> int:
     """Insert an echo, by range; return how many there are now."""
     i = n
     while i > 0 and echo[i - 1, _T] > t:
@@ -267,7 +293,12 @@ def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
 
 
 @helper
-def _sigma(power: float, t: float, slope: float, model: SensorModel) -> float:
+def _sigma(
+    power: float,
+    t: float,
+    slope: float,
+    model: SensorModel,
+) -> float:
     """Return the range noise: from weakness, and from the depth that the beam spans on a slanted surface."""
     width = model.exit_m + model.divergence * t
     return float(
@@ -278,7 +309,12 @@ def _sigma(power: float, t: float, slope: float, model: SensorModel) -> float:
 
 
 @helper
-def _brightness(seed: int, line: int, column: int, n_columns: int) -> float:
+def _brightness(
+    seed: int,
+    line: int,
+    column: int,
+    n_columns: int,
+) -> float:
     """Return 0 for sky and 1 for bright sky, smooth from patch to patch."""
     i = line // _SKY_LINES
     v = (line - i * _SKY_LINES) / _SKY_LINES
@@ -301,7 +337,11 @@ def _rounded(t: float, model: SensorModel) -> float:
 
 @kernel(boolean[:, ::1](_HITS, uint8[:, ::1], record(SensorModel), int64, int64))
 def goes_behind(
-    hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int
+    hits: tuple[F64, I32, F64],
+    kind: U8,
+    model: SensorModel,
+    first_line: int,
+    seed: int,
 ) -> Mask:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
@@ -386,7 +426,12 @@ def _measure(
 
 @helper
 def _find(
-    key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo: F64, n: int
+    key: np.uint64,
+    column: int,
+    model: SensorModel,
+    quantiles: F64,
+    echo: F64,
+    n: int,
 ) -> int:
     """Keep the echoes that are found, at most as many as the scanner gives, with range noise."""
     found = 0

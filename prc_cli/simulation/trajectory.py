@@ -172,7 +172,11 @@ class Trajectory:
     """A drive or walk along a scene's path."""
 
     def __init__(
-        self, path_point: PathPoint, motion: MotionParams, height_m: float, seed: int
+        self,
+        path_point: PathPoint,
+        motion: MotionParams,
+        height_m: float,
+        seed: int,
     ) -> None:
         self.path_point = path_point
         self.motion = motion
@@ -277,7 +281,13 @@ class Trajectory:
 class _Wobble:
     """Smooth random function of time within a band: a sum of sines, variance 1."""
 
-    def __init__(self, seed: int, channel: int, slowest_hz: float, fastest_hz: float) -> None:
+    def __init__(
+        self,
+        seed: int,
+        channel: int,
+        slowest_hz: float,
+        fastest_hz: float,
+    ) -> None:
         number = np.arange(_SINES, dtype=np.int64)
         place = (number + hashed(seed, 16 + 2 * channel, number)) / _SINES
         self.rate = 2.0 * np.pi * slowest_hz * (fastest_hz / slowest_hz) ** place
@@ -315,7 +325,12 @@ class Shots:
     """(lines, M) float64 [s]."""
 
 
-def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> Shots:
+def aim(
+    platform: Platform,
+    scanner: Scanner,
+    first_line: int,
+    n_lines: int,
+) -> Shots:
     """Return the rays of consecutive lines.
 
     Poses are worked out every few ms, shots lie between them.
@@ -444,7 +459,13 @@ def _earth(path: Path, frame: Frame) -> pyproj.Proj:
         raise ConfigError(str(path), problem, "give another, for example EPSG:32635") from None
 
 
-def _records(earth: pyproj.Proj, time_s: F64, xyz_m: F64, pose: Pose, velocity: F64) -> F64:
+def _records(
+    earth: pyproj.Proj,
+    time_s: F64,
+    xyz_m: F64,
+    pose: Pose,
+    velocity: F64,
+) -> F64:
     """Return SBET records, (n, 17) little-endian float64."""
     longitude, latitude = earth(xyz_m[:, 0], xyz_m[:, 1], inverse=True)
     convergence = np.radians(earth.get_factors(longitude, latitude).meridian_convergence)

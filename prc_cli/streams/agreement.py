@@ -104,7 +104,11 @@ def turns_back(angle_rad: F64) -> bool:
 
 
 def contradicted_share(
-    range_m: F64, xyz_m: F64, line: I64, column: I64, angle_rad: F64
+    range_m: F64,
+    xyz_m: F64,
+    line: I64,
+    column: I64,
+    angle_rad: F64,
 ) -> float | None:
     """Return the share of columns whose points contradict range and angle.
 

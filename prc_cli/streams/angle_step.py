@@ -154,7 +154,12 @@ class _Reading(NamedTuple):
 
 
 def _read(
-    window: int, curvature: F64, error: F64, points_per_line: int, bent: float, most_error: float
+    window: int,
+    curvature: F64,
+    error: F64,
+    points_per_line: int,
+    bent: float,
+    most_error: float,
 ) -> _Reading | None:
     """Return what windows of a width say; None with too few pieces."""
     is_straight = error < bent * _error_of_one(window)

@@ -383,7 +383,11 @@ def lacks_shots(shots: Table, path: str, points_per_line: int) -> bool:
 
 
 def columns_of_angles(
-    shots: Table, line_dimension: str | None, path: str, *, whole_turn: bool
+    shots: Table,
+    line_dimension: str | None,
+    path: str,
+    *,
+    whole_turn: bool,
 ) -> tuple[bool, str]:
     """Tell whether scan angles give columns, and why.
 

@@ -355,7 +355,12 @@ class BeamFinder:
         )
 
     def _registered(
-        self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float
+        self,
+        scanner: int,
+        angle: F64 | None,
+        range_m: F32,
+        xyz: F32,
+        off_m: float,
     ) -> Found:
         """Use heights of registered coordinates, if there are scan angles."""
         problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"

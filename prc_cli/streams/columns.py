@@ -216,7 +216,12 @@ def spread_columns(column: I64, line: I64) -> I64:
 
 
 def columns_by_time(
-    spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64
+    spread_s: F64,
+    stamp_s: F64,
+    ordinal: I64,
+    line: I64,
+    shot_hz: float,
+    line_start_s: F64,
 ) -> I64:
     """Round the time since the start of the line to shots.
 

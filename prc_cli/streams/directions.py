@@ -242,7 +242,12 @@ def forward_steps(angle: F64) -> F64:
     return step
 
 
-def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
+def turn_evenly(
+    columns: I64,
+    angle: F64,
+    weight: F64,
+    points_per_line: int,
+) -> tuple[F64, bool]:
     """Return angles of all columns from those of some, growing with the column."""
     step = forward_steps(angle)
     along = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
@@ -265,7 +270,12 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     return _grown(columns, angle, weight, points_per_line)
 
 
-def _grown(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
+def _grown(
+    columns: I64,
+    angle: F64,
+    weight: F64,
+    points_per_line: int,
+) -> tuple[F64, bool]:
     """Return the angles of all columns, without steps of half a turn or more.
 
     See :func:`turn_evenly`.

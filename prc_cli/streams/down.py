@@ -119,7 +119,10 @@ class HeightFit:
 
 
 def fit_heights(
-    angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], line: I64
+    angle: NDArray[Any],
+    range_m: NDArray[Any],
+    z: NDArray[Any],
+    line: I64,
 ) -> HeightFit:
     """Find the scan angle that points straight down in registered heights.
 
@@ -163,7 +166,12 @@ def shown_tilt(cos_tilt: float) -> str:
     return f", the scan plane leans over by {math.degrees(math.acos(cos_tilt)):.1f} deg"
 
 
-def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
+def _centre(
+    values: F64,
+    row: I64,
+    keep: Mask,
+    n: I64,
+) -> F64:
     """Subtract the mean of the kept shots of every line."""
     mean = np.bincount(row[keep], values[keep], len(n)) / np.maximum(n, 1)
     centred: F64 = values - mean[row]
@@ -285,7 +293,12 @@ class _Plane:
     fill_rad: float
 
 
-def _level(direction_rad: float, angle_rad: F64, range_m: F32, middle_m: F64) -> float:
+def _level(
+    direction_rad: float,
+    angle_rad: F64,
+    range_m: F32,
+    middle_m: F64,
+) -> float:
     """Return how much of what is seen around a direction a level plane fills, over the root of its distance."""
     ways = direction_rad + np.arange(-OPPOSITE_RAD, OPPOSITE_RAD, SEARCH_STEP_RAD)
     along = np.cos(ways[:, None] - angle_rad)

@@ -239,7 +239,11 @@ class GridStream(Brief):
         return take(records, inside), len(inside) - int(np.count_nonzero(inside))
 
     def _fill(
-        self, records: Table, first_line: int, n_lines: int, setup: ScannerSetup
+        self,
+        records: Table,
+        first_line: int,
+        n_lines: int,
+        setup: ScannerSetup,
     ) -> ScanBlock:
         """Make the block of lines ``first_line`` on.
 
@@ -303,7 +307,12 @@ class GridStream(Brief):
         )
 
 
-def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.ndarray:
+def _winners(
+    cell: I64,
+    stands: np.ndarray,
+    range_m: F32,
+    n_cells: int,
+) -> np.ndarray:
     """Mark the record that every cell shows.
 
     The first chosen return with a range, else the first chosen return.
@@ -320,7 +329,11 @@ def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.nd
 
 
 def dense_block(
-    table: Table, first_line: int, rules: GridRules, setup: ScannerSetup, tally: ReadTally
+    table: Table,
+    first_line: int,
+    rules: GridRules,
+    setup: ScannerSetup,
+    tally: ReadTally,
 ) -> ScanBlock:
     """Make a block of dense records, one per cell in order, by reshaping."""
     shape = (-1, setup.points_per_line)

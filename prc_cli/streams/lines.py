@@ -127,7 +127,11 @@ class LineRules:
 
 
 def find_lines(
-    shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rules: LineRules
+    shots: Table,
+    time_s: F64 | None,
+    n_shots: int,
+    state: LineState,
+    rules: LineRules,
 ) -> Found:
     """Find the line of the next shots."""
     if rules.dimension is not None:
@@ -149,7 +153,10 @@ def find_lines(
 
 
 def lines_by_dimension(
-    number: NDArray[Any], state: LineState, where: str, step: Step = ONE
+    number: NDArray[Any],
+    state: LineState,
+    where: str,
+    step: Step = ONE,
 ) -> Found:
     """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines.
 
@@ -225,7 +232,11 @@ def most_lines(n_seen: I64, rules: LineRules) -> I64:
 
 
 def admit_lines(
-    line: I64, known: Mask, record: I64, state: LineState, rules: LineRules
+    line: I64,
+    known: Mask,
+    record: I64,
+    state: LineState,
+    rules: LineRules,
 ) -> tuple[Mask, LineState]:
     """Mark the shots whose line is still open."""
     steady = (
@@ -280,7 +291,13 @@ def _all_admitted(last: int, state: LineState, rules: LineRules) -> bool:
     return rules.n_spare is None or last < most_lines(np.array([state.n_seen]), rules)[0]
 
 
-def _check_cells(top: I64, known: Mask, record: I64, state: LineState, rules: LineRules) -> None:
+def _check_cells(
+    top: I64,
+    known: Mask,
+    record: I64,
+    state: LineState,
+    rules: LineRules,
+) -> None:
     """Refuse lines that are nearly all empty, whose cells could take unlimited time."""
     # both lines and limits only rise: compare the last line with the first limit
     if len(top) and top[-1] < most_lines(np.array([state.n_seen]), rules)[0]:
@@ -339,7 +356,12 @@ class WholeLines:
 
 
 def advance(
-    scanner: int, records: Table, state: ScanState, rules: LineRules, *, final: bool
+    scanner: int,
+    records: Table,
+    state: ScanState,
+    rules: LineRules,
+    *,
+    final: bool,
 ) -> tuple[WholeLines | None, ScanState]:
     """Add the next records of a scanner; return the lines that are complete now."""
     records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
@@ -384,7 +406,11 @@ def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> 
 
 
 def whole_shots(
-    records: Table, state: ScanState, rules: LineRules, *, final: bool
+    records: Table,
+    state: ScanState,
+    rules: LineRules,
+    *,
+    final: bool,
 ) -> tuple[Table, Mask, ScanState]:
     """Mark the shots; hold back the last ones if returns may follow."""
     n = n_rows(records)
@@ -409,7 +435,10 @@ def whole_shots(
 
 
 def _find_lines(
-    records: Table, starts: Mask, state: ScanState, rules: LineRules
+    records: Table,
+    starts: Mask,
+    state: ScanState,
+    rules: LineRules,
 ) -> tuple[Table, ScanState]:
     """Find the line of every record; drop and count those without."""
     single = bool(starts.all())
@@ -454,7 +483,10 @@ Prepare: TypeAlias = Callable[[RecordChunk, Table], tuple[Table, ReadTally]]
 
 
 def whole_lines(
-    source: RecordSource, rules: GridRules, line_rules: LineRulesOf, prepare: Prepare | None = None
+    source: RecordSource,
+    rules: GridRules,
+    line_rules: LineRulesOf,
+    prepare: Prepare | None = None,
 ) -> Iterator[WholeLines]:
     """Read a source from start to end as whole lines, chronological for each scanner."""
     states: dict[int, ScanState] = {}
@@ -529,7 +561,10 @@ def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
 
 
 def _last_lines(
-    source: RecordSource, rules: GridRules, line_rules: LineRulesOf, states: dict[int, ScanState]
+    source: RecordSource,
+    rules: GridRules,
+    line_rules: LineRulesOf,
+    states: dict[int, ScanState],
 ) -> Iterator[WholeLines]:
     """Close the open lines of every scanner; if one is refused, yield nothing."""
     closed: list[WholeLines] = []
@@ -567,7 +602,12 @@ def _check_late(path: str, state: ScanState) -> None:
 
 
 def first_records(
-    source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
+    source: RecordSource,
+    scanner: str | None,
+    names: tuple[str, ...],
+    limit: int,
+    *,
+    to_end: bool,
 ) -> dict[int, Table]:
     """Return the first ``limit`` records of every scanner; or of the input, unless ``to_end``."""
     parts: dict[int, Table] = {}

@@ -147,7 +147,12 @@ class OrderWatch:
     """Checks, chunk by chunk, a dimension that must not decrease."""
 
     def __init__(
-        self, path: str, policy: Policy, what: str = "gps_time", *, can_sort: bool = True
+        self,
+        path: str,
+        policy: Policy,
+        what: str = "gps_time",
+        *,
+        can_sort: bool = True,
     ) -> None:
         self._path = path
         self._can_sort = can_sort
@@ -219,7 +224,13 @@ class OrderWatch:
             self._n_back += len(back)
             self._keep(before, after, record, back)
 
-    def _keep(self, before: F64, after: F64, record: I64, back: I64) -> None:
+    def _keep(
+        self,
+        before: F64,
+        after: F64,
+        record: I64,
+        back: I64,
+    ) -> None:
         """Keep the first and the largest step back."""
         # the step between finite times may overflow
         with np.errstate(over="ignore"):

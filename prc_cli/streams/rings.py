@@ -250,7 +250,12 @@ def _cuts(along: F64, step: float) -> Iterator[float]:
         yield float((doubled[gap] + doubled[gap + 1] + 1) / 2 / n_bins * _TURN)
 
 
-def ring_columns(xyz_m: F32, turns: Turns, wanted: int | None, path: str) -> tuple[int, I64]:
+def ring_columns(
+    xyz_m: F32,
+    turns: Turns,
+    wanted: int | None,
+    path: str,
+) -> tuple[int, I64]:
     """Return the number of rings, and the ring of every record, counted from the lowest."""
     n_rings = int(turns.ring[-1]) + 1
     if wanted is not None and n_rings != wanted:
@@ -494,7 +499,12 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTa
 
 
 def _fill(
-    frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally
+    frame: Table,
+    line: I64,
+    column: I64,
+    in_order: Mask,
+    shape: tuple[int, int],
+    tally: ReadTally,
 ) -> ScanBlock:
     """Put every record into its cell; records in ring order take precedence, then file order."""
     n_cells = shape[0] * shape[1]
@@ -532,7 +542,11 @@ def _fill(
 
 
 def _assumptions(
-    turns: Turns, n_rings: int, n_lines: int, config: InputConfig, n_out_of_order: int
+    turns: Turns,
+    n_rings: int,
+    n_lines: int,
+    config: InputConfig,
+    n_out_of_order: int,
 ) -> tuple[Assumption, ...]:
     sense = "anticlockwise" if turns.way > 0 else "clockwise"
     value = f"rings that begin at azimuth {math.degrees(turns.cut_rad):.2f} deg and turn {sense}"

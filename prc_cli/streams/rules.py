@@ -258,7 +258,10 @@ def resolve_rules(
 
 
 def _said(
-    config: InputConfig, lines: str, columns: str, has: tuple[str, ...]
+    config: InputConfig,
+    lines: str,
+    columns: str,
+    has: tuple[str, ...],
 ) -> Iterator[Assumption]:
     """Yield what rules assume that were given."""
     if columns.startswith("time:") and not lines.startswith("time:"):
@@ -312,7 +315,10 @@ def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
 
 
 def _auto_rules(
-    source: RecordSource, config: InputConfig, first: Callable[[], Table], taken: list[Assumption]
+    source: RecordSource,
+    config: InputConfig,
+    first: Callable[[], Table],
+    taken: list[Assumption],
 ) -> tuple[str, str, str]:
     """Return the rules for lines, columns and ranges with ``auto`` resolved."""
     missing: list[InputError] = []
@@ -406,7 +412,11 @@ def _argument(rule: str) -> str | None:
 
 
 def _implied(
-    source: RecordSource, key: str, name: str, *, dimension_first: bool = True
+    source: RecordSource,
+    key: str,
+    name: str,
+    *,
+    dimension_first: bool = True,
 ) -> tuple[str, str] | None:
     """Return the rule that a dimension or the format implies, and why; None if neither does."""
     rule = source.facts.rule(key)

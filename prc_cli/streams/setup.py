@@ -190,7 +190,12 @@ def set_up(
 
 
 def _set_up_one(
-    rules: GridRules, scanner: int, m: int, found: Estimates, first: WholeLines | None, n_known: int
+    rules: GridRules,
+    scanner: int,
+    m: int,
+    found: Estimates,
+    first: WholeLines | None,
+    n_known: int,
 ) -> tuple[ScannerSetup, list[Assumption]]:
     """Return the setup of one scanner from its first lines, if they were needed."""
     columns = column_rule(rules, found)
@@ -304,7 +309,11 @@ def _survey(
 
 
 def _agreed_angles(
-    rules: GridRules, first: WholeLines | None, rule: ColumnRule, angle: F64 | None, scanner: int
+    rules: GridRules,
+    first: WholeLines | None,
+    rule: ColumnRule,
+    angle: F64 | None,
+    scanner: int,
 ) -> tuple[F64 | None, list[Assumption]]:
     """Return recorded angles, mended where they are cut off.
 
@@ -344,7 +353,10 @@ def _agreed_angles(
 
 
 def _contradicted(
-    rules: GridRules, first: WholeLines, rule: ColumnRule, angle: F64
+    rules: GridRules,
+    first: WholeLines,
+    rule: ColumnRule,
+    angle: F64,
 ) -> float | None:
     """Return the share of columns whose x, y, z contradict range and angle.
 
@@ -363,7 +375,12 @@ def _contradicted(
     return contradicted_share(range_m.astype(np.float64), xyz_m, shots[LINE], column, angle)
 
 
-def _image(rules: GridRules, first: WholeLines, rule: ColumnRule, size: int) -> F32:
+def _image(
+    rules: GridRules,
+    first: WholeLines,
+    rule: ColumnRule,
+    size: int,
+) -> F32:
     """Return the ranges of the first lines, (lines, M) float32 [m]."""
     shots = take(first.records, first.records[START])
     range_m, _, _ = clean_measured(shots, replace(rules.ranges, sensor_xyz=False))
@@ -406,7 +423,12 @@ def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None,
     return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
 
 
-def _angles(rules: GridRules, size: int, found: Estimates, first: WholeLines | None) -> F64 | None:
+def _angles(
+    rules: GridRules,
+    size: int,
+    found: Estimates,
+    first: WholeLines | None,
+) -> F64 | None:
     """Return the scan angle of every column, (M,) [rad], None if unknown."""
     if found.angle_grid is not None:
         return found.angle_grid.angles(size)
@@ -638,7 +660,12 @@ def probe(
     return estimates, probes
 
 
-def _with_grid(rules: GridRules, found: Estimates, whole: WholeLines, where: str) -> Estimates:
+def _with_grid(
+    rules: GridRules,
+    found: Estimates,
+    whole: WholeLines,
+    where: str,
+) -> Estimates:
     """Add the columns of the scan angles, where columns are found by them."""
     if rules.columns != "angle":
         return found

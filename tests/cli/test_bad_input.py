@@ -139,7 +139,12 @@ def test_a_file_that_laspy_refuses_is_classified_and_doubted(
 @pytest.mark.parametrize(
     ("option", "name"), [("--config", "x.toml"), ("--layout", "x.toml"), ("--metadata", "x.json")]
 )
-def test_settings_are_regular_files(prc: Prc, tmp_path: Path, option: str, name: str) -> None:
+def test_settings_are_regular_files(
+    prc: Prc,
+    tmp_path: Path,
+    option: str,
+    name: str,
+) -> None:
     os.mkfifo(tmp_path / name)
     drive = write_raw(tmp_path / "drive.bin", street())
     if option == "--metadata":
@@ -173,7 +178,11 @@ def test_settings_are_regular_files(prc: Prc, tmp_path: Path, option: str, name:
     ],
 )
 def test_what_the_system_refuses_is_named(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, line: str
+    prc: Prc,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: OSError,
+    line: str,
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise error
@@ -186,7 +195,10 @@ def test_what_the_system_refuses_is_named(
 
 @pytest.mark.parametrize("output", ["a.laz", "a.las", "a.npy"])
 def test_interrupting_leaves_nothing_and_says_so(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: str
+    prc: Prc,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    output: str,
 ) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     seen: list[int] = []
@@ -274,7 +286,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("command", "code", "said"), CASES)
 def test_one_line_says_why(
-    prc: Prc, folder: Path, monkeypatch: pytest.MonkeyPatch, command: str, code: int, said: str
+    prc: Prc,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    code: int,
+    said: str,
 ) -> None:
     monkeypatch.chdir(folder)
     before = sorted(folder.iterdir())

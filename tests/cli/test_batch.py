@@ -168,7 +168,10 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
 
 @pytest.mark.slow
 def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
-    office: tuple[Path, Path], prc: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    office: tuple[Path, Path],
+    prc: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
@@ -192,7 +195,10 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions")
 def test_retry_obeys_nobody_else_and_no_nonsense(
-    office: tuple[Path, Path], prc: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    office: tuple[Path, Path],
+    prc: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Who could write there chose where the log of somebody else was appended."""
     out = tmp_path / "out"
@@ -352,7 +358,12 @@ ALARM = Alarm("b.laz", "ground 1 %, usually 40 %")
         ([SystemExit(143)], 143),
     ],
 )
-def test_exit_codes(prc: Run, play: Callable[..., None], events: list[Any], code: int) -> None:
+def test_exit_codes(
+    prc: Run,
+    play: Callable[..., None],
+    events: list[Any],
+    code: int,
+) -> None:
     play(*events)
     assert prc("a", "o", "--log-json", "log").code == code
     last = json.loads(Path("log").read_bytes().splitlines()[-1])
@@ -467,7 +478,10 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     ],
 )
 def test_wrong_usage_is_exit_code_2(
-    prc: Run, play: Callable[..., None], options: list[str], expected: str
+    prc: Run,
+    play: Callable[..., None],
+    options: list[str],
+    expected: str,
 ) -> None:
     play()
     if options[0] == "retry":

@@ -491,7 +491,10 @@ LAYOUT = "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
 
 @pytest.mark.parametrize("output", [".", "/", "", "sub"])
 def test_a_folder_is_no_output(
-    prc: Prc, tmp_path: Path, output: str, monkeypatch: pytest.MonkeyPatch
+    prc: Prc,
+    tmp_path: Path,
+    output: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()

@@ -55,7 +55,12 @@ CASES = (
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "given", "preset", "method"), CASES)
 def test_the_default_is_a_preset_and_says_so(
-    prc: Prc, scans: Path, name: str, given: tuple[object, ...], preset: str, method: str
+    prc: Prc,
+    scans: Path,
+    name: str,
+    given: tuple[object, ...],
+    preset: str,
+    method: str,
 ) -> None:
     result = prc("classify", scans / name, scans / "a.npy", *given)
     assert result.code == 0, result.err

@@ -34,7 +34,12 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
     return Prc(capsys)
 
 
-def save(folder: Path, name: str, predicted: list[int], reference: list[int]) -> tuple[Path, Path]:
+def save(
+    folder: Path,
+    name: str,
+    predicted: list[int],
+    reference: list[int],
+) -> tuple[Path, Path]:
     """A predicted and a reference file of one name in two folders."""
     paths = folder / "run" / f"{name}.npy", folder / "reference" / f"{name}.csv"
     for path in paths:
@@ -125,7 +130,11 @@ def record(path: Path, method: str, **tables: object) -> None:
     ],
 )
 def test_the_run_record_beside_the_predicted_file_names_the_mapping(
-    prc: Prc, tmp_path: Path, method: str, tables: dict[str, object], mapping: str
+    prc: Prc,
+    tmp_path: Path,
+    method: str,
+    tables: dict[str, object],
+    mapping: str,
 ) -> None:
     paths = save(tmp_path, "a", [2, 2, 65, 66, 5, 0], [2, 2, 65, 5, 5, 0])
     record(paths[0], method, **tables)
@@ -190,7 +199,10 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
     ],
 )
 def test_two_methods_are_compared_in_the_classes_of_both(
-    prc: Prc, tmp_path: Path, methods: tuple[str, str], mapping: str
+    prc: Prc,
+    tmp_path: Path,
+    methods: tuple[str, str],
+    mapping: str,
 ) -> None:
     paths = save(tmp_path, "a", [2, 6, 6, 65], [2, 6, 66, 65])
     for path, method in zip(paths, methods, strict=True):
@@ -218,7 +230,12 @@ def test_the_help_names_a_cloud_classified_after_registration(prc: Prc) -> None:
     assert "prc evaluate classified.laz car.laz --match nearest" in out
 
 
-def rows(path: Path, codes: list[int], order: list[int], first: int = 0) -> Path:
+def rows(
+    path: Path,
+    codes: list[int],
+    order: list[int],
+    first: int = 0,
+) -> Path:
     lines = [f"{first + record},{codes[record]}" for record in order]
     path.write_text("\n".join(["record,class", *lines, ""]), encoding="utf-8")
     return path
@@ -294,7 +311,12 @@ AREAS = {
     ],
 )
 def test_odd_trees_and_areas_are_refused_in_one_line(
-    prc: Prc, tmp_path: Path, option: str, name: str, text: str, message: str
+    prc: Prc,
+    tmp_path: Path,
+    option: str,
+    name: str,
+    text: str,
+    message: str,
 ) -> None:
     make_las(tmp_path / "a.las", 6, n=20)
     (tmp_path / name).write_text(text)

@@ -62,7 +62,11 @@ def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
 
 
 def test_nothing_is_reconstructed_unless_it_is_asked_for(
-    prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor, monkeypatch: pytest.MonkeyPatch
+    prc: Prc,
+    cloud: Path,
+    tmp_path: Path,
+    corridor: Corridor,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError
@@ -142,7 +146,10 @@ def test_a_path_that_cannot_be_written_is_refused(
 
 
 def test_a_path_never_replaces_an_input(
-    prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor
+    prc: Prc,
+    cloud: Path,
+    tmp_path: Path,
+    corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     before = trajectory.read_bytes()
@@ -191,7 +198,10 @@ def test_two_passes_are_one_path_with_a_gap(prc: Prc, tmp_path: Path) -> None:
 
 
 def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
-    prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor
+    prc: Prc,
+    cloud: Path,
+    tmp_path: Path,
+    corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "late.csv", corridor, clock_s=-0.25)
     words = ("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json")
@@ -204,7 +214,10 @@ def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
 
 
 def test_a_trajectory_of_the_scanner_in_the_same_clock_is_fine(
-    prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor
+    prc: Prc,
+    cloud: Path,
+    tmp_path: Path,
+    corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     result = prc("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--checks")
@@ -213,7 +226,10 @@ def test_a_trajectory_of_the_scanner_in_the_same_clock_is_fine(
 
 
 def test_other_coordinates_are_refused_with_the_command_that_does_without(
-    prc: Prc, cloud: Path, tmp_path: Path, corridor: Corridor
+    prc: Prc,
+    cloud: Path,
+    tmp_path: Path,
+    corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "moved.csv", corridor, moved_m=(1000.0, -500.0, 0.0))
     told = json.loads(

@@ -89,7 +89,12 @@ def test_records_behind_the_count_of_the_header_are_a_warning(prc: Prc, tmp_path
 
 
 @pytest.mark.parametrize(("version", "is_read"), [("1.5", True), ("1.9", False)])
-def test_las_1_5_is_read_and_written(prc: Prc, tmp_path: Path, version: str, is_read: bool) -> None:
+def test_las_1_5_is_read_and_written(
+    prc: Prc,
+    tmp_path: Path,
+    version: str,
+    is_read: bool,
+) -> None:
     source = las(tmp_path / "new.las", "1.5")
     output = tmp_path / "o.las"
     data = bytearray(source.read_bytes())

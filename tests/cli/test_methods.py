@@ -145,7 +145,10 @@ REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
     ("make", "words"), REFUSED, ids=lambda value: getattr(value, "__name__", "")
 )
 def test_one_clear_line_and_nothing_left(
-    prc: Prc, tmp_path: Path, make: Callable[[Path], Path], words: list[str]
+    prc: Prc,
+    tmp_path: Path,
+    make: Callable[[Path], Path],
+    words: list[str],
 ) -> None:
     source = make(tmp_path)
     before = sorted(os.listdir(tmp_path))
@@ -209,7 +212,11 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(
     ],
 )
 def test_what_contradicts_itself_is_refused(
-    prc: Prc, tmp_path: Path, options: tuple[str, ...], code: int, words: str
+    prc: Prc,
+    tmp_path: Path,
+    options: tuple[str, ...],
+    code: int,
+    words: str,
 ) -> None:
     result = prc("classify", npz(tmp_path), tmp_path / "labels.npy", *options)
     assert (result.code, result.out) == (code, "")
@@ -265,7 +272,10 @@ def dump(ranges: F32, tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_file_array_and_pipe_give_the_same_labels(
-    prc: Prc, ranges: F32, dump: Path, preset: str
+    prc: Prc,
+    ranges: F32,
+    dump: Path,
+    preset: str,
 ) -> None:
     given = (
         "--preset",
@@ -337,7 +347,11 @@ def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: P
     [("ros/sick_lms1xx_ros1.bag", ("--set", "input.nadir=0")), ("organised/pumpA.e57", ())],
 )
 def test_rooms_are_doubted(
-    prc: Prc, tmp_path: Path, real_data: Path, file: str, told: tuple[str, ...]
+    prc: Prc,
+    tmp_path: Path,
+    real_data: Path,
+    file: str,
+    told: tuple[str, ...],
 ) -> None:
     """A laser that turns level in a room, and a pump."""
     output = tmp_path / "labels.npy"

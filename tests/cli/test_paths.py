@@ -118,7 +118,11 @@ def test_there_are_pairs_to_try() -> None:
 )
 @pytest.mark.parametrize("linked", [False, True])
 def test_no_path_is_both_read_and_written(
-    tmp_path: Path, name: str, reader: click.Parameter, writer: click.Parameter, linked: bool
+    tmp_path: Path,
+    name: str,
+    reader: click.Parameter,
+    writer: click.Parameter,
+    linked: bool,
 ) -> None:
     source = tmp_path / "a.npz"
     output = tmp_path / "sub" / ".." / "a.npz"

@@ -139,7 +139,11 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     ],
 )
 def test_real_files(
-    prc: Prc, real_data: Path, tmp_path: Path, name: str, options: list[str]
+    prc: Prc,
+    real_data: Path,
+    tmp_path: Path,
+    name: str,
+    options: list[str],
 ) -> None:
     root = Path(__file__).resolve().parents[2]
     given = [

@@ -44,7 +44,10 @@ URBAN = ("--preset", "urban", "-q", "--overwrite")
     [("--only-lines", "13:41"), ("--only-time", "1001.3:1004.1"), ("--only-time", "+1.28:+4.08")],
 )
 def test_a_window_is_a_drive_of_its_own(
-    prc: Prc, folder: Path, name: str, window: tuple[str, str]
+    prc: Prc,
+    folder: Path,
+    name: str,
+    window: tuple[str, str],
 ) -> None:
     whole = np.load(folder / "d.npz")["range_m"][13:41]
     np.save(folder / "part.npy", whole)

@@ -14,7 +14,13 @@ from prc_cli.core.blocks import cut, look_ahead_lines, regroup
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 
 
-def stream(n_lines: int, m: int, *, scanner: int = 0, dense: bool = False) -> ScanBlock:
+def stream(
+    n_lines: int,
+    m: int,
+    *,
+    scanner: int = 0,
+    dense: bool = False,
+) -> ScanBlock:
     """Return a whole stream as one block; every value tells its cell."""
     rng = np.random.default_rng(n_lines * 1000 + m)
     flat = np.arange(n_lines * m, dtype=np.float64).reshape(n_lines, m)
@@ -81,7 +87,11 @@ def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:
     dense=st.booleans(),
 )
 def test_any_cut_gives_the_same_blocks(
-    n_lines: int, m: int, k: int, sizes: list[int], dense: bool
+    n_lines: int,
+    m: int,
+    k: int,
+    sizes: list[int],
+    dense: bool,
 ) -> None:
     whole = stream(n_lines, m, dense=dense)
     parts = list(pieces(whole, sizes))

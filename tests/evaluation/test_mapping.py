@@ -151,7 +151,10 @@ def test_training_ids_are_named_and_have_a_mapping() -> None:
     ],
 )
 def test_a_refusal_names_the_presets_that_list_the_codes(
-    name: str, codes: list[int], side: Side, fits: str
+    name: str,
+    codes: list[int],
+    side: Side,
+    fits: str,
 ) -> None:
     with pytest.raises(InputError) as caught:
         load_mapping(name).class_indices(np.array(codes), side)

@@ -335,7 +335,12 @@ def check_whole(archive: Archive, out: Path) -> None:
     assert left <= {"journal.sqlite", "command.json"}, left
 
 
-def moments(rng: random.Random, archive: Archive, out: Path, batch: Batch) -> Iterator[str]:
+def moments(
+    rng: random.Random,
+    archive: Archive,
+    out: Path,
+    batch: Batch,
+) -> Iterator[str]:
     """Wait for a random moment and yield what it is.
 
     Some time after the start, or just when a file appears.

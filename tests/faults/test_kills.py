@@ -88,7 +88,11 @@ def test_a_kill_right_after_a_file_got_its_name(
 
 
 def run_into(
-    archive: Archive, out: Path, names: Sequence[str], *options: str, jobs: int = 2
+    archive: Archive,
+    out: Path,
+    names: Sequence[str],
+    *options: str,
+    jobs: int = 2,
 ) -> Batch:
     """Start a run and return when its workers are about to open all these inputs, which :func:`release` lets them."""
     held = [Path(f"{_release(out)}.{number}") for number in range(len(names))]
@@ -125,7 +129,10 @@ def known(out: Path) -> list[Entry]:
     ],
 )
 def test_a_signal_ends_the_run_within_seconds(
-    few: Archive, tmp_path: Path, number: int, n_times: int
+    few: Archive,
+    tmp_path: Path,
+    number: int,
+    n_times: int,
 ) -> None:
     out = tmp_path / "out"
     batch = run_into(few, out, FAST[1:])

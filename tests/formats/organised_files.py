@@ -14,7 +14,12 @@ from pye57 import libe57
 Array = np.ndarray[Any, Any]
 
 
-def grid_points(n_lines: int, m: int, seed: int = 1, missing: float = 0.2) -> Array:
+def grid_points(
+    n_lines: int,
+    m: int,
+    seed: int = 1,
+    missing: float = 0.2,
+) -> Array:
     """(n_lines, m, 4): x y z [m] of columns from low to high elevation, intensity 0 to 1.
 
     All zero = missing.
@@ -88,7 +93,11 @@ class Scan:
 
 
 def e57_fields(
-    points: Array, first_row: int = 0, first_column: int = 0, *, keep_missing: bool = False
+    points: Array,
+    first_row: int = 0,
+    first_column: int = 0,
+    *,
+    keep_missing: bool = False,
 ) -> dict[str, Array]:
     """Fields of a grid's points, columns outermost.
 

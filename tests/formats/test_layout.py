@@ -71,7 +71,11 @@ def test_layouts_that_contradict_themselves(given: Layout, found: str) -> None:
     order=st.sampled_from(["<i4", ">i4"]),
 )
 def test_value_is_stored_times_scale_plus_offset(
-    stored: list[int], scale: float, offset: float, missing: float | None, order: str
+    stored: list[int],
+    scale: float,
+    offset: float,
+    missing: float | None,
+    order: str,
 ) -> None:
     item = LayoutField(name="range", type="i4", scale=scale, offset=offset, missing=missing)
     expected = [math.nan if value == missing else value * scale + offset for value in stored]
@@ -173,7 +177,10 @@ def test_return_numbers_tell_shots_of_one_stamp_apart(
 
 
 def choose(
-    rule: Any, range_m: list[float], intensity: list[float] | None, number: list[int] | None
+    rule: Any,
+    range_m: list[float],
+    intensity: list[float] | None,
+    number: list[int] | None,
 ) -> list[int]:
     starts = np.array([True, False, False, True])
     chosen = choose_returns(
@@ -202,7 +209,10 @@ def choose(
     ],
 )
 def test_the_return_that_stands(
-    rule: str, intensity: list[float] | None, number: list[int] | None, expected: int
+    rule: str,
+    intensity: list[float] | None,
+    number: list[int] | None,
+    expected: int,
 ) -> None:
     assert choose(rule, [5, 6, 7], intensity, number) == [expected]
 
@@ -230,7 +240,10 @@ def forest() -> dict[str, NDArray[Any]]:
 )
 @pytest.mark.parametrize("columns", ["order", "time:1", "dimension:column"])
 def test_one_return_a_shot_in_the_image(
-    rule: str, standing: list[list[int]], columns: str, chunk_records: int
+    rule: str,
+    standing: list[list[int]],
+    columns: str,
+    chunk_records: int,
 ) -> None:
     records = forest()
     records["column"] = np.array([0, 1, 1, 1, 2, 2, 0, 0, 1, 2])

@@ -106,7 +106,10 @@ def chunks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("together", [1, 20 * 28, 16 << 20])
 @pytest.mark.parametrize("n_max", [1, 7, 10, 1000])
 def test_batches_hold_every_record_once(
-    chunks: Path, monkeypatch: pytest.MonkeyPatch, together: int, n_max: int
+    chunks: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    together: int,
+    n_max: int,
 ) -> None:
     monkeypatch.setattr(laz, "_TOGETHER_BYTES", together)
     header = read_header(chunks)

@@ -38,7 +38,11 @@ def tum(path: Path, rows: np.ndarray) -> Path:
 
 
 def odometry(
-    rows: np.ndarray, *, version: int = 2, kind: str = "nav_msgs/msg/Odometry", topic: str = "/odom"
+    rows: np.ndarray,
+    *,
+    version: int = 2,
+    kind: str = "nav_msgs/msg/Odometry",
+    topic: str = "/odom",
 ) -> Any:
     """Messages with poses; times after a second, since stamps are not negative."""
     store = made.STORES[version]
@@ -165,7 +169,12 @@ def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
         (315_964_782.0, 315964782, "UNIX and GPS time"),
     ],
 )
-def test_clocks_that_differ_are_named(tmp_path: Path, ahead: float, offset: int, name: str) -> None:
+def test_clocks_that_differ_are_named(
+    tmp_path: Path,
+    ahead: float,
+    offset: int,
+    name: str,
+) -> None:
     rows = poses()
     rows[:, 0] = np.linspace(1_700_000_000, 1_700_000_010, len(rows))
     track = load_trajectory(tum(tmp_path / "a.tum", rows), **HEAD)  # type: ignore[arg-type]

@@ -115,7 +115,10 @@ def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shots", [1, 7, 13, 50])
 @pytest.mark.parametrize("text_bytes", [70, 333])
 def test_chunks_change_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, text_bytes: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    shots: int,
+    text_bytes: int,
 ) -> None:
     path = write_text(
         tmp_path / "a.ptx",

@@ -97,7 +97,11 @@ def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
     ("form", "before", "after"), [(1, ".las", ".laz"), (3, ".laz", ".las"), (6, ".laz", ".laz")]
 )
 def test_rewritten_files_hold_them(
-    tmp_path: Path, form: int, before: str, after: str, extra: bool
+    tmp_path: Path,
+    form: int,
+    before: str,
+    after: str,
+    extra: bool,
 ) -> None:
     source = tmp_path / f"in{before}"
     output = tmp_path / f"out{after}"

@@ -41,7 +41,11 @@ def out(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("error", [None, KeyboardInterrupt()])
 def test_leaving_without_finish_leaves_nothing(
-    tmp_path: Path, out: Path, kind: str, suffix: str, error: BaseException | None
+    tmp_path: Path,
+    out: Path,
+    kind: str,
+    suffix: str,
+    error: BaseException | None,
 ) -> None:
     source = source_for(tmp_path, kind)
 
@@ -66,7 +70,10 @@ def test_leaving_without_finish_leaves_nothing(
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("kind", [".laz", ".bin"])
 def test_a_failed_replacement_keeps_the_old_output(
-    tmp_path: Path, out: Path, kind: str, suffix: str
+    tmp_path: Path,
+    out: Path,
+    kind: str,
+    suffix: str,
 ) -> None:
     source = source_for(tmp_path, kind)
     path = out / f"a{suffix}"
@@ -97,7 +104,12 @@ class Full:
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 @pytest.mark.parametrize("room", [0, 380, 1_500])
 def test_a_write_that_fails_leaves_nothing(
-    tmp_path: Path, out: Path, kind: str, suffix: str, room: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    out: Path,
+    kind: str,
+    suffix: str,
+    room: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from prc_cli.formats.las.laz import Target
 
@@ -140,7 +152,13 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 @pytest.mark.parametrize("kind", [".las", ".laz", ".bin"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("n", [48_000, 130_000])
-def test_full_disk(tmp_path: Path, tiny_disk: Path, kind: str, suffix: str, n: int) -> None:
+def test_full_disk(
+    tmp_path: Path,
+    tiny_disk: Path,
+    kind: str,
+    suffix: str,
+    n: int,
+) -> None:
     """48 000 labels fit their spool but no output does; 130 000 do not even fit the spool."""
     source = tmp_path / f"in{kind}"
     if kind == ".bin":

@@ -76,7 +76,13 @@ class Campaign:
         Where inputs are kept that took new ways, and those that show faults.
     """
 
-    def __init__(self, names: list[str], first_seed: int, corpus: Path, found: Path) -> None:
+    def __init__(
+        self,
+        names: list[str],
+        first_seed: int,
+        corpus: Path,
+        found: Path,
+    ) -> None:
         self.tallies = {name: Tally() for name in names}
         self.corpora = {name: Corpus(corpus / name, TARGETS[name]) for name in names}
         self._rng = random.Random(first_seed)
@@ -133,7 +139,14 @@ class Campaign:
             n += self._try(name, target, chosen, data, "command")
         return n
 
-    def _try(self, name: str, target: Target, chosen: str, data: bytes, way: str) -> int:
+    def _try(
+        self,
+        name: str,
+        target: Target,
+        chosen: str,
+        data: bytes,
+        way: str,
+    ) -> int:
         words: tuple[str, ...] = ()
         if way != "read":
             words = (
@@ -160,7 +173,13 @@ class Campaign:
     def _answer(self, finding: Found, data: bytes) -> dict[str, Any]:
         return attempt(self._worker, self._folder, finding, data)
 
-    def _keep(self, finding: Found, data: bytes, kind: str, fault: str) -> None:
+    def _keep(
+        self,
+        finding: Found,
+        data: bytes,
+        kind: str,
+        fault: str,
+    ) -> None:
         small = minimise(
             data,
             seed(finding.seed),
@@ -173,7 +192,12 @@ class Campaign:
         sys.stdout.flush()
 
 
-def attempt(worker: WatchedWorker, folder: Path, finding: Found, data: bytes) -> dict[str, Any]:
+def attempt(
+    worker: WatchedWorker,
+    folder: Path,
+    finding: Found,
+    data: bytes,
+) -> dict[str, Any]:
     """Try one input in the way that a finding names."""
     target = TARGETS[finding.target]
     case = lay(folder, target, finding.seed, data)

@@ -214,7 +214,13 @@ class Found:
     """The command, unless it is read by the library."""
 
 
-def keep(folder: Path, finding: Found, data: bytes, kind: str, fault: str) -> str:
+def keep(
+    folder: Path,
+    finding: Found,
+    data: bytes,
+    kind: str,
+    fault: str,
+) -> str:
     """Write an input with what is to be known about it; return the stem of its names.
 
     ``expected`` is empty until somebody has mended the fault and says which ``code`` is right.

@@ -84,7 +84,11 @@ def _items(path: Path) -> list[LabelledBlock]:
 
 
 def judge_labels(
-    case: Path, sound: Path, labels: Path, classify: Classify, scratch: Path
+    case: Path,
+    sound: Path,
+    labels: Path,
+    classify: Classify,
+    scratch: Path,
 ) -> list[str]:
     """Compare the labels of ``prc classify CASE LABELS.npy`` with those made in three other ways.
 
@@ -155,7 +159,12 @@ def _sound_blocks(sound: str) -> dict[tuple[int, int], tuple[Any, Any]]:
     }
 
 
-def _judge_read(case: Path, written: Any, classify: Classify, scratch: Path) -> list[str]:
+def _judge_read(
+    case: Path,
+    written: Any,
+    classify: Classify,
+    scratch: Path,
+) -> list[str]:
     """Let laspy decode everything and write it anew; the labels must be the same."""
     if case.suffix not in (".las", ".laz"):
         return []

@@ -322,7 +322,13 @@ def suffix_of_seed(name: str) -> str:
     return "." + name.rpartition("/")[2].split(".", 1)[1]
 
 
-def lay(folder: Path, target: Target, name: str, data: bytes, stem: str = "case") -> Path:
+def lay(
+    folder: Path,
+    target: Target,
+    name: str,
+    data: bytes,
+    stem: str = "case",
+) -> Path:
     """Write a damaged seed, among the others of its folder if it has one.
 
     Return what a command is given.
@@ -348,7 +354,12 @@ def sound_of(seeds: Path, target: Target, name: str) -> Path:
     return seeds / (target.given or name)
 
 
-def arguments(command: tuple[str, ...], case: str, out: str, seeds: str) -> list[str]:
+def arguments(
+    command: tuple[str, ...],
+    case: str,
+    out: str,
+    seeds: str,
+) -> list[str]:
     """Return a command with its names filled in."""
     # not format(): file names may hold braces
     return [

@@ -98,7 +98,10 @@ def test_names_of_files_command_no_terminal(
 @pytest.mark.parametrize("name", ["pf3.laz", "pf6.laz"])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_laz_that_is_copied_is_checked_first(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, suffix: str
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    name: str,
+    suffix: str,
 ) -> None:
     sound = seed(name)
     start = struct.unpack_from("<I", sound, 96)[0]

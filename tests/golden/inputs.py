@@ -152,7 +152,13 @@ def _tables(folder: Path, range_m: Array) -> None:
     (folder / "early.csv").write_text("\n".join(["time,x,y,z", *steps[:6]]) + "\n")
 
 
-def _las(path: Path, form: int, range_m: Array, *, bare: bool = False) -> None:
+def _las(
+    path: Path,
+    form: int,
+    range_m: Array,
+    *,
+    bare: bool = False,
+) -> None:
     """Write a LAS file with VLR, EVLR, extra bytes, several returns and scanners.
 
     ``bare``: without the extra bytes.

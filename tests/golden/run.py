@@ -235,7 +235,11 @@ def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
 
 
 def run(
-    only: Collection[str] = ("",), jobs: int = 2, folder: Path | None = None, *, exact: bool = False
+    only: Collection[str] = ("",),
+    jobs: int = 2,
+    folder: Path | None = None,
+    *,
+    exact: bool = False,
 ) -> tuple[dict[str, Result], list[str]]:
     """Run the cases whose names are in ``only``, or hold one of them.
 

@@ -72,7 +72,12 @@ def test_background_curve_is_what_the_classifier_marks() -> None:
         assert curves.background[place] == np.count_nonzero(background(window, everything, params))
 
 
-def corridor(sigma_m: float, per_m: float, step_deg: float = 0.5, n_lines: int = 120) -> F32:
+def corridor(
+    sigma_m: float,
+    per_m: float,
+    step_deg: float = 0.5,
+    n_lines: int = 120,
+) -> F32:
     """Ground 2 m below, walls at 6 and 15 m, from straight down to 60 degrees up on one side."""
     rng = np.random.default_rng(5)
     angle = np.deg2rad(np.arange(-80.0, 130.0, step_deg))

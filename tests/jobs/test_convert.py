@@ -89,7 +89,12 @@ def cloud(path: Path) -> Any:
 @pytest.mark.parametrize("to", ["classify", "convert"])
 @pytest.mark.parametrize("suffix", [".laz", ".ply"])
 @pytest.mark.parametrize("from_", [".csv", ".laz"])
-def test_registered_coordinates_are_kept(tmp_path: Path, suffix: str, from_: str, to: str) -> None:
+def test_registered_coordinates_are_kept(
+    tmp_path: Path,
+    suffix: str,
+    from_: str,
+    to: str,
+) -> None:
     """Beside ranges in the file, and where ranges come from a trajectory."""
     seen = ~np.isnan(street())
     line, column = np.nonzero(seen)
@@ -141,7 +146,10 @@ def test_a_format_of_cells_gives_the_same_blocks_back(
 @pytest.mark.parametrize("suffix", [*CELLS, ".npy", ".laz"])
 @pytest.mark.parametrize("preset", ["urban", "street-scan"])
 def test_labels_are_those_of_the_original(
-    drive: Path, tmp_path: Path, suffix: str, preset: str
+    drive: Path,
+    tmp_path: Path,
+    suffix: str,
+    preset: str,
 ) -> None:
     out = tmp_path / f"out{suffix}"
     convert(drive, out)
@@ -245,7 +253,11 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
 )
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".bin", ".laz"])
 def test_real_scans_give_the_same_ranges_back(
-    real_data: Path, tmp_path: Path, name: str, inputs: dict[str, Any], suffix: str
+    real_data: Path,
+    tmp_path: Path,
+    name: str,
+    inputs: dict[str, Any],
+    suffix: str,
 ) -> None:
     if name.endswith(".e57"):
         pytest.importorskip("pye57")
@@ -279,7 +291,10 @@ def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, su
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".csv.zst", ".parquet"])
 def test_an_interrupt_leaves_no_file_and_no_words(
-    drive: Path, tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
+    drive: Path,
+    tmp_path: Path,
+    suffix: str,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     def stop(n_lines: int) -> None:
         raise KeyboardInterrupt

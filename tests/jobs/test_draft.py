@@ -113,7 +113,10 @@ def test_the_profiler_of_ign(real_data: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("offset_m", [0.0, 650_000.0])
 @pytest.mark.parametrize("decimals", [6, 4])
 def test_coordinates_and_times_without_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], offset_m: float, decimals: int
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    offset_m: float,
+    decimals: int,
 ) -> None:
     """Eastings were drafted as ranges, and the refusal did not name the draft."""
     time_s, _, column = drive(50.0, 300, 60)

@@ -157,7 +157,11 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_contradict(
-    drive: Path, tmp_path: Path, preset: str, options: dict[str, object], expected: str
+    drive: Path,
+    tmp_path: Path,
+    preset: str,
+    options: dict[str, object],
+    expected: str,
 ) -> None:
     with pytest.raises(ConfigError, match=expected):
         render(drive, tmp_path / "a.png", load_config(preset=preset), RenderOptions(**options))  # type: ignore[arg-type]
@@ -168,7 +172,11 @@ def test_options_that_contradict(
 @pytest.mark.parametrize("side", ["labels", "reference"])
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
 def test_labels_of_another_length(
-    urban: LoadedConfig, tmp_path: Path, n: int, side: str, suffix: str
+    urban: LoadedConfig,
+    tmp_path: Path,
+    n: int,
+    side: str,
+    suffix: str,
 ) -> None:
     source = tmp_path / f"drive.{suffix}"
     (write_npz if suffix == "npz" else write_csv)(source, street())
@@ -185,7 +193,10 @@ def test_labels_of_another_length(
 @pytest.mark.parametrize("view", ["top", "perspective"])
 @pytest.mark.parametrize("colour", [None, "class", "height", "range"])
 def test_clouds_of_static_scans(
-    static: tuple[Path, Path], tmp_path: Path, view: str, colour: str | None
+    static: tuple[Path, Path],
+    tmp_path: Path,
+    view: str,
+    colour: str | None,
 ) -> None:
     chosen = RenderOptions(view=view, colour=colour, width=600, height=600)  # type: ignore[arg-type]
     result = render(static[0], tmp_path / "a.png", load_config(preset="street-scan"), chosen)

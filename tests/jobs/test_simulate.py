@@ -118,7 +118,10 @@ def test_ranges_from_the_trajectory_are_those_of_the_scanner(
 )
 @pytest.mark.parametrize("track", [None, "drive.sbet", "drive.csv"])
 def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
-    tmp_path: Path, track: str | None, crs: str, said: str
+    tmp_path: Path,
+    track: str | None,
+    crs: str,
+    said: str,
 ) -> None:
     pytest.importorskip("pyproj")
     beside = Beside(trajectory=tmp_path / track if track else None)
@@ -252,7 +255,11 @@ def test_wrong_parameters_are_named(kind: Any, options: dict[str, Any], said: st
     ],
 )
 def test_what_cannot_be_written_is_refused_first(
-    tmp_path: Path, kind: Kind, output: str, beside: dict[str, str], said: str
+    tmp_path: Path,
+    kind: Kind,
+    output: str,
+    beside: dict[str, str],
+    said: str,
 ) -> None:
     names = Beside(**{key: tmp_path / name for key, name in beside.items()})
     with pytest.raises(ConfigError, match=said):

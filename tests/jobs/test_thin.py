@@ -63,7 +63,11 @@ QUARTER = parse_rules(["ground=1/4"])
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv.gz", ".npz", ".npy", ".bin"])
 @pytest.mark.parametrize("source", [".npz", ".laz"])
 def test_what_is_dropped_is_missing(
-    drive: Path, labelled: Path, tmp_path: Path, suffix: str, source: str
+    drive: Path,
+    labelled: Path,
+    tmp_path: Path,
+    suffix: str,
+    source: str,
 ) -> None:
     out = tmp_path / f"thin{suffix}"
     summary = (

@@ -153,7 +153,10 @@ def test_raw_text_and_shuffled_tiles_with_a_fifth_removed(drive: Drive, tmp_path
 
 @pytest.mark.parametrize(("form", "suffix"), [(1, ".las"), (3, ".laz"), (6, ".laz"), (7, ".las")])
 def test_everything_else_stays_bit_for_bit(
-    drive: Drive, tmp_path: Path, form: int, suffix: str
+    drive: Drive,
+    tmp_path: Path,
+    form: int,
+    suffix: str,
 ) -> None:
     record = drive.registered()
     raw = write_raw(tmp_path / "drive.csv", drive)

@@ -179,7 +179,10 @@ def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> 
     [("urban", "drive", 40), ("forest", "forest", 40), ("street-scan", "scan", 6)],
 )
 def test_9_the_papers_in_plain_numpy_have_the_same_labels(
-    prc: Shell, preset: str, drive: str, lines: int
+    prc: Shell,
+    preset: str,
+    drive: str,
+    lines: int,
 ) -> None:
     with np.load(prc.here / f"{drive}.npz") as whole:
         kept = {
@@ -220,7 +223,11 @@ def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
     ],
 )
 def test_11_every_preset_labels_what_it_is_for(
-    prc: Shell, drive: str, preset: str, name: str, least: float
+    prc: Shell,
+    drive: str,
+    preset: str,
+    name: str,
+    least: float,
 ) -> None:
     # as published little of the road is ground on this scan: the check ground-below says so
     prc(

@@ -131,7 +131,12 @@ def possible_case(rng: Generator) -> tuple[Any, ...]:
     return surface, range_m, xyz, ground, z_g, thresholds
 
 
-def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tuple[Any, ...]:
+def lines_of_verticals(
+    rng: Generator,
+    n_lines: int,
+    n_sides: int,
+    n: int,
+) -> tuple[Any, ...]:
     """Low steps, walls and single points on a grid of 0.1 m or 0.25 m, so that distances and heights tie."""
     shape = (n_lines * n_sides, n)
     surface = np.where(

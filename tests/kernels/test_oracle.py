@@ -400,7 +400,10 @@ def test_a_module_of_kernels_imports_no_other(module: str) -> None:
     ],
 )
 def test_hidden_imports_are_seen(
-    line: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    line: str,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path = tmp_path / "prc_cli" / "reference" / "prc" / "one.py"
     path.parent.mkdir(parents=True)

@@ -83,7 +83,12 @@ KEYS = st.lists(st.integers(0, 40).map(lambda k: k / 4), max_size=40)
     tolerance=st.sampled_from([0.0, 0.25, 0.3, 1.0, 5.0]),
     seed=st.integers(0, 99),
 )
-def test_keys(left: list[float], right: list[float], tolerance: float, seed: int) -> None:
+def test_keys(
+    left: list[float],
+    right: list[float],
+    tolerance: float,
+    seed: int,
+) -> None:
     one = keyed(left)
     other = keyed(right)
     tally = JoinTally()
@@ -93,7 +98,12 @@ def test_keys(left: list[float], right: list[float], tolerance: float, seed: int
 
 
 @given(data=st.data(), n=st.integers(0, 30), m=st.integers(0, 30), seed=st.integers(0, 99))
-def test_keys_return_numbers_and_classes(data: st.DataObject, n: int, m: int, seed: int) -> None:
+def test_keys_return_numbers_and_classes(
+    data: st.DataObject,
+    n: int,
+    m: int,
+    seed: int,
+) -> None:
     sides = []
     for k in (n, m):
         key = data.draw(st.lists(st.integers(0, 8).map(float), min_size=k, max_size=k))
@@ -114,7 +124,12 @@ def test_a_removed_record_does_not_take_its_neighbours_partner() -> None:
     assert found == {(int(k), int(k)) for k in np.flatnonzero(kept)}
 
 
-def chunked(key: Any, same: Any, codes: Any, step: int) -> Any:
+def chunked(
+    key: Any,
+    same: Any,
+    codes: Any,
+    step: int,
+) -> Any:
     values = {
         KEY: np.asarray(key, float),
         SAME: np.asarray(same),
@@ -128,7 +143,10 @@ def chunked(key: Any, same: Any, codes: Any, step: int) -> Any:
 
 
 def join(
-    labels: Iterator[Columns], points: Iterator[Columns], tally: JoinTally, tolerance: float = 0.0
+    labels: Iterator[Columns],
+    points: Iterator[Columns],
+    tally: JoinTally,
+    tolerance: float = 0.0,
 ) -> Any:
     return merge_join(
         points, labels, NearestLabel(tolerance), tolerance, tally, ("points", "labels"), spare=1
@@ -333,7 +351,10 @@ def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
     ],
 )
 def test_folders_that_do_not_fit(
-    tmp_path: Path, run: tuple[str], reference: tuple[str], message: str
+    tmp_path: Path,
+    run: tuple[str],
+    reference: tuple[str],
+    message: str,
 ) -> None:
     left = fill(tmp_path / "run", *run)
     right = fill(tmp_path / "reference", *reference)
@@ -374,6 +395,9 @@ def pairs_of(joined: Iterator[Joined]) -> set[tuple[int, int]]:
 
 
 def join_by_key(
-    left: Iterator[Columns], right: Iterator[Columns], tolerance: float, tally: JoinTally
+    left: Iterator[Columns],
+    right: Iterator[Columns],
+    tolerance: float,
+    tally: JoinTally,
 ) -> Iterator[Joined]:
     return merge_join(left, right, MutualKeys(tolerance), tolerance, tally)

@@ -59,7 +59,11 @@ class Parity(Classifier[int, Seen]):
         return Seen(0, 0.0)
 
     def label(
-        self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted
+        self,
+        block: ScanBlock,
+        scanner: int,
+        turn: Turn,
+        wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block."""
         first = turn.hand_on(N_LINES, lambda n: (n, n + block.n_lines))
@@ -126,7 +130,12 @@ def test_the_table_holds_what_it_names() -> None:
 
 
 def label_one(
-    image: F32, labels: U8, cell: tuple[int, int], range_m: float, zeta_p: float, zeta_s: float
+    image: F32,
+    labels: U8,
+    cell: tuple[int, int],
+    range_m: float,
+    zeta_p: float,
+    zeta_s: float,
 ) -> int:
     """What the rule says, one return and one cell at a time."""
     line, column = cell

@@ -33,7 +33,13 @@ def support_histogram(
     return counts
 
 
-def bend_histogram(window: F32, n_lines: int, n_columns: int, lengths: F64, alpha: float) -> I64:
+def bend_histogram(
+    window: F32,
+    n_lines: int,
+    n_columns: int,
+    lengths: F64,
+    alpha: float,
+) -> I64:
     """Test every shot at every length and count at how many of them it is marked."""
     reach = max(n_columns + 1, 4)
     counts = np.zeros(len(lengths) + 1, dtype=np.int64)

@@ -222,7 +222,11 @@ def uniform(x: U64) -> F64:
 
 
 def leaves(
-    rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles: F64
+    rays: Rays,
+    surfaces: Surfaces,
+    rate: float,
+    number: float,
+    quantiles: F64,
 ) -> tuple[F64, F64]:
     """Send shots through clumps of leaves, all at once from cell to cell.
 

@@ -62,7 +62,12 @@ def confidence_cells(
 
 
 def _agreement(
-    labels: U8, range_m: F32, line: int, i: int, step: np.float32, groups: I64
+    labels: U8,
+    range_m: F32,
+    line: int,
+    i: int,
+    step: np.float32,
+    groups: I64,
 ) -> np.float32:
     own = groups[labels[line, i]]
     if own < 0 or np.isnan(range_m[line, i]):
@@ -76,7 +81,10 @@ def _agreement(
 
 
 def _place(
-    y: np.float32, line: int, slots: tuple[Words, Words], walls: tuple[F32, F32]
+    y: np.float32,
+    line: int,
+    slots: tuple[Words, Words],
+    walls: tuple[F32, F32],
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     none = np.float32(0), np.float32(0), np.float32(0), np.float32(-50), np.float32(50)
     if np.isnan(y) or not -STRIPS / 4 <= y < STRIPS / 4:

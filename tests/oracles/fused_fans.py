@@ -68,7 +68,12 @@ def fan_cars(
 
 
 def runs_of(
-    labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thresholds: FanThresholds
+    labels: U8,
+    side: F32,
+    above: F32,
+    texture: F32,
+    outwards: I32,
+    thresholds: FanThresholds,
 ) -> Iterator[Run]:
     """Yield the things of a line and side.
 

@@ -75,7 +75,12 @@ def find_flanks(
 
 
 def _hangs(
-    counts: I32, depths: F32, every: Slots, b: int, away: np.float32, thresholds: FlankThresholds
+    counts: I32,
+    depths: F32,
+    every: Slots,
+    b: int,
+    away: np.float32,
+    thresholds: FlankThresholds,
 ) -> bool:
     """Return whether lines see ground below a body as high as a lorry's, and none through it."""
     middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN

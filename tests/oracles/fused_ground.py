@@ -92,11 +92,22 @@ def walk_ground(
     return above, walked, known_memory, float(known_start_m), known_lost, known_missed
 
 
-def _copied(heights: F32, ages: I32, shots: F32, sums: F32) -> Memory:
+def _copied(
+    heights: F32,
+    ages: I32,
+    shots: F32,
+    sums: F32,
+) -> Memory:
     return heights.copy(), ages.copy(), shots.copy(), sums.copy()
 
 
-def _search(side_m: F32, height_m: F32, shots: F32, sums: F32, thresholds: WalkThresholds) -> bool:
+def _search(
+    side_m: F32,
+    height_m: F32,
+    shots: F32,
+    sums: F32,
+    thresholds: WalkThresholds,
+) -> bool:
     """Count level shots by depth: in the first row those near the scanner, in the second all."""
     found = False
     for y, z in zip(side_m, height_m, strict=True):

@@ -28,7 +28,11 @@ def _with_margins(points: tuple[F32, F32]) -> tuple[F32, F32]:
 
 
 def near_counts(
-    range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds
+    range_m: F32,
+    sine: F32,
+    cosine: F32,
+    step: np.float32,
+    thresholds: NearThresholds,
 ) -> U8:
     """Count near neighbours; see :func:`prc_cli.methods.fused.neighbours_loops.near_counts`."""
     limits = thresholds
@@ -56,7 +60,11 @@ def near_counts(
 
 
 def smooth_counts(
-    range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds
+    range_m: F32,
+    sine: F32,
+    cosine: F32,
+    step: np.float32,
+    thresholds: SmoothThresholds,
 ) -> U8:
     """Count smooth pairs; see :func:`prc_cli.methods.fused.neighbours_loops.smooth_counts`."""
     points = np.stack(_with_margins(plane_points(range_m, sine, cosine)), axis=-1)
@@ -92,7 +100,12 @@ def smooth_counts(
 
 
 def directions(
-    range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
+    range_m: F32,
+    smooth: U8,
+    sine: F32,
+    cosine: F32,
+    step: np.float32,
+    thresholds: ChordThresholds,
 ) -> tuple[U8, U8]:
     """Count upright and level chords.
 

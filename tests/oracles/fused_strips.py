@@ -229,7 +229,13 @@ class _Lines:
         bulge = np.float32(0.5) * (left + right) - middle
         return np.float32(bulge * (abs(away * self.beams[0][i]) / away) / np.float32(0.34))
 
-    def kind(self, line: int, run: list[int], free: list[int], narrow: list[int]) -> int:
+    def kind(
+        self,
+        line: int,
+        run: list[int],
+        free: list[int],
+        narrow: list[int],
+    ) -> int:
         reach = self.reach(line, run, free, narrow)
         limits = self.limits
         if reach is None:
@@ -245,7 +251,11 @@ class _Lines:
         return bool(len({*free} & {*narrow}) >= self.limits.small_share * np.float32(len(narrow)))
 
     def reach(
-        self, line: int, run: list[int], free: list[int], narrow: list[int]
+        self,
+        line: int,
+        run: list[int],
+        free: list[int],
+        narrow: list[int],
     ) -> np.float32 | None:
         """Return how high something small reaches; None = it is not small."""
         limits = self.limits

@@ -143,7 +143,11 @@ def extended_background(range_m: F32, supported: Mask, settings: Settings) -> Ma
 
 
 def _classify_block(
-    valid: Mask, supported: Mask, background: Mask, memory: Memory, settings: Settings
+    valid: Mask,
+    supported: Mask,
+    background: Mask,
+    memory: Memory,
+    settings: Settings,
 ) -> tuple[U8, I64]:
     """Take a block through steps 3 to 6 and bring the memory up to date.
 
@@ -167,7 +171,12 @@ def _classify_block(
 # II-D. Connected components in 2-D
 
 
-def _smooth_image(supported: Mask, background: Mask, memory: Memory, settings: Settings) -> I64:
+def _smooth_image(
+    supported: Mask,
+    background: Mask,
+    memory: Memory,
+    settings: Settings,
+) -> I64:
     """Return H (step 3)."""
     components, n_components = label_components(supported & ~background)  # a to c
     components = fill_holes(components, background)  # d, II-D.1
@@ -175,7 +184,12 @@ def _smooth_image(supported: Mask, background: Mask, memory: Memory, settings: S
     return np.array(ids, dtype=np.int64)[components]
 
 
-def _carry_labels(components: I32, n_components: int, memory: Memory, min_votes: int) -> list[int]:
+def _carry_labels(
+    components: I32,
+    n_components: int,
+    memory: Memory,
+    min_votes: int,
+) -> list[int]:
     """Return the label of every component.
 
     That of the block before with most votes, of equals the smallest, or new.
@@ -218,7 +232,12 @@ def _nonsmooth_image(h: I64, background: Mask, settings: Settings) -> tuple[I32,
 
 
 def _urban(
-    valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings
+    valid: Mask,
+    supported: Mask,
+    smooth: Mask,
+    segments: I64,
+    memory: Memory,
+    settings: Settings,
 ) -> U8:
     """Label noise, ground, buildings and vegetation.
 
@@ -236,7 +255,12 @@ def _urban(
 
 
 def _forest(
-    valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings
+    valid: Mask,
+    supported: Mask,
+    smooth: Mask,
+    segments: I64,
+    memory: Memory,
+    settings: Settings,
 ) -> U8:
     """Label noise, stems, other vegetation, and ground.
 

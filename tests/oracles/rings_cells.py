@@ -99,7 +99,10 @@ def mark_shots(
 
 
 def lonely_shots(
-    range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds
+    range_m: F32_2,
+    intensity: F32_2,
+    is_lit: bool,
+    thresholds: LonelyThresholds,
 ) -> Mask_2:
     found = np.zeros(range_m.shape, np.bool_)
     with np.errstate(invalid="ignore"):
@@ -124,7 +127,11 @@ def lonely_shots(
 
 
 def fill_cells(
-    xyz_m: F32_3, above_m: F32_2, marks: U8_2, leave_out: Mask_2, thresholds: CellThresholds
+    xyz_m: F32_3,
+    above_m: F32_2,
+    marks: U8_2,
+    leave_out: Mask_2,
+    thresholds: CellThresholds,
 ) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
     size = thresholds.cell_m
     half = thresholds.half_m
@@ -166,7 +173,12 @@ def fill_cells(
     return np.array(levels, np.int64), total, places, grid, cell
 
 
-def _around(grid: I32, where: I32, c: int, reach: int) -> Iterator[tuple[int, int, int]]:
+def _around(
+    grid: I32,
+    where: I32,
+    c: int,
+    reach: int,
+) -> Iterator[tuple[int, int, int]]:
     """Yield how far cells are away and which they are."""
     for dp in range(-reach, reach + 1):
         for dq in range(-reach, reach + 1):
@@ -176,7 +188,11 @@ def _around(grid: I32, where: I32, c: int, reach: int) -> Iterator[tuple[int, in
 
 
 def measure_cells(
-    grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds
+    grid: I32_2,
+    where: I32_2,
+    sums: F64_2,
+    levels: I64_1,
+    thresholds: CellThresholds,
 ) -> F64_2:
     found = np.zeros((len(where), 8))
     gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
@@ -222,7 +238,12 @@ def measure_cells(
     return found
 
 
-def mean_around(grid: I32_2, where: I32_2, values: F64_1, weight: F64_1) -> F64_1:
+def mean_around(
+    grid: I32_2,
+    where: I32_2,
+    values: F64_1,
+    weight: F64_1,
+) -> F64_1:
     found = np.empty(len(where))
     for c in range(len(where)):
         total = sum_of = 0.0
@@ -243,7 +264,12 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
             return body.astype(np.int32)
 
 
-def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresholds) -> Mask_2:
+def low_plants(
+    xyz_m: F32_3,
+    above_m: F32_2,
+    marks: U8_2,
+    thresholds: SoilThresholds,
+) -> Mask_2:
     size = thresholds.cell_m
     half = thresholds.half_m
     above = above_m.astype(np.float64)

@@ -12,7 +12,12 @@ from prc_cli.methods.rings.thresholds import GroundThresholds
 
 
 def lowest_heights(
-    xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float
+    xyz_m: F32_3,
+    place: F32_2,
+    up: float,
+    sector_lines: int,
+    n_bins: int,
+    pair_m: float,
 ) -> F32_2:
     sector = np.arange(len(place))[:, None] // sector_lines + np.zeros(place.shape, np.int64)
     found = np.full((-(-len(place) // sector_lines), n_bins), np.nan, np.float32)
@@ -62,7 +67,12 @@ def walk_outwards(
 
 
 def smooth_surface(
-    height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool
+    height_m: F64_2,
+    weight: F64_2,
+    start_m: F64_2,
+    stiff: float,
+    rounds: int,
+    is_round: bool,
 ) -> F64_2:
     found = start_m.copy()
     (n_sectors, n_bins) = start_m.shape

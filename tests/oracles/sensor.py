@@ -72,7 +72,12 @@ class _Dice:
         return (_scramble(bits) >> 11) / 2**53
 
 
-def _surfaces(hits: tuple[F64, I32, F64], i: int, surface: F64, kind: U8) -> list[_Surface | None]:
+def _surfaces(
+    hits: tuple[F64, I32, F64],
+    i: int,
+    surface: F64,
+    kind: U8,
+) -> list[_Surface | None]:
     found: list[_Surface | None] = []
     for t, body, facing in zip(*(part[i].tolist() for part in hits), strict=True):
         if body < 0:
@@ -83,7 +88,12 @@ def _surfaces(hits: tuple[F64, I32, F64], i: int, surface: F64, kind: U8) -> lis
     return found
 
 
-def _looks_behind(own: _Surface, dice: _Dice, column: int, model: SensorModel) -> bool:
+def _looks_behind(
+    own: _Surface,
+    dice: _Dice,
+    column: int,
+    model: SensorModel,
+) -> bool:
     if own.is_glass:
         return (
             abs(own.facing) < _FLASH
@@ -95,7 +105,11 @@ def _looks_behind(own: _Surface, dice: _Dice, column: int, model: SensorModel) -
 
 
 def goes_behind(
-    hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int
+    hits: tuple[F64, I32, F64],
+    kind: U8,
+    model: SensorModel,
+    first_line: int,
+    seed: int,
 ) -> Mask:
     """Mark the shots whose light goes on.
 
@@ -111,7 +125,11 @@ def goes_behind(
 
 
 def _neighbour_share(
-    line: list[_Surface | None], column: int, side: int, dice: _Dice, model: SensorModel
+    line: list[_Surface | None],
+    column: int,
+    side: int,
+    dice: _Dice,
+    model: SensorModel,
 ) -> float:
     """Return the share of the beam on what the neighbour sees."""
     if not 0 <= column + side < len(line):
@@ -138,7 +156,12 @@ def _neighbour_share(
     return share if share > 0.0 else 0.0
 
 
-def _glass(own: _Surface, dice: _Dice, column: int, model: SensorModel) -> list[_Echo]:
+def _glass(
+    own: _Surface,
+    dice: _Dice,
+    column: int,
+    model: SensorModel,
+) -> list[_Echo]:
     pane = own.echo()
     if abs(own.facing) >= _FLASH:
         pane.power = own.cosine() / (own.t * own.t)
@@ -222,7 +245,11 @@ def _deviate(uniform: float, quantiles: F64) -> float:
 
 
 def _returns(
-    echoes: list[_Echo], dice: _Dice, column: int, model: SensorModel, quantiles: F64
+    echoes: list[_Echo],
+    dice: _Dice,
+    column: int,
+    model: SensorModel,
+    quantiles: F64,
 ) -> list[_Echo]:
     found = []
     for i, echo in enumerate(echoes):
@@ -249,7 +276,12 @@ def _returns(
     return found[: int(model.max_returns)]
 
 
-def _bright(seed: int, line: int, column: int, m: int) -> float:
+def _bright(
+    seed: int,
+    line: int,
+    column: int,
+    m: int,
+) -> float:
     patch = line // 100
     late = line % 100 / 100
     place = column * 24 / m

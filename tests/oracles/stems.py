@@ -77,7 +77,12 @@ def _bridged(third: F64, rise: float) -> F64:
 
 
 def ground_heights(
-    range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float
+    range_m: F32,
+    sine: F64,
+    cosine: F64,
+    profiles: F64,
+    lines_together: int,
+    bin_m: float,
 ) -> F32:
     """Return heights over the ground.
 
@@ -107,7 +112,11 @@ class _Run:
 
 
 def upright_runs(
-    range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds
+    range_m: F32,
+    height_m: F32,
+    sine: F64,
+    cosine: F64,
+    thresholds: RunThresholds,
 ) -> tuple[I32, F64]:
     """Find upright runs; see :func:`prc_cli.methods.fused.stems_loops.upright_runs`."""
     runs = np.zeros(range_m.shape, np.int32)
@@ -138,7 +147,11 @@ def upright_runs(
 
 
 def _runs_of_line(
-    ranges: F64, heights: F32, sine: F64, cosine: F64, thresholds: RunThresholds
+    ranges: F64,
+    heights: F32,
+    sine: F64,
+    cosine: F64,
+    thresholds: RunThresholds,
 ) -> list[_Run]:
     runs: list[_Run] = []
     recent: deque[_Run] = deque(maxlen=3)
@@ -149,7 +162,11 @@ def _runs_of_line(
         spacing = 3.0 * thresholds.step_rad * r * r / max(abs(y), 0.3)
 
         def follows(
-            run: _Run, y: float = y, z: float = z, r: float = r, spacing: float = spacing
+            run: _Run,
+            y: float = y,
+            z: float = z,
+            r: float = r,
+            spacing: float = spacing,
         ) -> bool:
             up = abs(z - run.z[-1])
             tolerance = thresholds.tolerance_m + thresholds.tolerance_share * r
@@ -177,7 +194,12 @@ def _runs_of_line(
     return runs
 
 
-def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
+def stem_shots(
+    range_m: F32,
+    runs: I32,
+    table: F64,
+    thresholds: StemThresholds,
+) -> Mask:
     """Mark the shots of stems; see :func:`prc_cli.methods.fused.stems_loops.stem_shots`."""
     r = range_m.astype(np.float64)
     close = np.abs(r[1:] - r[:-1]) < thresholds.near_m + thresholds.near_share * r[1:]
@@ -206,7 +228,11 @@ def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) 
 
 
 def forest_labels(
-    range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds
+    range_m: F32,
+    height_m: F32,
+    stems: Mask,
+    columns_around: int,
+    thresholds: ForestThresholds,
 ) -> U8:
     """Label a block of forest; see :func:`prc_cli.methods.fused.stems_loops.forest_labels`."""
     top = thresholds.top_m

@@ -35,7 +35,10 @@ def world(
 
 
 def one_shot(
-    bodies: Bodies, origin: tuple[float, ...], towards: tuple[float, ...], time_s: float = 0.0
+    bodies: Bodies,
+    origin: tuple[float, ...],
+    towards: tuple[float, ...],
+    time_s: float = 0.0,
 ) -> Hits:
     direction = np.array(towards, dtype=np.float64)
     direction /= np.linalg.norm(direction)
@@ -48,7 +51,10 @@ def one_shot(
 
 
 def profile(
-    n_lines: int = 1, m: int = 720, roll_rad: float = 0.0, slant_rad: float = 0.0
+    n_lines: int = 1,
+    m: int = 720,
+    roll_rad: float = 0.0,
+    slant_rad: float = 0.0,
 ) -> tuple[F64, F64, F64]:
     """Lines all around, from below over the left.
 
@@ -207,7 +213,11 @@ def sensor_world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
 
 
 def hits(
-    t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: int = 100
+    t: Any,
+    body: Any = 0,
+    facing: Any = 1.0,
+    lines: int = LINES,
+    columns: int = 100,
 ) -> SensorHits:
     """Hits of which each number may be given for all, or by column."""
     shape = (lines, columns)

@@ -72,7 +72,12 @@ STREET = boxes(
 )
 
 
-def near(x_m: float, y_m: float, radius_m: float, time_s: float) -> Bodies:
+def near(
+    x_m: float,
+    y_m: float,
+    radius_m: float,
+    time_s: float,
+) -> Bodies:
     return STREET
 
 
@@ -158,7 +163,11 @@ def test_what_every_scan_keeps(kind: str) -> None:
 
 
 def classified(
-    seed: int, lines: int = 32, *, azimuth_step: float = 0.5, turn: float = 360.0
+    seed: int,
+    lines: int = 32,
+    *,
+    azimuth_step: float = 0.5,
+    turn: float = 360.0,
 ) -> tuple[U8, U8, F32]:
     """Labels, reference labels and height of the ground of a simulated scan."""
     items = list(static_scan(0.2, azimuth_step, seed, turn=turn).labelled_blocks(lines))

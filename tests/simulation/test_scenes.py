@@ -146,7 +146,12 @@ def test_cylinders_of_the_paper_on_points_by_hand() -> None:
     assert labels.dtype == np.uint8
 
 
-def around(scene: StreetScene, s: float, radius: float = 70.0, time_s: float = 0.0) -> Bodies:
+def around(
+    scene: StreetScene,
+    s: float,
+    radius: float = 70.0,
+    time_s: float = 0.0,
+) -> Bodies:
     x, y, _ = scene.path_point(np.array([s]))[0][0].tolist()
     return scene.bodies_near(x, y, radius, time_s)
 

@@ -202,7 +202,13 @@ def test_no_turn_has_more_than_ten_million_columns(step_deg: float) -> None:
         find_angle_grid(*sweeps(3, 100), "drive.csv", step_rad=math.radians(step_deg))
 
 
-def room(step_deg: float, m: int, n_lines: int = 60, noise_m: float = 0.0, seed: int = 0) -> F32:
+def room(
+    step_deg: float,
+    m: int,
+    n_lines: int = 60,
+    noise_m: float = 0.0,
+    seed: int = 0,
+) -> F32:
     """A floor, two walls and a leaning roof, from a place that wanders."""
     rng = np.random.default_rng(seed)
     beam = np.deg2rad(step_deg) * (np.arange(m) - m / 2)
@@ -231,7 +237,12 @@ def room(step_deg: float, m: int, n_lines: int = 60, noise_m: float = 0.0, seed:
         (0.47, 361, 0.005, ""),
     ],
 )
-def test_the_step_is_in_the_ranges(step_deg: float, m: int, noise_m: float, usual: str) -> None:
+def test_the_step_is_in_the_ranges(
+    step_deg: float,
+    m: int,
+    noise_m: float,
+    usual: str,
+) -> None:
     found = measure_step(room(step_deg, m, noise_m=noise_m))
     assert found is not None
     assert math.degrees(found.step_rad) == pytest.approx(step_deg, rel=0.005)

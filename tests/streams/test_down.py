@@ -98,7 +98,11 @@ def test_another_origin_than_the_scanner_is_refused(
 
 
 def shots(
-    seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3.0
+    seed: int,
+    nadir_deg: float,
+    *,
+    n_lines: int = 20,
+    tilt_deg: float = 3.0,
 ) -> tuple[F64, F64, F64, I64]:
     """Return angle, range, height and line of a profiler that drives over hills."""
     rng = np.random.default_rng(seed)

@@ -159,7 +159,10 @@ def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path: Path) -> None:
     ("name", "n_lines", "longest"), [("car_cloud400.csv", 213, 141), ("car_cloud401.csv", 214, 142)]
 )
 def test_lines_of_a_rotating_profiler(
-    real_data: Path, name: str, n_lines: int, longest: int
+    real_data: Path,
+    name: str,
+    n_lines: int,
+    longest: int,
 ) -> None:
     from prc_cli.formats.options import Layout, LayoutField
 

@@ -231,7 +231,10 @@ def collect(
     merge=st.integers(1, 30),
 )
 def test_equals_a_stable_argsort_for_any_run_and_merge_size(
-    times: list[int], chunk: int, run: int, merge: int
+    times: list[int],
+    chunk: int,
+    run: int,
+    merge: int,
 ) -> None:
     time_s = np.array(times, np.float64)
     source = ArraySource({"time": time_s, "point": np.arange(len(times), dtype=np.uint16)}, chunk)

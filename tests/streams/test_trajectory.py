@@ -146,7 +146,11 @@ def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("form", ["code", "wkt1", "wkt2"])
 def test_heights_of_another_kind_never_pass_in_silence(
-    tmp_path: Path, crs: str, heights: str, alone: str, form: str
+    tmp_path: Path,
+    crs: str,
+    heights: str,
+    alone: str,
+    form: str,
 ) -> None:
     pyproj = pytest.importorskip("pyproj")
     path = write_sbet(tmp_path / "drive.sbet", SOUND)

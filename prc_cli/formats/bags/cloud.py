@@ -189,7 +189,12 @@ def _is_livox(fields: Collection[str]) -> bool:
     return "tag" in fields and ("line" in fields or "ring" in fields)
 
 
-def _decoded(frame: str, stamp_s: float, table: NDArray[np.void], scale: float) -> Cloud:
+def _decoded(
+    frame: str,
+    stamp_s: float,
+    table: NDArray[np.void],
+    scale: float,
+) -> Cloud:
     xyz: F32 = np.empty((len(table), 3), np.float32)
     with np.errstate(all="ignore"):
         for axis, name in enumerate("xyz"):
@@ -246,7 +251,13 @@ class Timing:
         starts: F64 = self.start_s + np.arange(n, dtype=np.float64) * self.period_s
         return starts
 
-    def again(self, ring: I64, time_s: F64, n_first: int, fits: float = _FITS) -> Timing | None:
+    def again(
+        self,
+        ring: I64,
+        time_s: F64,
+        n_first: int,
+        fits: float = _FITS,
+    ) -> Timing | None:
         """Return the columns of later points, the first of which are one column.
 
         None where the clock does not fit.
@@ -622,7 +633,13 @@ class CloudLines:
             told for told in (self._numbers.note, of_times, self._lines.lost()) if told
         )
 
-    def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
+    def _columns(
+        self,
+        points: _Points,
+        use: Mask,
+        n: int,
+        base: int,
+    ) -> Columns:
         """Put points into the cells of ``n`` columns.
 
         The second of a cell is its further return.
@@ -676,7 +693,12 @@ class CloudLines:
         )
 
 
-def _unit(first: Cloud, has: Mask, between_s: Callable[[], float], config: InputConfig) -> float:
+def _unit(
+    first: Cloud,
+    has: Mask,
+    between_s: Callable[[], float],
+    config: InputConfig,
+) -> float:
     """Return the unit of the stored times [s].
 
     As told, or the one in which the scanner turns as scanners do.
@@ -709,7 +731,12 @@ def _place(ring: I64, xyz_m: F32, m: int) -> I64:
     return place
 
 
-def _stagger(ring: I64, timing: Timing, azimuth: F64, place: I64) -> I64:
+def _stagger(
+    ring: I64,
+    timing: Timing,
+    azimuth: F64,
+    place: I64,
+) -> I64:
     """Return the shift of every place in columns: how far a ring looks ahead of the fullest one."""
     column = timing.column
     fullest = int(np.bincount(ring).argmax())

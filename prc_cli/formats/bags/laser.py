@@ -72,7 +72,13 @@ class LaserScan:
         )
 
 
-def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool, scale: float = 1.0) -> LaserScan:
+def parse_laser(
+    data: bytes,
+    *,
+    is_cdr: bool,
+    is_multi: bool,
+    scale: float = 1.0,
+) -> LaserScan:
     """Decode a message whose ranges are in a unit [m]."""
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()

@@ -115,7 +115,11 @@ _LEAST = {VELODYNE: 1214, PANDAR: 1512, NEBULA: 12}
 
 
 def parse_packets(
-    kind: str, data: bytes, time_s: float, *, is_cdr: bool
+    kind: str,
+    data: bytes,
+    time_s: float,
+    *,
+    is_cdr: bool,
 ) -> tuple[str, list[tuple[float, bytes]]]:
     """Return the frame of a message, and its packets with the time when they were received [s]."""
     cursor = Cursor(data, is_cdr=is_cdr)

@@ -47,7 +47,11 @@ class BagStream:
     """A bag as a :class:`prc_cli.core.stream.ScanStream`."""
 
     def __init__(
-        self, path: Path, config: InputConfig, _lines_at_once: int = 1, parts: tuple[Path, ...] = ()
+        self,
+        path: Path,
+        config: InputConfig,
+        _lines_at_once: int = 1,
+        parts: tuple[Path, ...] = (),
     ) -> None:  # scans are blocks
         check_rules(path, config, "a recording of scans")
         self._path = path

@@ -90,7 +90,13 @@ class Sweep:
     """Time of the last column that was given out."""
 
     @classmethod
-    def of(cls, ring: I64, time_s: F64, azimuth_rad: F64, n_rings: int) -> Sweep | None:
+    def of(
+        cls,
+        ring: I64,
+        time_s: F64,
+        azimuth_rad: F64,
+        n_rings: int,
+    ) -> Sweep | None:
         """Measure the turning of a first message; None where its times do not tell it."""
         every, middle, spread = _groups(time_s, azimuth_rad)
         if len(every) < 3:

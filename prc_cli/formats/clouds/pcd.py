@@ -272,7 +272,10 @@ def _dtype(fields: list[tuple[str, np.dtype[Any]]]) -> np.dtype[np.void]:
 
 
 def _rules(
-    viewpoint: list[float], width: int, height: int, names: set[str]
+    viewpoint: list[float],
+    width: int,
+    height: int,
+    names: set[str],
 ) -> tuple[KnownRule, ...]:
     rules = []
     x, y, z = viewpoint[:3]

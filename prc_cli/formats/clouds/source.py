@@ -102,14 +102,25 @@ def whole_number(where: str, cell: str, most: int = sys.maxsize) -> int:
     return int(cell)
 
 
-def text_body(path: Path, names: tuple[str, ...], first_line: int, n: int) -> TextBody:
+def text_body(
+    path: Path,
+    names: tuple[str, ...],
+    first_line: int,
+    n: int,
+) -> TextBody:
     """Return rows of numbers behind a header."""
     return TextBody(
         path, TextFormat(BLANKS, b"", first_line - 1, first_line, names, False), n_records=n
     )
 
 
-def binary_body(path: Path, dtype: np.dtype[np.void], start: int, n: int, hint: str) -> BinaryBody:
+def binary_body(
+    path: Path,
+    dtype: np.dtype[np.void],
+    start: int,
+    n: int,
+    hint: str,
+) -> BinaryBody:
     """Return records behind a header, after a look at the size of the file."""
     there = max(path.stat().st_size - start, 0)
     if n * dtype.itemsize > there:
@@ -296,7 +307,10 @@ class _Runs:
 
 
 def find_runs(
-    same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArray[Any], count: NDArray[Any]
+    same: list[NDArray[Any]],
+    place: list[NDArray[Any]],
+    number: NDArray[Any],
+    count: NDArray[Any],
 ) -> _Runs:
     """Find the rows of every shot; a shot may be listed again with every return that was added.
 

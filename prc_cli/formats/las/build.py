@@ -345,7 +345,12 @@ def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) 
     return Returns._make(values[order] for values in found)
 
 
-def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[Any]:
+def _fits(
+    path: Path,
+    what: str,
+    values: NDArray[Any],
+    limit: int,
+) -> NDArray[Any]:
     if values.size and int(values.max()) >= limit:
         raise OutputError(
             str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here"

@@ -210,7 +210,13 @@ def _as_text(raw: bytes, codec: str = "utf-8") -> bytes:
     return raw
 
 
-def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: bool = False) -> Vlr:
+def make_vlr(
+    key: tuple[str, int],
+    data: bytes,
+    description: str,
+    *,
+    extended: bool = False,
+) -> Vlr:
     """Return a VLR; a plain one has at most 65535 bytes."""
     head = _EVLR_HEAD if extended else _VLR_HEAD
     return Vlr(
@@ -370,7 +376,12 @@ def open_source(path: Path) -> Iterator[Source]:
         yield Source(path, handle)
 
 
-def damaged(path: Path, byte: int, problem: str, hint: str = DAMAGED) -> InputError:
+def damaged(
+    path: Path,
+    byte: int,
+    problem: str,
+    hint: str = DAMAGED,
+) -> InputError:
     """Return an error that names a position in the file, for the caller to raise."""
     return InputError(f"{path}: byte {byte}", problem, hint)
 
@@ -522,7 +533,12 @@ def refused_by_laspy(header: LasHeader) -> str:
     return ""
 
 
-def _check_count(path: Path, n_records: int, fields: HeaderFields, file_bytes: int) -> None:
+def _check_count(
+    path: Path,
+    n_records: int,
+    fields: HeaderFields,
+    file_bytes: int,
+) -> None:
     """Compare the count of uncompressed records with the bytes there are."""
     start, size, evlr_start = (
         fields.get(name) for name in ("point_offset", "record_length", "evlr_start")

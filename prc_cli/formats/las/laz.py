@@ -159,7 +159,13 @@ def new_laszip(where: str, point_format: int, n_extra_bytes: int) -> bytes:
     return bytes(content)
 
 
-def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep: bool) -> Vlr:
+def laszip_vlr(
+    header: LasHeader,
+    point_format: int,
+    n_extra_bytes: int,
+    *,
+    keep: bool,
+) -> Vlr:
     """Return the laszip VLR of an output.
 
     That of the input where records and items stay the same (``keep``).
@@ -381,7 +387,12 @@ class LazRecords:
         return self._laszip[:2] == usual[:2] and self._laszip[_ITEMS_AT:] == usual[_ITEMS_AT:]
 
     def batches(
-        self, n_max: int, selection: int, several: int | None = None, *, reuse: bool = False
+        self,
+        n_max: int,
+        selection: int,
+        several: int | None = None,
+        *,
+        reuse: bool = False,
     ) -> Iterator[tuple[int, U8]]:
         """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8.
 
@@ -426,7 +437,13 @@ class LazRecords:
                     yield begin + start, raw[start : start + n_max]
             chunk = end
 
-    def open(self, source: Source, kind: Any, selection: int, first: int = 0) -> Any:
+    def open(
+        self,
+        source: Source,
+        kind: Any,
+        selection: int,
+        first: int = 0,
+    ) -> Any:
         """Return a decoder of some layers, at a record of a source."""
         source.seek(self.header.data_offset)
         with decoding(source, "the compressed records cannot be opened"):
@@ -435,7 +452,13 @@ class LazRecords:
                 decoder.seek(first)
         return decoder
 
-    def _decode(self, decoder: Any, raw: U8, chunk: int, end: int) -> None:
+    def _decode(
+        self,
+        decoder: Any,
+        raw: U8,
+        chunk: int,
+        end: int,
+    ) -> None:
         """Decode records of some chunks; name the first chunk that cannot be decoded."""
         try:
             with decoding(self._source, ""):

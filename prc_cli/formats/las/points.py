@@ -359,7 +359,10 @@ def extra_bytes_vlr(dimensions: Sequence[ExtraDimension]) -> Vlr:
 
 
 def with_extra_dimensions(
-    header: LasHeader, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str
+    header: LasHeader,
+    vlrs: list[Vlr],
+    dimensions: Sequence[ExtraDimension],
+    hint: str,
 ) -> list[Vlr]:
     """Return the VLRs with new dimensions behind those present.
 

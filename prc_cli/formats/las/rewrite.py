@@ -341,7 +341,12 @@ def _write_again(
     return tail
 
 
-def _copy_bytes(source: Source, target: Target, start: int, stop: int) -> None:
+def _copy_bytes(
+    source: Source,
+    target: Target,
+    start: int,
+    stop: int,
+) -> None:
     source.seek(start)
     for at in range(start, stop, _COPY_BYTES):
         target.write(source.exact(min(_COPY_BYTES, stop - at), "the file"))
@@ -408,7 +413,12 @@ class Tail:
         return position
 
 
-def plan_tail(las: LasHeader, bounds: tuple[int, int], start: int, drop: tuple[str, ...]) -> Tail:
+def plan_tail(
+    las: LasHeader,
+    bounds: tuple[int, int],
+    start: int,
+    drop: tuple[str, ...],
+) -> Tail:
     """Plan the copy of everything behind the points, without the EVLRs of some user ids."""
     cursor, end = bounds
     if las.evlrs and las.evlrs[0].start < cursor:

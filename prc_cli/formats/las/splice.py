@@ -303,7 +303,12 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
 
 
 def _write_chunk(
-    source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int
+    source: Source,
+    target: Target,
+    chunks: LazRecords,
+    chunk: int,
+    layer: memoryview,
+    code: int,
 ) -> int:
     """Write a chunk with a new layer of classes and a new class of its first record.
 

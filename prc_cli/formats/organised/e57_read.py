@@ -501,7 +501,13 @@ class E57Stream:
             points["intensity"][missing] = np.nan
             yield points
 
-    def _block(self, scan: _Scan, first: int, n_lines: int, points: NDArray[Any]) -> ScanBlock:
+    def _block(
+        self,
+        scan: _Scan,
+        first: int,
+        n_lines: int,
+        points: NDArray[Any],
+    ) -> ScanBlock:
         m = scan.shape.points_per_line
         cell = (points["line"].astype(np.int64) - first) * m + points["row"]
         with_intensity = INTENSITY in scan.table.fields

@@ -223,7 +223,13 @@ class PtxStream:
         for (first, stop), rows in zip(pieces, in_turn(parts, sizes, missing), strict=True):
             yield self._block(scan, first, stop - first, rows)
 
-    def _block(self, scan: _Scan, first: int, n_lines: int, rows: F64) -> ScanBlock:
+    def _block(
+        self,
+        scan: _Scan,
+        first: int,
+        n_lines: int,
+        rows: F64,
+    ) -> ScanBlock:
         shape = scan.shape
         n = len(rows)
         m = shape.points_per_line

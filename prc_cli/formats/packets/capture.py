@@ -98,7 +98,11 @@ def _damaged(path: Path, at: int, problem: str) -> InputError:
 
 
 def _pcap(
-    path: Path, handle: IO[bytes], order: str, unit: float, count: CaptureCount
+    path: Path,
+    handle: IO[bytes],
+    order: str,
+    unit: float,
+    count: CaptureCount,
 ) -> Iterator[tuple[float, int, bytes, bool]]:
     head = handle.read(20)
     if len(head) < 20:
@@ -174,7 +178,10 @@ def _interface(order: str, body: bytes) -> tuple[int, float]:
 
 
 def _packet(
-    kind: int, order: str, body: bytes, interfaces: list[tuple[int, float]]
+    kind: int,
+    order: str,
+    body: bytes,
+    interfaces: list[tuple[int, float]],
 ) -> tuple[float, int, bytes, bool]:
     """Return a packet of an enhanced (6), simple (3) or obsolete (2) block."""
     if kind == 3:

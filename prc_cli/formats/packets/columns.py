@@ -83,7 +83,13 @@ def _sorted(columns: Columns) -> Columns:
 class ColumnLines:
     """Puts columns of one scanner into lines."""
 
-    def __init__(self, where: str, scanner: int, shift: I64, config: InputConfig) -> None:
+    def __init__(
+        self,
+        where: str,
+        scanner: int,
+        shift: I64,
+        config: InputConfig,
+    ) -> None:
         self._where = where
         self._scanner = scanner
         self._config = config
@@ -340,7 +346,12 @@ def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
 _Further: TypeAlias = tuple[F32 | None, I64 | None]
 
 
-def choose(range_m: F32, light: F32, record: I64, rule: str) -> tuple[F32, F32, I64, _Further]:
+def choose(
+    range_m: F32,
+    light: F32,
+    record: I64,
+    rule: str,
+) -> tuple[F32, F32, I64, _Further]:
     """Return range, light and record of every shot's main return, range and record of the other one."""
     own = range_m[..., 0]
     lit = light[..., 0]

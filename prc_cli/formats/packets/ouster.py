@@ -136,7 +136,13 @@ class _Parser:
             "copy it from the sensor",
         )
 
-    def _whole(self, name: str, low: int, high: int, default: Any = None) -> int:
+    def _whole(
+        self,
+        name: str,
+        low: int,
+        high: int,
+        default: Any = None,
+    ) -> int:
         value = self._find(name, default)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self._wrong(name, value, f"a whole number from {low} to {high}")

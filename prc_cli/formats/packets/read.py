@@ -44,7 +44,10 @@ def is_scan(packet: bytes, metadata: Metadata | None) -> bool:
 
 
 def open_decoder(
-    where: str, first: bytes, metadata: Metadata | None, config: InputConfig
+    where: str,
+    first: bytes,
+    metadata: Metadata | None,
+    config: InputConfig,
 ) -> Decoder:
     """Return the decoder for a scanner's first packet."""
     if metadata is not None and len(first) == metadata.packet_size:
@@ -57,7 +60,12 @@ class PacketLines:
     """Gathers the packets of one scanner into blocks."""
 
     def __init__(
-        self, where: str, scanner: int, first: bytes, metadata: Metadata | None, config: InputConfig
+        self,
+        where: str,
+        scanner: int,
+        first: bytes,
+        metadata: Metadata | None,
+        config: InputConfig,
     ) -> None:
         self._where = where
         self._scanner = scanner
@@ -129,7 +137,11 @@ class PacketStream:
     """A capture as a :class:`prc_cli.core.stream.ScanStream`."""
 
     def __init__(
-        self, path: Path, config: InputConfig, _lines_at_once: int = 1, parts: tuple[Path, ...] = ()
+        self,
+        path: Path,
+        config: InputConfig,
+        _lines_at_once: int = 1,
+        parts: tuple[Path, ...] = (),
     ) -> None:  # scans are blocks
         check_rules(path, config, "packets of scanners")
         self._path = path

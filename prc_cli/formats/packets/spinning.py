@@ -361,7 +361,13 @@ def describe(packet: bytes) -> str:
 class SpinningDecoder:
     """Decodes the packets of one scanner."""
 
-    def __init__(self, where: str, first: bytes, calibration: Path | None, rule: str) -> None:
+    def __init__(
+        self,
+        where: str,
+        first: bytes,
+        calibration: Path | None,
+        rule: str,
+    ) -> None:
         self._where = where
         self._rule = rule
         layout = _layout(first)

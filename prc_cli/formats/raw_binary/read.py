@@ -58,7 +58,13 @@ class BinaryBody:
                 yield first, records, wanted
 
 
-def read_numbers(path: Path, handle: Any, dtype: np.dtype[Any], n: int, first: int) -> NDArray[Any]:
+def read_numbers(
+    path: Path,
+    handle: Any,
+    dtype: np.dtype[Any],
+    n: int,
+    first: int,
+) -> NDArray[Any]:
     """Return the next numbers or records of a file, fewer at its end."""
     try:
         return np.fromfile(handle, dtype, n)

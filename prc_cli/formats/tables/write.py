@@ -147,7 +147,10 @@ def stream_rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
 
 
 def _with_extra(
-    values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, inside: I64
+    values: dict[str, NDArray[Any]],
+    item: StreamItem,
+    rows: slice,
+    inside: I64,
 ) -> dict[str, NDArray[Any]]:
     """Insert further returns behind the chosen return of their shot."""
     block = item.block

@@ -248,7 +248,12 @@ def _find_delimiter(rows: list[str], decimal: str | None) -> str:
     return BLANKS if all(len(row.split()) > 1 for row in rows) else ","
 
 
-def split(path: Path, number: int, text: str, delimiter: str) -> list[str]:
+def split(
+    path: Path,
+    number: int,
+    text: str,
+    delimiter: str,
+) -> list[str]:
     """Return the cells of a line."""
     where = f"{path}: line {number}"
     if len(text) > MAX_LINE_BYTES:

@@ -120,7 +120,12 @@ def _open(path: Path) -> Iterator[Any]:
             yield stream
 
 
-def _read(path: Path, handle: IO[bytes], n: int, line: int) -> bytes:
+def _read(
+    path: Path,
+    handle: IO[bytes],
+    n: int,
+    line: int,
+) -> bytes:
     try:
         return handle.read(n)
     except OSError as error:
@@ -132,7 +137,12 @@ def _read(path: Path, handle: IO[bytes], n: int, line: int) -> bytes:
         raise InputError(str(path), problem, "check the disk or copy the file again") from error
 
 
-def _without_mark(path: Path, handle: IO[bytes], found: bytes, block_bytes: int) -> bytes:
+def _without_mark(
+    path: Path,
+    handle: IO[bytes],
+    found: bytes,
+    block_bytes: int,
+) -> bytes:
     """Drop a byte order mark at the start, and refuse files that are not text."""
     while len(found) < 4 and (more := _read(path, handle, block_bytes, 1)):
         found += more

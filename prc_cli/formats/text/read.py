@@ -219,7 +219,12 @@ _HINTS = (
 """Cells that are no numbers, by what they hold, and what to do."""
 
 
-def _hint_of_cell(cell: str, name: str, delimiter: str, line: int) -> str:
+def _hint_of_cell(
+    cell: str,
+    name: str,
+    delimiter: str,
+    line: int,
+) -> str:
     """Return what to do with a cell that is no number."""
     if name and cell == name:
         return f"the names come again: sed {line}d IN > OUT"
@@ -256,7 +261,11 @@ def single_blanks(data: bytes) -> bytes:
 
 
 def parse_fast(
-    data: bytes, n_columns: int, used: Sequence[int], delimiter: str = BLANKS, decimal: str = "."
+    data: bytes,
+    n_columns: int,
+    used: Sequence[int],
+    delimiter: str = BLANKS,
+    decimal: str = ".",
 ) -> list[F64] | None:
     """Parse columns of rows with pyarrow; None where it refuses or may count lines differently."""
     import pyarrow as pa

@@ -98,7 +98,12 @@ class StreamShape:
 
     @classmethod
     def of(
-        cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool
+        cls,
+        item: StreamItem,
+        info: StreamInfo,
+        *,
+        scanners: bool,
+        returns: bool,
     ) -> StreamShape:
         """Return the shape of a stream from its first block."""
         block = item.block

@@ -107,7 +107,11 @@ class AtStations:
 
 
 def behind(
-    along_m: NDArray[Any], angle: NDArray[Any], range_m: NDArray[Any], *, is_upright: bool = True
+    along_m: NDArray[Any],
+    angle: NDArray[Any],
+    range_m: NDArray[Any],
+    *,
+    is_upright: bool = True,
 ) -> F64:
     """Return shots of planes behind each other, upright ones along x, others one above the other, (..., 3) [m]."""
     r = np.asarray(range_m, np.float64)
@@ -310,7 +314,12 @@ def _found(path: str) -> Callable[[LabelledBlock], Values | None]:
     return look_up
 
 
-def _of_stages(name: str, dtype: str, text: str, path: str) -> OptionalColumn:
+def _of_stages(
+    name: str,
+    dtype: str,
+    text: str,
+    path: str,
+) -> OptionalColumn:
     """Return a column of ``output.stages``."""
     dimension = ExtraDimension(name, np.dtype(dtype), text)
     fill = np.nan if dimension.dtype.kind == "f" else 0

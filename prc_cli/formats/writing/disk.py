@@ -38,7 +38,12 @@ class DiskColumn:
     """
 
     def __init__(
-        self, output: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None
+        self,
+        output: Path,
+        dtype: DTypeLike,
+        fill: Any,
+        *,
+        n_records: int | None = None,
     ) -> None:
         self._dtype = np.dtype(dtype)
         self._size = self._dtype.itemsize

@@ -47,7 +47,12 @@ def check_path_suffix(path: Path) -> None:
         )
 
 
-def write_path(path: Path, name: Path, table: PathTable, crs: str | None) -> None:
+def write_path(
+    path: Path,
+    name: Path,
+    table: PathTable,
+    crs: str | None,
+) -> None:
     """Write a path in the format that its name asks for.
 
     Parameters

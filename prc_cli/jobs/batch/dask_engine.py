@@ -326,7 +326,11 @@ class _Run:
     """The tasks of one run and the messages about them."""
 
     def __init__(
-        self, client: Any, scheduler: str, settings: EngineSettings, notice: Notice
+        self,
+        client: Any,
+        scheduler: str,
+        settings: EngineSettings,
+        notice: Notice,
     ) -> None:
         self._client = client
         self._scheduler = scheduler
@@ -417,7 +421,13 @@ class _Run:
         for kind, message in drain(self._messages):
             yield from self._on_event(*message) if kind == "event" else self._on_result(message)
 
-    def _on_event(self, kind: str, key: str, worker: str, n_lines: int) -> Iterator[Event]:
+    def _on_event(
+        self,
+        kind: str,
+        key: str,
+        worker: str,
+        n_lines: int,
+    ) -> Iterator[Event]:
         """Turn the report of a worker into events."""
         if kind == ENDED:
             self._running.pop(key, None)

@@ -119,7 +119,10 @@ def _trend(nights: list[dict[str, Any]], names: list[str]) -> str:
 
 
 def _pictures(
-    one: Compared, summary: BatchSummary, to: str, found: BatchEvaluation
+    one: Compared,
+    summary: BatchSummary,
+    to: str,
+    found: BatchEvaluation,
 ) -> list[tuple[str, str]]:
     """Draw a file's classes beside those of its reference; none where its lines are not known."""
     if one.reference is None or found.settings.mapping_name is None:

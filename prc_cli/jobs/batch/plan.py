@@ -295,7 +295,10 @@ def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
 
 
 def make_plan(
-    settings: BatchSettings, files: Sequence[Found], config: BatchConfig, known: Mapping[str, Entry]
+    settings: BatchSettings,
+    files: Sequence[Found],
+    config: BatchConfig,
+    known: Mapping[str, Entry],
 ) -> Plan:
     """Decide what to do with every file; the files of a drive are done together or not at all."""
     drives = [list(some) for _, some in groupby(files, key=lambda item: item.drive or item.name)]
@@ -397,7 +400,10 @@ def _together(
 
 
 def _decide(
-    item: Found, task: Task, entry: Entry | None, settings: BatchSettings
+    item: Found,
+    task: Task,
+    entry: Entry | None,
+    settings: BatchSettings,
 ) -> Planned | Done | None:
     """Return the plan for a file, the outcome that adopts or confirms its output, or None if it is done."""
     written = _stat(task.output)
@@ -450,7 +456,11 @@ def _is_of_other(item: Found, entry: Entry) -> bool:
 
 
 def _compare(
-    item: Found, task: Task, entry: Entry, written: os.stat_result | None, settings: BatchSettings
+    item: Found,
+    task: Task,
+    entry: Entry,
+    written: os.stat_result | None,
+    settings: BatchSettings,
 ) -> tuple[Reason | None, Done | None]:
     """Compare a file with its journal entry.
 
@@ -522,7 +532,10 @@ def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
 
 
 def _is_changed(
-    output: Path, written: os.stat_result, before: Done, settings: BatchSettings
+    output: Path,
+    written: os.stat_result,
+    before: Done,
+    settings: BatchSettings,
 ) -> bool:
     """Tell whether an output is another than was written.
 

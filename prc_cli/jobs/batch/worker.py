@@ -157,7 +157,11 @@ def _stat_input(path: Path) -> InputPrint:
 
 
 def _done(
-    task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float
+    task: Task,
+    before: InputPrint,
+    summary: RunSummary,
+    seconds: float,
+    cpu_seconds: float,
 ) -> Done:
     record = summary.record
     counts = summary.counts
@@ -331,7 +335,10 @@ class _Parent:
 
 
 def _serve(
-    tasks: queue.SimpleQueue[Any], parent: _Parent, threads: int, limit_mib: int | None
+    tasks: queue.SimpleQueue[Any],
+    parent: _Parent,
+    threads: int,
+    limit_mib: int | None,
 ) -> None:
     """Do one task after the other until no more come."""
     while (task := tasks.get()) is not None:

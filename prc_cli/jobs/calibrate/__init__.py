@@ -294,7 +294,13 @@ def _groups(
     return tuple(groups[i] for i in training), tuple(groups[i] for i in held_out)
 
 
-def _spool(codes: CodeSource, mapping: ClassMapping, spool: Any, n_records: int, path: str) -> Any:
+def _spool(
+    codes: CodeSource,
+    mapping: ClassMapping,
+    spool: Any,
+    n_records: int,
+    path: str,
+) -> Any:
     """Write the reference class of every record to a temporary file.
 
     Return it as a memory-mapped array.

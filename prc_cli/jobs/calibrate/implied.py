@@ -202,7 +202,10 @@ class Advice:
 
 
 def imply(
-    sensor: SensorEstimate, curves: Curves, params: PrcParams, range_noise_m: float
+    sensor: SensorEstimate,
+    curves: Curves,
+    params: PrcParams,
+    range_noise_m: float,
 ) -> tuple[Advice, ...]:
     """Derive d_c, A, k, zeta_s, zeta_p and the noise of the sequential-angle method."""
     return (

@@ -199,7 +199,13 @@ def as_svg(found: Calibration) -> str:
         return _BOTTOM - share * (_BOTTOM - _TOP)
 
     def curve(
-        name: str, grid: F64, shares: F64, colour: str, dash: str, key: str, value: float
+        name: str,
+        grid: F64,
+        shares: F64,
+        colour: str,
+        dash: str,
+        key: str,
+        value: float,
     ) -> dict[str, object]:
         points = " ".join(
             f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True)

@@ -432,7 +432,13 @@ class _UnsortedRecordsError(_UnequalError):
     key = KeyRule("dimension", RECORD)
 
 
-def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> Plan:
+def _plan(
+    left: Side,
+    right: Side,
+    options: EvaluateOptions,
+    *,
+    by_lines: bool,
+) -> Plan:
     has = left.dimensions
     other_has = right.dimensions
     asked = asked_parts(options)
@@ -506,7 +512,11 @@ def _pairs(
 
 
 def _in_order(
-    left: Side, right: Side, plan: Plan, tally: JoinTally, third: Side | None
+    left: Side,
+    right: Side,
+    plan: Plan,
+    tally: JoinTally,
+    third: Side | None,
 ) -> Iterator[tuple[Columns, Columns, I64 | None]]:
     """Yield records of the same number.
 
@@ -612,7 +622,11 @@ def _refuse_unsorted(side: Side) -> None:
 
 
 def _report(
-    left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions
+    left: Side,
+    right: Side,
+    tally: JoinTally,
+    counts: Counts,
+    options: EvaluateOptions,
 ) -> None:
     """Add up the match counts, report what was left out, and refuse a poor match."""
     counts.n_predicted += left.tally.n_records
@@ -655,7 +669,11 @@ def _refuse_other_scan(whole: Side, other: Side) -> None:
 
 
 def _refuse_poor(
-    left: Side, right: Side, tally: JoinTally, options: EvaluateOptions, outside: tuple[int, int]
+    left: Side,
+    right: Side,
+    tally: JoinTally,
+    options: EvaluateOptions,
+    outside: tuple[int, int],
 ) -> None:
     if options.match == "cell":
         _refuse_other_scan(left, right)

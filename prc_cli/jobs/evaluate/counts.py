@@ -272,7 +272,10 @@ class Counting:
 
 
 def scored_parts(
-    counts: Counts, name: str, files: Sequence[str], options: EvaluateOptions
+    counts: Counts,
+    name: str,
+    files: Sequence[str],
+    options: EvaluateOptions,
 ) -> tuple[SplitPart, ...]:
     """Return the parts of a split that have scored records, and note the number of ignored records in the others."""
     parts = _parts(counts.parts[name], name, files, options)
@@ -289,7 +292,10 @@ def scored_parts(
 
 
 def _parts(
-    counts: GroupedCounts, name: str, files: Sequence[str], options: EvaluateOptions
+    counts: GroupedCounts,
+    name: str,
+    files: Sequence[str],
+    options: EvaluateOptions,
 ) -> tuple[SplitPart, ...]:
     """Return the parts of a split in order, unknown ones last."""
     if name == CONFIDENCE:
@@ -367,7 +373,11 @@ def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
 
 
 def intervals_of(
-    counts: Counts, matrix: ConfusionMatrix, options: EvaluateOptions, *, by_lines: bool
+    counts: Counts,
+    matrix: ConfusionMatrix,
+    options: EvaluateOptions,
+    *,
+    by_lines: bool,
 ) -> tuple[dict[str, Interval], str]:
     """Return intervals of all scores, and how they were computed."""
     if not options.intervals:

@@ -49,7 +49,13 @@ _GAP_SHARE = 0.002
 class Registered:
     """Pairs of one prediction and its reference, and what is noted about them."""
 
-    def __init__(self, left: Side, right: Side, options: EvaluateOptions, counts: Counts) -> None:
+    def __init__(
+        self,
+        left: Side,
+        right: Side,
+        options: EvaluateOptions,
+        counts: Counts,
+    ) -> None:
         self._sides = left, right
         self._options = options
         self._counts = counts
@@ -263,7 +269,13 @@ class Registered:
             one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third)
         )
 
-    def _count_noise(self, one: Columns, rows: I64, sparse: Mask, apart: F64) -> None:
+    def _count_noise(
+        self,
+        one: Columns,
+        rows: I64,
+        sparse: Mask,
+        apart: F64,
+    ) -> None:
         """Count what is noise in the reference and what is called so.
 
         ``apart`` is 0 for shots with a partner.

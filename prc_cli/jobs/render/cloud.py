@@ -271,7 +271,12 @@ def _classes(
 
 
 def _labelled(
-    cloud: Cloud, options: RenderOptions, colour: ColourBy, folder: Path, *, own: bool
+    cloud: Cloud,
+    options: RenderOptions,
+    colour: ColourBy,
+    folder: Path,
+    *,
+    own: bool,
 ) -> str:
     """Return what the classes are from, for the headline."""
     if colour != "class":
@@ -354,7 +359,12 @@ def _add(
     buffer.add(xyz[drawn], SCALES[colour].picture(values[drawn], limits))
 
 
-def _panel(picture: U8, camera: Camera, bar: Bar | None, colour: ColourBy) -> Panel:
+def _panel(
+    picture: U8,
+    camera: Camera,
+    bar: Bar | None,
+    colour: ColourBy,
+) -> Panel:
     """Frame a picture: axes around a view from above, none around a perspective."""
     caption = f"Points coloured by {colour}; steps in depth are shaded."
     if isinstance(camera, FromAbove):

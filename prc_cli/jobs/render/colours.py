@@ -218,7 +218,11 @@ class Vocabulary:
         return found
 
     def read(
-        self, path: Path, dimension: str | None, side: Side | Literal["las"], folder: Path
+        self,
+        path: Path,
+        dimension: str | None,
+        side: Side | Literal["las"],
+        folder: Path,
     ) -> RecordClasses:
         """Read a label file once; keep its classes in a file of one byte per record."""
         n = 0
@@ -396,7 +400,12 @@ def _method_of(record: Mapping[str, Any]) -> str:
     return _text(record, "config", "method", 80)
 
 
-def _text(record: Mapping[str, Any], table: str, key: str, most: int) -> str:
+def _text(
+    record: Mapping[str, Any],
+    table: str,
+    key: str,
+    most: int,
+) -> str:
     found = record.get(table)
     text = found.get(key) if isinstance(found, Mapping) else None
     return text[:most] if isinstance(text, str) else ""

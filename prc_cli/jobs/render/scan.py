@@ -175,7 +175,11 @@ def turns(block: ScanBlock) -> float:
 
 
 def frames(
-    blocks: Iterator[ScanBlock], params: MethodParams, steps: tuple[str, ...], *, classify: bool
+    blocks: Iterator[ScanBlock],
+    params: MethodParams,
+    steps: tuple[str, ...],
+    *,
+    classify: bool,
 ) -> Iterator[tuple[ScanBlock, Images]]:
     """Classify blocks as far as the steps need it; yield them with the images of the steps."""
     found: Iterator[tuple[ScanBlock, Images]] = ((block, {}) for block in blocks)
@@ -439,7 +443,12 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
     return Part(0, n_lines, n_lines, scanner)
 
 
-def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOptions) -> _Layout:
+def _choose_layout(
+    first: ScanBlock,
+    part: Part,
+    n_steps: int,
+    options: RenderOptions,
+) -> _Layout:
     n = part.stop - part.first
     m = first.points_per_line
     width = options.width
@@ -462,7 +471,10 @@ def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOp
 
 
 def _add_sides(
-    block: ScanBlock, planes: Images, words: Vocabulary, sides: Mapping[Side, RecordClasses]
+    block: ScanBlock,
+    planes: Images,
+    words: Vocabulary,
+    sides: Mapping[Side, RecordClasses],
 ) -> None:
     """Add the classes of label files, and the classifier's classes in the vocabulary of both sides."""
     record = block.records()
@@ -632,7 +644,12 @@ class _Sheet:
         return (mask_picture if step in ("support", "background") else segment_picture)(plane), None
 
     def _panel(
-        self, step: str, picture: U8, bar: Bar | None, key: Key, lines: tuple[int, int]
+        self,
+        step: str,
+        picture: U8,
+        bar: Bar | None,
+        key: Key,
+        lines: tuple[int, int],
     ) -> Panel:
         """Orient a picture for viewing and add its axes."""
         title, caption = CAPTIONS[step]
@@ -717,7 +734,12 @@ def _elevations(beam_rad: F64, order: NDArray[np.intp], n_columns: int) -> Axis:
     return Axis("column", first, stop)
 
 
-def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
+def describe(
+    drawing: Drawing,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    name: str,
+) -> str:
     """Return the headline of a picture: file, what labelled it, lines, day."""
     part = drawing.part
     labelled = ""

@@ -216,7 +216,11 @@ def _check(output: Path, options: RenderOptions) -> None:
 
 
 def _given(
-    source: Path, loaded: LoadedConfig, options: RenderOptions, words: Vocabulary, folder: Path
+    source: Path,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    words: Vocabulary,
+    folder: Path,
 ) -> tuple[RecordClasses | None, str]:
     """Return the classes that exist, those of a label file or of the input itself, and where they are from."""
     if options.labels is not None:
@@ -276,7 +280,11 @@ def _collect(
 
 
 def _labelled(
-    stream: ScanStream, loaded: LoadedConfig, options: RenderOptions, *, classify: bool
+    stream: ScanStream,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    *,
+    classify: bool,
 ) -> Iterator[LabelledBlock]:
     blocks = of_station(stream, options.station)
     if classify:
@@ -291,7 +299,11 @@ def _labelled(
 
 
 def _shots(
-    source: Path, loaded: LoadedConfig, options: RenderOptions, stream: ScanStream, kept: _Kept
+    source: Path,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    stream: ScanStream,
+    kept: _Kept,
 ) -> tuple[Shots, tuple[str, ...]]:
     """Put together what the page shows, and what it says of it."""
     words = kept.words
@@ -388,7 +400,10 @@ def _values(name: str, values: F64, seen: Mask) -> Values:
 
 
 def _of_files(
-    source: Path, loaded: LoadedConfig, options: RenderOptions, record: I64
+    source: Path,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    record: I64,
 ) -> dict[str, F64]:
     """Return coordinates and stages that files hold, by name, each in the shape of ``record``."""
     found: dict[str, F64] = {}

@@ -286,7 +286,10 @@ def _thin_folder(
 
 
 def _joined(
-    source: Path, output: Path, frames: list[Path], found: list[ThinningSummary]
+    source: Path,
+    output: Path,
+    frames: list[Path],
+    found: list[ThinningSummary],
 ) -> ThinningSummary:
     """Return the summary of a folder of frames."""
     n_input = Counter[int]()
@@ -551,7 +554,11 @@ class _Run:
             yield opened, items()
 
     def _read_values(
-        self, path: Path, dimension: str | None, info: StreamInfo, stack: contextlib.ExitStack
+        self,
+        path: Path,
+        dimension: str | None,
+        info: StreamInfo,
+        stack: contextlib.ExitStack,
     ) -> DiskColumn:
         """Load codes, or another dimension of whole numbers, for access by record."""
         try:

@@ -104,7 +104,12 @@ def _rest(only: list[str], rules: list[ThinRule], table: ClassCodes) -> ThinRule
     return ThinRule(f"all but {', '.join(only)}", kept, is_rest=True, share=Fraction(0))
 
 
-def _split(text: str, option: str, what: str, example: str) -> tuple[str, str]:
+def _split(
+    text: str,
+    option: str,
+    what: str,
+    example: str,
+) -> tuple[str, str]:
     name, sign, value = (part.strip() for part in text.partition("="))
     if not (name and sign and value):
         raise ConfigError(

@@ -92,7 +92,10 @@ def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> Transfe
 
 
 def refuse_poor_match(
-    counts: TransferCounts, tally: JoinTally, sides: TransferSides, options: TransferOptions
+    counts: TransferCounts,
+    tally: JoinTally,
+    sides: TransferSides,
+    options: TransferOptions,
 ) -> None:
     """Refuse a match of too few records, with advice, or one with too many ambiguous keys."""
     if counts.n_matched and counts.share >= options.min_matched:

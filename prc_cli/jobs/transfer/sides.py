@@ -44,7 +44,12 @@ class TransferSides:
     notices: list[str] = field(default_factory=list)
 
 
-def check_paths(labels: Path, registered: Path, output: Path, points: Path | None) -> None:
+def check_paths(
+    labels: Path,
+    registered: Path,
+    output: Path,
+    points: Path | None,
+) -> None:
     """Refuse files whose suffix does not fit their role."""
     if output.suffix.lower() not in LAS_SUFFIXES:
         raise ConfigError(
@@ -136,7 +141,10 @@ def open_sides(
 
 
 def _open_labelled(
-    labels: Path, points: Path | None, layout: Layout | None, options: TransferOptions
+    labels: Path,
+    points: Path | None,
+    layout: Layout | None,
+    options: TransferOptions,
 ) -> RecordSource:
     """Open the records of the labels."""
     if suffix_of(labels) in LAS_SUFFIXES:
@@ -160,7 +168,10 @@ def _open_labelled(
 
 
 def _keyed_labels(
-    labels: Path, origin: RecordSource, rule: KeyRule, options: TransferOptions
+    labels: Path,
+    origin: RecordSource,
+    rule: KeyRule,
+    options: TransferOptions,
 ) -> KeyedSource:
     # seconds of week may wrap within a drive, while the times of the points do not
     source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
@@ -196,7 +207,10 @@ def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) 
 
 
 def _same(
-    origin: RecordSource, target: LasSource, options: TransferOptions, assumptions: list[Assumption]
+    origin: RecordSource,
+    target: LasSource,
+    options: TransferOptions,
+    assumptions: list[Assumption],
 ) -> tuple[str, ...]:
     """Return the dimensions that must be equal in addition to the key."""
     for source in (origin, target):

@@ -77,7 +77,12 @@ def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
 
 
 @stage("texture")
-def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits) -> F32:
+def texture_of(
+    range_m: F32,
+    seen: Neighbours,
+    plane: ScanPlane,
+    limits: Limits,
+) -> F32:
     """Return the mean smoothness around every shot; see :func:`texture_loops.mean_smoothness`."""
     foliage = limits.foliage
     decision = limits.decision
@@ -140,7 +145,12 @@ def decide(
 
 
 @stage("votes")
-def vote(labels: U8, range_m: F32, plane: ScanPlane, limits: Votes | None) -> U8:
+def vote(
+    labels: U8,
+    range_m: F32,
+    plane: ScanPlane,
+    limits: Votes | None,
+) -> U8:
     """Give every shot the majority label of its surroundings.
 
     See :func:`votes_loops.vote_labels`.
@@ -176,7 +186,11 @@ def ask_again(
 
 @stage("curbs")
 def find_curbs(
-    labels: U8, range_m: F32, above_m: F32, plane: ScanPlane, limits: CurbThresholds | None
+    labels: U8,
+    range_m: F32,
+    above_m: F32,
+    plane: ScanPlane,
+    limits: CurbThresholds | None,
 ) -> U8:
     """Label the faces of curbs; see :func:`curbs_loops.curb_labels`."""
     if limits is None:

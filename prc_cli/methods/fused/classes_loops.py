@@ -89,7 +89,12 @@ _BOX = np.uint8(Reason.BOX)
 
 
 @helper
-def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
+def _count_pairs(
+    near: U8,
+    smooth: U8,
+    least: np.float32,
+    places: Pairs,
+) -> None:
     """Write the counts of a line's shots.
 
     One shot in the upper half of a word, its smooth pairs in the lower half.
@@ -102,7 +107,12 @@ def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None
 
 
 @helper
-def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None:
+def _sum_up_three(
+    one: Pairs,
+    other: Pairs,
+    third: Pairs,
+    so_far: Pairs,
+) -> None:
     """Write the sums of the first 0, 1, ... columns of three lines together.
 
     As :func:`_sum_up` does.
@@ -118,7 +128,12 @@ def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None
 
 
 @helper
-def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+def _lay_out(
+    ranges: F32,
+    beams: tuple[F32, F32],
+    side: F32,
+    height: F32,
+) -> None:
     """Write the points of a line in the scan plane."""
     sine, cosine = beams
     for i in range(len(ranges)):
@@ -129,7 +144,11 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 @helper
 def _half_widths(
-    ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
+    ranges: F32,
+    step: np.float32,
+    half_m: np.float32,
+    most: int,
+    columns: I32,
 ) -> None:
     """Write the half width of every shot's place in columns.
 
@@ -174,7 +193,12 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.float32:
+def _depth_across(
+    window_m: F32,
+    line: int,
+    i: int,
+    jump: np.float32,
+) -> np.float32:
     """Return how deep the thing is that lines before and after see in the direction of a shot, along its beam."""
     least = most = window_m[line, i]
     for way in (-1, 1):
@@ -191,7 +215,11 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
 
 @inlined
 def _ground_rule(
-    h: np.float32, is_walked: bool, up: np.uint8, flat: np.uint8, thresholds: DecisionThresholds
+    h: np.float32,
+    is_walked: bool,
+    up: np.uint8,
+    flat: np.uint8,
+    thresholds: DecisionThresholds,
 ) -> np.uint8:
     """Return why a shot is on the ground.
 
@@ -239,7 +267,11 @@ def _label_plain(
 
 @inlined
 def _in_wall(
-    y: np.float32, z: np.float32, at: np.float32, top: np.float32, thresholds: DecisionThresholds
+    y: np.float32,
+    z: np.float32,
+    at: np.float32,
+    top: np.float32,
+    thresholds: DecisionThresholds,
 ) -> bool:
     """Return whether a shot is in a wall, or behind it and seen through it."""
     behind = abs(y) - abs(at)
@@ -262,7 +294,11 @@ def _count_bins(levels: U8, counts: U8) -> None:
 
 @helper
 def _find_cars(
-    every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]
+    every: Slots,
+    levels: U8,
+    counts: U8,
+    thresholds: DecisionThresholds,
+    cars: tuple[F32, F32],
 ) -> None:
     """Write up to which height a smooth shot and a rough shot in every bin are of a car.
 
@@ -301,7 +337,12 @@ def _find_cars(
 
 
 @helper
-def _list_marked(labels: U8, least: int, most: int, shots: I32) -> int:
+def _list_marked(
+    labels: U8,
+    least: int,
+    most: int,
+    shots: I32,
+) -> int:
     """List the shots of a line with marks from one to another, return how many there are."""
     n = 0
     for i in range(len(labels)):
@@ -487,7 +528,11 @@ def _label_things(
 
 @helper
 def _round_run(
-    ranges: F32, points: tuple[F32, F32, F32], alone: U8, i: int, thresholds: DecisionThresholds
+    ranges: F32,
+    points: tuple[F32, F32, F32],
+    alone: U8,
+    i: int,
+    thresholds: DecisionThresholds,
 ) -> tuple[int, bool]:
     """Return the end of the run of a shot that stands alone, and whether it is as deep as the front half of a trunk.
 
@@ -559,7 +604,11 @@ def _is_soil(rule: np.uint8) -> bool:
 
 @helper
 def _mark_tops(
-    above: F32, counts: tuple[U8, U8, U8, U8], labels: U8, thresholds: DecisionThresholds, marks: U8
+    above: F32,
+    counts: tuple[U8, U8, U8, U8],
+    labels: U8,
+    thresholds: DecisionThresholds,
+    marks: U8,
 ) -> None:
     """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
     _, smooth, upright, level = counts
@@ -573,7 +622,11 @@ def _mark_tops(
 
 @inlined
 def _lines_beside(
-    window_m: F32, line: int, i: int, way: int, thresholds: DecisionThresholds
+    window_m: F32,
+    line: int,
+    i: int,
+    way: int,
+    thresholds: DecisionThresholds,
 ) -> int:
     """Return how many lines to one side see a thing in the direction of a shot, if those beyond see past it.
 

@@ -73,7 +73,12 @@ def _count_groups(labels: U8, groups: I64, words: Words) -> None:
 
 
 @helper
-def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
+def _sum_up(
+    lines: Words,
+    first: int,
+    last: int,
+    so_far: Words,
+) -> None:
     """Write the sums of the first 0, 1, ... columns of some rows.
 
     They may overflow, their differences do not.
@@ -89,7 +94,12 @@ def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
 
 @helper
 def _agree(
-    ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, agrees: F32
+    ranges: F32,
+    labels: U8,
+    groups: I64,
+    so_far: Words,
+    step: np.float32,
+    agrees: F32,
 ) -> None:
     """Write the share of the shots around that are of a shot's group.
 
@@ -148,7 +158,11 @@ def _measure_strips(every: Words, rough: Words, strips: F32) -> None:
 
 @helper
 def _measure_places(
-    ranges: F32, sine: F32, strips: F32, walls: tuple[F32, F32], measures: F32
+    ranges: F32,
+    sine: F32,
+    strips: F32,
+    walls: tuple[F32, F32],
+    measures: F32,
 ) -> None:
     """Write what the strips of a line's shots hold, and where their walls are."""
     at, ahead = walls
@@ -173,7 +187,12 @@ def _measure_places(
 
 @helper
 def _measure_shots(
-    ranges: F32, above: F32, texture: F32, counts: tuple[U8, U8, U8, U8], cosine: F32, measures: F32
+    ranges: F32,
+    above: F32,
+    texture: F32,
+    counts: tuple[U8, U8, U8, U8],
+    cosine: F32,
+    measures: F32,
 ) -> None:
     """Write the measures of a line that need nothing but the shot and those beside it."""
     near, smooth, upright, level = counts
@@ -195,7 +214,13 @@ def _measure_shots(
 
 
 @helper
-def _answer(labels: U8, measures: F32, limits: F32, questions: I64, cells: I32) -> None:
+def _answer(
+    labels: U8,
+    measures: F32,
+    limits: F32,
+    questions: I64,
+    cells: I32,
+) -> None:
     """Write the cell of every shot of a line: which steps of its label's measures are reached."""
     n_steps = limits.shape[1]
     n_questions = questions.shape[1]

@@ -81,7 +81,12 @@ def _piece(i: int, low: U8) -> tuple[int, int]:
 
 
 @inlined
-def _is_beyond(side: F32, first: int, y: np.float32, half_m: np.float32) -> bool:
+def _is_beyond(
+    side: F32,
+    first: int,
+    y: np.float32,
+    half_m: np.float32,
+) -> bool:
     """Return whether one of CHUNK shots is not on a face.
 
     Without branches, for vector instructions.
@@ -93,7 +98,13 @@ def _is_beyond(side: F32, first: int, y: np.float32, half_m: np.float32) -> bool
 
 
 @inlined
-def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
+def _before(
+    i: int,
+    first: int,
+    side: F32,
+    y: np.float32,
+    thresholds: CurbThresholds,
+) -> int:
     """Return the nearest column before a face whose shot is on the ground beside it, -1 = none.
 
     From ``first`` on.
@@ -108,7 +119,13 @@ def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresh
 
 
 @inlined
-def _after(i: int, last: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
+def _after(
+    i: int,
+    last: int,
+    side: F32,
+    y: np.float32,
+    thresholds: CurbThresholds,
+) -> int:
     """Return the nearest column after a face whose shot is on the ground beside it, -1 = none.
 
     Up to ``last``.

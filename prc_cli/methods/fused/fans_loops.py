@@ -61,7 +61,12 @@ def _list_present(ranges: F32, outwards: I32, shots: I32) -> int:
 
 
 @helper
-def _end_of(shots: I32, first: int, labels: U8, side: F32) -> int:
+def _end_of(
+    shots: I32,
+    first: int,
+    labels: U8,
+    side: F32,
+) -> int:
     """Return where the run of a thing ends that begins at a place of a list, exclusive."""
     k = first + 1
     while k < len(shots) and _is_thing(labels[shots[k]]):
@@ -73,7 +78,10 @@ def _end_of(shots: I32, first: int, labels: U8, side: F32) -> int:
 
 @helper
 def _extent(
-    shots: I32, side: F32, above: F32, texture: F32
+    shots: I32,
+    side: F32,
+    above: F32,
+    texture: F32,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Return the lowest and highest shot of a run, its nearest and farthest side, and its mean smoothness."""
     low = _FAR
@@ -159,7 +167,12 @@ def _sum_up(marks: U8, bit: np.uint8, sums: I32) -> None:
 
 @helper
 def _is_car(
-    seeds: I32, things: I32, first: int, last: int, line: int, thresholds: FanThresholds
+    seeds: I32,
+    things: I32,
+    first: int,
+    last: int,
+    line: int,
+    thresholds: FanThresholds,
 ) -> bool:
     """Return whether enough lines around cross a roof in the bins of a thing.
 

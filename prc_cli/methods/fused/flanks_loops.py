@@ -62,7 +62,12 @@ def _count_ground(
 
 
 @helper
-def _add_around(values: F32, line: int, lines: F32, sums: F32) -> None:
+def _add_around(
+    values: F32,
+    line: int,
+    lines: F32,
+    sums: F32,
+) -> None:
     """Add up the values of five lines, and then of three strips."""
     for b in range(STRIPS):
         before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
@@ -80,7 +85,11 @@ def _is_upright(wall: F32, b: int) -> bool:
 
 @helper
 def _ground_behind(
-    bins: I32, depths: F32, side: int, away: np.float32, thresholds: FlankThresholds
+    bins: I32,
+    depths: F32,
+    side: int,
+    away: np.float32,
+    thresholds: FlankThresholds,
 ) -> tuple[int, int]:
     """Count the ground that is seen beneath a body at a distance, and through it.
 
@@ -122,7 +131,11 @@ def _bottom(every: Slots, b: int, away: np.float32) -> np.float32:
 
 @helper
 def _ground_below(
-    bins: I32, depths: F32, side: int, away: np.float32, bottom: np.float32
+    bins: I32,
+    depths: F32,
+    side: int,
+    away: np.float32,
+    bottom: np.float32,
 ) -> tuple[int, int]:
     """Count the ground that is seen below the bottom of a body at a distance, and that seen through the body."""
     beneath = beyond = 0

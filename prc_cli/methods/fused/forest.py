@@ -50,7 +50,13 @@ def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
 
 
 @stage("stems")
-def find_stems(range_m: F32, heights_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Mask:
+def find_stems(
+    range_m: F32,
+    heights_m: F32,
+    plane: Plane,
+    noise_m: float,
+    limits: Forest,
+) -> Mask:
     """Mark the shots on stems: upright, opaque, and continuous from line to line.
 
     A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's diameter
@@ -87,7 +93,12 @@ class Woods(NamedTuple):
     """(lines, M) bool."""
 
 
-def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Woods:
+def forest(
+    range_m: F32,
+    plane: Plane,
+    noise_m: float,
+    limits: Forest,
+) -> Woods:
     """Label a block of forest, (lines, M) float32 [m].
 
     Ground, a stem, and a stray shot in front of the sky:
@@ -110,7 +121,12 @@ def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Woods:
 
 @stage("classes")
 def _decide(
-    range_m: F32, heights_m: F32, stems: Mask, plane: Plane, noise_m: float, limits: Forest
+    range_m: F32,
+    heights_m: F32,
+    stems: Mask,
+    plane: Plane,
+    noise_m: float,
+    limits: Forest,
 ) -> U8:
     """Decide what is ground and stem; other shots are vegetation, or noise if no shot is near."""
     columns = round(limits.alone_rad / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS

@@ -34,7 +34,12 @@ MANY = np.float32(0.25)
 
 
 @helper
-def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.float32:
+def _start(
+    memory: F32,
+    age: I32,
+    start_m: np.float32,
+    lines: np.float32,
+) -> np.float32:
     """Return the height at which a walk starts: that of the nearest remembered place."""
     for b in range(BINS):
         if np.float32(age[b]) < lines:
@@ -55,7 +60,11 @@ def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float
 
 @helper
 def _search(
-    points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: F32, sums: F32
+    points: tuple[F32, F32],
+    is_level: U8,
+    reach_m: np.float32,
+    counts: F32,
+    sums: F32,
 ) -> bool:
     """Count the level shots of a line at every depth below the scanner, near ones and all.
 
@@ -79,7 +88,10 @@ def _search(
 
 @helper
 def _misses_ground(
-    points: tuple[F32, F32], is_level: U8, line: tuple[F32, Mask], reach_m: np.float32
+    points: tuple[F32, F32],
+    is_level: U8,
+    line: tuple[F32, Mask],
+    reach_m: np.float32,
 ) -> bool:
     """Return whether more level shots near the scanner lie below the known ground than on it."""
     side, height = points
@@ -141,7 +153,12 @@ def _seen_height(before: np.float32, is_seen: np.uint8, mean: np.float32) -> np.
 
 @helper
 def _mark_level(
-    near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8
+    near: U8,
+    smooth: U8,
+    upright: U8,
+    level: U8,
+    least: np.float32,
+    is_level: U8,
 ) -> None:
     """Mark the shots of a line that a walk may use."""
     for i in range(len(near)):
@@ -210,7 +227,13 @@ def _walk(
 
 
 @helper
-def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThresholds) -> None:
+def _remember(
+    profile: F32,
+    seen: U8,
+    memory: F32,
+    age: I32,
+    thresholds: WalkThresholds,
+) -> None:
     """Update the memory by the heights of a line.
 
     Fill the profile from the memory where the line saw no ground.
@@ -263,7 +286,12 @@ def _places(side: F32, places: I32, shares: F32) -> None:
 
 
 @helper
-def _grounds(places: I32, shares: F32, profiles: F32, grounds: F32) -> None:
+def _grounds(
+    places: I32,
+    shares: F32,
+    profiles: F32,
+    grounds: F32,
+) -> None:
     """Write the height of the ground under every shot of a line."""
     for i in range(len(places)):
         b = np.uint64(places[i])
@@ -273,14 +301,24 @@ def _grounds(places: I32, shares: F32, profiles: F32, grounds: F32) -> None:
 
 
 @helper
-def _heights(side: F32, height: F32, grounds: F32, above: F32) -> None:
+def _heights(
+    side: F32,
+    height: F32,
+    grounds: F32,
+    above: F32,
+) -> None:
     """Write the heights of the shots of a line above the ground."""
     for i in range(len(side)):
         above[i] = height[i] - grounds[i] if side[i] == side[i] else np.float32(np.nan)
 
 
 @helper
-def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+def _lay_out(
+    ranges: F32,
+    beams: tuple[F32, F32],
+    side: F32,
+    height: F32,
+) -> None:
     """Write the points of a line in the scan plane."""
     sine, cosine = beams
     for i in range(len(ranges)):

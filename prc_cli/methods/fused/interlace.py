@@ -30,7 +30,12 @@ STEEP = 4.0
 
 
 @stage("interlace")
-def put_in_step(range_m: F32, plane: ScanPlane, noise_m: F64, limits: Limits) -> F32:
+def put_in_step(
+    range_m: F32,
+    plane: ScanPlane,
+    noise_m: F64,
+    limits: Limits,
+) -> F32:
     """Return ranges as if all columns of a line had been measured together.
 
     Where a surface recedes evenly from line to line, the odd columns are moved by half a line.
@@ -72,7 +77,12 @@ def put_in_step(range_m: F32, plane: ScanPlane, noise_m: F64, limits: Limits) ->
     return moved
 
 
-def _counts(own: F32, recedes_m: F32, tolerance_m: F32, is_even: NDArray[np.bool_]) -> I64:
+def _counts(
+    own: F32,
+    recedes_m: F32,
+    tolerance_m: F32,
+    is_even: NDArray[np.bool_],
+) -> I64:
     """Count, by line, the shots whose column is half a line later, half a line earlier, and neither, (lines, 3) int64.
 
     Asked are shots on surfaces that recede by much, evenly and with both columns beside.

@@ -42,7 +42,12 @@ def near_neighbours(window_m: F32, plane: ScanPlane, limits: NearThresholds) -> 
 
 
 @stage("smoothness")
-def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, limits: Smoothness) -> U8:
+def smooth_pairs(
+    window_m: F32,
+    plane: ScanPlane,
+    noise_m: float,
+    limits: Smoothness,
+) -> U8:
     """Count, for every shot, the pairs of neighbours on a smooth surface with it, within its line and across lines."""
     thresholds = limits.thresholds(noise_m, float(plane.step_rad))
     counts: U8 = kernels.smooth_counts(
@@ -52,7 +57,12 @@ def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, limits: Smooth
 
 
 @stage("directions")
-def chords(range_m: F32, smooth: U8, plane: ScanPlane, limits: ChordThresholds) -> tuple[U8, U8]:
+def chords(
+    range_m: F32,
+    smooth: U8,
+    plane: ScanPlane,
+    limits: ChordThresholds,
+) -> tuple[U8, U8]:
     """Count the upright and the level chords through every shot."""
     upright, level = kernels.directions(
         range_m, smooth, plane.sine, plane.cosine, plane.step_rad, limits

@@ -50,7 +50,12 @@ def plane_points(range_m: F32_2, sine: F32_1, cosine: F32_1) -> tuple[F32_2, F32
 
 
 @helper
-def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+def _lay_out(
+    ranges: F32,
+    beams: tuple[F32, F32],
+    side: F32,
+    height: F32,
+) -> None:
     """Write the points of a line between its margins, as :func:`plane_points` has them."""
     sine, cosine = beams
     m = len(ranges)
@@ -75,7 +80,11 @@ def _margins(m: int) -> F32:
 
 @inlined
 def _is_near(
-    dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32
+    dy: np.float32,
+    dz: np.float32,
+    near: np.float32,
+    thin: np.float32,
+    along: np.float32,
 ) -> np.uint8:
     """Return whether two points are close, or on one level or upright surface at grazing incidence.
 
@@ -87,7 +96,12 @@ def _is_near(
 
 
 @helper
-def _count_beside(own: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8) -> None:
+def _count_beside(
+    own: tuple[F32, F32],
+    limits: tuple[F32, F32],
+    thin: np.float32,
+    row: U8,
+) -> None:
     """Count the near neighbours of the shots of a line, which has margins, among the four on either side."""
     y, z = own
     near, along = limits
@@ -146,7 +160,11 @@ def _count_across(
 
 @kernel()
 def near_counts(
-    range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: NearThresholds
+    range_m: F32_2,
+    sine: F32_1,
+    cosine: F32_1,
+    step: np.float32,
+    thresholds: NearThresholds,
 ) -> U8_2:
     """Count the near neighbours of every shot.
 
@@ -233,7 +251,12 @@ def _between(
 
 @helper
 def _pairs_in_line(
-    ranges: F32, side: F32, height: F32, step: np.float32, thresholds: SmoothThresholds, row: U8
+    ranges: F32,
+    side: F32,
+    height: F32,
+    step: np.float32,
+    thresholds: SmoothThresholds,
+    row: U8,
 ) -> None:
     """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
     base = thresholds.tolerance_m
@@ -266,7 +289,12 @@ def _pairs_in_line(
 
 
 @helper
-def _strides(ranges: F32, step: np.float32, thresholds: SmoothThresholds, strides: I32) -> None:
+def _strides(
+    ranges: F32,
+    step: np.float32,
+    thresholds: SmoothThresholds,
+    strides: I32,
+) -> None:
     """Write with every how many columns the shots of a line are compared.
 
     Fewer at its ends, one for missing shots.
@@ -383,7 +411,11 @@ def _pairs_across(
 
 @kernel()
 def smooth_counts(
-    range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: SmoothThresholds
+    range_m: F32_2,
+    sine: F32_1,
+    cosine: F32_1,
+    step: np.float32,
+    thresholds: SmoothThresholds,
 ) -> U8_2:
     """Count the pairs of neighbours that a shot lies on a smooth surface with.
 
@@ -426,7 +458,11 @@ def smooth_counts(
 
 @inlined
 def _is_upright(
-    dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32
+    dy: np.float32,
+    dz: np.float32,
+    slope: np.float32,
+    slack: np.float32,
+    longest: np.float32,
 ) -> np.uint8:
     """Return whether a chord is upright and not too long.
 
@@ -436,7 +472,13 @@ def _is_upright(
 
 
 @helper
-def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
+def _ends(
+    values: F32,
+    smooth: U8,
+    way: int,
+    shown: F32,
+    ends: F32,
+) -> None:
     """Write where the chords of a line end.
 
     At a column if it is smooth, else the next one out, else the next one in.
@@ -460,7 +502,12 @@ def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
 
 
 @helper
-def _look_up(reach: I32, way: int, ends: tuple[F32, F32], found: tuple[F32, F32]) -> None:
+def _look_up(
+    reach: I32,
+    way: int,
+    ends: tuple[F32, F32],
+    found: tuple[F32, F32],
+) -> None:
     """Write the ends of the chords of a line.
 
     a loop of its own, as all others read memory in order.

@@ -39,7 +39,12 @@ _FAR = np.float32(1e9)
 
 @helper
 def _mark(
-    labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8
+    labels: U8,
+    smooth: U8,
+    texture: F32,
+    above: F32,
+    thresholds: AgainThresholds,
+    marks: U8,
 ) -> None:
     """Mark the rough shots of a line that may be alone, and noise that may be a leaf.
 
@@ -131,7 +136,12 @@ def _is_mirrored(
 
 
 @helper
-def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> bool:
+def _is_alone(
+    range_m: F32,
+    line: int,
+    i: int,
+    thresholds: AgainThresholds,
+) -> bool:
     """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
     # the shot is as far as itself
     own = range_m[line, i]
@@ -155,7 +165,11 @@ def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> b
 
 @helper
 def _is_leaf(
-    range_m: F32, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds
+    range_m: F32,
+    labels: U8,
+    at: tuple[int, int],
+    before: int,
+    thresholds: AgainThresholds,
 ) -> bool:
     """Return whether leaves around are about as far as a lonely shot.
 

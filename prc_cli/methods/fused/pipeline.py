@@ -287,7 +287,11 @@ class Fused(Classifier[FusedScanner, FusedState]):
         return initial_state(scanner)
 
     def label(
-        self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted
+        self,
+        block: ScanBlock,
+        scanner: FusedScanner,
+        turn: Turn,
+        wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
@@ -339,7 +343,11 @@ def initial_state(scanner: FusedScanner) -> FusedState:
 
 
 def classify_block(
-    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams
+    range_m: F32,
+    next_m: F32 | None,
+    scanner: FusedScanner,
+    turn: Turn,
+    params: FusedParams,
 ) -> U8:
     """Label a block of scan lines.
 
@@ -520,7 +528,11 @@ def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
 
 
 def streams_of(
-    wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Limits
+    wide: F32,
+    strides: I64,
+    plane: ScanPlane,
+    noise_m: F64,
+    limits: Limits,
 ) -> list[Stream]:
     """Look at the lines of a block.
 
@@ -595,7 +607,12 @@ def _rows_of(first: int, every: int, n_lines: int) -> I64:
     return np.clip(rows, rows[0] % every, last)
 
 
-def _with_beside(wide: F32, strides: I64, noise_m: F64, every: int) -> tuple[F32, I64, F64]:
+def _with_beside(
+    wide: F32,
+    strides: I64,
+    noise_m: F64,
+    every: int,
+) -> tuple[F32, I64, F64]:
     """Return the wide window with more lines around, their distances and noise, for streams of every so many lines.
 
     Lines beside the block have the distance of its outermost ones, as far as their neighbours are
@@ -629,7 +646,10 @@ def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) ->
 
 
 def _woven_evidence(
-    found: Sequence[Evidence], above_m: F32, streams: Sequence[Stream], apart: I64
+    found: Sequence[Evidence],
+    above_m: F32,
+    streams: Sequence[Stream],
+    apart: I64,
 ) -> Evidence:
     """Return the evidence of a block from that of its streams.
 
@@ -669,7 +689,11 @@ def of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
 
 
 def _measure(
-    wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams
+    wide: F32,
+    line: int,
+    plane: ScanPlane,
+    known: NoiseAlong,
+    params: SensorParams,
 ) -> tuple[F64, NoiseAlong]:
     """Measure the range noise at every line of the wide window of a block that begins at a line [m]."""
     noise = known.after(wide[SPACED_LINES:], line, plane, params)
@@ -689,7 +713,12 @@ def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[f
 
 
 def _strides(
-    wide: F32, lines: tuple[int, int], plane: ScanPlane, noise_m: F64, turn: Turn, limits: Limits
+    wide: F32,
+    lines: tuple[int, int],
+    plane: ScanPlane,
+    noise_m: F64,
+    turn: Turn,
+    limits: Limits,
 ) -> I64:
     """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
 
@@ -708,7 +737,12 @@ def _strides(
     )
 
 
-def see(window: F32, smooth: U8, plane: ScanPlane, limits: Limits) -> Seen:
+def see(
+    window: F32,
+    smooth: U8,
+    plane: ScanPlane,
+    limits: Limits,
+) -> Seen:
     """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface.
 
     ``window`` (lines, M) float32; ``smooth`` (lines of the result, M) uint8.
@@ -720,7 +754,11 @@ def see(window: F32, smooth: U8, plane: ScanPlane, limits: Limits) -> Seen:
 
 
 def evidence_of(
-    seen: Seen, wide_m: F32, above_m: F32, plane: ScanPlane, limits: Limits
+    seen: Seen,
+    wide_m: F32,
+    above_m: F32,
+    plane: ScanPlane,
+    limits: Limits,
 ) -> Evidence:
     """Measure how smooth places are, and find walls and cars above the ground.
 
@@ -789,7 +827,12 @@ def _with_cars(
     )
 
 
-def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:
+def window_of(
+    tail: F32,
+    range_m: F32,
+    next_m: F32 | None,
+    ahead: int,
+) -> F32:
     """Return a block with the lines before and after it, ``ahead`` more after it, NaN beyond the stream."""
     width = range_m.shape[1]
     following = np.full((SPACED_LINES + ahead, width), np.nan, np.float32)
@@ -799,7 +842,12 @@ def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:
     return np.concatenate([tail, range_m, following])
 
 
-def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedParams) -> None:
+def _check_shapes(
+    range_m: F32,
+    next_m: F32 | None,
+    width: int,
+    params: FusedParams,
+) -> None:
     """Refuse arrays that cannot be the next block of the stream."""
     key = "fused.lines_per_block"
     check_block(
@@ -808,7 +856,12 @@ def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedPar
 
 
 def label_further_returns(
-    range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float
+    range_m: F32,
+    labels: U8,
+    line: I32,
+    column: I32,
+    range_m_extra: F32,
+    limit_m: float,
 ) -> U8:
     """Label the returns of a shot other than its main one.
 

@@ -118,7 +118,11 @@ class NoiseAlong:
     """Parts so far whenever the noise changed, and the noise from there on [m]."""
 
     def after(
-        self, following_m: F32, first_line: int, plane: ScanPlane, params: SensorParams
+        self,
+        following_m: F32,
+        first_line: int,
+        plane: ScanPlane,
+        params: SensorParams,
     ) -> NoiseAlong:
         """Add the parts of the stream that end in some lines and were not added before.
 

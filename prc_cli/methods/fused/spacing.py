@@ -65,7 +65,10 @@ class Spacing:
 
 @stage("spacing")
 def leaves_again(
-    window_m: F32, first_line: int, noise_m: F64, thresholds: Callable[[float], SpacingThresholds]
+    window_m: F32,
+    first_line: int,
+    noise_m: F64,
+    thresholds: Callable[[float], SpacingThresholds],
 ) -> NDArray[np.int32]:
     """Count leaves that are seen again; see :func:`spacing_loops.leaf_repeats`.
 
@@ -147,7 +150,11 @@ def _stride(sums: F64, now: int, limits: Spaced) -> int:
 
 @stage("smoothness")
 def spaced_pairs(
-    window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Smoothness
+    window_m: F32,
+    strides: I64,
+    plane: ScanPlane,
+    noise_m: F64,
+    limits: Smoothness,
 ) -> U8:
     """Count smooth pairs with lines of the right distance.
 
@@ -163,7 +170,11 @@ def spaced_pairs(
 
 
 def _spaced_pairs(
-    window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, limits: Smoothness
+    window_m: F32,
+    strides: I64,
+    plane: ScanPlane,
+    noise_m: float,
+    limits: Smoothness,
 ) -> U8:
     """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
     margin = PAIR_LINES * MOST_LAG

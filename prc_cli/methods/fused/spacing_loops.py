@@ -24,7 +24,12 @@ EVERY_LINE = 4
 
 
 @helper
-def _mark_leaves(ranges: F32, thresholds: SpacingThresholds, limits: F32, leaves: U8) -> int:
+def _mark_leaves(
+    ranges: F32,
+    thresholds: SpacingThresholds,
+    limits: F32,
+    leaves: U8,
+) -> int:
     """Mark the shots of a line whose neighbours on both sides are near but not on one surface.
 
     Count them.
@@ -61,7 +66,13 @@ def _mark_leaves(ranges: F32, thresholds: SpacingThresholds, limits: F32, leaves
 
 
 @helper
-def _count_again(ranges: F32, earlier: F32, limits: F32, leaves: U8, row: I32) -> None:
+def _count_again(
+    ranges: F32,
+    earlier: F32,
+    limits: F32,
+    leaves: U8,
+    row: I32,
+) -> None:
     """Count the leaves of a line where an earlier line has a return too, and where that is as far."""
     both = np.int32(0)
     same = np.int32(0)

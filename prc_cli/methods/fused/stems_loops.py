@@ -123,7 +123,12 @@ def _low_shots(
 
 
 @helper
-def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F64]) -> None:
+def _keep_lowest(
+    shots: I32,
+    bins: I32,
+    heights: F64,
+    lowest: tuple[F64, F64, F64],
+) -> None:
     """Keep the three lowest shots of every bin, in order."""
     one, two, three = lowest
     for k in range(len(shots)):
@@ -181,7 +186,14 @@ def ground_profiles(
 
 
 @helper
-def _floors(ranges: F32, sine: F64, n_bins: int, per_metre: float, bins: I32, shares: F64) -> None:
+def _floors(
+    ranges: F32,
+    sine: F64,
+    n_bins: int,
+    per_metre: float,
+    bins: I32,
+    shares: F64,
+) -> None:
     """Write the bin before every shot of a line, the middles of bins taken, and how far beyond it the shot is."""
     half = n_bins // 2
     for column in range(len(ranges)):
@@ -194,7 +206,12 @@ def _floors(ranges: F32, sine: F64, n_bins: int, per_metre: float, bins: I32, sh
 
 
 @helper
-def _look_up(bins: I32, profile: F64, low: F64, high: F64) -> None:
+def _look_up(
+    bins: I32,
+    profile: F64,
+    low: F64,
+    high: F64,
+) -> None:
     """Write the ground of the two bins around every shot.
 
     a loop of its own, as all others read memory in order.
@@ -206,7 +223,14 @@ def _look_up(bins: I32, profile: F64, low: F64, high: F64) -> None:
 
 
 @helper
-def _over(ranges: F32, cosine: F64, shares: F64, low: F64, high: F64, heights: F32) -> None:
+def _over(
+    ranges: F32,
+    cosine: F64,
+    shares: F64,
+    low: F64,
+    high: F64,
+    heights: F32,
+) -> None:
     """Write the heights of the shots of a line over the ground, on straight lines between bins."""
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
@@ -216,7 +240,12 @@ def _over(ranges: F32, cosine: F64, shares: F64, low: F64, high: F64, heights: F
 
 @kernel()
 def ground_heights(
-    range_m: F32_2, sine: F64_1, cosine: F64_1, profiles: F64_2, lines_together: int, bin_m: float
+    range_m: F32_2,
+    sine: F64_1,
+    cosine: F64_1,
+    profiles: F64_2,
+    lines_together: int,
+    bin_m: float,
 ) -> F32_2:
     """Return how far above the ground of its profile every return is.
 
@@ -448,7 +477,11 @@ def _line_runs(
 
 @kernel()
 def upright_runs(
-    range_m: F32_2, height_m: F32_2, sine: F64_1, cosine: F64_1, thresholds: RunThresholds
+    range_m: F32_2,
+    height_m: F32_2,
+    sine: F64_1,
+    cosine: F64_1,
+    thresholds: RunThresholds,
 ) -> tuple[I32_2, F64_2]:
     """Find runs of returns of a line that go straight up or down in the scan plane.
 
@@ -539,7 +572,12 @@ def _join_lines(
 
 
 @kernel()
-def stem_shots(range_m: F32_2, runs: I32_2, table: F64_2, thresholds: StemThresholds) -> Mask_2:
+def stem_shots(
+    range_m: F32_2,
+    runs: I32_2,
+    table: F64_2,
+    thresholds: StemThresholds,
+) -> Mask_2:
     """Mark the runs that are stems.
 
     Those that go on from line to line and are high, long and opaque together.
@@ -615,7 +653,12 @@ def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
 
 
 @helper
-def _mark_beside(stems: Mask, line: int, across: U8, beside: U8) -> None:
+def _mark_beside(
+    stems: Mask,
+    line: int,
+    across: U8,
+    beside: U8,
+) -> None:
     """Mark the shots of a line that are, or have around them, a shot of a stem."""
     n_lines, n = stems.shape
     before = stems[max(line - 1, 0)]
@@ -635,7 +678,12 @@ def _mark_beside(stems: Mask, line: int, across: U8, beside: U8) -> None:
 
 
 @helper
-def _mark_adjacent(ranges: F32, limit: float, links: U8, adjacent: U8) -> None:
+def _mark_adjacent(
+    ranges: F32,
+    limit: float,
+    links: U8,
+    adjacent: U8,
+) -> None:
     """Mark the shots of a line with an adjacent shot about as far."""
     n = len(ranges)
     for i in range(n - 1):
@@ -649,7 +697,11 @@ def _mark_adjacent(ranges: F32, limit: float, links: U8, adjacent: U8) -> None:
 
 @helper
 def _label_plain(
-    heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8
+    heights: F32,
+    stems: Mask,
+    marks: tuple[U8, U8, U8],
+    thresholds: ForestThresholds,
+    labels: U8,
 ) -> None:
     """Decide on the shots of a line that need no other shots for it, and mark the others.
 
@@ -673,7 +725,13 @@ def _label_plain(
 
 
 @helper
-def _touches_stem(range_m: F32, stems: Mask, line: int, column: int, limit: float) -> bool:
+def _touches_stem(
+    range_m: F32,
+    stems: Mask,
+    line: int,
+    column: int,
+    limit: float,
+) -> bool:
     """Return whether one of the eight shots around is on a stem and about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])
@@ -685,7 +743,13 @@ def _touches_stem(range_m: F32, stems: Mask, line: int, column: int, limit: floa
 
 
 @helper
-def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, limit: float) -> bool:
+def _has_near_shot(
+    range_m: F32,
+    line: int,
+    column: int,
+    columns_around: int,
+    limit: float,
+) -> bool:
     """Return whether another shot nearby is about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])

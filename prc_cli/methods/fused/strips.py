@@ -37,7 +37,11 @@ class Standing:
 
 @stage("strips")
 def stand(
-    window_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits
+    window_m: F32,
+    above_m: F32,
+    seen: Neighbours,
+    plane: ScanPlane,
+    limits: Limits,
 ) -> Standing:
     """Sort shots above the ground into strips, and combine five lines.
 

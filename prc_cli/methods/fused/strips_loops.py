@@ -69,7 +69,12 @@ def _bin(y: np.float32, width: np.float32) -> np.int32:
 
 @helper
 def _count_on(
-    own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.float32, lines: U8
+    own: F32,
+    beside: F32,
+    beyond: F32,
+    jump: np.float32,
+    far: np.float32,
+    lines: U8,
 ) -> None:
     """Go on by a line: write how many lines see the thing of every shot, up to one that sees past it.
 
@@ -88,7 +93,11 @@ def _count_on(
 
 @helper
 def _mark_free(
-    lines: tuple[U8, U8], above: F32, near: U8, thresholds: ColumnThresholds, marks: U8
+    lines: tuple[U8, U8],
+    above: F32,
+    near: U8,
+    thresholds: ColumnThresholds,
+    marks: U8,
 ) -> None:
     """Mark the shots of a line that few lines see, and lines on both sides see past."""
     before, after = lines
@@ -110,7 +119,12 @@ def _n_seen(before: np.uint8, after: np.uint8) -> np.float32:
 
 @inlined
 def _goes_on(
-    ranges: F32, near: U8, above: F32, i: int, j: int, thresholds: ColumnThresholds
+    ranges: F32,
+    near: U8,
+    above: F32,
+    i: int,
+    j: int,
+    thresholds: ColumnThresholds,
 ) -> bool:
     """Return whether an adjacent shot is of the same run."""
     is_held = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
@@ -118,7 +132,13 @@ def _goes_on(
 
 
 @inlined
-def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) -> np.float32:
+def _bulge(
+    window_m: F32,
+    line: int,
+    i: int,
+    before: np.uint8,
+    after: np.uint8,
+) -> np.float32:
     """Return by how much the middle half of the lines that see a thing is nearer than both outer quarters; else 0."""
     first = line - int(before & COUNT) + 1
     n = int(before & COUNT) + int(after & COUNT) - 1
@@ -141,7 +161,12 @@ def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) 
 
 @helper
 def _climb(
-    window_m: F32, line: int, i: int, up: int, beams: tuple[F32, F32], most: np.float32
+    window_m: F32,
+    line: int,
+    i: int,
+    up: int,
+    beams: tuple[F32, F32],
+    most: np.float32,
 ) -> np.float32:
     """Return how much higher than a shot lines around see the same thing, as a slanted plane climbs it [m]."""
     sine, cosine = beams
@@ -266,7 +291,13 @@ def _kind(
 
 
 @inlined
-def _is_short(ranges: F32, above: F32, first: int, end: int, thresholds: ColumnThresholds) -> bool:
+def _is_short(
+    ranges: F32,
+    above: F32,
+    first: int,
+    end: int,
+    thresholds: ColumnThresholds,
+) -> bool:
     """Return whether a run is short, with nothing, or only far things, beyond both ends."""
     tall = above[first:end].max() - above[first:end].min()
     is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
@@ -437,7 +468,13 @@ def _mark_kinds(
 
 @helper
 def _keep_walls(
-    upright: U8, extents: F32, side: F32, height: F32, wall: F32, place: F32, top: F32
+    upright: U8,
+    extents: F32,
+    side: F32,
+    height: F32,
+    wall: F32,
+    place: F32,
+    top: F32,
 ) -> None:
     """Write the shares of a line's shots in walls.
 
@@ -505,7 +542,13 @@ def _fill_line(
 
 
 @helper
-def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8) -> None:
+def _mark_levels(
+    shots: I32,
+    marks: U8,
+    side: F32,
+    jump: np.float32,
+    levels: U8,
+) -> None:
     """Mark the bins between every shot on a level surface and the adjacent shots, where these are close."""
     n = 0
     for k in range(len(shots)):
@@ -637,7 +680,12 @@ def widen_levels(levels: U8_2) -> U8_2:
 
 
 @helper
-def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
+def _sum_around(
+    values: F32,
+    line: int,
+    lines: F32,
+    sums: F32,
+) -> None:
     """Add up the values of five lines, and then of three strips."""
     for b in range(STRIPS):
         before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
@@ -648,7 +696,12 @@ def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
 
 
 @helper
-def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
+def _top_around(
+    values: F32,
+    line: int,
+    lines: F32,
+    tops: F32,
+) -> None:
     """Find the highest of five lines and three strips."""
     for b in range(STRIPS):
         before = max(values[line, b], values[line + 1, b])
@@ -660,7 +713,12 @@ def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
 
 
 @helper
-def _lines_around(values: F32, line: int, there: U8, counts: U8) -> None:
+def _lines_around(
+    values: F32,
+    line: int,
+    there: U8,
+    counts: U8,
+) -> None:
     """Count the lines, of five, that have something in a strip or beside it."""
     counts[:] = 0
     there[0] = there[STRIPS + 1] = 0
@@ -673,7 +731,11 @@ def _lines_around(values: F32, line: int, there: U8, counts: U8) -> None:
 
 @helper
 def _look_out(
-    is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]
+    is_wall: U8,
+    wall_at: F32,
+    tops: F32,
+    thresholds: WallThresholds,
+    found: tuple[F32, F32, F32],
 ) -> None:
     """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
     at, top, ahead = found

@@ -24,7 +24,12 @@ DEPTH_SHOTS = 4
 
 
 @helper
-def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
+def _count_pairs(
+    near: U8,
+    smooth: U8,
+    least: np.float32,
+    places: Pairs,
+) -> None:
     """Write the counts of a line's shots.
 
     One shot in the upper half of a word, its smooth pairs in the lower half.
@@ -59,7 +64,11 @@ def _sum_up(values: Pairs, so_far: Pairs) -> None:
 
 @helper
 def _half_widths(
-    ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32
+    ranges: F32,
+    step: np.float32,
+    half_m: np.float32,
+    most: int,
+    columns: I32,
 ) -> None:
     """Write the half width of every shot's place in columns.
 

@@ -34,7 +34,12 @@ A place has at most 15 shots in each of three lines, so that six bits hold their
 
 
 @helper
-def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+def _lay_out(
+    ranges: F32,
+    beams: tuple[F32, F32],
+    side: F32,
+    height: F32,
+) -> None:
     """Write the points of a line in the scan plane."""
     sine, cosine = beams
     for i in range(len(ranges)):
@@ -50,7 +55,12 @@ def _differs(label: np.uint8, own: np.uint8) -> bool:
 
 
 @helper
-def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
+def _mark_unsettled(
+    before: U8,
+    own: U8,
+    after: U8,
+    unsettled: U8,
+) -> None:
     """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
     m = len(own)
     for i in range(m):

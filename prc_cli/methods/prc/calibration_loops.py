@@ -96,7 +96,11 @@ def support_histogram(
 
 @kernel()
 def bend_histogram(
-    window: F32_1, n_lines: int, n_columns: int, lengths: F64_1, alpha: float
+    window: F32_1,
+    n_lines: int,
+    n_columns: int,
+    lengths: F64_1,
+    alpha: float,
 ) -> I64_1:
     """Count returns by the first length d_c at which they are no longer extended background (eq. 9, centred).
 

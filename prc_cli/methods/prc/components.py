@@ -90,7 +90,12 @@ def join(supported: Mask, background: Mask) -> Joined:
 
 
 @stage("votes")
-def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
+def identify(
+    joined: Joined,
+    last_line: I64,
+    next_id: int,
+    params: ComponentsParams,
+) -> Components:
     """Give components the segment ids of the last line before the block, by vote (II-D.2).
 
     Others get new ids.

@@ -96,7 +96,12 @@ def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
 
 
 @helper
-def _draw_runs(edges: I32, first_run: I32, parent: I32, n_columns: int) -> tuple[I32, I64]:
+def _draw_runs(
+    edges: I32,
+    first_run: I32,
+    parent: I32,
+    n_columns: int,
+) -> tuple[I32, I64]:
     """Draw the components, numbered in raster order.
 
     Return the image and their pixels, (n + 1,) int64.
@@ -165,7 +170,13 @@ def _find_ones(row: Mask, columns: I32, n_found: int) -> int:
 
 
 @helper
-def _winner(components: I32, line: int, column: int, low: int, high: int) -> int:
+def _winner(
+    components: I32,
+    line: int,
+    column: int,
+    low: int,
+    high: int,
+) -> int:
     """Return the most frequent component around a pixel without one, given the smallest and the largest."""
     n_lines, n_columns = components.shape
     if 0 < line < n_lines - 1 and 0 < column < n_columns - 1:
@@ -303,7 +314,12 @@ def _sort_votes(component: I32, label: I64, n: int) -> I32:
 
 
 @kernel()
-def carry_labels(first_line: I32_1, last_line: I64_1, n_components: int, min_votes: int) -> I64_1:
+def carry_labels(
+    first_line: I32_1,
+    last_line: I64_1,
+    n_components: int,
+    min_votes: int,
+) -> I64_1:
     """Let the last line before a block vote for the labels of the block's components.
 
     Every column where both lines hold a label is a vote. A component takes the label that most of

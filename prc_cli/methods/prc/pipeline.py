@@ -176,7 +176,11 @@ class Prc(Classifier[int, PrcState]):
         return initial_state(scanner)
 
     def label(
-        self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted
+        self,
+        block: ScanBlock,
+        scanner: int,
+        turn: Turn,
+        wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by the support thresholds."""
         _check_shapes(block.range_m, block.next_m, scanner, self.params)
@@ -309,7 +313,11 @@ def see(window: F32, points_per_line: int, params: PrcParams) -> Seen:
 
 
 def connect(
-    seen: Seen, before: Link, params: PrcParams, *, segments: bool
+    seen: Seen,
+    before: Link,
+    params: PrcParams,
+    *,
+    segments: bool,
 ) -> tuple[Connected, Link]:
     """Give components the labels of earlier blocks; also return the state for the next block."""
     s = seen.supported
@@ -336,7 +344,10 @@ def count(v: Surfaces, params: PrcParams) -> I64:
 
 
 def choose_ground(
-    connected: Connected, smooth: I64, totals: Totals, params: PrcParams
+    connected: Connected,
+    smooth: I64,
+    totals: Totals,
+    params: PrcParams,
 ) -> tuple[int, Totals]:
     """Find the ground segment; also return the totals for the next block."""
     if params.environment == "forest":
@@ -344,14 +355,24 @@ def choose_ground(
     return find_ground(connected.components, smooth, connected.last_line, totals, params.urban)
 
 
-def draw(seen: Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
+def draw(
+    seen: Seen,
+    v: Surfaces,
+    ground: int,
+    params: PrcParams,
+) -> U8:
     """Label the shots of a block."""
     if params.environment == "forest":
         return forest(seen.window, v, params.forest)
     return urban(seen.window, v, ground)
 
 
-def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: PrcParams) -> None:
+def _check_shapes(
+    range_m: F32,
+    next_m: F32 | None,
+    width: int,
+    params: PrcParams,
+) -> None:
     """Refuse arrays that cannot be the next block of the stream."""
     key = "prc.lines_per_block"
     check_block(

@@ -216,7 +216,12 @@ def critical_zetas(window: F32, points_per_line: int, params: SupportParams) -> 
     return CriticalZetas(*found)
 
 
-def _kth_difference(window: F32, reach: int, shifts: tuple[int, ...], k: int) -> F32:
+def _kth_difference(
+    window: F32,
+    reach: int,
+    shifts: tuple[int, ...],
+    k: int,
+) -> F32:
     """Return the k-th smallest range difference of every shot to some neighbours, infinite where there are fewer."""
     own = window[reach : len(window) - reach]
     smallest = np.full((max(k, 1), own.size), np.inf, np.float32)

@@ -99,7 +99,11 @@ def support_mask(
 
 @kernel()
 def background_mask(
-    window: F32_1, supported: Mask_2, form: int, alpha: float, d_c: float
+    window: F32_1,
+    supported: Mask_2,
+    form: int,
+    alpha: float,
+    d_c: float,
 ) -> Mask_2:
     """Mark supported shots where the range changes too abruptly for one smooth surface (eq. 9).
 

@@ -100,7 +100,10 @@ class Surfaces:
 
 
 def area_threshold(
-    params: SurfacesParams, n_lines: int, lines_per_block: int, points_per_line: int
+    params: SurfacesParams,
+    n_lines: int,
+    lines_per_block: int,
+    points_per_line: int,
 ) -> float:
     """Return the least number of pixels of a smooth segment in a block of ``n_lines`` lines.
 
@@ -165,7 +168,10 @@ def surfaces(
 
 @stage("surfaces")
 def smooth_last_line(
-    supported: Mask, components: Components, small: Mask, params: SurfacesParams
+    supported: Mask,
+    components: Components,
+    small: Mask,
+    params: SurfacesParams,
 ) -> I64:
     """Return the segment ids of a block's last line where it is smooth, 0 elsewhere, (M,) int64.
 

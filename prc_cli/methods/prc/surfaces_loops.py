@@ -54,7 +54,10 @@ def dilate(image: Mask_2, iterations: int) -> Mask_2:
 
 @kernel()
 def count_covered(
-    supported: Mask_2, covered: Mask_2, components: I32_2, n_components: int
+    supported: Mask_2,
+    covered: Mask_2,
+    components: I32_2,
+    n_components: int,
 ) -> I64_1:
     """Count the supported shots of every component that lie under another image.
 

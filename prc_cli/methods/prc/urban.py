@@ -71,7 +71,11 @@ def count_smooth(surfaces: Surfaces) -> I64:
 
 @stage("classes")
 def find_ground(
-    components: Components, smooth: I64, last_line: I64, totals: Totals, params: UrbanParams
+    components: Components,
+    smooth: I64,
+    last_line: I64,
+    totals: Totals,
+    params: UrbanParams,
 ) -> tuple[int, Totals]:
     """Find the smooth segment with most shots so far, on ties the oldest.
 

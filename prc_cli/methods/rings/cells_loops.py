@@ -50,7 +50,13 @@ TOP_LEVEL = 61
 
 
 @helper
-def _beside(place: F32, line: int, way: int, i: int, most: int) -> int:
+def _beside(
+    place: F32,
+    line: int,
+    way: int,
+    i: int,
+    most: int,
+) -> int:
     """Return the line of the nearest shot of a ring at or beyond a line, one more at most.
 
     -1 = none.
@@ -62,7 +68,13 @@ def _beside(place: F32, line: int, way: int, i: int, most: int) -> int:
 
 
 @helper
-def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: float) -> int:
+def _is_smooth(
+    before: F32,
+    own: F32,
+    after: F32,
+    most_m: float,
+    tolerance_m: float,
+) -> int:
     """Return SMOOTH and ASKED for a shot between two; no bit where these are too far apart."""
     cx = float(after[0]) - before[0]
     cy = float(after[1]) - before[1]
@@ -136,7 +148,10 @@ def mark_shots(
 
 @kernel()
 def lonely_shots(
-    range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds
+    range_m: F32_2,
+    intensity: F32_2,
+    is_lit: bool,
+    thresholds: LonelyThresholds,
 ) -> Mask_2:
     """Mark shots near the scanner that hardly any shot around is as far as, and that no surface around explains.
 
@@ -179,7 +194,11 @@ def lonely_shots(
 
 @kernel()
 def fill_cells(
-    xyz_m: F32_3, above_m: F32_2, marks: U8_2, leave_out: Mask_2, thresholds: CellThresholds
+    xyz_m: F32_3,
+    above_m: F32_2,
+    marks: U8_2,
+    leave_out: Mask_2,
+    thresholds: CellThresholds,
 ) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
     """Sum up what stands in every column of space.
 
@@ -268,7 +287,11 @@ def _body_top(levels: int, gap: int) -> int:
 
 @kernel()
 def measure_cells(
-    grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds
+    grid: I32_2,
+    where: I32_2,
+    sums: F64_2,
+    levels: I64_1,
+    thresholds: CellThresholds,
 ) -> F64_2:
     """Measure every cell with those around.
 
@@ -330,7 +353,12 @@ def measure_cells(
 
 
 @kernel()
-def mean_around(grid: I32_2, where: I32_2, values: F64_1, weight: F64_1) -> F64_1:
+def mean_around(
+    grid: I32_2,
+    where: I32_2,
+    values: F64_1,
+    weight: F64_1,
+) -> F64_1:
     """Return the weighted means of values of the 5 x 5 cells around every cell, (cells,) float64.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``values, weight`` (cells,) float64.
@@ -384,7 +412,12 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
 
 
 @helper
-def _is_low(above_m: float, x: float, y: float, thresholds: SoilThresholds) -> bool:
+def _is_low(
+    above_m: float,
+    x: float,
+    y: float,
+    thresholds: SoilThresholds,
+) -> bool:
     inside = (
         abs(x) < thresholds.half_m - thresholds.cell_m
         and abs(y) < thresholds.half_m - thresholds.cell_m
@@ -393,7 +426,12 @@ def _is_low(above_m: float, x: float, y: float, thresholds: SoilThresholds) -> b
 
 
 @kernel()
-def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresholds) -> Mask_2:
+def low_plants(
+    xyz_m: F32_3,
+    above_m: F32_2,
+    marks: U8_2,
+    thresholds: SoilThresholds,
+) -> Mask_2:
     """Mark the plants among low shots, (lines, M) bool.
 
     Rough places, and what is high above smooth ones.

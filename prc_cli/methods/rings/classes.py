@@ -126,7 +126,11 @@ def _around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.i
 
 @stage("cells")
 def fill_cells(
-    polar: Polar, above_m: F32, marks: U8, lonely: Mask, thresholds: CellThresholds
+    polar: Polar,
+    above_m: F32,
+    marks: U8,
+    lonely: Mask,
+    thresholds: CellThresholds,
 ) -> Cells:
     """Sum up and measure what stands in every column of space."""
     levels, sums, where, grid, of_shot = kernels.fill_cells(
@@ -204,7 +208,13 @@ class Bodies:
     """Height up to which rings look at it [m]."""
 
     @classmethod
-    def of(cls, cells: Cells, body_m: float, sight_m: F64, thresholds: CellThresholds) -> Bodies:
+    def of(
+        cls,
+        cells: Cells,
+        body_m: float,
+        sight_m: F64,
+        thresholds: CellThresholds,
+    ) -> Bodies:
         """Join the cells whose bodies are not higher than a limit [m]."""
         levels = cells.measures[:, 7].astype(np.int64)
         is_low = (levels > 0) & (levels * thresholds.storey_m <= body_m)
@@ -254,7 +264,11 @@ class Bodies:
 
 
 def _sums_of(
-    cells: Cells, use: Mask, of_body: NDArray[np.intp], n_bodies: int, cell_m: float
+    cells: Cells,
+    use: Mask,
+    of_body: NDArray[np.intp],
+    n_bodies: int,
+    cell_m: float,
 ) -> F64:
     """Return the sums of bodies, (bodies, 9) float64, places from the corner of the grid [m]."""
     own = cells.sums[use]
@@ -272,7 +286,12 @@ def _sums_of(
 
 
 @stage("soil")
-def low_plants(polar: Polar, above_m: F32, marks: U8, limits: Limits) -> Mask:
+def low_plants(
+    polar: Polar,
+    above_m: F32,
+    marks: U8,
+    limits: Limits,
+) -> Mask:
     """Mark the plants among low shots; see :func:`cells_loops.low_plants`."""
     found: Mask = kernels.low_plants(polar.xyz_m, above_m, marks, limits.soil)
     return found

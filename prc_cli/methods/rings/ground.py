@@ -190,7 +190,10 @@ class Lowest:
 
 @stage("plane")
 def find_plane(
-    xyz_m: F32, known: GroundPlane, thresholds: GroundThresholds, up: float | None = None
+    xyz_m: F32,
+    known: GroundPlane,
+    thresholds: GroundThresholds,
+    up: float | None = None,
 ) -> tuple[Polar, Lowest]:
     """Return the places of shots, (lines, M, 3) float32 [m], the lowest heights and their plane.
 
@@ -225,7 +228,11 @@ def _up_or_down(polar: Polar, thresholds: GroundThresholds, up: float | None) ->
 
 
 def _levelled(
-    xyz_m: F32, polar: Polar, level: Lowest, thresholds: GroundThresholds, up: float | None
+    xyz_m: F32,
+    polar: Polar,
+    level: Lowest,
+    thresholds: GroundThresholds,
+    up: float | None,
 ) -> tuple[Polar, Lowest]:
     """Return the places of shots on axes on which the ground is level, where it leans, and the ground."""
     best = level
@@ -302,7 +309,10 @@ def above_ground(polar: Polar, low: Lowest, thresholds: GroundThresholds) -> F32
 
 
 def _heights(
-    polar: Polar, plane: GroundPlane, surface_m: F64, thresholds: GroundThresholds
+    polar: Polar,
+    plane: GroundPlane,
+    surface_m: F64,
+    thresholds: GroundThresholds,
 ) -> tuple[F32, F64, F64]:
     found: tuple[F32, F64, F64] = kernels.heights_above(
         polar.xyz_m,

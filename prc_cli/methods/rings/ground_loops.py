@@ -21,7 +21,12 @@ _SHARES = np.array([1.0, 2.0, 1.0])
 
 @kernel()
 def lowest_heights(
-    xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float
+    xyz_m: F32_3,
+    place: F32_2,
+    up: float,
+    sector_lines: int,
+    n_bins: int,
+    pair_m: float,
 ) -> F32_2:
     """Return the lowest height of every cell that another shot of it confirms, (sectors, bins) float32; NaN = none.
 
@@ -108,7 +113,12 @@ def walk_outwards(
 
 @kernel()
 def smooth_surface(
-    height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool
+    height_m: F64_2,
+    weight: F64_2,
+    start_m: F64_2,
+    stiff: float,
+    rounds: int,
+    is_round: bool,
 ) -> F64_2:
     """Return the surface between the heights of cells and those of the cells around, (sectors, bins) float64.
 

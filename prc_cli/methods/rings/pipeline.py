@@ -164,7 +164,11 @@ class Rings(Classifier[F64, RingsState]):
         return RingsState(GroundPlane())
 
     def label(
-        self, block: ScanBlock, scanner: F64, turn: Turn, wanted: Wanted
+        self,
+        block: ScanBlock,
+        scanner: F64,
+        turn: Turn,
+        wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         k = self.params.lines_per_block
@@ -250,7 +254,12 @@ def upside_down(beam_rad: F64) -> F64:
     return np.copysign(np.pi - np.abs(beam_rad), beam_rad)
 
 
-def sight_over(cells: Cells, beam_rad: F64, plane: GroundPlane, limits: Limits) -> F64:
+def sight_over(
+    cells: Cells,
+    beam_rad: F64,
+    plane: GroundPlane,
+    limits: Limits,
+) -> F64:
     """Return how high above the ground the highest ring looks at the place of every cell, (cells,) float64 [m]."""
     place = (cells.where + 0.5) * limits.cells.cell_m - limits.cells.half_m
     rise: Any = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))

@@ -114,7 +114,12 @@ def _directions(up: F64, along: F64, m: int) -> None:
 
 
 @helper
-def _counted(square: float, range_m: float, other_m: float, depth_m: float) -> float:
+def _counted(
+    square: float,
+    range_m: float,
+    other_m: float,
+    depth_m: float,
+) -> float:
     """Square of the length that counts for a chord.
 
     Along the beams, what noise may be does not count [m2].
@@ -155,7 +160,10 @@ def _first_far(
 
 @kernel()
 def signed_angles(
-    range_m: F32_2, xyz_m: F32_3, n_beams: I32_1, thresholds: ChordThresholds
+    range_m: F32_2,
+    xyz_m: F32_3,
+    n_beams: I32_1,
+    thresholds: ChordThresholds,
 ) -> tuple[F32_2, I32_2]:
     """Measure the signed angle of every chord with the vertical, sV.
 
@@ -237,7 +245,12 @@ def angle_differences(signed_deg: F32_2) -> F32_2:
 
 
 @kernel()
-def line_angles(range_m: F32_2, ahead: I32_2, surface: U8_2, beam_rad: F64_2) -> F32_2:
+def line_angles(
+    range_m: F32_2,
+    ahead: I32_2,
+    surface: U8_2,
+    beam_rad: F64_2,
+) -> F32_2:
     """Measure the line angle of every horizontal shot that begins a chord (eq. 2).
 
     ``range_m`` (R, n) float32, metres; ``ahead`` (R, n) int32; ``surface`` (R, n) uint8;

@@ -23,7 +23,10 @@ from prc_cli.methods.sequential_angle.thresholds import (
 
 
 def high_verticals(
-    lines: VerticalLines, surface: U8, z_g: F32, thresholds: HighVerticalThresholds
+    lines: VerticalLines,
+    surface: U8,
+    z_g: F32,
+    thresholds: HighVerticalThresholds,
 ) -> F32:
     """Find the horizontal distance beyond which there is no car.
 

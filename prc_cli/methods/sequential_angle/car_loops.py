@@ -36,7 +36,12 @@ a spectrum is not computed more exactly.
 
 
 @kernel()
-def _powers(values: F64_1, first: int, n_frequencies: int, power: F64_1) -> None:
+def _powers(
+    values: F64_1,
+    first: int,
+    n_frequencies: int,
+    power: F64_1,
+) -> None:
     """Compute the power of successive frequencies by Goertzel's recursion, all of them sample after sample.
 
     The loop over frequencies is the inner one because it is the one that vector instructions can
@@ -306,7 +311,13 @@ def _place(
 
 @helper
 def _change_angle(
-    xyz_m: F32, row: int, beam: I32, size: int, j: int, chord_m: float, reach: int
+    xyz_m: F32,
+    row: int,
+    beam: I32,
+    size: int,
+    j: int,
+    chord_m: float,
+    reach: int,
 ) -> float:
     """Return the signed angle of the chord that begins at a point [deg].
 
@@ -337,7 +348,14 @@ def _change_angle(
 
 
 @helper
-def _is_under(range_m: F32, row: int, beam: I32, j: int, n_before: int, threshold_m: float) -> bool:
+def _is_under(
+    range_m: F32,
+    row: int,
+    beam: I32,
+    j: int,
+    n_before: int,
+    threshold_m: float,
+) -> bool:
     """Tell whether one of the points before lies farther away (TestUnder)."""
     own = np.float64(range_m[row, beam[j]])
     farthest = own
@@ -373,7 +391,13 @@ def _begins(
 
 
 @helper
-def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) -> bool:
+def _is_flat(
+    sums: F64,
+    first: int,
+    last: int,
+    residual_m: float,
+    slope: float,
+) -> bool:
     """Tell whether the straight line through the heights of successive points is near them and not steep.
 
     ``sums`` holds the running sums of h, z, h², hz and z² of the points before each.
@@ -389,7 +413,12 @@ def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) 
 
 @helper
 def _flat_stretch(
-    points: F64, first: int, last: int, thresholds: DividerThresholds, sums: F64, farthest: F64
+    points: F64,
+    first: int,
+    last: int,
+    thresholds: DividerThresholds,
+    sums: F64,
+    farthest: F64,
 ) -> tuple[int, int]:
     """Find the first long flat stretch of a horizontal run; (-1, -1) = none.
 
@@ -468,7 +497,12 @@ def _first_flat(
 
 
 @helper
-def _comes_back(points: F64, size: int, j: int, reach: int) -> bool:
+def _comes_back(
+    points: F64,
+    size: int,
+    j: int,
+    reach: int,
+) -> bool:
     """Tell whether one of the points after a jump is near the point before it, as over the window of a car."""
     for after in range(j + 2, min(j + 1 + reach, size - 1) + 1):
         near = points[after, _DISTANCE] - points[j, _DISTANCE] <= _BACK_M
@@ -478,7 +512,13 @@ def _comes_back(points: F64, size: int, j: int, reach: int) -> bool:
 
 
 @helper
-def _next_jump(points: F64, size: int, j: int, separation_m: float, reach: int) -> int:
+def _next_jump(
+    points: F64,
+    size: int,
+    j: int,
+    separation_m: float,
+    reach: int,
+) -> int:
     """Find the first point from one on that a jump away from the scanner follows, or the last one."""
     while j < size - 1:
         dx = points[j + 1, 0] - points[j, 0]
@@ -582,7 +622,13 @@ def car_intervals(
 
 
 @helper
-def _is_upright(sums: F64, n: int, residual_m: float, slope: float, noise_m: float) -> bool:
+def _is_upright(
+    sums: F64,
+    n: int,
+    residual_m: float,
+    slope: float,
+    noise_m: float,
+) -> bool:
     """Tell whether the straight line through points is near them and nearly upright.
 
     ``sums`` are those of z, h, z², zh and h², counted from the first point.
@@ -694,7 +740,13 @@ def _vertical_run(
 
 @helper
 def _next_of_wall(
-    surface: U8, horizontal_m: F32, row: int, k: int, n: int, before: float, reach: int
+    surface: U8,
+    horizontal_m: F32,
+    row: int,
+    k: int,
+    n: int,
+    before: float,
+    reach: int,
 ) -> int:
     """Return the next beam that goes on with a wall, behind so many returns that go through it, or n."""
     through = 0
@@ -826,7 +878,12 @@ def cut_verticals(
 
 
 @kernel()
-def firm_intervals(surface: U8_2, intervals: I32_2, most: float, least: int) -> Mask_1:
+def firm_intervals(
+    surface: U8_2,
+    intervals: I32_2,
+    most: float,
+    least: int,
+) -> Mask_1:
     """Mark intervals of so many returns of which no larger share is vegetation.
 
     ``surface`` (R, n) uint8; ``intervals`` (K, 3) int32; returns (K,) bool.

@@ -63,7 +63,10 @@ def dense_vegetation(differences_deg: F32, thresholds: MarkovThresholds) -> Mask
 
 
 def car_surface(
-    signed_deg: F32, dense: Mask, lines: VerticalLines, thresholds: SurfaceThresholds
+    signed_deg: F32,
+    dense: Mask,
+    lines: VerticalLines,
+    thresholds: SurfaceThresholds,
 ) -> U8:
     """Classify every shot for the car algorithm.
 
@@ -100,7 +103,10 @@ def coarse(signed_deg: F32, lines: VerticalLines, thresholds: CoarseThresholds) 
 
 
 def surface_image(
-    signed_deg: F32, vegetation: Mask, lines: VerticalLines, thresholds: SurfaceThresholds
+    signed_deg: F32,
+    vegetation: Mask,
+    lines: VerticalLines,
+    thresholds: SurfaceThresholds,
 ) -> U8:
     """Label the runs between vegetation as horizontal or vertical.
 

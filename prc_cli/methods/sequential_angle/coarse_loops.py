@@ -198,7 +198,12 @@ def _sequential_test(
 
 @helper
 def _next_region(
-    density: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds
+    density: F64,
+    begin: int,
+    m: int,
+    h0: _Model,
+    h1: _Model,
+    bounds: _Bounds,
 ) -> tuple[int, int, int]:
     """Find the next region from a sample on that ends where the test with the models exchanged raises an alarm.
 
@@ -221,7 +226,13 @@ def _next_region(
 
 @helper
 def _next_confirmed(
-    density: F64, samples: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds
+    density: F64,
+    samples: F64,
+    begin: int,
+    m: int,
+    h0: _Model,
+    h1: _Model,
+    bounds: _Bounds,
 ) -> tuple[int, int, int]:
     """Find the next region from a sample on that tests between two bounds confirm, and end.
 
@@ -436,7 +447,12 @@ def _sort(values: F64, n: int) -> None:
 
 
 @helper
-def _fullest(values: F64, begin: int, end: int, width: float) -> tuple[int, int]:
+def _fullest(
+    values: F64,
+    begin: int,
+    end: int,
+    width: float,
+) -> tuple[int, int]:
     """Return how many sorted values fit into a width at most, and the first of them."""
     most = first = stop = int(np.int64(0))
     stop = begin
@@ -463,7 +479,13 @@ _BINS = 256
 
 
 @helper
-def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) -> bool:
+def _may_be_layered(
+    values: F64,
+    m: int,
+    width: float,
+    share: float,
+    bins: I32,
+) -> bool:
     """Tell quickly whether two layers may hold a share of some values.
 
     Most foliage need not be sorted.
@@ -491,7 +513,12 @@ def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) 
 
 @helper
 def _settle(
-    labels: U8, values: F64, beam: I32, m: int, thresholds: WindowThresholds, bins: I32
+    labels: U8,
+    values: F64,
+    beam: I32,
+    m: int,
+    thresholds: WindowThresholds,
+    bins: I32,
 ) -> None:
     """Label the points of a run, if they lie in layers."""
     if m < thresholds.min_points or not _may_be_layered(
@@ -506,7 +533,10 @@ def _settle(
 
 @kernel()
 def upright_layers(
-    surface: U8_2, horizontal_m: F32_2, n_beams: I32_1, thresholds: WindowThresholds
+    surface: U8_2,
+    horizontal_m: F32_2,
+    n_beams: I32_1,
+    thresholds: WindowThresholds,
 ) -> U8_2:
     """Make runs of vegetation vertical whose points lie in two upright layers.
 
@@ -537,7 +567,13 @@ def upright_layers(
 
 
 @helper
-def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds) -> bool:
+def _is_wall(
+    x: F64,
+    z: F64,
+    begin: int,
+    end: int,
+    thresholds: WindowThresholds,
+) -> bool:
     """Tell whether a vertical run is high, straight and upright."""
     lowest = highest = z[begin]
     sum_z = sum_x = sum_zz = sum_zx = sum_xx = 0.0
@@ -565,7 +601,13 @@ def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds)
 
 @helper
 def _find_walls(
-    x: F64, z: F64, code: U8, m: int, thresholds: WindowThresholds, first: I32, place: F64
+    x: F64,
+    z: F64,
+    code: U8,
+    m: int,
+    thresholds: WindowThresholds,
+    first: I32,
+    place: F64,
 ) -> int:
     """List the walls of a row: the first return of each, and its horizontal distance.
 
@@ -591,7 +633,11 @@ def _find_walls(
 
 @kernel()
 def behind_walls(
-    surface: U8_2, xyz_m: F32_3, horizontal_m: F32_2, n_beams: I32_1, thresholds: WindowThresholds
+    surface: U8_2,
+    xyz_m: F32_3,
+    horizontal_m: F32_2,
+    n_beams: I32_1,
+    thresholds: WindowThresholds,
 ) -> U8_2:
     """Make vegetation vertical that lies in the plane of a wall of its row, or behind one that stands above it.
 

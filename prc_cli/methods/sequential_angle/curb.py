@@ -63,7 +63,11 @@ class CurbState:
 
 
 def possible_curbs(
-    lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, thresholds: CurbThresholds
+    lines: VerticalLines,
+    surface: U8,
+    ground: Mask,
+    z_g: F32,
+    thresholds: CurbThresholds,
 ) -> I32:
     """Find the possible curb point of every row.
 

@@ -53,7 +53,13 @@ class _Table(NamedTuple):
 
 
 @inlined
-def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) -> bool:
+def _lies_over(
+    farthest: F32,
+    count: int,
+    reach: int,
+    own: float,
+    under: float,
+) -> bool:
     """Tell whether one of the valid points before lies farther away than a point."""
     most = own
     for i in range(max(count - reach, 0), count):
@@ -123,7 +129,13 @@ def _root(parent: I32, label: int) -> int:
 
 
 @inlined
-def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
+def _near(
+    here: F32,
+    k: int,
+    there: F32,
+    j: int,
+    reach_2: float,
+) -> bool:
     """Tell whether two points lie within the grouping distance."""
     dx = np.float64(here[k, 0]) - np.float64(there[j, 0])
     dy = np.float64(here[k, 1]) - np.float64(there[j, 1])
@@ -132,7 +144,12 @@ def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
 
 
 @inlined
-def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> int:
+def _join(
+    table: _Table,
+    one: int,
+    other: int,
+    thresholds: CurbThresholds,
+) -> int:
     """Make two regions one."""
     parent = table.parent
     last = table.last
@@ -158,7 +175,12 @@ def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> in
 
 @helper
 def _is_straight(
-    table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, limit: float
+    table: _Table,
+    signed: F32,
+    above_signed: F32,
+    region: int,
+    n_sides: int,
+    limit: float,
 ) -> bool:
     """Tell whether the angle changes little from point to point of a region, in the median."""
     parent = table.parent
@@ -282,7 +304,12 @@ def _connect_row(
 
 
 @helper
-def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int) -> _Table:
+def _open_table(
+    regions: OpenRegions,
+    n_sides: int,
+    n_lines: int,
+    capacity: int,
+) -> _Table:
     """Return a table with room for so many lines and labels that holds the regions that are open."""
     n = regions.labels.shape[1]
     labels = np.empty((n_lines * n_sides, n), np.int32)
@@ -314,7 +341,13 @@ def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int)
 
 
 @helper
-def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) -> OpenRegions:
+def _carry(
+    table: _Table,
+    n_sides: int,
+    begin: int,
+    n_given: int,
+    n_ids: int,
+) -> OpenRegions:
     """Return rows and regions for the next call.
 
     Labels that stand for themselves, numbered as they come.

@@ -52,7 +52,11 @@ from prc_cli.methods.sequential_angle.thresholds import PotentialGround as Poten
 
 
 def potential_ground(
-    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, thresholds: GroundThresholds
+    lines: VerticalLines,
+    surface: U8,
+    phihat: F32,
+    ahead: I32,
+    thresholds: GroundThresholds,
 ) -> PotentialGround:
     """Find the first potential ground of every row (part a).
 

@@ -139,7 +139,14 @@ class _Heights(NamedTuple):
 
 
 @helper
-def _walk(hist: I64, density: I64, lo: int, hi: int, tops: I64, counts: I64) -> int:
+def _walk(
+    hist: I64,
+    density: I64,
+    lo: int,
+    hi: int,
+    tops: I64,
+    counts: I64,
+) -> int:
     """List the maxima of a density from low to high.
 
     Twice their place, and the samples between the minima around.
@@ -188,7 +195,12 @@ def _spread(density: I64, q: int, count: int) -> None:
 
 
 @helper
-def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
+def _build(
+    hist: I64,
+    density: I64,
+    lo: int,
+    hi: int,
+) -> None:
     """Compute the density of binned samples; it must be zero before."""
     for q in range(lo, hi + 1):
         if hist[q] > 0:
@@ -220,14 +232,26 @@ def _clear_density(density: I64, lo: int, hi: int) -> None:
 
 
 @helper
-def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
+def _clear(
+    hist: I64,
+    density: I64,
+    lo: int,
+    hi: int,
+) -> None:
     """Forget all samples and their density."""
     _forget(hist, lo, hi)
     _clear_density(density, lo, hi)
 
 
 @helper
-def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, noise: float) -> float:
+def _bandwidth(
+    xyz: F32,
+    ahead: I32,
+    one: int,
+    least: float,
+    sigmas: float,
+    noise: float,
+) -> float:
     """Return the bandwidth for line angles [deg] at a point with a chord to another one.
 
     The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from
@@ -263,7 +287,13 @@ def _bin(angle: float, width: float, size: int) -> int:
 
 
 @helper
-def _count(angles: F64, n: int, width: float, size: int, hist: I64) -> None:
+def _count(
+    angles: F64,
+    n: int,
+    width: float,
+    size: int,
+    hist: I64,
+) -> None:
     """Count line angles, the first row of ``angles``, in their bins.
 
     The other row takes these, many at a time.
@@ -276,7 +306,13 @@ def _count(angles: F64, n: int, width: float, size: int, hist: I64) -> None:
 
 @helper
 def _fits(
-    xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float
+    xyz: F32,
+    horizontal: F32,
+    beams: I32,
+    n_points: int,
+    k: int,
+    n_fit: int,
+    guard: float,
 ) -> bool:
     """Tell whether a point lies at the height of the local line through the last points."""
     first = max(n_points - n_fit, 0)
@@ -364,7 +400,12 @@ def _follow_peak(hist: I64, peak: int, q: int) -> int:
 
 
 @helper
-def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, int]:
+def _count_modes(
+    scratch: _Scratch,
+    lo: int,
+    hi: int,
+    least: int,
+) -> tuple[int, int]:
     """Count the modes of so many samples at least, and return the bin of the maximum too, -1 = there are several."""
     density = scratch.density
     tops = scratch.tops
@@ -380,7 +421,12 @@ def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, 
 
 @helper
 def _potential(
-    row: _Row, n: int, start: int, thresholds: GroundThresholds, beams: I32, scratch: _Scratch
+    row: _Row,
+    n: int,
+    start: int,
+    thresholds: GroundThresholds,
+    beams: I32,
+    scratch: _Scratch,
 ) -> tuple[int, float]:
     """Find potential ground in a row from a beam on.
 
@@ -513,7 +559,13 @@ def _potential(
 
 
 @helper
-def _lowest_mean(xyz: F32, beams: I32, n_points: int, lowest: int, near: int) -> float:
+def _lowest_mean(
+    xyz: F32,
+    beams: I32,
+    n_points: int,
+    lowest: int,
+    near: int,
+) -> float:
     """Return the mean height of the lowest of the first points, of all if ``near`` is 0."""
     heights = np.empty(lowest, np.float64)
     kept = 0
@@ -595,7 +647,13 @@ def _extend(
 
 
 @helper
-def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scratch) -> float:
+def _main_angle(
+    phihat: F32,
+    beams: I32,
+    n_points: int,
+    b: float,
+    scratch: _Scratch,
+) -> float:
     """Return the main mode of the line angles of some points [deg]."""
     angles = scratch.angles
     hist = scratch.hist
@@ -623,7 +681,12 @@ def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scra
 
 
 @helper
-def _end_of_run(surface: U8, start: int, n: int, bridge: int) -> int:
+def _end_of_run(
+    surface: U8,
+    start: int,
+    n: int,
+    bridge: int,
+) -> int:
     """Return the beam behind the last horizontal one that no more than a few others part from those before."""
     end = k = start
     passed = 0
@@ -759,7 +822,12 @@ def _height_width(median: int, share: float) -> int:
 
 
 @helper
-def _new_heights(histogram: I32, queue: I32, n_queued: int, share: float) -> _Heights:
+def _new_heights(
+    histogram: I32,
+    queue: I32,
+    n_queued: int,
+    share: float,
+) -> _Heights:
     """Take a histogram of heights up."""
     heights = _Heights(
         histogram=histogram,
@@ -865,7 +933,12 @@ def _forget_height(heights: _Heights, old: int, share: float) -> None:
 
 
 @helper
-def _count_height(heights: _Heights, z: float, memory: int, share: float) -> None:
+def _count_height(
+    heights: _Heights,
+    z: float,
+    memory: int,
+    share: float,
+) -> None:
     """Add a height, and forget the oldest one when there are more than can be remembered."""
     figures = heights.figures[0]
     new = _height_bin(z)
@@ -879,7 +952,14 @@ def _count_height(heights: _Heights, z: float, memory: int, share: float) -> Non
 
 
 @helper
-def _lowest(tops: I64, counts: I64, best: int, width: int, roof_m: float, roof_share: float) -> int:
+def _lowest(
+    tops: I64,
+    counts: I64,
+    best: int,
+    width: int,
+    roof_m: float,
+    roof_share: float,
+) -> int:
     """Return the lowest mode that makes a roof of the main one.
 
     Far enough below, with a share of its samples.
@@ -893,7 +973,11 @@ def _lowest(tops: I64, counts: I64, best: int, width: int, roof_m: float, roof_s
 
 @helper
 def _main_height(
-    heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_share: float
+    heights: _Heights,
+    tops: I64,
+    counts: I64,
+    roof_m: float,
+    roof_share: float,
 ) -> tuple[int, float]:
     """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins.
 
@@ -937,7 +1021,10 @@ def _main_height(
 
 @kernel()
 def main_height(
-    heights: F64_1, share: float, roof_m: float, roof_share: float
+    heights: F64_1,
+    share: float,
+    roof_m: float,
+    roof_share: float,
 ) -> tuple[int, float, I32_1, I32_1]:
     """Find the main mode of heights.
 
@@ -1009,7 +1096,12 @@ def potential_heights(
 
 
 @helper
-def _horizontal_beams(surface: U8, first: int, last: int, beams: I32) -> int:
+def _horizontal_beams(
+    surface: U8,
+    first: int,
+    last: int,
+    beams: I32,
+) -> int:
     """List the horizontal points from one beam to another.
 
     Returns how many; none where the first one is -1.

@@ -37,7 +37,11 @@ _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
 @kernel()
 def first_high_verticals(
-    surface: U8_2, xyz_m: F32_3, n_beams: I32_1, ground_m: F32_1, height_m: float
+    surface: U8_2,
+    xyz_m: F32_3,
+    n_beams: I32_1,
+    ground_m: F32_1,
+    height_m: float,
 ) -> I32_1:
     """Find the last beam of the first vertical run of every row that ends high above the ground.
 
@@ -63,7 +67,12 @@ def first_high_verticals(
 
 
 @kernel()
-def first_triggers(surface: U8_2, n_beams: I32_1, increments: F64_2, threshold: float) -> I32_1:
+def first_triggers(
+    surface: U8_2,
+    n_beams: I32_1,
+    increments: F64_2,
+    threshold: float,
+) -> I32_1:
     """Run the CUSUM of the observable chain H, V, M along every row until it triggers.
 
     The chain begins at the first beam with a return and ends before the first return that is
@@ -105,7 +114,10 @@ def first_triggers(surface: U8_2, n_beams: I32_1, increments: F64_2, threshold: 
 
 @kernel()
 def arrange_lines(
-    range_m: F32_2, xyz_m: F32_3, columns: I32_2, max_range_m: float
+    range_m: F32_2,
+    xyz_m: F32_3,
+    columns: I32_2,
+    max_range_m: float,
 ) -> tuple[F32_2, F32_3, F32_2]:
     """Pick the beams of half-lines out of scan lines with coordinates.
 
@@ -146,7 +158,11 @@ def arrange_lines(
 
 @kernel()
 def arrange_plane(
-    range_m: F32_2, across: F64_1, up: F64_1, columns: I32_2, max_range_m: float
+    range_m: F32_2,
+    across: F64_1,
+    up: F64_1,
+    columns: I32_2,
+    max_range_m: float,
 ) -> tuple[F32_2, F32_3, F32_2]:
     """Pick the beams of half-lines out of scan lines of ranges.
 
@@ -185,7 +201,12 @@ _CURB_DEPTH_M = 0.3
 
 @kernel()
 def mark_cars(
-    intervals: I32_2, horizontal_m: F32_2, xyz_m: F32_3, surface: U8_2, limit_m: F32_1, low_m: F32_1
+    intervals: I32_2,
+    horizontal_m: F32_2,
+    xyz_m: F32_3,
+    surface: U8_2,
+    limit_m: F32_1,
+    low_m: F32_1,
 ) -> Mask_2:
     """Mark the returns of intervals that are neither too far away nor next to the ground.
 
@@ -205,7 +226,13 @@ def mark_cars(
 
 
 @helper
-def _curb_of(curb: Mask, horizontal_m: F32, xyz_m: F32, row: int, n: int) -> tuple[float, float]:
+def _curb_of(
+    curb: Mask,
+    horizontal_m: F32,
+    xyz_m: F32,
+    row: int,
+    n: int,
+) -> tuple[float, float]:
     """Return the least distance of the curb points of a row, and how high those next to it reach [m]."""
     nearest = np.float32(np.inf)
     for k in range(n):
@@ -220,7 +247,13 @@ def _curb_of(curb: Mask, horizontal_m: F32, xyz_m: F32, row: int, n: int) -> tup
 
 @helper
 def _foot(
-    surface: U8, car: Mask, xyz_m: F32, row: int, k: int, n: int, base: float
+    surface: U8,
+    car: Mask,
+    xyz_m: F32,
+    row: int,
+    k: int,
+    n: int,
+    base: float,
 ) -> tuple[int, float]:
     """Follow car points to the last one.
 

@@ -89,7 +89,11 @@ def split_sides(beam_rad: F64) -> Sides:
 
 @stage("vertical lines")
 def vertical_lines(
-    range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides, max_range_m: float
+    range_m: F32,
+    xyz_m: F32 | None,
+    beam_rad: F64,
+    sides: Sides,
+    max_range_m: float,
 ) -> VerticalLines:
     """Arrange a block of scan lines as half-lines.
 

@@ -252,7 +252,11 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         return initial_state(scanner, self.thresholds)
 
     def label(
-        self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted
+        self,
+        block: ScanBlock,
+        scanner: Beams,
+        turn: Turn,
+        wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Add the next lines, and label those that become final."""
         _check_shape(block.range_m, block.xyz_m, scanner)
@@ -380,7 +384,10 @@ def _take_lines(
 
 
 def _labelled(
-    block: ScanBlock, labels: U8, stages: StageLabels | None, thresholds: SequentialAngleThresholds
+    block: ScanBlock,
+    labels: U8,
+    stages: StageLabels | None,
+    thresholds: SequentialAngleThresholds,
 ) -> LabelledBlock:
     """Combine final lines with their labels, and label their further returns."""
     # ranges beyond the scanner's reach are missing to the method, but they are returns
@@ -404,7 +411,10 @@ def _labelled(
 
 @stage("angles")
 def within_lines(
-    range_m: F32, xyz_m: F32 | None, beams: Beams, thresholds: SequentialAngleThresholds
+    range_m: F32,
+    xyz_m: F32 | None,
+    beams: Beams,
+    thresholds: SequentialAngleThresholds,
 ) -> Within:
     """Run the stages that need only one half-line: coarse layer, car layer, potential ground."""
     lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, thresholds.max_range_m)
@@ -427,7 +437,11 @@ def within_lines(
 
 @stage("ground")
 def follow_ground(
-    rows: Within, state: GroundSoFar, thresholds: SequentialAngleThresholds, *, last: bool
+    rows: Within,
+    state: GroundSoFar,
+    thresholds: SequentialAngleThresholds,
+    *,
+    last: bool,
 ) -> tuple[list[OnGround], GroundSoFar]:
     """Find the ground of the next rows, in order (sec. 5).
 
@@ -452,7 +466,11 @@ def follow_ground(
 
 
 def _start_ground(
-    rows: Within, state: GroundSoFar, thresholds: GroundThresholds, *, last: bool
+    rows: Within,
+    state: GroundSoFar,
+    thresholds: GroundThresholds,
+    *,
+    last: bool,
 ) -> tuple[list[Within], GroundSoFar]:
     """Keep rows waiting until the first ground height is known (part b of the ground algorithm, sec. 5)."""
     if state.known is not None:
@@ -544,7 +562,10 @@ def combine(rows: Undecided, curb: Mask, thresholds: CurbThresholds) -> U8:
 
 @stage("classes")
 def in_columns(
-    done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, thresholds: CurbThresholds
+    done: Sequence[Undecided],
+    curb: Sequence[Mask],
+    beams: Beams,
+    thresholds: CurbThresholds,
 ) -> U8:
     """Label final rows, and map them back to the columns of their scan lines."""
     sides = beams.sides

@@ -65,7 +65,13 @@ def support_mask(
 # II-C. Extension of background
 
 
-def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
+def background_mask(
+    window: F32,
+    supported: Mask,
+    form: int,
+    alpha: float,
+    d_c: float,
+) -> Mask:
     """Mark shots where surfaces meet (9); see :func:`support_loops.background_mask`."""
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
@@ -82,7 +88,12 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
 
 
 def is_intersection(
-    before: float, here: float, after: float, form: str, alpha: float, d_c: float
+    before: float,
+    here: float,
+    after: float,
+    form: str,
+    alpha: float,
+    d_c: float,
 ) -> bool:
     """Whether three successive ranges are of two surfaces that meet: (9) does not hold.
 
@@ -138,7 +149,12 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     )
 
 
-def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
+def carry_labels(
+    first_line: I32,
+    last_line: I64,
+    n_components: int,
+    min_votes: int,
+) -> I64:
     """Carry labels over to the next block (II-D.2); see :func:`components_loops.carry_labels`."""
     votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
     labels = [0] * (n_components + 1)
@@ -172,14 +188,24 @@ def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
     return selected
 
 
-def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
+def count_covered(
+    supported: Mask,
+    covered: Mask,
+    components: I32,
+    n_components: int,
+) -> I64:
     """Count shots under an image; see :func:`surfaces_loops.count_covered`."""
     under = components[np.logical_and(supported, covered)]
     return np.bincount(under, minlength=n_components + 1).astype(np.int64)
 
 
 def draw_components(
-    window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8
+    window: F32,
+    supported: Mask,
+    covered: Mask,
+    components: I32,
+    label_of: U8,
+    others: U8,
 ) -> U8:
     """Draw labels by component; see :func:`surfaces_loops.draw_components`."""
     labels = np.where(covered, others[2], np.take(label_of, components))
@@ -189,7 +215,12 @@ def draw_components(
 
 
 def draw_columns(
-    window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8
+    window: F32,
+    supported: Mask,
+    covered: Mask,
+    columns: Mask,
+    noise_too: bool,
+    labels_of: U8,
 ) -> U8:
     """Draw labels by cover and column; see :func:`surfaces_loops.draw_columns`."""
     missing, noise, marked, cover, free = labels_of

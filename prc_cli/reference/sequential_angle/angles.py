@@ -11,7 +11,10 @@ from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
 
 def signed_angles(
-    range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds
+    range_m: F32,
+    xyz_m: F32,
+    n_beams: I32,
+    thresholds: ChordThresholds,
 ) -> tuple[F32, I32]:
     """Measure sV: angles of chords with the vertical, negative where a chord turns back on the one before."""
     signed_deg = np.full(range_m.shape, np.nan, np.float32)
@@ -34,7 +37,11 @@ def signed_angles(
 
 
 def first_far(
-    points: F64, ranges: F64, here: int, others: list[int], thresholds: ChordThresholds
+    points: F64,
+    ranges: F64,
+    here: int,
+    others: list[int],
+    thresholds: ChordThresholds,
 ) -> int | None:
     """Return the first of some shots that is far enough away for a chord."""
     for other in others[: thresholds.max_shots]:
@@ -57,7 +64,12 @@ def angle_differences(signed_deg: F32) -> F32:
     return differences
 
 
-def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
+def line_angles(
+    range_m: F32,
+    ahead: I32,
+    surface: U8,
+    beam_rad: F64,
+) -> F32:
     """Measure line angles; see :func:`angles_loops.line_angles`."""
     found = np.full(range_m.shape, np.nan, np.float32)
     for row, k in zip(*np.nonzero((surface == Surface.HORIZONTAL) & (ahead >= 0)), strict=True):
@@ -68,7 +80,12 @@ def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
     return found
 
 
-def angle_at_first(first_rad: float, second_rad: float, first_m: float, second_m: float) -> float:
+def angle_at_first(
+    first_rad: float,
+    second_rad: float,
+    first_m: float,
+    second_m: float,
+) -> float:
     """Return the angle between the chord of two shots and the beam to the first one, from their places [rad]."""
     first = place(first_rad, first_m)
     chord = place(second_rad, second_m) - first

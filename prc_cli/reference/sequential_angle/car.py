@@ -54,7 +54,12 @@ T = int(Surface.VEGETATION)
 """Surface codes."""
 
 
-def change_angle(points: F64, j: int, chord_m: float, reach: int) -> float:
+def change_angle(
+    points: F64,
+    j: int,
+    chord_m: float,
+    reach: int,
+) -> float:
     """Return the signed angle at point j of (n, 3) points with the vertical [deg].
 
     NaN = no chord.
@@ -71,12 +76,22 @@ def change_angle(points: F64, j: int, chord_m: float, reach: int) -> float:
     return -angle if turns_back else angle
 
 
-def is_something_under(ranges: F64, j: int, n_before: int, threshold_m: float) -> bool:
+def is_something_under(
+    ranges: F64,
+    j: int,
+    n_before: int,
+    threshold_m: float,
+) -> bool:
     """Tell whether something under point j lies behind it (TestUnder of the paper)."""
     return bool(max(ranges[max(0, j - n_before) : j + 1]) - ranges[j] > threshold_m)
 
 
-def is_jump(points: F64, distance: F64, j: int, thresholds: DividerThresholds) -> bool:
+def is_jump(
+    points: F64,
+    distance: F64,
+    j: int,
+    thresholds: DividerThresholds,
+) -> bool:
     """Tell whether the next point is far away, not back towards the scanner, and the line does not come back."""
     step = points[j + 1] - points[j]
     far = (
@@ -87,7 +102,12 @@ def is_jump(points: F64, distance: F64, j: int, thresholds: DividerThresholds) -
     return bool(far and not comes_back.any())
 
 
-def is_flat(distance: F64, height: F64, residual_m: float, slope: float) -> bool:
+def is_flat(
+    distance: F64,
+    height: F64,
+    residual_m: float,
+    slope: float,
+) -> bool:
     """Tell whether a straight line through the heights fits and is not steep."""
     gradient, offset = np.polyfit(distance - distance[0], height - height[0], 1)
     residual = height - height[0] - gradient * (distance - distance[0]) - offset
@@ -95,7 +115,11 @@ def is_flat(distance: F64, height: F64, residual_m: float, slope: float) -> bool
 
 
 def flat_stretch(
-    distance: F64, height: F64, length_m: float, residual_m: float, slope: float
+    distance: F64,
+    height: F64,
+    length_m: float,
+    residual_m: float,
+    slope: float,
 ) -> tuple[int, int] | None:
     """Find points K to L of a horizontal run that are long and flat; None = there are none."""
     last = 0
@@ -270,7 +294,12 @@ class Line:
 
 
 def first_ground(
-    codes: list[int], distance: F64, height: F64, t1: int, t2: int, thresholds: DividerThresholds
+    codes: list[int],
+    distance: F64,
+    height: F64,
+    t1: int,
+    t2: int,
+    thresholds: DividerThresholds,
 ) -> tuple[int, int] | None:
     """Find the first long flat stretch, within one horizontal run, between two dividers.
 
@@ -303,7 +332,12 @@ def is_too_high(heights: F64, ground_m: float, thresholds: DividerThresholds) ->
     )
 
 
-def is_open(beams: list[int], heights: F64, n: int, thresholds: DividerThresholds) -> bool:
+def is_open(
+    beams: list[int],
+    heights: F64,
+    n: int,
+    thresholds: DividerThresholds,
+) -> bool:
     """Tell whether a high vertical run goes on to the last beam."""
     return bool(
         thresholds.vertical_open
@@ -328,7 +362,11 @@ def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> b
 
 
 def is_upright(
-    distance: F64, heights: F64, residual_m: float, slope: float, thresholds: DividerThresholds
+    distance: F64,
+    heights: F64,
+    residual_m: float,
+    slope: float,
+    thresholds: DividerThresholds,
 ) -> bool:
     """Tell whether points are near a straight line that is nearly upright."""
     lean, offset = np.polyfit(heights - heights[0], distance - distance[0], 1)
@@ -385,7 +423,11 @@ def cut_verticals(
 
 
 def reliefs(
-    codes: list[int], distance: F64, height: F64, last: int, thresholds: DividerThresholds
+    codes: list[int],
+    distance: F64,
+    height: F64,
+    last: int,
+    thresholds: DividerThresholds,
 ) -> list[tuple[int, int]]:
     """Return first and last position of rough walls.
 
@@ -417,7 +459,12 @@ def reliefs(
     return found
 
 
-def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
+def firm_intervals(
+    surface: U8,
+    intervals: I32,
+    most: float,
+    least: int,
+) -> Mask:
     """Mark intervals without much foliage; see :func:`car_loops.firm_intervals`."""
     firm = []
     for row, first, last in intervals.tolist():

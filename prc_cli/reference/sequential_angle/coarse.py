@@ -99,7 +99,11 @@ def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
 
 
 def page_test(
-    log_density: F64, zero: Model, one: Model, begin: int, threshold: float
+    log_density: F64,
+    zero: Model,
+    one: Model,
+    begin: int,
+    threshold: float,
 ) -> tuple[int, int] | None:
     """Return alarm and onset of the first change from model 0 to model 1, None if there is none."""
     s = 0.0
@@ -121,7 +125,12 @@ def page_test(
 
 
 def wald_test(
-    log_density: F64, zero: Model, one: Model, begin: int, reject: float, accept: float
+    log_density: F64,
+    zero: Model,
+    one: Model,
+    begin: int,
+    reject: float,
+    accept: float,
 ) -> tuple[bool | None, int]:
     """Return the decision for model 1 and the sample after it.
 
@@ -141,7 +150,12 @@ def wald_test(
     return None, len(log_density)
 
 
-def step(before: F64 | None, transition: Matrix, initial: Three, log_density: F64) -> F64:
+def step(
+    before: F64 | None,
+    transition: Matrix,
+    initial: Three,
+    log_density: F64,
+) -> F64:
     """Return the scaled forward variable of one sample as logarithms (eqs. 24 to 26).
 
     ``before`` None = restart.
@@ -153,7 +167,11 @@ def step(before: F64 | None, transition: Matrix, initial: Three, log_density: F6
 
 
 def surface_image(
-    signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds
+    signed_deg: F32,
+    vegetation: Mask,
+    range_m: F32,
+    n_beams: I32,
+    thresholds: SurfaceThresholds,
 ) -> U8:
     """Label surfaces; see :func:`coarse_loops.surface_image`."""
     image = np.full(signed_deg.shape, Surface.MISSING, np.uint8)
@@ -210,7 +228,10 @@ def runs(beams: list[int], vegetation: Mask) -> list[list[int]]:
 
 
 def upright_layers(
-    surface: U8, horizontal_m: F32, n_beams: I32, thresholds: WindowThresholds
+    surface: U8,
+    horizontal_m: F32,
+    n_beams: I32,
+    thresholds: WindowThresholds,
 ) -> U8:
     """Find facades behind glass; see :func:`coarse_loops.upright_layers`."""
     image = surface.copy()
@@ -247,7 +268,11 @@ def fullest(distances: F64, width_m: float) -> tuple[int, int]:
 
 
 def behind_walls(
-    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WindowThresholds
+    surface: U8,
+    xyz_m: F32,
+    horizontal_m: F32,
+    n_beams: I32,
+    thresholds: WindowThresholds,
 ) -> U8:
     """Find walls among leaves; see :func:`coarse_loops.behind_walls`."""
     image = surface.copy()

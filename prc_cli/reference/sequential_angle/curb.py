@@ -21,7 +21,12 @@ VERTICAL = int(Surface.VERTICAL)
 
 
 def possible_curbs(
-    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
+    surface: U8,
+    range_m: F32,
+    xyz: F32,
+    ground: Mask,
+    z_g: F32,
+    thresholds: CurbThresholds,
 ) -> I32:
     """Find possible curb points; see :func:`curb_loops.possible_curbs`."""
     beam = np.full(len(surface), -1, dtype=np.int32)
@@ -100,7 +105,13 @@ class Growing:
         return list(found.values())
 
     def add_row(
-        self, side: int, line: int, beams: list[int], here: F64, above: F64, possible: int
+        self,
+        side: int,
+        line: int,
+        beams: list[int],
+        here: F64,
+        above: F64,
+        possible: int,
     ) -> None:
         """Add the vertical points of a row."""
 

@@ -268,7 +268,10 @@ def to_bin(z: float) -> int:
 
 
 def main_height(
-    heights: F64, share: float, roof_m: float, roof_share: float
+    heights: F64,
+    share: float,
+    roof_m: float,
+    roof_share: float,
 ) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights; see :func:`ground_loops.main_height`."""
     bins = [to_bin(height) for height in heights]
@@ -290,7 +293,10 @@ def histogram_of(bins: list[int]) -> I32:
 
 
 def main_bin(
-    heights: list[int], share: float, roof_m: float, roof_share: float
+    heights: list[int],
+    share: float,
+    roof_m: float,
+    roof_share: float,
 ) -> tuple[int, float]:
     """Return the number of binned heights in their main mode, and its place [m]."""
     if not heights:

@@ -11,7 +11,11 @@ from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
 def first_high_verticals(
-    surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float
+    surface: U8,
+    xyz_m: F32,
+    n_beams: I32,
+    ground_m: F32,
+    height_m: float,
 ) -> I32:
     """Find the first high vertical run; see :func:`labels_loops.first_high_verticals`."""
     beam = np.full(len(n_beams), -1, np.int32)
@@ -28,7 +32,12 @@ STATE = {Surface.HORIZONTAL: "H", Surface.VERTICAL: "V", Surface.MISSING: "M"}
 """State of the chain by surface code; all other codes end it."""
 
 
-def first_triggers(surface: U8, n_beams: I32, increments: F64, threshold: float) -> I32:
+def first_triggers(
+    surface: U8,
+    n_beams: I32,
+    increments: F64,
+    threshold: float,
+) -> I32:
     """Find the first trigger of every row; see :func:`labels_loops.first_triggers`."""
     beams = []
     for codes, n in zip(surface, n_beams, strict=True):
@@ -49,7 +58,10 @@ def first_triggers(surface: U8, n_beams: I32, increments: F64, threshold: float)
 
 
 def arrange_lines(
-    range_m: F32, xyz_m: F32, columns: I32, max_range_m: float
+    range_m: F32,
+    xyz_m: F32,
+    columns: I32,
+    max_range_m: float,
 ) -> tuple[F32, F32, F32]:
     """Pick beams; see :func:`labels_loops.arrange_lines`."""
     everything = np.concatenate([range_m[:, :, None], xyz_m], axis=2)
@@ -67,7 +79,11 @@ def arrange_lines(
 
 
 def arrange_plane(
-    range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float
+    range_m: F32,
+    across: F64,
+    up: F64,
+    columns: I32,
+    max_range_m: float,
 ) -> tuple[F32, F32, F32]:
     """Pick beams; see :func:`labels_loops.arrange_plane`."""
     r = range_m.astype(np.float64)
@@ -77,7 +93,12 @@ def arrange_plane(
 
 
 def mark_cars(
-    intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32
+    intervals: I32,
+    horizontal_m: F32,
+    xyz_m: F32,
+    surface: U8,
+    limit_m: F32,
+    low_m: F32,
 ) -> Mask:
     """Mark the returns of intervals; see :func:`labels_loops.mark_cars`."""
     inside = np.zeros(surface.shape, np.bool_)

@@ -58,7 +58,13 @@ class Floor:
         """Return logs and stumps of a cell."""
         return Bodies.join([self._logs(i, j, chance), self._stumps(i, j, chance)])
 
-    def _places(self, per_ha: float, i: int, j: int, chance: np.random.Generator) -> F64:
+    def _places(
+        self,
+        per_ha: float,
+        i: int,
+        j: int,
+        chance: np.random.Generator,
+    ) -> F64:
         """Return random points on the ground of a cell, (n, 3)."""
         n = chance.poisson(per_ha / 10_000 * CELL_M**2)
         xy = (chance.random((n, 2)) + np.array([i, j])) * CELL_M
@@ -207,7 +213,13 @@ class ForestScene:
         # make its own
         self._lock = RLock()
 
-    def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
+    def bodies_near(
+        self,
+        x_m: float,
+        y_m: float,
+        radius_m: float,
+        time_s: float = 0.0,
+    ) -> Bodies:
         """Return the bodies whose circle on the map touches the one that is asked for.
 
         Nothing moves in a forest.

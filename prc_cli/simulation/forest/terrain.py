@@ -138,7 +138,13 @@ _WAVES_PER_BAND = 6
 class Terrain:
     """Height of the ground at every place."""
 
-    def __init__(self, seed: int, slope_deg: float, incline_deg: float, step_m: float) -> None:
+    def __init__(
+        self,
+        seed: int,
+        slope_deg: float,
+        incline_deg: float,
+        step_m: float,
+    ) -> None:
         self.squares = math.ceil(CELL_M / step_m - 1e-9)
         """Squares of two triangles along the edge of a cell."""
         self.step_m = CELL_M / self.squares

@@ -23,14 +23,24 @@ def triangles(corners: F64, material: Material) -> Bodies:
     return _bodies(Shape.TRIANGLE, corners.reshape(-1, 9), material)
 
 
-def cones(low: F64, high: F64, low_radius: F64, high_radius: F64, material: Material) -> Bodies:
+def cones(
+    low: F64,
+    high: F64,
+    low_radius: F64,
+    high_radius: F64,
+    material: Material,
+) -> Bodies:
     """Return truncated cones."""
     radii = np.stack([low_radius, high_radius, np.zeros_like(low_radius)], axis=-1)
     return _bodies(Shape.CONE, np.concatenate([low, high, radii], axis=-1).reshape(-1, 9), material)
 
 
 def ellipsoids(
-    centre: F64, half: F64, yaw: F64, material: Material, density: F64 | float = 0.0
+    centre: F64,
+    half: F64,
+    yaw: F64,
+    material: Material,
+    density: F64 | float = 0.0,
 ) -> Bodies:
     """Return ellipsoids, solid or filled with leaves."""
     turn = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], axis=-1)
@@ -174,7 +184,13 @@ class Candidates:
 class Stand:
     """Knows the trees of every cell, which keep apart by Matérn's second hard-core process (1960, ch. 3)."""
 
-    def __init__(self, params: ForestSceneParams, seed: int, terrain: Terrain, rows: Rows) -> None:
+    def __init__(
+        self,
+        params: ForestSceneParams,
+        seed: int,
+        terrain: Terrain,
+        rows: Rows,
+    ) -> None:
         self._params = params
         self._seed = seed
         self._terrain = terrain
@@ -320,7 +336,10 @@ _HABITS = {
 
 
 def tree_bodies(
-    stems: Stems, to_path: F64, leaf_density: float, chance: np.random.Generator
+    stems: Stems,
+    to_path: F64,
+    leaf_density: float,
+    chance: np.random.Generator,
 ) -> Bodies:
     """Return trees: stems, branches dead and alive, and the leaves of their crowns."""
     parts = [_stem_bodies(stems)]
@@ -350,7 +369,11 @@ def _stem_bodies(stems: Stems) -> Bodies:
 
 
 def _crowns(
-    stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chance: np.random.Generator
+    stems: Stems,
+    to_path: F64,
+    habit: _Habit,
+    leaf_density: float,
+    chance: np.random.Generator,
 ) -> Bodies:
     """Return branches and leaves of the trees of one species."""
     n = len(stems)
@@ -399,7 +422,11 @@ def _crowns(
 
 
 def _branches(
-    stems: Stems, above: F64, reach: F64 | None, habit: _Habit, chance: np.random.Generator
+    stems: Stems,
+    above: F64,
+    reach: F64 | None,
+    habit: _Habit,
+    chance: np.random.Generator,
 ) -> Bodies:
     """Return thin cones that leave the stems at some heights."""
     start = _on_axis(stems, above)

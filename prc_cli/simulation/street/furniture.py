@@ -43,7 +43,11 @@ BIRCH = Kind((2.2, 3.2), (1.2, 1.7), (5.0, 8.0), (0.07, 0.13), (0.3, 0.6), 4)
 
 
 def tree(
-    pile: Pile, frame: Frame, kind: Kind, rng: np.random.Generator, widest: float = 9.0
+    pile: Pile,
+    frame: Frame,
+    kind: Kind,
+    rng: np.random.Generator,
+    widest: float = 9.0,
 ) -> None:
     """Add a tree."""
     bole, radius, crown, trunk, density = (
@@ -82,7 +86,12 @@ def tree(
             )
 
 
-def bush(pile: Pile, frame: Frame, radius: float, rng: np.random.Generator) -> None:
+def bush(
+    pile: Pile,
+    frame: Frame,
+    radius: float,
+    rng: np.random.Generator,
+) -> None:
     """Add a round bush; leaf area density about 4 m²/m³."""
     tall = radius * rng.uniform(0.7, 1.1)
     half = (radius, radius * rng.uniform(0.7, 1.0), tall)
@@ -212,7 +221,13 @@ def boundary(
                 _fence(pile, place(u0 + (2 * i + 1) * half), half, kind, high)
 
 
-def _fence(pile: Pile, frame: Frame, half: float, kind: float, high: float) -> None:
+def _fence(
+    pile: Pile,
+    frame: Frame,
+    half: float,
+    kind: float,
+    high: float,
+) -> None:
     along = (-half, half)
     if kind < 0.45:
         top = 0.9 + 1.1 * high

@@ -59,7 +59,12 @@ class Style:
         return [(i - 0.5 * (count - 1)) * self.pitch for i in range(count)]
 
 
-def build_houses(pile: Pile, ground: Ground, plan: Plan, seed: int) -> None:
+def build_houses(
+    pile: Pile,
+    ground: Ground,
+    plan: Plan,
+    seed: int,
+) -> None:
     """Add the houses of a piece, those along its side streets, and those that stand behind open yards."""
     for side in plan.sides:
         rng = generator(seed, Purpose.HOUSES, plan.piece, side.side)
@@ -69,7 +74,12 @@ def build_houses(pile: Pile, ground: Ground, plan: Plan, seed: int) -> None:
             _along_side_street(pile, ground, side.junction, side.side, rng)
 
 
-def style_of(rng: np.random.Generator, kind: str, width: float, setback: float) -> Style:
+def style_of(
+    rng: np.random.Generator,
+    kind: str,
+    width: float,
+    setback: float,
+) -> Style:
     """Draw the measures of a house of one kind."""
     u = rng.random(9).tolist()
     storeys = {"terrace": 2 + int(3 * u[0]), "block": 4 + int(4 * u[0])}.get(
@@ -89,7 +99,13 @@ def style_of(rng: np.random.Generator, kind: str, width: float, setback: float) 
     )
 
 
-def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Generator) -> None:
+def _on_lot(
+    pile: Pile,
+    ground: Ground,
+    side: Side,
+    lot: Lot,
+    rng: np.random.Generator,
+) -> None:
     low, high = lot.span
     middle = 0.5 * (low + high)
     width = high - low
@@ -123,7 +139,11 @@ def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Gen
 
 
 def _along_side_street(
-    pile: Pile, ground: Ground, junction: Junction, side: int, rng: np.random.Generator
+    pile: Pile,
+    ground: Ground,
+    junction: Junction,
+    side: int,
+    rng: np.random.Generator,
 ) -> None:
     """Rows of houses on both sides of a side street, behind those on its corners."""
     for end, edge in ((1, junction.open[0]), (-1, junction.open[1])):
@@ -136,7 +156,12 @@ def _along_side_street(
             d += width
 
 
-def build(pile: Pile, frame: Frame, style: Style, rng: np.random.Generator) -> None:
+def build(
+    pile: Pile,
+    frame: Frame,
+    style: Style,
+    rng: np.random.Generator,
+) -> None:
     """Add a house."""
     half = 0.5 * style.width
     top = style.top
@@ -164,7 +189,12 @@ def build(pile: Pile, frame: Frame, style: Style, rng: np.random.Generator) -> N
         _balconies(pile, frame, style, first=int(rng.integers(2)))
 
 
-def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
+def _front(
+    pile: Pile,
+    frame: Frame,
+    style: Style,
+    door: int,
+) -> None:
     """Piers, bands, glass and door."""
     half = 0.5 * style.width
     deep = style.recess
@@ -200,7 +230,12 @@ def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
     )
 
 
-def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
+def _gable(
+    pile: Pile,
+    frame: Frame,
+    style: Style,
+    rise: float,
+) -> None:
     """Roof with its ridge along the street, eaves that stand out, and the triangles of wall under it."""
     half = 0.5 * style.width + 0.02
     middle = 0.5 * style.depth
@@ -226,7 +261,12 @@ def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
     )
 
 
-def _balconies(pile: Pile, frame: Frame, style: Style, first: int) -> None:
+def _balconies(
+    pile: Pile,
+    frame: Frame,
+    style: Style,
+    first: int,
+) -> None:
     """Balconies before every other column of windows.
 
     a slab and a railing whose bars let shots through.

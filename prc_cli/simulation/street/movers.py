@@ -161,7 +161,12 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
     wide = model.wide - 0.04
     narrow = model.wide - model.lean
 
-    def corner(foot: float, top: float, side: float, up: float) -> Point:
+    def corner(
+        foot: float,
+        top: float,
+        side: float,
+        up: float,
+    ) -> Point:
         """Point of a pillar between its foot (0) and the roof (1)."""
         low = model.waist(foot) - 0.02
         v = wide + up * (narrow - wide)
@@ -197,7 +202,12 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
             pile.box(frame, seats, Material.CAR_BODY)
 
 
-def _door_pane(pile: Pile, frame: Frame, model: Model, side: float) -> None:
+def _door_pane(
+    pile: Pile,
+    frame: Frame,
+    model: Model,
+    side: float,
+) -> None:
     """Side window of a van's cabin, a little before its flank."""
     back = model.cabin[2] - 0.35
     front = model.cabin[3] - 0.25
@@ -250,7 +260,12 @@ def lorry(pile: Pile, frame: Frame, length: float) -> None:
             pile.ellipsoid(wheel, (0.42, 0.16, 0.42), frame.yaw, Material.TYRE)
 
 
-def person(pile: Pile, frame: Frame, rng: np.random.Generator, stride: float) -> None:
+def person(
+    pile: Pile,
+    frame: Frame,
+    rng: np.random.Generator,
+    stride: float,
+) -> None:
     """Add somebody."""
     tall = rng.uniform(1.55, 1.9)
     hip = 0.50 * tall
@@ -374,7 +389,12 @@ def _mover(
     return pile.bodies()
 
 
-def _step_down(ground: Ground, seed: int, s: float, d: float) -> float:
+def _step_down(
+    ground: Ground,
+    seed: int,
+    s: float,
+    d: float,
+) -> float:
     """Who crosses a side street is a curb lower [m]."""
     junction = junction_of(seed, int(np.floor(s / PIECE_M)))
     crosses = (

@@ -96,7 +96,11 @@ def kerbsides(plan: Plan, params: StreetSceneParams, seed: int) -> tuple[Kerbsid
 
 
 def build_kerbs(
-    pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int
+    pile: Pile,
+    ground: Ground,
+    plan: Plan,
+    params: StreetSceneParams,
+    seed: int,
 ) -> None:
     """Add everything of a piece but its ground and its houses."""
     for side, kerbside in zip(plan.sides, kerbsides(plan, params, seed), strict=True):
@@ -320,7 +324,13 @@ def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
         movers.car(kerb.pile, replace(frame, roll=kerb.side.side * roll), model)
 
 
-def _wires(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int) -> None:
+def _wires(
+    pile: Pile,
+    ground: Ground,
+    plan: Plan,
+    params: StreetSceneParams,
+    seed: int,
+) -> None:
     """Overhead wires of some blocks without tall houses."""
     side = _wired(seed, plan.piece, params.character)
     if not side:

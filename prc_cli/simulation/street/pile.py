@@ -67,7 +67,11 @@ class Pile:
         return len(self._shape)
 
     def _add(
-        self, shape: Shape, numbers: tuple[float, ...], material: Material, density: float
+        self,
+        shape: Shape,
+        numbers: tuple[float, ...],
+        material: Material,
+        density: float,
     ) -> None:
         self._shape.append(int(shape))
         self._numbers.append(numbers)
@@ -75,7 +79,13 @@ class Pile:
         self._density.append(density)
         self._velocity.append(self.velocity)
 
-    def triangle(self, a: Point, b: Point, c: Point, material: Material) -> None:
+    def triangle(
+        self,
+        a: Point,
+        b: Point,
+        c: Point,
+        material: Material,
+    ) -> None:
         """Add a triangle."""
         self._add(Shape.TRIANGLE, (*a, *b, *c), material, 0.0)
 
@@ -95,13 +105,22 @@ class Pile:
         self._add(Shape.CONE, (*ends[0], *ends[1], *radii, 0.0), material, 0.0)
 
     def ellipsoid(
-        self, centre: Point, half: Point, yaw: float, material: Material, density: float = 0.0
+        self,
+        centre: Point,
+        half: Point,
+        yaw: float,
+        material: Material,
+        density: float = 0.0,
     ) -> None:
         """Add a rounded body."""
         self._add(Shape.ELLIPSOID, (*centre, *half, yaw, 0.0, 0.0), material, density)
 
     def box(
-        self, frame: Frame, spans: tuple[Span, Span, Span], material: Material, density: float = 0.0
+        self,
+        frame: Frame,
+        spans: tuple[Span, Span, Span],
+        material: Material,
+        density: float = 0.0,
     ) -> None:
         """Add a level box that spans (from, to) along the axes of a frame.
 

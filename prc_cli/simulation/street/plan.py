@@ -118,7 +118,12 @@ class Purpose(IntEnum):
     VARIETY = 12
 
 
-def generator(seed: int, purpose: Purpose, number: int = 0, side: int = 1) -> np.random.Generator:
+def generator(
+    seed: int,
+    purpose: Purpose,
+    number: int = 0,
+    side: int = 1,
+) -> np.random.Generator:
     """Return the random numbers of one purpose at one place (piece, block, car), the same in any order of calls."""
     place = (int(purpose) * 2 + (side > 0)) * 2**56 + number + 2**40
     return np.random.Generator(np.random.Philox(key=np.array([seed, place], dtype=np.uint64)))
@@ -198,7 +203,12 @@ def character_of(seed: int, piece: int, choice: str) -> Character:
     return CHARACTERS[int(rng.integers(len(CHARACTERS)))]
 
 
-def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
+def plan_of(
+    seed: int,
+    piece: int,
+    choice: str,
+    setback_m: float = 0.0,
+) -> Plan:
     """Lay out a piece."""
     start = piece * PIECE_M
     character = character_of(seed, piece, choice)

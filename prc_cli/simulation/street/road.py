@@ -229,7 +229,13 @@ class Ground:
             if side.junction is not None:
                 _side_street(mesh, side.junction, side.side, self.curb_m)
 
-    def _land(self, mesh: _Mesh, side: Side, base: list[float], plan: Plan) -> None:
+    def _land(
+        self,
+        mesh: _Mesh,
+        side: Side,
+        base: list[float],
+        plan: Plan,
+    ) -> None:
         """Front gardens, courtyards and what lies behind the houses, but for side streets."""
         ways = [lot.driveway for lot in side.lots if lot.driveway is not None]
         junction = side.junction
@@ -291,7 +297,13 @@ class _Mesh:
         beyond = max(away - BUILDING_LINE_M, 0.0) * slopes[0 if d > 0 else 1]
         return x + d * left, y + d * ahead, z + fall + beyond + up
 
-    def strip(self, along: Span, across: Span, up: float, material: Material) -> None:
+    def strip(
+        self,
+        along: Span,
+        across: Span,
+        up: float,
+        material: Material,
+    ) -> None:
         """Add a strip at a height above the road."""
         (s0, s1) = along
         (d0, d1) = across
@@ -389,7 +401,10 @@ def _stretches(side: Side, base: list[float]) -> list[Span]:
 
 
 def _stops(
-    side: Side, base: list[float], stretch: Span, curb_m: float
+    side: Side,
+    base: list[float],
+    stretch: Span,
+    curb_m: float,
 ) -> list[tuple[float, float, float, float, float]]:
     """Places along a curb: s and d of its foot, s and d of its top, its height [m].
 
@@ -441,7 +456,12 @@ def _stops(
     return straight[:-1] + arc if high < (junction.s if junction else 0.0) else arc + straight[1:]
 
 
-def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> None:
+def _side_street(
+    mesh: _Mesh,
+    junction: Junction,
+    side: int,
+    curb_m: float,
+) -> None:
     """Add the road of a side street, with a crown that grows out of the main road, and its curbs."""
     corner = ROAD_HALF_M + CORNER_M
     across = [ROAD_HALF_M, corner, BUILDING_LINE_M, _FRONT_M, FAR_M]
@@ -471,7 +491,14 @@ def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> N
             mesh.pile.quad((a, b, c, d), Material.CURB)
 
 
-def frame_at(ground: Ground, s: float, d: float, mirror: int = 1, *, tilted: bool = False) -> Frame:
+def frame_at(
+    ground: Ground,
+    s: float,
+    d: float,
+    mirror: int = 1,
+    *,
+    tilted: bool = False,
+) -> Frame:
     """Return a frame on the ground with u along the street.
 
     ``tilted`` = with the slopes of the road.

@@ -47,7 +47,13 @@ class StreetScene:
         z = self.ground.road(s, np.full(s.shape, LANE_M))
         return np.column_stack([self.line.lane(s), z]), self.line.heading(s)
 
-    def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
+    def bodies_near(
+        self,
+        x_m: float,
+        y_m: float,
+        radius_m: float,
+        time_s: float = 0.0,
+    ) -> Bodies:
         """Return the bodies that have a part within a circle.
 
         See :data:`prc_cli.simulation.world.BodiesNear`.

@@ -208,7 +208,12 @@ def _as_ranges(values: np.ndarray) -> tuple[float, float]:
     return scale, likeness(logs[:-1], logs[1:]) / random if random >= SMOOTH else math.inf
 
 
-def _header_bytes(size: int, item_bytes: int, phase: int, points_per_line: int | None) -> int:
+def _header_bytes(
+    size: int,
+    item_bytes: int,
+    phase: int,
+    points_per_line: int | None,
+) -> int:
     """Return the bytes before the first whole line, if they can be a header.
 
     Else those before the first number.

@@ -388,7 +388,12 @@ def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
     )
 
 
-def _sweep_begin(since_s: F64, angle_rad: F64, way: float, line_s: float) -> tuple[float, bool]:
+def _sweep_begin(
+    since_s: F64,
+    angle_rad: F64,
+    way: float,
+    line_s: float,
+) -> tuple[float, bool]:
     """Return the time within a line at which the sweep has its largest gap [s], and whether that got no time."""
     cell = (np.remainder(since_s, line_s) / line_s * _FOLDED).astype(np.int64) % _FOLDED
     seen = np.flatnonzero(np.bincount(cell, minlength=_FOLDED))

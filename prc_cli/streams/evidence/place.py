@@ -119,7 +119,12 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     return Place(kind, found, off < OPEN_SCORE or kind == "unknown", doubt)
 
 
-def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _smooth(
+    range_m: F32,
+    beam_rad: F64,
+    k: int,
+    step: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Return which shots have both others on one surface, and which of all are smooth.
 
     Without k columns each side.

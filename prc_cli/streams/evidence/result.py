@@ -215,7 +215,12 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
 
 
-def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> Finding:
+def _noise(
+    there: Mask,
+    noise: Mask,
+    unclassified: Mask,
+    usual: UsualLabels,
+) -> Finding:
     """Compare the shares of noise and of what has no class with those of the method."""
     n = int(np.count_nonzero(there))
     noisy = int(np.count_nonzero(noise)) / n
@@ -284,7 +289,11 @@ class _Scene:
 
 
 def _ground_below(
-    solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: UsualLabels
+    solid: Mask,
+    below: Mask,
+    level: Mask,
+    is_lower: Mask,
+    usual: UsualLabels,
 ) -> Iterator[Finding]:
     """Ask whether what lies below the scanner is ground."""
     where = " within 60 deg of down"
@@ -375,7 +384,12 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
 
 
 def _along(
-    sample: _Sample, there: Mask, noise: Mask, below: Mask, level: Mask, usual: UsualLabels
+    sample: _Sample,
+    there: Mask,
+    noise: Mask,
+    below: Mask,
+    level: Mask,
+    usual: UsualLabels,
 ) -> Iterator[Finding]:
     """Ask for long stretches without ground, or with unusual noise."""
     n = len(sample.line) // STRETCH_LINES

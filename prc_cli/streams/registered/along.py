@@ -115,7 +115,11 @@ def rate_of_directions(time_s: F64, offset_m: F64) -> float | None:
 
 
 def windows_along(
-    time_s: F64, xyz_m: F64, station_m: F64, turning: Turning, spacing_s: float
+    time_s: F64,
+    xyz_m: F64,
+    station_m: F64,
+    turning: Turning,
+    spacing_s: float,
 ) -> Windows:
     """Return the frames of single lines whose stations are given.
 
@@ -158,7 +162,10 @@ def _offsets(pieces: Pieces) -> F64:
 
 
 def _with_bearings(
-    directions: Directions, pieces: Pieces, turning: Turning, offset_m: F64
+    directions: Directions,
+    pieces: Pieces,
+    turning: Turning,
+    offset_m: F64,
 ) -> tuple[F64, F64]:
     """Turn the frames so that bearings fit the angles; of both senses of turning the better one."""
     bearing = 2.0 * math.pi * turning.hz * pieces.time_s
@@ -219,7 +226,10 @@ def turning_along(time_s: F64, xyz_m: F64, places: Places) -> Turning | None:
 
 
 def track_along(
-    pieces: PassPieces, turning: Turning, duration_s: float, places: Places
+    pieces: PassPieces,
+    turning: Turning,
+    duration_s: float,
+    places: Places,
 ) -> Track | None:
     """Return the track of a pass whose path is given; see :func:`.fit.fit_track`."""
     parts = [

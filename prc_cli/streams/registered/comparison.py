@@ -242,7 +242,10 @@ def _near_clocks(sample: _Sample, trajectory: Positions) -> tuple[F64, F64]:
 
 
 def _finer_clock(
-    sample: _Sample, trajectory: Positions, clock_s: float, distance_m: float
+    sample: _Sample,
+    trajectory: Positions,
+    clock_s: float,
+    distance_m: float,
 ) -> tuple[float, float]:
     for step in (COARSE_S / 8, COARSE_S / 64):
         clocks = clock_s + step * np.arange(-8, 9, dtype=np.float64)
@@ -268,7 +271,11 @@ def _distances(sample: _Sample, trajectory: Positions, clocks: F64) -> F64:
 
 
 def _best_fit(
-    scanner: int, sample: _Sample, trajectory: Positions, clocks: F64, distance_m: F64
+    scanner: int,
+    sample: _Sample,
+    trajectory: Positions,
+    clocks: F64,
+    distance_m: F64,
 ) -> Comparison:
     """Return the fit from the clock that leaves least; of fits that are alike, the nearest."""
     fits = [_fit(scanner, sample, trajectory, float(clock)) for clock in clocks]
@@ -281,7 +288,12 @@ def _best_fit(
     return fits[min(alike, key=lambda place: float(distance_m[place]))]
 
 
-def _fit(scanner: int, sample: _Sample, trajectory: Positions, clock_s: float) -> Comparison:
+def _fit(
+    scanner: int,
+    sample: _Sample,
+    trajectory: Positions,
+    clock_s: float,
+) -> Comparison:
     """Fit clock and lever arm together.
 
     The clock as it is given where the drive does not tell of another.
@@ -329,7 +341,13 @@ class _Solved:
     """(n, 3) float64, what the lever arm leaves [m]."""
 
 
-def _solve(sample: _Sample, trajectory: Positions, clock_s: float, *, with_clock: bool) -> _Solved:
+def _solve(
+    sample: _Sample,
+    trajectory: Positions,
+    clock_s: float,
+    *,
+    with_clock: bool,
+) -> _Solved:
     lever = np.zeros(3)
     sigma = math.inf
     scale = FIRST_SCALE_M
@@ -365,7 +383,12 @@ def _solve(sample: _Sample, trajectory: Positions, clock_s: float, *, with_clock
     return _Solved(clock_s, sigma, lever, off)
 
 
-def _clock_sigma(off_m: F64, weight: F64, stiffness: float, time_s: F64) -> float:
+def _clock_sigma(
+    off_m: F64,
+    weight: F64,
+    stiffness: float,
+    time_s: F64,
+) -> float:
     """Return the standard deviation of the clock [s].
 
     Neighbouring errors are alike and count as one.

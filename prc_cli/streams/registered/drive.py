@@ -167,7 +167,11 @@ class Drive:
 
 
 def reconstruct(
-    path: str, spools: dict[int, Spool], *, split: str = "", places: Places | None = None
+    path: str,
+    spools: dict[int, Spool],
+    *,
+    split: str = "",
+    places: Places | None = None,
 ) -> Drive:
     """Find the path of every scanner and pass, and the cell of every point.
 
@@ -227,7 +231,12 @@ class _Rates:
     clock: Clock
 
 
-def _rates(path: str, points: Spool, longest: slice, places: Places | None) -> _Rates:
+def _rates(
+    path: str,
+    points: Spool,
+    longest: slice,
+    places: Places | None,
+) -> _Rates:
     """Find the rates of a scanner from a sample of its points."""
     rotation = None
     if places is None:
@@ -248,7 +257,11 @@ def _rates(path: str, points: Spool, longest: slice, places: Places | None) -> _
 
 
 def _reconstruct_head(
-    path: str, points: Spool, found: _Passes, number: int, places: Places | None
+    path: str,
+    points: Spool,
+    found: _Passes,
+    number: int,
+    places: Places | None,
 ) -> Head:
     cells = Spool(CELL)
     if len(points) < LEAST_PASS_POINTS and number > 0:
@@ -284,7 +297,12 @@ def _reconstruct_head(
     return Head(points, cells)
 
 
-def _scan_of(points: Spool, part: slice, track: Track, rates: _Rates) -> Scan:
+def _scan_of(
+    points: Spool,
+    part: slice,
+    track: Track,
+    rates: _Rates,
+) -> Scan:
     """Return the scan of a pass, its columns by the times where they are fine enough."""
     turning = rates.turning
     clock = rates.clock
@@ -362,7 +380,13 @@ def _leave_out(points: Spool, cells: Spool, part: slice) -> None:
         cells.append(empty)
 
 
-def _place(points: Spool, cells: Spool, part: slice, scan: Scan, number: int) -> Placed:
+def _place(
+    points: Spool,
+    cells: Spool,
+    part: slice,
+    scan: Scan,
+    number: int,
+) -> Placed:
     """Find the cells of all points of a pass, and count them."""
     placed = Placed()
     rest = np.empty(0, points.dtype)
@@ -378,7 +402,13 @@ def _place(points: Spool, cells: Spool, part: slice, scan: Scan, number: int) ->
     return placed
 
 
-def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen: Placed) -> None:
+def _put(
+    cells: Spool,
+    records: NDArray[np.void],
+    scan: Scan,
+    number: int,
+    seen: Placed,
+) -> None:
     placed = scan.cells(records["time"], coordinates(records))
     row = np.empty(len(records), CELL)
     row["scan_line"] = placed.line

@@ -169,7 +169,13 @@ class _Worst:
     answers: list[str] = field(default_factory=list)
 
     def ask(
-        self, figure: float, doubtful: float, against: float, found: str, expected: str, hint: str
+        self,
+        figure: float,
+        doubtful: float,
+        against: float,
+        found: str,
+        expected: str,
+        hint: str,
     ) -> None:
         verdict = Verdict.FINE
         if figure > doubtful:
@@ -182,7 +188,10 @@ _HINT_TRAJECTORY = "give the scanner's path instead: --range trajectory:FILE"
 
 
 def judge(
-    path: str, figures: list[PathFigures], n_unplaced: int, n_points: int
+    path: str,
+    figures: list[PathFigures],
+    n_unplaced: int,
+    n_points: int,
 ) -> tuple[Finding, ...]:
     """Return the answer of the check of the path; the worst of all passes.
 

@@ -54,7 +54,12 @@ class Firings:
     """
 
 
-def find_firings(time_s: F64, ring: I64, ahead_rad: F64, turn_hz: float) -> Firings | None:
+def find_firings(
+    time_s: F64,
+    ring: I64,
+    ahead_rad: F64,
+    turn_hz: float,
+) -> Firings | None:
     """Find the period of the firings and the place of every ring in them.
 
     Parameters
@@ -109,7 +114,10 @@ def find_firings(time_s: F64, ring: I64, ahead_rad: F64, turn_hz: float) -> Firi
 
 
 def firing_numbers(
-    time_s: F64, ring: I64, firings: Firings, shot_s: F64 | None = None
+    time_s: F64,
+    ring: I64,
+    firings: Firings,
+    shot_s: F64 | None = None,
 ) -> tuple[I64, Firings]:
     """Return the firing of every point, and the firings for the next piece of the drive.
 
@@ -187,7 +195,11 @@ def _period(step: F64) -> float:
 
 
 def _phases(
-    fired: F64, number: I64, origin_s: float, period_s: float, n_rings: int
+    fired: F64,
+    number: I64,
+    origin_s: float,
+    period_s: float,
+    n_rings: int,
 ) -> tuple[NDArray[Any], F64]:
     """Return the summed phase of the points of every block and ring, (b, k) complex, and the blocks' times."""
     block = np.floor((fired - origin_s) / BLOCK_S).astype(np.int64)

@@ -185,7 +185,12 @@ def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator
         yield rest_s, rest_m
 
 
-def _smooth_all(pieces: PassPieces, turning: Turning, knots: Knots, share_trusted: float) -> Track:
+def _smooth_all(
+    pieces: PassPieces,
+    turning: Turning,
+    knots: Knots,
+    share_trusted: float,
+) -> Track:
     """Smooth the knots in overlapping segments.
 
     Neighbouring segments give half of what they share.

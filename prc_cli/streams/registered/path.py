@@ -172,7 +172,13 @@ def rotation_matrices(vectors: F64) -> F64:
     return matrices
 
 
-def observe(knots_s: F64, time_s: F64, xyz_m: F64, bearing_rad: F64, n_points: int) -> Observations:
+def observe(
+    knots_s: F64,
+    time_s: F64,
+    xyz_m: F64,
+    bearing_rad: F64,
+    n_points: int,
+) -> Observations:
     """Choose points between neighbouring knots, evenly in their order.
 
     Parameters
@@ -304,7 +310,10 @@ class _System:
 
 
 def _normal_equations(
-    knots: Knots, observed: Observations, scale_m: float, slope: float
+    knots: Knots,
+    observed: Observations,
+    scale_m: float,
+    slope: float,
 ) -> _System:
     turn = knots.relative_turns()
     share = observed.share
@@ -374,7 +383,13 @@ def _normal_equations(
     )
 
 
-def _add_smoothness(blocks: F64, gradient: F64, knots: Knots, turn: F64, scale_m: float) -> None:
+def _add_smoothness(
+    blocks: F64,
+    gradient: F64,
+    knots: Knots,
+    turn: F64,
+    scale_m: float,
+) -> None:
     """Add what changes of speed and turn cost, relative to residuals of a point."""
     step = np.diff(knots.time_s)
     before = step[:-1]

@@ -95,7 +95,13 @@ def fit_planes(xyz_m: F64, weight: F64) -> Planes:
     return Planes(centre, axes, np.sqrt(np.maximum(values[:, 1], 0.0)))
 
 
-def resect(planes: Planes, xyz_m: F64, bearing_rad: F64, weight: F64, sense: int) -> Stations:
+def resect(
+    planes: Planes,
+    xyz_m: F64,
+    bearing_rad: F64,
+    weight: F64,
+    sense: int,
+) -> Stations:
     """Find the station of every window from bearings in its plane.
 
     With C and S the cosine and sine of the unknown turn, q a point, a its bearing and v the turned

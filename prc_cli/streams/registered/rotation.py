@@ -134,7 +134,12 @@ class Rotation:
         )
 
 
-def cut_pieces(time_s: F64, xyz_m: F64, length_s: float, n_pieces: int) -> Pieces | None:
+def cut_pieces(
+    time_s: F64,
+    xyz_m: F64,
+    length_s: float,
+    n_pieces: int,
+) -> Pieces | None:
     """Choose pieces of consecutive points, spread evenly over the points.
 
     None where there are too few.
@@ -163,7 +168,11 @@ def cut_pieces(time_s: F64, xyz_m: F64, length_s: float, n_pieces: int) -> Piece
 
 
 def pieces_between(
-    time_s: F64, xyz_m: F64, begin: np.ndarray, end: np.ndarray, n_points: int
+    time_s: F64,
+    xyz_m: F64,
+    begin: np.ndarray,
+    end: np.ndarray,
+    n_points: int,
 ) -> Pieces:
     """Return evenly chosen points of the pieces from ``begin`` to ``end``, (p,) each."""
     count = end - begin

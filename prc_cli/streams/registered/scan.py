@@ -177,7 +177,13 @@ def slow_part(time_s: F64, angle_rad: F64) -> F64:
     return slow
 
 
-def make_scan(knots: Knots, turning: Turning, shots_per_turn: float, *, by_bearing: bool) -> Scan:
+def make_scan(
+    knots: Knots,
+    turning: Turning,
+    shots_per_turn: float,
+    *,
+    by_bearing: bool,
+) -> Scan:
     """Choose where lines begin, and M.
 
     Whole turns begin straight up, where the fewest shots return. Arcs begin where their first shot

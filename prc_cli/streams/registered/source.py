@@ -116,7 +116,10 @@ def with_path(
 
 
 def _as_stream(
-    source: RecordSource, config: InputConfig, drive: Drive, told: tuple[Assumption, ...]
+    source: RecordSource,
+    config: InputConfig,
+    drive: Drive,
+    told: tuple[Assumption, ...],
 ) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     rules: dict[str, object] = {
         "lines": "dimension:scan_line",
@@ -274,7 +277,11 @@ class _Usable(DerivedSource):
 
 
 def _spooled(
-    source: RecordSource, names: tuple[str, ...], split: str | None, *, must_rise: bool
+    source: RecordSource,
+    names: tuple[str, ...],
+    split: str | None,
+    *,
+    must_rise: bool,
 ) -> dict[int, Spool] | None:
     """Return the spools; None as soon as a time is lower than the one before."""
     dtype = record_type(names)

@@ -195,7 +195,11 @@ def _coarse_rate(time_s: F64, xyz_m: F64, middle: F64) -> float | NoScan:
 
 
 def _misfit(
-    time_s: F64, xyz_m: F64, middle: F64, hz: float, n_points: int = N_SCANNED
+    time_s: F64,
+    xyz_m: F64,
+    middle: F64,
+    hz: float,
+    n_points: int = N_SCANNED,
 ) -> tuple[float, int]:
     """Return how badly a rate fits [m], infinite where the fit is degenerate, and the number of windows."""
     windows = _full(cut_windows(time_s, xyz_m, middle, 1.0 / hz, n_points))
@@ -474,7 +478,12 @@ def measure_rings(local_m: F64, number: I64, rings: Rings) -> Rings:
     return replace(rings, tangent=tangent, spread_rad=spread, n_points=np.diff(border))
 
 
-def _ring_azimuths(local: F64, azimuth: F64, number: I64, n_rings: int) -> tuple[F64, F64]:
+def _ring_azimuths(
+    local: F64,
+    azimuth: F64,
+    number: I64,
+    n_rings: int,
+) -> tuple[F64, F64]:
     """Return how far rings look ahead, and how far the frame of every window turned with the rings it followed."""
     beside = _wrapped(np.arctan2(local[:, :, 1], local[:, :, 0]) - azimuth)
     n_windows = len(local)
@@ -565,7 +574,12 @@ def sharpest_height(z_m: F64, level_m: F64) -> tuple[float, float]:
     return float(fine[place]), float(sharpness[place])
 
 
-def _sharpness(z_m: F64, level_m: F64, heights: NDArray[Any], bin_rad: float) -> F64:
+def _sharpness(
+    z_m: F64,
+    level_m: F64,
+    heights: NDArray[Any],
+    bin_rad: float,
+) -> F64:
     """Return how likely two points of a block of elevations share a bin, beyond chance, summed over blocks.
 
     A block counts by the root of its points: else the ground, seen from its own height, would be
@@ -706,7 +720,12 @@ class HeadPath:
         return local
 
 
-def fit_windows(time_s: F64, xyz_m: F64, rate: TurnRate, rings: Rings) -> HeadPath:
+def fit_windows(
+    time_s: F64,
+    xyz_m: F64,
+    rate: TurnRate,
+    rings: Rings,
+) -> HeadPath:
     """Fit the poses of all windows of a piece of a drive.
 
     Windows lie a turn apart at multiples of the turn from the rate's origin, wherever pieces begin.
@@ -791,7 +810,12 @@ def _foretold_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
     return replace(poses, station_m=station)
 
 
-def _ring_height(z_m: F64, level_m: F64, guess_m: float, rings: Rings) -> float | None:
+def _ring_height(
+    z_m: F64,
+    level_m: F64,
+    guess_m: float,
+    rings: Rings,
+) -> float | None:
     """Return the height near a guess from which most points lie on rings; none if they are few."""
     known = rings.elevation_rad
     elevation = np.arctan2(z_m - (guess_m + HEIGHT_GUESS_M)[:, None], level_m)
@@ -804,7 +828,12 @@ def _ring_height(z_m: F64, level_m: F64, guess_m: float, rings: Rings) -> float 
     return guess_m + float(HEIGHT_GUESS_M[best]) if is_clear else None
 
 
-def _steered(windows: Windows, azimuth: F64, poses: Poses, rings: Rings) -> Poses:
+def _steered(
+    windows: Windows,
+    azimuth: F64,
+    poses: Poses,
+    rings: Rings,
+) -> Poses:
     """Refine poses that are a little off by the half planes of the shots, then their heights by the rings.
 
     A tilt of half the step from ring to ring takes points for those of the next ring. The half
@@ -824,7 +853,12 @@ def _steered(windows: Windows, azimuth: F64, poses: Poses, rings: Rings) -> Pose
     return replace(poses, station_m=station)
 
 
-def _onto_rings(windows: Windows, azimuth: F64, poses: Poses, rings: Rings) -> HeadPath:
+def _onto_rings(
+    windows: Windows,
+    azimuth: F64,
+    poses: Poses,
+    rings: Rings,
+) -> HeadPath:
     """Refine poses by the rings of their points, and judge them."""
     for scales_m in (RING_SCALES_M, RING_SCALES_M[2:]):
         local = poses.local(windows)
@@ -1013,7 +1047,13 @@ def find_head(time_s: F64, xyz_m: F64) -> SpinningHead | NoScan:
     return NoScan(reason)
 
 
-def shot_times(time_s: F64, local_m: F64, ring: I64, rate: TurnRate, rings: Rings) -> F64:
+def shot_times(
+    time_s: F64,
+    local_m: F64,
+    ring: I64,
+    rate: TurnRate,
+    rings: Rings,
+) -> F64:
     """Return when the head looked at every point, by its azimuth, near the point's own time, (n,) [s]."""
     azimuth = rate.azimuth(time_s) + rings.ahead_rad[ring]
     late = _wrapped(np.arctan2(local_m[:, 1], local_m[:, 0]) - azimuth)
@@ -1021,7 +1061,12 @@ def shot_times(time_s: F64, local_m: F64, ring: I64, rate: TurnRate, rings: Ring
     return shot
 
 
-def share_one_time(time_s: F64, shot_s: F64, ring: I64, rate: TurnRate) -> float:
+def share_one_time(
+    time_s: F64,
+    shot_s: F64,
+    ring: I64,
+    rate: TurnRate,
+) -> float:
     """Return the share of points that have the time of the one before in their ring, but another azimuth."""
     known = np.flatnonzero(ring >= 0)
     order = known[np.argsort(ring[known], kind="stable")]

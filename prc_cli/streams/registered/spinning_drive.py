@@ -311,7 +311,12 @@ def judge_rings(share_clear: float) -> Finding:
 
 
 def _place(
-    points: Spool, part: slice, placed: Spool, head: SpinningHead, number: int, seen: _Pass
+    points: Spool,
+    part: slice,
+    placed: Spool,
+    head: SpinningHead,
+    number: int,
+    seen: _Pass,
 ) -> SpinningHead:
     """Find the cells of the points of a pass, and write the points in the order of their lines."""
     late = int(head.firings.late.max())

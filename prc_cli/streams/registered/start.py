@@ -74,7 +74,12 @@ def nearest_of(places: I64, n: int) -> I64:
     return nearest
 
 
-def stations_of_lines(time_s: F64, xyz_m: F64, turning: Turning, spacing_s: float) -> Windows:
+def stations_of_lines(
+    time_s: F64,
+    xyz_m: F64,
+    turning: Turning,
+    spacing_s: float,
+) -> Windows:
     """Find the station of one scan line in every ``spacing_s``.
 
     Parameters

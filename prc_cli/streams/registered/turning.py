@@ -122,7 +122,13 @@ def _cross(first: F64, second: F64) -> F64:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
-def cut_windows(time_s: F64, xyz_m: F64, middle_s: F64, length_s: float, n_points: int) -> Windows:
+def cut_windows(
+    time_s: F64,
+    xyz_m: F64,
+    middle_s: F64,
+    length_s: float,
+    n_points: int,
+) -> Windows:
     """Choose points of windows.
 
     Parameters
@@ -237,7 +243,11 @@ class Refined:
 
 
 def refine(
-    windows: Windows, azimuth: F64, poses: Poses, scales_m: F64, slope: F64 | None = None
+    windows: Windows,
+    azimuth: F64,
+    poses: Poses,
+    scales_m: F64,
+    slope: F64 | None = None,
 ) -> Refined:
     """Refine poses by Gauss-Newton with Cauchy weights.
 
@@ -298,7 +308,13 @@ def refine(
     return Refined(poses, beside, cone)
 
 
-def _equations(still: F64, across: F64, since: F64, residual: F64, weight: F64) -> tuple[F64, F64]:
+def _equations(
+    still: F64,
+    across: F64,
+    since: F64,
+    residual: F64,
+    weight: F64,
+) -> tuple[F64, F64]:
     """Return normal equations of turn, move, rate and speed, (w, 12, 12), and their gradient, (w, 12)."""
     rows = np.concatenate([-_cross(still, across), -across], axis=2)
     rows = np.concatenate([rows, since * rows], axis=2)

@@ -28,7 +28,12 @@ _WORKERS = ("prc_cli.jobs.batch.worker", "multiprocessing")
 """In the commands of local workers and of those of Dask."""
 
 
-def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
+def _install(
+    out: str,
+    counter: str,
+    strike_at: int,
+    victims: str,
+) -> None:
     handle = os.open(counter, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     def step(event: str, arguments: tuple[object, ...]) -> None:
@@ -43,7 +48,12 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
     sys.addaudithook(step)
 
 
-def _strike_after(out: str, counter: str, strike_at: int, victims: str) -> None:
+def _strike_after(
+    out: str,
+    counter: str,
+    strike_at: int,
+    victims: str,
+) -> None:
     """Kill right after a file got its name."""
     handle = os.open(counter, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 

@@ -65,7 +65,10 @@ def refused(path: Path, given: InputConfig = AUTO) -> str:
 @pytest.mark.parametrize("given", ["xyz", "angles", "M"])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_rows_that_are_rings_are_exchanged(
-    tmp_path: Path, chunk: int, given: str, order: Literal["C", "F"]
+    tmp_path: Path,
+    chunk: int,
+    given: str,
+    order: Literal["C", "F"],
 ) -> None:
     """Rings x azimuth was taken for lines: PRC, or refused."""
     elevation = np.deg2rad(np.linspace(-25, 2, 16))[:, None]
@@ -102,7 +105,10 @@ def test_rows_that_are_rings_are_exchanged(
 @pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
 @pytest.mark.parametrize("angles", ["angle_deg", "zenith_deg"])
 def test_everything_an_archive_can_hold(
-    tmp_path: Path, compressed: bool, chunk: int, angles: str
+    tmp_path: Path,
+    compressed: bool,
+    chunk: int,
+    angles: str,
 ) -> None:
     rng = np.random.default_rng(5)
     ranges = image()

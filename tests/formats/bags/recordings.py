@@ -31,7 +31,12 @@ class Sent:
     message: Any
 
 
-def header(store: Any, time_ns: int, frame: str, sequence: int = 0) -> Any:
+def header(
+    store: Any,
+    time_ns: int,
+    frame: str,
+    sequence: int = 0,
+) -> Any:
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
     own = types["std_msgs/msg/Header"]
@@ -71,7 +76,12 @@ def laser(
     return store.types["sensor_msgs/msg/LaserScan"](**{**values, **changes})
 
 
-def echoes(store: Any, time_ns: int, lists: list[list[float]], lit: list[list[float]]) -> Any:
+def echoes(
+    store: Any,
+    time_ns: int,
+    lists: list[list[float]],
+    lit: list[list[float]],
+) -> Any:
     echo = store.types["sensor_msgs/msg/LaserEcho"]
     one = [echo(np.array(each, np.float32)) for each in lists]
     two = [echo(np.array(each, np.float32)) for each in lit]
@@ -80,7 +90,12 @@ def echoes(store: Any, time_ns: int, lists: list[list[float]], lit: list[list[fl
     )
 
 
-def lasers(version: int, topic: str = "/scan", frame: str = "laser", seed: int = 1) -> list[Sent]:
+def lasers(
+    version: int,
+    topic: str = "/scan",
+    frame: str = "laser",
+    seed: int = 1,
+) -> list[Sent]:
     store = STORES[version]
     return [
         Sent(
@@ -101,7 +116,10 @@ def strings(version: int, topic: str = "/talk") -> list[Sent]:
 
 
 def write_bag(
-    path: Path, sent: list[Sent], compression: str = "", chunk: int | None = None
+    path: Path,
+    sent: list[Sent],
+    compression: str = "",
+    chunk: int | None = None,
 ) -> Path:
     """Write a ROS 1 bag."""
     store = STORES[1]
@@ -122,7 +140,12 @@ def write_bag(
     return path
 
 
-def write_mcap(path: Path, sent: list[Sent], compression: str = "none", chunk: int = 4096) -> Path:
+def write_mcap(
+    path: Path,
+    sent: list[Sent],
+    compression: str = "none",
+    chunk: int = 4096,
+) -> Path:
     store = STORES[2]
     with path.open("wb") as handle:
         writer = McapWriter(
@@ -140,7 +163,13 @@ def write_mcap(path: Path, sent: list[Sent], compression: str = "none", chunk: i
     return path
 
 
-def write_db3(path: Path, sent: list[Sent], *, packed: bool = False, little: bool = True) -> Path:
+def write_db3(
+    path: Path,
+    sent: list[Sent],
+    *,
+    packed: bool = False,
+    little: bool = True,
+) -> Path:
     """Write a database as rosbag2 does."""
     store = STORES[2]
     base = sqlite3.connect(path)
@@ -169,7 +198,12 @@ def write_db3(path: Path, sent: list[Sent], *, packed: bool = False, little: boo
 
 
 def cloud(
-    version: int, time_ns: int, table: np.ndarray, *, height: int = 1, frame: str = "velodyne"
+    version: int,
+    time_ns: int,
+    table: np.ndarray,
+    *,
+    height: int = 1,
+    frame: str = "velodyne",
 ) -> Any:
     """A ``PointCloud2`` of a structured array, with its fields and byte order."""
     types = STORES[version].types

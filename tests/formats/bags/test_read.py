@@ -362,7 +362,10 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(
     ],
 )
 def test_the_samples_of_every_model_have_the_points_of_another_decoder(
-    real_data: Path, name: str, m: int, missing: float
+    real_data: Path,
+    name: str,
+    m: int,
+    missing: float,
 ) -> None:
     """The points beside a bag are those of one of its scans, as tier4/nebula decodes them (VLS-128: of another bag)."""
     folder = real_data / "nebula" / name
@@ -410,7 +413,12 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     assert float(np.mean(np.array(off) < 1.1 * step)) > 0.99
 
 
-def _two(packet: bytes, at: int, order: Any, step: int) -> list[int]:
+def _two(
+    packet: bytes,
+    at: int,
+    order: Any,
+    step: int,
+) -> list[int]:
     return [struct.unpack_from("<H", packet, at + step * laser)[0] for laser in order]
 
 
@@ -454,7 +462,11 @@ def drive(n: int = 300, m: int = 8, seed: int = 5) -> dict[str, np.ndarray]:
 
 
 def messages(
-    shots: dict[str, np.ndarray], kinds: str, *, every: int = 100, version: int = 2
+    shots: dict[str, np.ndarray],
+    kinds: str,
+    *,
+    every: int = 100,
+    version: int = 2,
 ) -> list[made.Sent]:
     """Messages of 100 columns with the points that returned, ring after ring."""
     sent = []

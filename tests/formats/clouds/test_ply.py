@@ -239,7 +239,13 @@ def pcd_columns() -> dict[str, Array]:
     ],
 )
 @pytest.mark.parametrize("data", DATA)
-def test_pcd_headers_that_lie(tmp_path: Path, data: str, old: str, new: str, told: str) -> None:
+def test_pcd_headers_that_lie(
+    tmp_path: Path,
+    data: str,
+    old: str,
+    new: str,
+    told: str,
+) -> None:
     path = tmp_path / "a.pcd"
     path.write_bytes(
         pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1)
@@ -314,7 +320,12 @@ def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suff
 
 @pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, suffix: str) -> None:
+def test_a_cloud_keeps_its_properties(
+    drive: Path,
+    tmp_path: Path,
+    form: str,
+    suffix: str,
+) -> None:
     """Class, line and column are added to what was there; plyfile reads it."""
     plyfile = pytest.importorskip("plyfile")
     image = join(list(open_input(drive / "s.npz", InputConfig()).blocks())).range_m[:, ::4]

@@ -85,7 +85,10 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shots", [1, 20, 70])
 @pytest.mark.parametrize("chunk", [3, 17])
 def test_chunks_change_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    shots: int,
+    chunk: int,
 ) -> None:
     points = grid_points(9, 7)
     other = grid_points(4, 12, 2)
@@ -220,7 +223,13 @@ def test_a_real_scan(real_data: Path) -> None:
 M = 40
 
 
-def block(first: int, seed: int, *, scanner: int = 0, further: bool = False) -> ScanBlock:
+def block(
+    first: int,
+    seed: int,
+    *,
+    scanner: int = 0,
+    further: bool = False,
+) -> ScanBlock:
     rng = np.random.default_rng([seed, first])
     ranges = rng.uniform(1.0, 80.0, (6, M)).astype(np.float32)
     ranges[rng.random(ranges.shape) < 0.3] = np.nan

@@ -48,7 +48,12 @@ def write_parquet(path: Path, **columns: Any) -> Path:
 @pytest.mark.parametrize("dtype", ["u1", "<i2", ">i4", "i8", "u8", "f4"])
 @pytest.mark.parametrize("shape", [(6,), (2, 3)])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_npy(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> None:
+def test_npy(
+    tmp_path: Path,
+    dtype: str,
+    shape: tuple[int, ...],
+    order: Any,
+) -> None:
     path = tmp_path / "codes.npy"
     np.save(path, np.asarray(np.array(CODES, dtype).reshape(shape), order=order))
     assert open_codes(path).n == 6
@@ -60,7 +65,12 @@ def test_npy(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> 
     ("header", "asked"),
     [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")],
 )
-def test_text(tmp_path: Path, header: str, asked: str | None, packed: str) -> None:
+def test_text(
+    tmp_path: Path,
+    header: str,
+    asked: str | None,
+    packed: str,
+) -> None:
     rows = "".join(f"{k},{code},GROUND\n" for k, code in enumerate(CODES))
     path = tmp_path / f"codes.csv{packed}"
     content = f"{header}\n{rows}".encode()
@@ -144,7 +154,10 @@ SUFFIXES = [".npy", ".csv", ".parquet"]
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_one_entry_a_record_in_record_order(
-    tmp_path: Path, suffix: str, known: bool, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    suffix: str,
+    known: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(base_module, "CHUNK_RECORDS", 64)
     labels = random_labels(990, (Label.MISSING, *URBAN, Label.STEM))

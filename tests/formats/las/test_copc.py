@@ -95,7 +95,12 @@ ENTRY = struct.Struct("<4iQii")
 
 
 def make_copc(
-    path: Path, point_format: int = 6, *, n: int = 900, two_pages: bool = True, seed: int = 2
+    path: Path,
+    point_format: int = 6,
+    *,
+    n: int = 900,
+    two_pages: bool = True,
+    seed: int = 2,
 ) -> Any:
     """Write an octree of two levels; returns the points in file order."""
     rng = np.random.default_rng(seed)
@@ -137,7 +142,14 @@ def make_copc(
     return points
 
 
-def _with_index(out: io.BytesIO, vlr: Any, start: int, sizes: Any, *, two_pages: bool) -> bytearray:
+def _with_index(
+    out: io.BytesIO,
+    vlr: Any,
+    start: int,
+    sizes: Any,
+    *,
+    two_pages: bool,
+) -> bytearray:
     """Add the hierarchy behind the points, and let the header point to it."""
     info = [8.0, 8.0, 8.0, 8.0, 1.0]
     end = out.tell()

@@ -188,7 +188,10 @@ def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
     ],
 )
 def test_extra_bytes_of_usual_names(
-    tmp_path: Path, name: str, description: str, radians: float
+    tmp_path: Path,
+    name: str,
+    description: str,
+    radians: float,
 ) -> None:
     """An angle beside range, line and column was renamed and ignored.
 
@@ -273,7 +276,11 @@ def refused(path: Path) -> str:
     ],
 )
 def test_a_header_that_lies(
-    tmp_path: Path, offset: int, layout: str, value: float, message: str
+    tmp_path: Path,
+    offset: int,
+    layout: str,
+    value: float,
+    message: str,
 ) -> None:
     path = tmp_path / "a.las"
     make(path, 1, vlrs=[laspy.VLR("me", 7, "", b"")])
@@ -459,7 +466,11 @@ def test_any_damage_ends_in_one_line_or_in_records(
     ],
 )
 def test_real_files(
-    real_data: Path, name: str, n_records: int, back: int, chronological: bool
+    real_data: Path,
+    name: str,
+    n_records: int,
+    back: int,
+    chronological: bool,
 ) -> None:
     path = real_data / name
     source = LasSource(path)
@@ -489,7 +500,10 @@ def test_real_files(
     ("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)]
 )
 def test_extra_bytes_with_an_offset_alone_have_it_in_their_unit(
-    tmp_path: Path, name: str, read_as: str, factor: float
+    tmp_path: Path,
+    name: str,
+    read_as: str,
+    factor: float,
 ) -> None:
     path = tmp_path / "a.las"
     las = make(

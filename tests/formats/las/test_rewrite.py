@@ -64,7 +64,12 @@ def rewrite(
 
 @pytest.mark.parametrize(("before", "after"), [(".las", ".laz"), (".laz", ".las")])
 @pytest.mark.parametrize("form", range(11))
-def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: str) -> None:
+def test_only_the_class_changes(
+    tmp_path: Path,
+    form: int,
+    before: str,
+    after: str,
+) -> None:
     source = tmp_path / f"in{before}"
     output = tmp_path / f"out{after}"
     minor = 4 if form in (1, 5, 6, 7, 8, 9, 10) else None

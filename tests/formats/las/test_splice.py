@@ -35,7 +35,14 @@ from tests.formats.las.lasbytes import (
 EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, bytes(1000)))
 
 
-def compressed(source: Path, output: Path, chunk_points: int, *, form: int, extra: int) -> Parsed:
+def compressed(
+    source: Path,
+    output: Path,
+    chunk_points: int,
+    *,
+    form: int,
+    extra: int,
+) -> Parsed:
     """Write a LAS file again as LAZ with chunks of any length."""
     plain = parse(source)
     payload = bytearray(lazrs.LazVlr.new_for_compression(form, extra).record_data())
@@ -57,7 +64,13 @@ def compressed(source: Path, output: Path, chunk_points: int, *, form: int, extr
     return parse(output)
 
 
-def make_laz(path: Path, form: int, n: int, chunk_points: int, seed: int = 0) -> Parsed:
+def make_laz(
+    path: Path,
+    form: int,
+    n: int,
+    chunk_points: int,
+    seed: int = 0,
+) -> Parsed:
     """Records of random bits, hence all scanner channels and return numbers, with extra bytes and EVLRs."""
     source = path.with_suffix(".las")
     make_las(source, form, n=n, seed=seed, evlrs=EVLRS, user_bytes=b"between", raw_points=True)
@@ -80,7 +93,11 @@ def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
 )
 @pytest.mark.parametrize("form", [6, 7, 8])
 def test_bytes_are_those_of_compressing_everything(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: int, n: int, chunk_points: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    form: int,
+    n: int,
+    chunk_points: int,
 ) -> None:
     source = tmp_path / "in.laz"
     old = make_laz(source, form, n, chunk_points, seed=form)
@@ -179,7 +196,13 @@ def random_laz(path: Path, rng: np.random.Generator) -> None:
     )
 
 
-def classify_again(source: Path, output: Path, labels: Raw, *, kept: bool = False) -> bytes | None:
+def classify_again(
+    source: Path,
+    output: Path,
+    labels: Raw,
+    *,
+    kept: bool = False,
+) -> bytes | None:
     """Return the output, None where the input is refused."""
     try:
         contexts = None
@@ -197,7 +220,10 @@ def classify_again(source: Path, output: Path, labels: Raw, *, kept: bool = Fals
 @pytest.mark.parametrize("damaged", [False, True])
 @pytest.mark.parametrize("seed", range(4))
 def test_three_ways_to_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, damaged: bool
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    seed: int,
+    damaged: bool,
 ) -> None:
     rng = np.random.default_rng(seed)
     source = tmp_path / "in.laz"

@@ -18,7 +18,12 @@ def udp(payload: bytes, port: int = 2368) -> bytes:
 
 
 def ip4(
-    body: bytes, *, offset: int = 0, more: bool = False, number: int = 1, source: bytes = SOURCE
+    body: bytes,
+    *,
+    offset: int = 0,
+    more: bool = False,
+    number: int = 1,
+    source: bytes = SOURCE,
 ) -> bytes:
     flags = (0x2000 if more else 0) | offset // 8
     head = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(body), number & 0xFFFF, flags, 64, 17, 0)
@@ -35,7 +40,11 @@ def ethernet(packet: bytes, *, vlan: bool = False) -> bytes:
 
 
 def write_pcap(
-    path: Path, frames: list[tuple[float, bytes]], *, order: str = "<", nano: bool = False
+    path: Path,
+    frames: list[tuple[float, bytes]],
+    *,
+    order: str = "<",
+    nano: bool = False,
 ) -> Path:
     unit = 1e9 if nano else 1e6
     parts = [
@@ -71,7 +80,12 @@ def write_pcapng(path: Path, frames: list[tuple[float, bytes]], *, order: str = 
 
 
 def vlp16(
-    n: int = 20, *, seed: int = 3, model: int = 0x22, mode: int = 0x37, start_us: int = 5_000_000
+    n: int = 20,
+    *,
+    seed: int = 3,
+    model: int = 0x22,
+    mode: int = 0x37,
+    start_us: int = 5_000_000,
 ) -> list[bytes]:
     """Packets of a VLP-16 that turns at 10 Hz; a tenth of the shots have no return."""
     return velodyne(n, model, seed=seed, mode=mode, start_us=start_us, firings=2)
@@ -131,7 +145,11 @@ HESAI = {
 
 
 def hesai(
-    name: str, n: int = 4, *, mode: int = 0x37, column_us: float = 50.0
+    name: str,
+    n: int = 4,
+    *,
+    mode: int = 0x37,
+    column_us: float = 50.0,
 ) -> tuple[list[bytes], np.ndarray]:
     """Packets of a Hesai, and the distances in them in units of 4 mm, (blocks, channels)."""
     start, size, channels, n_blocks, head, shot, mode_at, time_at = HESAI[name]
@@ -165,7 +183,10 @@ def hesai(
 
 
 def framed(
-    packets: list[bytes], port: int = 2368, source: bytes = SOURCE, step_s: float = 0.001327104
+    packets: list[bytes],
+    port: int = 2368,
+    source: bytes = SOURCE,
+    step_s: float = 0.001327104,
 ) -> Any:
     return [
         (START_S + i * step_s, ethernet(ip4(udp(packet, port), number=i, source=source)))
@@ -211,7 +232,12 @@ def ouster(
 
 
 def _column(
-    profile: str, stamp: int, number: int, frame: int, is_good: bool, range_mm: list[int]
+    profile: str,
+    stamp: int,
+    number: int,
+    frame: int,
+    is_good: bool,
+    range_mm: list[int],
 ) -> bytes:
     if profile == "LEGACY":
         head = struct.pack("<QHHI", stamp, number, frame, 0)

@@ -226,7 +226,12 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
         PacketStream(tmp_path / "e.pcap", InputConfig())
 
 
-def compare(block: ScanBlock, points: np.ndarray, turned_deg: float, off_m: float) -> None:
+def compare(
+    block: ScanBlock,
+    points: np.ndarray,
+    turned_deg: float,
+    off_m: float,
+) -> None:
     """Compare shots with the points of velodyne-decoder, ring by ring."""
     assert block.xyz_m is not None
     assert block.intensity is not None
@@ -318,7 +323,12 @@ COLUMNS_US = {
     [("vlp16", 293 * 24, 16, 0.347), ("hdl32", 6000, 32, 0.236)],
 )
 def test_velodyne_samples_are_what_velodyne_decoder_reads(
-    real_data: Path, tmp_path: Path, name: str, n_lines: int, m: int, missing: float
+    real_data: Path,
+    tmp_path: Path,
+    name: str,
+    n_lines: int,
+    m: int,
+    missing: float,
 ) -> None:
     path = real_data / "pcap" / f"velodyne_{name}.pcap"
     _, block = read(path)

@@ -14,7 +14,13 @@ ROWS = [(i // 5, i % 5, -10.5 + i, 20.25 + i) for i in range(30)]
 NAMES = ("scan_line", "column", "angle", "range")
 
 
-def write(path: Path, head: str, delimiter: str = " ", *, has_row_names: bool = False) -> Path:
+def write(
+    path: Path,
+    head: str,
+    delimiter: str = " ",
+    *,
+    has_row_names: bool = False,
+) -> Path:
     lines = [delimiter.join(map(str, row)) for row in ROWS]
     if has_row_names:
         lines = [f'"{i + 1}"{delimiter}{line}' for i, line in enumerate(lines)]
@@ -41,7 +47,13 @@ def write(path: Path, head: str, delimiter: str = " ", *, has_row_names: bool = 
         ("scan_line column angle range\n", " ", 1),
     ],
 )
-def test_names_are_found(tmp_path: Path, head: str, delimiter: str, line: int, suffix: str) -> None:
+def test_names_are_found(
+    tmp_path: Path,
+    head: str,
+    delimiter: str,
+    line: int,
+    suffix: str,
+) -> None:
     source = TextSource(write(tmp_path / f"a{suffix}", head, delimiter))
     assert source.text.header_line == line
     values = next(iter(source.chunks(NAMES))).values

@@ -42,7 +42,10 @@ def read(source: RecordSource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def values(
-    folder: Path, content: str | bytes, name: str = "range", layout: Layout | None = None
+    folder: Path,
+    content: str | bytes,
+    name: str = "range",
+    layout: Layout | None = None,
 ) -> list[float]:
     found = read(TextSource(write(folder, content), layout), name)[name]
     assert found.dtype == np.float64
@@ -50,7 +53,10 @@ def values(
 
 
 def problem(
-    folder: Path, content: str | bytes, layout: Layout | None = None, name: str = "range"
+    folder: Path,
+    content: str | bytes,
+    layout: Layout | None = None,
+    name: str = "range",
 ) -> str:
     """The error of reading a column, without the folder; always one line."""
     with pytest.raises(InputError) as caught:
@@ -90,7 +96,10 @@ def test_names_in_the_header(tmp_path: Path, header: str, dimensions: tuple[str,
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
 @pytest.mark.parametrize("last", [True, False])
 def test_line_ends_byte_order_marks_blank_lines_and_comments(
-    tmp_path: Path, ending: str, mark: str, last: bool
+    tmp_path: Path,
+    ending: str,
+    mark: str,
+    last: bool,
 ) -> None:
     lines = [
         "# Straße",
@@ -176,7 +185,10 @@ def test_values_do_not_depend_on_blocks(
 )
 @pytest.mark.parametrize("block", [5, 1 << 22])
 def test_errors_name_the_line_and_the_text(
-    tmp_path: Path, content: str | bytes, found: str, block: int
+    tmp_path: Path,
+    content: str | bytes,
+    found: str,
+    block: int,
 ) -> None:
     path = write(tmp_path, content)
     with pytest.raises(InputError) as caught:
@@ -228,7 +240,10 @@ def test_a_line_without_end_is_refused_before_it_is_held(
     block_bytes=st.integers(1, 60),
 )
 def test_rows_are_found_among_any_lines_that_are_none(
-    tmp_path_factory: pytest.TempPathFactory, lines: list[str], ends: bool, block_bytes: int
+    tmp_path_factory: pytest.TempPathFactory,
+    lines: list[str],
+    ends: bool,
+    block_bytes: int,
 ) -> None:
     every = [*lines, "range,time", *lines, "1,2", *lines, "3,4"]
     path = write(tmp_path_factory.mktemp("text"), "\n".join(every) + "\n" * ends)

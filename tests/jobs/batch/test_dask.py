@@ -209,7 +209,10 @@ def test_file_that_hangs_is_given_up(
 
 @pytest.mark.parametrize("who", ["scheduler", "worker"])
 def test_other_versions_are_refused(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str
+    cluster: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    who: str,
 ) -> None:
     tasks = tasks_in(tmp_path, {"a.npy": 20})
     if who == "scheduler":

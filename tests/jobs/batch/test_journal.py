@@ -277,7 +277,12 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(
     assert "permissions" in result.stdout
 
 
-def kill_writers(folder: Path, seed: int, n_kills: int, n_rows: int) -> None:
+def kill_writers(
+    folder: Path,
+    seed: int,
+    n_kills: int,
+    n_rows: int,
+) -> None:
     """Kill writers, each going on where the one before was, until so many rows were finished."""
     script = Path(__file__).with_name("killed_writers.py")
     command = [sys.executable, str(script), str(folder), str(seed), str(n_kills), str(n_rows)]

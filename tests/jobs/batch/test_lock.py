@@ -104,7 +104,10 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
     ],
 )
 def test_runs_with_files_in_common_exclude_each_other(
-    folder: Path, first: str | None, second: str | None, together: bool
+    folder: Path,
+    first: str | None,
+    second: str | None,
+    together: bool,
 ) -> None:
     one, other = (None if text is None else Shard.parse(text) for text in (first, second))
     with Lock(folder, one) as lock:
@@ -191,7 +194,10 @@ def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
 @pytest.mark.parametrize("found", ["nothing", "the file of a dead owner"])
 @pytest.mark.parametrize("rival", [None, "1/2"])
 def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: str, rival: str | None
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    found: str,
+    rival: str | None,
 ) -> None:
     """The random fights below in all their variants of one rival that is quick while the other one is slow."""
     until: int | None = None
@@ -238,7 +244,13 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     assert n_steps > 5
 
 
-def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -> None:
+def fight(
+    folder: Path,
+    seed: int,
+    n_lives: int,
+    n_inherited: int,
+    kinds: str,
+) -> None:
     """Let rivals compete until so many lived, and so many took the lock of a dead one.
 
     No two may be inside at once.

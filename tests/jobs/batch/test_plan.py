@@ -296,7 +296,10 @@ def archive(tmp_path: Path) -> Path:
     ],
 )
 def test_patterns_choose(
-    archive: Path, include: list[str], exclude: list[str], expected: list[str]
+    archive: Path,
+    include: list[str],
+    exclude: list[str],
+    expected: list[str],
 ) -> None:
     assert names(archive, include=tuple(include), exclude=tuple(exclude)) == expected
 

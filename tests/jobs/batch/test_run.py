@@ -155,7 +155,10 @@ def test_one_bad_file_costs_itself(settings: BatchSettings) -> None:
     ],
 )
 def test_what_may_pass_is_tried_again(
-    settings: BatchSettings, kind: str, retry: int, attempts: int
+    settings: BatchSettings,
+    kind: str,
+    retry: int,
+    attempts: int,
 ) -> None:
     engine = Scripted(
         lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task)

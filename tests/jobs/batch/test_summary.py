@@ -108,7 +108,10 @@ def shares_of(
 
 
 def moved(
-    histogram: dict[str, int], share: float, source: str = "GROUND", to: str = "NOISE"
+    histogram: dict[str, int],
+    share: float,
+    source: str = "GROUND",
+    to: str = "NOISE",
 ) -> dict[str, int]:
     """The same file with a part of its records in another class."""
     n = int(sum(histogram.values()) * share)

@@ -529,7 +529,10 @@ def colour(name: str) -> tuple[int, ...]:
 
 
 def draw(
-    tmp_path: Path, predicted: object, reference: object, m: int
+    tmp_path: Path,
+    predicted: object,
+    reference: object,
+    m: int,
 ) -> list[tuple[str, np.ndarray]]:
     paths = tmp_path / "predicted.npy", tmp_path / "reference.npy"
     for path, codes in zip(paths, (predicted, reference), strict=True):

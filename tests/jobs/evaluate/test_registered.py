@@ -77,7 +77,11 @@ def folder(town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def tiles(
-    town: Town, folder: Path, shift: float = 0.0, drop: int | None = None, wide: float = 0.0
+    town: Town,
+    folder: Path,
+    shift: float = 0.0,
+    drop: int | None = None,
+    wide: float = 0.0,
 ) -> Path:
     """Write tiles of 25 m: shuffled, without noise, half of the points."""
     random = np.random.default_rng(1)
@@ -122,7 +126,12 @@ def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["bounds", "polygon"])
-def test_an_area_leaves_out_the_rest(town: Town, folder: Path, tmp_path: Path, kind: str) -> None:
+def test_an_area_leaves_out_the_rest(
+    town: Town,
+    folder: Path,
+    tmp_path: Path,
+    kind: str,
+) -> None:
     area = "10,0,30,12"
     if kind == "polygon":
         pytest.importorskip("shapely")
@@ -407,7 +416,10 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_place_shots_is_refused(
-    drive: Path, arguments: tuple[str, ...], poses: str, message: str
+    drive: Path,
+    arguments: tuple[str, ...],
+    poses: str,
+    message: str,
 ) -> None:
     done = evaluate(drive, *arguments, poses=poses)
     assert done.exit_code in (1, 2)

@@ -14,13 +14,23 @@ BEAM: F64 = np.deg2rad(np.linspace(60, 120, 121))
 RULES = {Label.STEM: Rule(0.3, 2.0, 2, 4, 0.5), Label.CURB: Rule(0.3, 0.2, 1, 1, most_lines=10)}
 
 
-def item(labels: U8, range_m: F32, first_line: int = 0, xyz: bool = False) -> LabelledBlock:
+def item(
+    labels: U8,
+    range_m: F32,
+    first_line: int = 0,
+    xyz: bool = False,
+) -> LabelledBlock:
     block = ScanBlock(first_line, range_m, beam_rad=BEAM)
     above = (2.0 - range_m * np.cos(BEAM)).astype(np.float32)
     return LabelledBlock(block, labels, np.empty(0, np.uint8), above_m=above)
 
 
-def grown(labels: U8, range_m: F32, cut: int = 1000, registered: F64 | None = None) -> list[Thing]:
+def grown(
+    labels: U8,
+    range_m: F32,
+    cut: int = 1000,
+    registered: F64 | None = None,
+) -> list[Thing]:
     """Grow the objects of an image that arrives in blocks of ``cut`` lines."""
     grower = Grower(3, RULES)
     found = []

@@ -25,7 +25,12 @@ from tests.methods.fused.street_lines import BEAM, street_lines
 ON = {"output": {"confidence": True}, "input": {"nadir": 0.0}}
 
 
-def confidence(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> U8:
+def confidence(
+    preset: str,
+    block: ScanBlock,
+    size: int = 50,
+    threads: int = 1,
+) -> U8:
     """Label a block in pieces; return the confidence of all lines."""
     params = load_config(preset=preset).config.classifier
     pieces = (

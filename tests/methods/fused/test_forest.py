@@ -30,7 +30,12 @@ PLANE = Plane.of(BEAM)
 SKY = np.cos(BEAM) < -0.5
 
 
-def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> U8:
+def forest(
+    range_m: F32,
+    plane: Plane,
+    noise_m: float,
+    limits: Forest,
+) -> U8:
     """Labels of a block."""
     found: U8 = woods.forest(range_m, plane, noise_m, limits).reasons & np.uint8(LABEL_BITS)
     return found

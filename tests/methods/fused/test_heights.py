@@ -18,7 +18,12 @@ from prc_cli.methods.fused.confidence import true_heights
 from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines
 
 
-def heights(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> F32:
+def heights(
+    preset: str,
+    block: ScanBlock,
+    size: int = 50,
+    threads: int = 1,
+) -> F32:
     """Label a block in pieces; return the heights of all lines."""
     pieces = (
         replace(

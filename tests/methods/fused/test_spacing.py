@@ -61,7 +61,12 @@ def labelled(ranges: F32, k: int = 64, scanner: FusedScanner = SCANNER) -> tuple
     return np.concatenate(parts), np.array(strides)
 
 
-def share(labels: U8, kind: U8, one: int, label: Label) -> float:
+def share(
+    labels: U8,
+    kind: U8,
+    one: int,
+    label: Label,
+) -> float:
     return float((labels[kind == one] == label).mean())
 
 

@@ -203,7 +203,11 @@ def test_cars_are_sought_at_the_heights_of_their_own_lines(monkeypatch: pytest.M
     seen = []
 
     def find_cars(
-        shots: Any, n_lines: int, plane: Any, before: Any, thresholds: Any
+        shots: Any,
+        n_lines: int,
+        plane: Any,
+        before: Any,
+        thresholds: Any,
     ) -> tuple[U8, Any]:
         seen.append(shots)
         return shots[0], before

@@ -24,7 +24,12 @@ TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
 
 
 def trace_block(
-    range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams, *, segments: bool = True
+    range_m: F32,
+    next_m: F32 | None,
+    state: PrcState,
+    params: PrcParams,
+    *,
+    segments: bool = True,
 ) -> tuple[PrcTrace, PrcState]:
     """Classify one block: what was found, and the state after it."""
     turn = OneByOne(state)

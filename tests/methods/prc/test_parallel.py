@@ -22,7 +22,11 @@ from tests.methods.prc.streams import (
 
 
 def run_threads(
-    stream: F32, params: PrcParams, threads: int, *, segments: bool
+    stream: F32,
+    params: PrcParams,
+    threads: int,
+    *,
+    segments: bool,
 ) -> tuple[U8, list[I64 | None]]:
     blocks = iter([ScanBlock(0, stream)])
     found = list(run_blocks(blocks, Prc(params), threads=threads, wanted=Wanted(segments=segments)))

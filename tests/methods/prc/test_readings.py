@@ -67,12 +67,21 @@ def h_of(image: list[list[int]], ids: list[int] | None = None, next_id: int = 0)
 
 
 def components(
-    supported: Mask, holes: Mask, last_line: I64, next_id: int, params: ComponentsParams
+    supported: Mask,
+    holes: Mask,
+    last_line: I64,
+    next_id: int,
+    params: ComponentsParams,
 ) -> Components:
     return identify(join(supported, holes), last_line, next_id, params)
 
 
-def split(h: Components, area: float, gamma: int = 0, supported: Mask | None = None) -> Surfaces:
+def split(
+    h: Components,
+    area: float,
+    gamma: int = 0,
+    supported: Mask | None = None,
+) -> Surfaces:
     params = SurfacesParams(gamma=gamma)
     shots = h.image > 0 if supported is None else supported
     return surfaces(shots, h, find_small(h, area), params, with_patches=True)
@@ -85,7 +94,12 @@ def label_urban(v: Surfaces, totals: Totals, params: UrbanParams) -> tuple[U8, T
     return urban(window_of(np.ones(v.supported.shape, np.float32)), v, ground), after
 
 
-def label_forest(missing: Mask, supported: Mask, smooth: Mask, params: ForestParams) -> U8:
+def label_forest(
+    missing: Mask,
+    supported: Mask,
+    smooth: Mask,
+    params: ForestParams,
+) -> U8:
     image = np.where(missing, np.float32(nan), np.float32(1))
     v = Surfaces(supported, h_of(supported.astype(int).tolist()), supported & ~smooth, None, 0)
     return forest(window_of(image), v, params)
@@ -460,7 +474,10 @@ class TestReading16Ground:
 
     @staticmethod
     def label(
-        ids: list[int], image: list[list[int]], totals: Totals, ground: str
+        ids: list[int],
+        image: list[list[int]],
+        totals: Totals,
+        ground: str,
     ) -> tuple[list[int], Totals]:
         h = h_of(image, ids=ids)
         labels, after = label_urban(

@@ -126,7 +126,12 @@ def labels(made: tuple[F32, F32, U8]) -> U8:
     ],
 )
 def test_bodies_have_their_class(
-    made: tuple[F32, F32, U8], labels: U8, body: int, label: Label, recall: float, precision: float
+    made: tuple[F32, F32, U8],
+    labels: U8,
+    body: int,
+    label: Label,
+    recall: float,
+    precision: float,
 ) -> None:
     true = made[2] == body
     found = labels == label
@@ -137,7 +142,10 @@ def test_bodies_have_their_class(
 
 @pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 3), (1024, 2), (1800, 3)])
 def test_labels_depend_neither_on_chunks_nor_on_threads(
-    made: tuple[F32, F32, U8], labels: U8, chunk: int, threads: int
+    made: tuple[F32, F32, U8],
+    labels: U8,
+    chunk: int,
+    threads: int,
 ) -> None:
     np.testing.assert_array_equal(labelled(*made[:2], chunk=chunk, threads=threads), labels)
 
@@ -297,7 +305,10 @@ def test_small_and_dull_images_are_labelled(shape: tuple[int, int], value: float
     ],
 )
 def test_narrow_level_beams_are_a_fan(
-    first_deg: float, last_deg: float, n: int, expected: bool
+    first_deg: float,
+    last_deg: float,
+    n: int,
+    expected: bool,
 ) -> None:
     assert is_fan(np.deg2rad(np.linspace(first_deg, last_deg, n))) is expected
 

@@ -48,7 +48,10 @@ class Scene:
 
 
 def street(
-    curb_m: float = 0.15, slope_deg: float = 0.0, car: bool = False, wall: bool = True
+    curb_m: float = 0.15,
+    slope_deg: float = 0.0,
+    car: bool = False,
+    wall: bool = True,
 ) -> list[Segment]:
     """Road, curb at 6 m, pavement, wall at 10 m; a car with a gap of 0.25 m under it at 3 m."""
     rise = float(np.tan(np.deg2rad(slope_deg)))
@@ -163,7 +166,10 @@ def lines_through(points: Any) -> VerticalLines:
 
 
 def street_lines(
-    rng: Generator, n_lines: int, step_deg: float = 0.115, noise_m: float = 0.005
+    rng: Generator,
+    n_lines: int,
+    step_deg: float = 0.115,
+    noise_m: float = 0.005,
 ) -> tuple[VerticalLines, U8]:
     """Scan a street, each line another place.
 
@@ -180,16 +186,31 @@ def street_lines(
     ranges = np.full((n_lines, n), np.inf)
     truth = np.zeros((n_lines, n), np.uint8)
 
-    def hit(line: int, distance: F64, there: NDArray[np.bool_], surface: Surface) -> None:
+    def hit(
+        line: int,
+        distance: F64,
+        there: NDArray[np.bool_],
+        surface: Surface,
+    ) -> None:
         nearer = there & (distance > 0) & (distance < ranges[line])
         ranges[line, nearer] = distance[nearer]
         truth[line, nearer] = surface
 
-    def face(line: int, x: float, low: float, high: float) -> None:
+    def face(
+        line: int,
+        x: float,
+        low: float,
+        high: float,
+    ) -> None:
         distance = x / across
         hit(line, distance, (distance * up >= low) & (distance * up < high), Surface.VERTICAL)
 
-    def floor(line: int, z: float, near: float, far: float) -> None:
+    def floor(
+        line: int,
+        z: float,
+        near: float,
+        far: float,
+    ) -> None:
         with np.errstate(divide="ignore"):
             distance = z / up
         hit(
@@ -200,7 +221,10 @@ def street_lines(
         )
 
     def foliage(
-        line: int, centre: tuple[float, float], radii: tuple[float, float], free_path: float
+        line: int,
+        centre: tuple[float, float],
+        radii: tuple[float, float],
+        free_path: float,
     ) -> None:
         # the way of a beam through an ellipse, and how far it gets along it before it meets a leaf
         a = (across / radii[0]) ** 2 + (up / radii[1]) ** 2
@@ -273,7 +297,11 @@ def curb(at_m: float, height_m: float = 0.15, depth_m: float = 20.0) -> list[Pie
 
 
 def wall(
-    at_m: float, foot_m: float = 0.0, top_m: float = 8.0, *, windows: bool = False
+    at_m: float,
+    foot_m: float = 0.0,
+    top_m: float = 8.0,
+    *,
+    windows: bool = False,
 ) -> list[Piece]:
     edges = [foot_m, 1.0, 2.2, 4.0, 5.2, top_m] if windows else [foot_m, top_m]
     parts = pairwise(edges)
@@ -359,7 +387,10 @@ def make_lines(range_m: F32, beam_rad: F64) -> VerticalLines:
 
 
 def _row(
-    pieces: list[Piece], beam: F64, scanner_m: float, rng: Generator
+    pieces: list[Piece],
+    beam: F64,
+    scanner_m: float,
+    rng: Generator,
 ) -> tuple[F64, list[int], list[str]]:
     direction = np.stack([np.sin(beam), -np.cos(beam)], axis=1)
     start = np.array([[p.from_m[0], p.from_m[1] - scanner_m] for p in pieces])

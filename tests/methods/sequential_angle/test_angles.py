@@ -108,7 +108,11 @@ V = 3
 
 
 def label(
-    x: F64, z: F64, codes: list[int], params: WindowThresholds | None = None, noise_m: float = 0.005
+    x: F64,
+    z: F64,
+    codes: list[int],
+    params: WindowThresholds | None = None,
+    noise_m: float = 0.005,
 ) -> list[int]:
     xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
     beams = np.arctan2(x, -z)[None]

@@ -91,7 +91,11 @@ PARAMS = plain()
 
 
 def find_intervals(
-    found: Seen, params: DividerThresholds = PARAMS, *, trigger: int = 0, noise_m: float = NOISE_M
+    found: Seen,
+    params: DividerThresholds = PARAMS,
+    *,
+    trigger: int = 0,
+    noise_m: float = NOISE_M,
 ) -> I32:
     triggers = np.full(len(found.surface), trigger, np.int32)
     literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0

@@ -36,7 +36,12 @@ def f1(found: Mask, truth: Mask) -> float:
     return float(2 * (found & truth).sum() / (found.sum() + truth.sum()))
 
 
-def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: CoarseThresholds) -> U8:
+def classified(
+    lines: VerticalLines,
+    noise_m: float,
+    sigmas: float,
+    params: CoarseThresholds,
+) -> U8:
     angles = made(
         ChordThresholds, range_noise_m=noise_m, min_chord_sigmas=sigmas, least_chord_m=0.0
     ).at_noise()
@@ -58,7 +63,11 @@ def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: Coar
     ],
 )
 def test_street(
-    rng: Generator, step_deg: float, noise_m: float, model: MarkovThresholds, least: float
+    rng: Generator,
+    step_deg: float,
+    noise_m: float,
+    model: MarkovThresholds,
+    least: float,
 ) -> None:
     lines, truth = street_lines(rng, 30, step_deg, noise_m)
     found = classified(lines, noise_m, 4, made(CoarseThresholds, vegetation=model))

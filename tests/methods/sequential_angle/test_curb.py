@@ -128,7 +128,12 @@ def test_a_region_of_very_many_lines_is_decided_and_what_follows_is_a_new_one() 
     assert state.n_waiting == 5
 
 
-def random_scene(rng: Generator, n_lines: int, n_sides: int, n: int) -> Scene:
+def random_scene(
+    rng: Generator,
+    n_lines: int,
+    n_sides: int,
+    n: int,
+) -> Scene:
     shape = (n_lines * n_sides, n)
     surface = np.where(rng.random(shape) < 0.55, 3, rng.choice([0, 2], shape)).astype(np.uint8)
     z = -1.75 + rng.choice([0.0, 0.06, 0.15, 0.21], shape, p=[0.6, 0.3, 0.09, 0.01])

@@ -74,7 +74,12 @@ def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     return found
 
 
-def log_likelihood(values: F64, params: MarkovThresholds, h: Matrix, initial: Row) -> float:
+def log_likelihood(
+    values: F64,
+    params: MarkovThresholds,
+    h: Matrix,
+    initial: Row,
+) -> float:
     """Logarithm of the likelihood of a model: the sum over all paths of states."""
     density = norm.logpdf(values[:, None], params.means_deg, params.sigmas_deg)
     with np.errstate(divide="ignore"):

@@ -88,7 +88,12 @@ def test_jakarto_is_too_short(real_data: Path) -> None:
     assert "too few lines" in estimate.reason
 
 
-def drive(line_hz: float, m: int, n_lines: int, seed: int = 0) -> tuple[Array, Array, Array]:
+def drive(
+    line_hz: float,
+    m: int,
+    n_lines: int,
+    seed: int = 0,
+) -> tuple[Array, Array, Array]:
     """Times, line and column of the shots that return: a street with a third of sky, and leaves."""
     rng = np.random.default_rng(seed)
     line, column = np.divmod(np.arange(n_lines * m), m)
@@ -235,7 +240,11 @@ def misread_street() -> F32:
     ],
 )
 def test_the_right_reading_is_found(
-    tmp_path: Path, stored: str, scale: float, header: int, options: str
+    tmp_path: Path,
+    stored: str,
+    scale: float,
+    header: int,
+    options: str,
 ) -> None:
     """Whatever type, byte order, unit and header."""
     dump = tmp_path / "scan.bin"
@@ -414,7 +423,12 @@ def test_autocorrelation_equals_a_plain_one() -> None:
     assert found.shape == (61,)
 
 
-def rough(n_lines: int, m: int, seed: int = 3, gone: float = 0.1) -> F32:
+def rough(
+    n_lines: int,
+    m: int,
+    seed: int = 3,
+    gone: float = 0.1,
+) -> F32:
     """Lines of a profile that drifts, with steps of smooth and rough shots, some missing."""
     rng = np.random.default_rng(seed)
     profile = 2.0 + np.cumsum(rng.normal(0.0, 0.02, m))

@@ -107,7 +107,10 @@ CHECK_M = "; check -M and --lines, and whether lines and columns are exchanged"
     ],
 )
 def test_lines_that_are_alike(
-    folds: dict[int, float], line: float, ratio: str, verdict: Verdict
+    folds: dict[int, float],
+    line: float,
+    ratio: str,
+    verdict: Verdict,
 ) -> None:
     assert len(folds) == 9
     # lines farther on are more alike, but not by half
@@ -132,7 +135,11 @@ def test_lines_that_are_alike(
 )
 @pytest.mark.parametrize("other", [M - 4, M - 1, M + 1, M + 4])
 def test_another_length_that_agrees_better(
-    folds: dict[int, float], here: float, there: float, verdict: Verdict, other: int
+    folds: dict[int, float],
+    here: float,
+    there: float,
+    verdict: Verdict,
+    other: int,
 ) -> None:
     folds.update({**dict.fromkeys(LENGTHS, 0.79), M: here, other: there})
     found = told(check_line_length(seen(), USUAL, None))
@@ -179,7 +186,13 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
         (inf, 0.3, 200, "standing", DOUBTFUL),
     ],
 )
-def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict: Verdict) -> None:
+def test_standing(
+    roughness: float,
+    far: float,
+    n_lines: int,
+    name: str,
+    verdict: Verdict,
+) -> None:
     found = check_line_order(seen(n_lines), replace(USUAL, moved=(0.3, far), roughness=roughness))
     assert found is not None
     assert (found.check, found.verdict) == (name, verdict)
@@ -234,7 +247,12 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
         (400, 400, DOUBTFUL, "0.00%"),
     ],
 )
-def test_returns(n_shots: int, n_missing: int, verdict: Verdict, share: str) -> None:
+def test_returns(
+    n_shots: int,
+    n_missing: int,
+    verdict: Verdict,
+    share: str,
+) -> None:
     assert verdict_of_counts(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
         verdict,
         f"returns: {share} of the shots have a range, expected at least 2%; check --range, --max-range, the layout, "
@@ -275,7 +293,10 @@ def verdict_of_shots(found: Finding | None) -> tuple[Verdict, str]:
 
 
 def deg(
-    degrees: float, rival: float | None = None, ratio: float = math.inf, depth_m: float = 2.0
+    degrees: float,
+    rival: float | None = None,
+    ratio: float = math.inf,
+    depth_m: float = 2.0,
 ) -> DownGuess:
     return DownGuess(
         math.radians(degrees), depth_m, None if rival is None else math.radians(rival), ratio
@@ -351,7 +372,10 @@ def test_down_is_judged_by_the_angle(
     ],
 )
 def test_angle_step(
-    monkeypatch: pytest.MonkeyPatch, factor: float, off: float, verdict: Verdict
+    monkeypatch: pytest.MonkeyPatch,
+    factor: float,
+    off: float,
+    verdict: Verdict,
 ) -> None:
     step = AngleStep(math.radians(factor), off, 100)
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)

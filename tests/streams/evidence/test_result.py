@@ -210,7 +210,10 @@ EVEN_BEAMS: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
 
 
 def sample(
-    range_m: F32, labels: U8, beam: F64 | None = EVEN_BEAMS, angle: F64 | None = EVEN_BEAMS
+    range_m: F32,
+    labels: U8,
+    beam: F64 | None = EVEN_BEAMS,
+    angle: F64 | None = EVEN_BEAMS,
 ) -> _Sample:
     return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle)
 

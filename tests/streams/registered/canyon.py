@@ -74,7 +74,11 @@ def _yawed(vector: F64, yaw: F64) -> F64:
 
 
 def canyon(
-    duration_s: float = 1.5, *, start_s: float = 0.0, noise_m: float = 0.0, step_m: float = 0.0
+    duration_s: float = 1.5,
+    *,
+    start_s: float = 0.0,
+    noise_m: float = 0.0,
+    step_m: float = 0.0,
 ) -> Cloud:
     """Scan a street between two walls, open above; ledges and posts along it tell where one is.
 

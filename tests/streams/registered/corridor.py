@@ -70,7 +70,11 @@ def make_corridor(*, begin_s: float = 100.0, gap_s: float = 0.0) -> Corridor:
 
 
 def write_cloud(
-    path: Path, cloud: Corridor, *, epsg: int | None = None, metres: float = 1.0
+    path: Path,
+    cloud: Corridor,
+    *,
+    epsg: int | None = None,
+    metres: float = 1.0,
 ) -> Path:
     """Write coordinates and times alone, in the order of x; in units of some metres."""
     header = laspy.LasHeader(point_format=6, version="1.4")
@@ -87,7 +91,11 @@ def write_cloud(
 
 
 def write_trajectory(
-    path: Path, cloud: Corridor, *, clock_s: float = 0.0, moved_m: tuple[float, ...] = (0, 0, 0)
+    path: Path,
+    cloud: Corridor,
+    *,
+    clock_s: float = 0.0,
+    moved_m: tuple[float, ...] = (0, 0, 0),
 ) -> Path:
     """Write the true path with another clock, elsewhere."""
     rows = np.column_stack([cloud.path_s + clock_s, cloud.path_m + np.array(moved_m)])
