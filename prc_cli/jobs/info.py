@@ -37,6 +37,7 @@ from prc_cli.formats.records import (
     RecordSource,
     watched_contents,
 )
+from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.jobs.choice import decide_and_open
 from prc_cli.jobs.path import hold_against
 from prc_cli.streams.angles import shots_in_time
@@ -61,7 +62,6 @@ from prc_cli.streams.order import (
     RingOrderWatch,
     fire_in_turns,
     order_hint,
-    sorted_by_time,
     take_turns,
 )
 from prc_cli.streams.registered.comparison import Comparison

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import RecordSource
-from prc_cli.streams.order import sorted_by_time
+from prc_cli.formats.sorting import sorted_by_time
 
 RECORD = "record"
 """Column of :func:`columns_of` with the index of the record in its source, int64."""
@@ -84,7 +84,7 @@ KEY = "time"
 """Column that the streams are sorted by, float64, finite.
 
 It is called ``time`` also where it holds an id or a
-coordinate, because :func:`prc_cli.streams.order.sorted_by_time` sorts by that name."""
+coordinate, because :func:`prc_cli.formats.sorting.sorted_by_time` sorts by that name."""
 SAME = "same"
 """Column that must be equal in a pair beside the key, int64, 0 or more: return number, scanner."""
 CODE = "code"

@@ -20,6 +20,7 @@ from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import choose_returns
 from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.columns import (
     INTENSITY,
     LINE,
@@ -38,7 +39,6 @@ from prc_cli.streams.lines import WholeLines, check_partial_line, nothing_placed
 from prc_cli.streams.order import (
     OrderWatch,
     WeekSource,
-    sorted_by_time,
     times_of_trajectory,
     week_steps,
 )

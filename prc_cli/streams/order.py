@@ -1,13 +1,8 @@
-"""The order of records in time.
-
-It is checked, weeks of GPS time are unwrapped, records sorted where that is asked.
+"""The order of records in time: it is checked, and weeks of GPS time are unwrapped.
 
 PRC compares neighbours in time (Lehtola et al. 2019, section II): for files cut into tiles or
 sorted by coordinate its labels are meaningless. So the default is to refuse them, with figures.
-
-Sorting is an external merge sort in bounded memory: runs of the input are sorted in memory and
-written to an unnamed temporary file; then all runs are merged at once. Equal times keep input
-order, so that the result depends neither on chunks nor on the length of runs.
+:mod:`prc_cli.formats.sorting` sorts them.
 """
 
 from __future__ import annotations
@@ -15,16 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, BinaryIO, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError, OrderError
+from prc_cli.core.errors import OrderError
 from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
-from prc_cli.formats.writing.disk import scratch_errors, scratch_file
 
 Policy: TypeAlias = Literal["require", "trust", "sort-time"]
 """Policy for records out of order (``input.order``)."""
@@ -522,160 +516,3 @@ def judge_first_records(source: RecordSource) -> None:
         watch.count(chunk.values["time"], chunk.records())
         break
     watch.finish()
-
-
-RUN_RECORDS = 1 << 19
-"""Records sorted in memory at a time."""
-MERGE_RECORDS = 1 << 20
-"""Records of all runs held in memory while merging."""
-_TIME = "sort time"
-_RECORD = "input record"
-"""Fields added to the records; the blanks avoid clashes with dimensions."""
-
-
-def sorted_by_time(
-    source: RecordSource, *, run_records: int = RUN_RECORDS, merge_records: int = MERGE_RECORDS
-) -> RecordSource:
-    """Return a source with the same records sorted by time."""
-    if "time" not in source.dimensions:
-        problem = f"no time to sort by, found the dimensions {', '.join(source.dimensions)}"
-        raise InputError(source.path, problem, "without times the order cannot be restored")
-    return _SortedSource(source, max(run_records, 1), max(merge_records, 1))
-
-
-@dataclass(frozen=True)
-class _SortedSource(DerivedSource):
-    run_records: int
-    merge_records: int
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode, sort and deliver; see :func:`sorted_by_time`."""
-        with scratch_file("sorting") as handle:
-            runs: list[_Run] = []
-            position = 0
-            pending: NDArray[np.void] | None = None
-            for records in self._runs(names):
-                # the last run stays in memory: an input of one run needs no disk
-                if pending is not None:
-                    with scratch_errors("sorting"):
-                        handle.write(pending.view(np.uint8).data)
-                    runs.append(_Run(handle, position, len(pending), pending.dtype))
-                    position += pending.nbytes
-                pending = records
-            if pending is None:
-                return
-            runs.append(_Run(None, 0, len(pending), pending.dtype, pending))
-            del records, pending
-            first = 0
-            for merged in _merge(runs, self.merge_records):
-                for start in range(0, len(merged), self.run_records):
-                    part = merged[start : start + self.run_records]
-                    values = {name: np.array(part[name]) for name in names}
-                    yield RecordChunk(first, values, len(part), np.array(part[_RECORD]))
-                    first += len(part)
-
-    def _runs(self, names: tuple[str, ...]) -> Iterator[NDArray[np.void]]:
-        """Yield sorted runs as structured arrays."""
-        parts: list[NDArray[np.void]] = []
-        held = 0
-        for chunk in self.source.chunks(tuple(dict.fromkeys((*names, "time")))):
-            records = self._pack(chunk, names)
-            for start in range(0, len(records), self.run_records):
-                part = records[start : start + self.run_records]
-                if held + len(part) > self.run_records:
-                    yield _sort(parts)
-                    parts = []
-                    held = 0
-                parts.append(part)
-                held += len(part)
-        if parts:
-            yield _sort(parts)
-
-    def _pack(self, chunk: RecordChunk, names: tuple[str, ...]) -> NDArray[np.void]:
-        time_s = np.asarray(chunk.values["time"], np.float64)
-        record = chunk.records()
-        finite = np.isfinite(time_s)
-        if not finite.all():
-            i = int(np.argmin(finite))
-            problem = f"record {record[i]} has time {time_s[i]}, expected a finite time to sort by"
-            raise InputError(
-                self.path,
-                problem,
-                "drop such records, or take the order as it is with --trust-order",
-            )
-        fields = [(name, chunk.values[name].dtype) for name in names]
-        packed = np.empty(chunk.n, dtype=[(_TIME, np.float64), (_RECORD, np.int64), *fields])
-        packed[_TIME] = time_s
-        packed[_RECORD] = record
-        for name in names:
-            packed[name] = chunk.values[name]
-        return packed
-
-
-def _sort(parts: list[NDArray[np.void]]) -> NDArray[np.void]:
-    records = np.concatenate(parts)
-    return records[np.argsort(records[_TIME], kind="stable")]
-
-
-class _Run:
-    """A sorted run: a window in memory, the rest on disk."""
-
-    def __init__(
-        self,
-        handle: BinaryIO | None,
-        position: int,
-        n_records: int,
-        dtype: np.dtype[np.void],
-        window: NDArray[np.void] | None = None,
-    ) -> None:
-        self._handle = handle
-        self._position = position
-        self._n_on_disk = n_records if window is None else 0
-        self.window: NDArray[np.void] = np.empty(0, dtype) if window is None else window
-
-    @property
-    def is_all_here(self) -> bool:
-        """Whether nothing is left on disk."""
-        return self._n_on_disk == 0
-
-    def fill(self, n_records: int) -> None:
-        """Bring the window to ``n_records`` if it is half empty."""
-        wanted = min(n_records - len(self.window), self._n_on_disk)
-        if self._handle is None or len(self.window) > n_records // 2 or wanted <= 0:
-            return
-        more = np.empty(wanted, self.window.dtype)
-        with scratch_errors("sorting"):
-            self._handle.seek(self._position)
-            raw = self._handle.read(more.nbytes)
-        more.view(np.uint8)[:] = np.frombuffer(raw, np.uint8)
-        self._position += more.nbytes
-        self._n_on_disk -= wanted
-        self.window = np.concatenate([self.window, more])
-
-    def take(self, limit: float, *, with_equal: bool) -> NDArray[np.void]:
-        """Remove and return records below ``limit``, or also equal to it."""
-        count = int(
-            np.searchsorted(self.window[_TIME], limit, side="right" if with_equal else "left")
-        )
-        taken = self.window[:count]
-        self.window = self.window[count:]
-        return taken
-
-
-def _merge(runs: list[_Run], merge_records: int) -> Iterator[NDArray[np.void]]:
-    """Yield the records of all runs in order; of equal times, those of earlier runs first."""
-    share = max(merge_records // len(runs), 2)
-    while runs:
-        for run in runs:
-            run.fill(share)
-        # the window that ends first limits how far the order is known; earlier runs may give
-        # records of that very time, later runs not yet
-        open_runs = [k for k, run in enumerate(runs) if not run.is_all_here]
-        if open_runs:
-            decides = min(open_runs, key=lambda k: float(runs[k].window[_TIME][-1]))
-            limit = float(runs[decides].window[_TIME][-1])
-            parts = [run.take(limit, with_equal=k <= decides) for k, run in enumerate(runs)]
-        else:
-            parts = [run.take(np.inf, with_equal=True) for run in runs]
-        runs = [run for run in runs if len(run.window) or not run.is_all_here]
-        yield _sort(parts)

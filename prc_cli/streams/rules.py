@@ -27,6 +27,7 @@ from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.angles import (
     columns_of_angles,
     first_shots,
@@ -38,7 +39,7 @@ from prc_cli.streams.angles import (
 from prc_cli.streams.columns import Table
 from prc_cli.streams.directions import angles_in_planes
 from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
-from prc_cli.streams.order import judge_first_records, sorted_by_time
+from prc_cli.streams.order import judge_first_records
 from prc_cli.streams.ranges import (
     XYZ,
     RangeRule,

@@ -21,7 +21,7 @@ from prc_cli.core.stream import Assumption
 from prc_cli.core.types import I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
-from prc_cli.streams.order import sorted_by_time
+from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import PASS, Drive, reconstruct
 from prc_cli.streams.registered.spinning import NoScan
