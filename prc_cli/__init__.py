@@ -1,4 +1,4 @@
-r"""Preregistration classification of raw mobile laser scanning streams.
+"""Preregistration classification of raw mobile laser scanning streams.
 
 The commands call the functions below. All are loaded on first use, so that ``import prc_cli`` is
 fast.
@@ -6,8 +6,8 @@ fast.
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
 ['ClassCodes', 'ClassifiedRanges', 'DoubtWarning', 'EvidenceError', 'Label', 'PrcError',
-'calibrate', 'classify', \ 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'find_objects',
-'load_config', 'open_stream', 'render', \ 'simulate', 'stream', 'thin', 'transfer']
+'calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'find_objects',
+'load_config', 'open_stream', 'render', 'simulate', 'stream', 'thin', 'transfer']
 """
 
 from __future__ import annotations

@@ -225,8 +225,8 @@ def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
     Traceback (most recent call last):
     ...
     prc_cli.core.errors.ConfigError: classes.stem: found code 64, expected a code below 32 because
-    [output] codes = \
-"below-32"; set stem to a code from 19 to 31 in [classes], or codes = "upgrade"
+    [output] codes = "below-32"; set stem to a code from 19 to 31 in [classes], or
+    codes = "upgrade"
     """
     if options.codes != "below-32":
         return

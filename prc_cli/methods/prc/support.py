@@ -68,8 +68,7 @@ def unusual(params: SupportParams) -> str | None:
     (None, None)
     >>> unusual(SupportParams(zeta_s=0.1))
     'prc.support.zeta_s = 0.1 m is below zeta_p = 1 m: zeta_s >= zeta_p is advisable, as shots of
-    adjacent lines lie \
-farther apart than shots of one line'
+    adjacent lines lie farther apart than shots of one line'
     """
     if params.zeta_s >= params.zeta_p:
         return None

@@ -141,8 +141,8 @@ def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresho
     ...     leaves = np.ones((1, 10), np.uint8)
     ...     found.append(without_windows(leaves, lines, WindowThresholds()))
     >>> found
-    [array([[3, 3, 3, 3, 3, 3, 3, 3, 3, 3]], dtype=uint8), array([[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]],
-    dtype=uint8)]
+    [array([[3, 3, 3, 3, 3, 3, 3, 3, 3, 3]], dtype=uint8),
+     array([[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]], dtype=uint8)]
     """
     if thresholds.share < 1.0:
         surface = kernels.upright_layers(surface, lines.horizontal_m, lines.n_beams, thresholds)
