@@ -104,7 +104,7 @@ def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
     progress = None
     if where == "reader":
         monkeypatch.setattr(grid, "dense_block", after(1, grid.dense_block, error))
-        monkeypatch.setattr("prc_cli.formats.raw_binary.read.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
+        monkeypatch.setattr("prc_cli.formats.binary.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
     elif where == "classifier":
         monkeypatch.setattr(Prc, "label", after(2, Prc.label, error))
     elif where == "writer":

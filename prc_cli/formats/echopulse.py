@@ -22,8 +22,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64
+from prc_cli.formats.binary import read_numbers
 from prc_cli.formats.options import LayoutField
-from prc_cli.formats.raw_binary.read import read_numbers
 from prc_cli.formats.records import Column, FieldSource, shorten
 from prc_cli.formats.text.dialect import to_number
 

@@ -14,20 +14,19 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule
 from prc_cli.core.files import open_to_read
+from prc_cli.formats.binary import CHUNK_RECORDS, binary_body
 from prc_cli.formats.clouds.source import (
     MAX_PROPERTIES,
     OWN_COMMENT,
     CloudHead,
     CloudSource,
     Columns,
-    binary_body,
     header_lines,
     text_body,
     whole_number,
 )
 from prc_cli.formats.options import Layout
 from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE
-from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
 from prc_cli.formats.records import Body, shorten
 from prc_cli.formats.text.dialect import to_number
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.errors import InputError
+from prc_cli.formats.binary import binary_body
 from prc_cli.formats.clouds.source import (
     MAX_PROPERTIES,
     CloudHead,
     CloudSource,
-    binary_body,
     header_lines,
     text_body,
     whole_number,

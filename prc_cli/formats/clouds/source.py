@@ -21,7 +21,6 @@ from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64, Mask
 from prc_cli.formats.names import NAMES, angle_rules, find_columns, ring_rules
 from prc_cli.formats.options import Layout
-from prc_cli.formats.raw_binary.read import BinaryBody
 from prc_cli.formats.records import (
     AXES,
     Body,
@@ -112,21 +111,6 @@ def text_body(
     return TextBody(
         path, TextFormat(BLANKS, b"", first_line - 1, first_line, names, False), n_records=n
     )
-
-
-def binary_body(
-    path: Path,
-    dtype: np.dtype[np.void],
-    start: int,
-    n: int,
-    hint: str,
-) -> BinaryBody:
-    """Return records behind a header, after a look at the size of the file."""
-    there = max(path.stat().st_size - start, 0)
-    if n * dtype.itemsize > there:
-        problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
-        raise InputError(str(path), problem, hint)
-    return BinaryBody(path, dtype, start, n)
 
 
 class CloudSource(FieldSource):

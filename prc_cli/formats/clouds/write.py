@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
+from prc_cli.formats.binary import CHUNK_RECORDS
 from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
-from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
 from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import (
     NO_CODE,

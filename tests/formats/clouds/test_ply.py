@@ -10,10 +10,9 @@ import pytest
 from prc_cli.cli import main
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats import open_source
+from prc_cli.formats import binary, open_source
 from prc_cli.formats.clouds.pcd import decode_lzf
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.formats.raw_binary import read as raw
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array, lzf, pcd, ply
@@ -125,7 +124,7 @@ def test_shots_do_not_depend_on_chunks(
         "nb_of_echo": n_echo[shot].astype("u1"),
     }
     path.write_bytes(ply(made))
-    monkeypatch.setattr(raw, "CHUNK_RECORDS", rows)
+    monkeypatch.setattr(binary, "CHUNK_RECORDS", rows)
     names = ("return_number", "number_of_returns")
     chunks = list(opened(path).chunks(names))
     assert max(chunk.n for chunk in chunks) <= rows + 3
