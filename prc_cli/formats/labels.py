@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.types import I64
 from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.records import NO_CODE, CodeSource
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.writing.base import Columns, ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, Values, asked_columns
@@ -37,8 +38,6 @@ FORMATS = (
 
 NAMES = ("class", "label", "classification", "class_code")
 """Names that codes have where none is given; the first one present is taken, whatever its case."""
-NO_CODE = -1
-"""Code of a record without one (an empty cell)."""
 CODES_AT_ONCE = 1 << 20
 """Codes read at a time."""
 MAX_POINTS_PER_LINE = 10_000_000
@@ -50,57 +49,6 @@ SEMANTIC_BITS = 0xFFFF
 """Its bits that hold the class."""
 
 _DAMAGED = (OSError, ValueError, LookupError, MemoryError)
-_WHOLE = float(1 << 53)
-
-
-class CodeSource:
-    """Class codes of one file, in record order."""
-
-    def __init__(
-        self,
-        path: Path,
-        n: int | None,
-        read: Callable[[], Iterator[NDArray[Any]]],
-        *,
-        missing: bool = False,
-        name: str = "",
-    ) -> None:
-        self.path = str(path)
-        self.n = n
-        self.name = name
-        self._read = read
-        self._missing = missing
-
-    def chunks(self) -> Iterator[I64]:
-        """Yield the codes, (n,) int64; -1 = the record has none."""
-        first = 0
-        for values in self._read():
-            yield self.to_codes(values, first)
-            first += len(values)
-
-    def to_codes(self, values: NDArray[Any], first: int) -> I64:
-        """Return stored numbers as codes, (n,) int64; -1 = the record has none."""
-        if values.dtype.kind == "f":
-            with np.errstate(invalid="ignore"):
-                wide = values.astype(np.float64)
-                if self._missing:
-                    wide[np.isnan(wide)] = NO_CODE
-                wrong = ~((np.abs(wide) <= _WHOLE) & (np.floor(wide) == wide))
-        else:
-            wide = values
-            # only unsigned 64-bit integers can be too large
-            wrong = (
-                values > np.iinfo(np.int64).max
-                if values.dtype.kind == "u"
-                else np.zeros(len(values), np.bool_)
-            )
-        if wrong.any():
-            at = int(np.flatnonzero(wrong)[0])
-            problem = (
-                f"record {first + at}: found the class code {values[at]}, expected a whole number"
-            )
-            raise InputError(self.path, problem, "name the column that holds class codes")
-        return wide.astype(np.int64)
 
 
 def open_codes(path: Path, dimension: str | None = None) -> CodeSource:

@@ -7,7 +7,7 @@ all formats alike.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import I64
 from prc_cli.formats.options import LayoutField, decode
@@ -237,6 +237,62 @@ class DerivedSource:
     def facts(self) -> SourceFacts:
         """What the file says of itself beside its records."""
         return self.source.facts
+
+
+NO_CODE = -1
+"""Code of a record without one (an empty cell)."""
+_WHOLE = float(1 << 53)
+"""Largest float64 below which every whole number is exact."""
+
+
+class CodeSource:
+    """Class codes of one file, in record order."""
+
+    def __init__(
+        self,
+        path: Path,
+        n: int | None,
+        read: Callable[[], Iterator[NDArray[Any]]],
+        *,
+        missing: bool = False,
+        name: str = "",
+    ) -> None:
+        self.path = str(path)
+        self.n = n
+        self.name = name
+        self._read = read
+        self._missing = missing
+
+    def chunks(self) -> Iterator[I64]:
+        """Yield the codes, (n,) int64; -1 = the record has none."""
+        first = 0
+        for values in self._read():
+            yield self.to_codes(values, first)
+            first += len(values)
+
+    def to_codes(self, values: NDArray[Any], first: int) -> I64:
+        """Return stored numbers as codes, (n,) int64; -1 = the record has none."""
+        if values.dtype.kind == "f":
+            with np.errstate(invalid="ignore"):
+                wide = values.astype(np.float64)
+                if self._missing:
+                    wide[np.isnan(wide)] = NO_CODE
+                wrong = ~((np.abs(wide) <= _WHOLE) & (np.floor(wide) == wide))
+        else:
+            wide = values
+            # only unsigned 64-bit integers can be too large
+            wrong = (
+                values > np.iinfo(np.int64).max
+                if values.dtype.kind == "u"
+                else np.zeros(len(values), np.bool_)
+            )
+        if wrong.any():
+            at = int(np.flatnonzero(wrong)[0])
+            problem = (
+                f"record {first + at}: found the class code {values[at]}, expected a whole number"
+            )
+            raise InputError(self.path, problem, "name the column that holds class codes")
+        return wide.astype(np.int64)
 
 
 CLASS_NAMES = ("classification", "class", "label")

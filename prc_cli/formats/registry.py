@@ -20,9 +20,8 @@ from prc_cli.core.files import suffix_of
 
 if TYPE_CHECKING:
     from prc_cli.core.stream import ScanStream
-    from prc_cli.formats.labels import CodeSource
     from prc_cli.formats.options import InputConfig, Layout
-    from prc_cli.formats.records import RecordSource
+    from prc_cli.formats.records import CodeSource, RecordSource
     from prc_cli.formats.writing.base import StagedWriter, StreamShape
     from prc_cli.formats.writing.columns import LabelOutput
 

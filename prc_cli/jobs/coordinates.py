@@ -25,8 +25,7 @@ from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordChunk, RecordSource
-from prc_cli.formats.writing.base import NO_CODE
+from prc_cli.formats.records import NO_CODE, RecordChunk, RecordSource
 from prc_cli.formats.writing.columns import SPACING_M, AtStations, LinesApart, Placement
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import reading_beside

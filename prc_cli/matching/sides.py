@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64, U8, Mask
-from prc_cli.formats.labels import NO_CODE, CodeSource, open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import NO_CODE, CodeSource, DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.tables.read import open_table
 from prc_cli.formats.writing.record import dense_line_beside
 from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Columns, columns_of, in_step

@@ -27,7 +27,7 @@ from prc_cli.formats.bags.laser import ECHOES, parse_laser, read_echoes
 from prc_cli.formats.bags.messages import PACKED, Cursor
 from prc_cli.formats.bags.read import LABELS, LASERS, BagStream, is_labels
 from prc_cli.formats.bags.write import BagOutput
-from prc_cli.formats.labels import CodeSource
+from prc_cli.formats.records import CodeSource
 from prc_cli.formats.writing.base import ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, asked_columns
 from prc_cli.formats.writing.record import RunRecord

@@ -14,14 +14,9 @@ from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.binary import CHUNK_RECORDS
 from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
+from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.tables.write import stream_rows
-from prc_cli.formats.writing.base import (
-    NO_CODE,
-    ScatterWriter,
-    StagedWriter,
-    StreamItem,
-    StreamShape,
-)
+from prc_cli.formats.writing.base import ScatterWriter, StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import (
     RANGE,
     ExtraDimension,

@@ -31,8 +31,9 @@ from prc_cli.formats.las.header import (
 from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_size, new_laszip
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr, standard_columns
 from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
+from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.systems import looks_geographic, units_of_system
-from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import (
     RANGE,
     ExtraDimension,

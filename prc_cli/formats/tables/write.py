@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import I64
-from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape, StreamWriter
+from prc_cli.formats.records import NO_CODE
+from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 
 ROWS_AT_ONCE = 1 << 17
 """Rows converted at a time."""

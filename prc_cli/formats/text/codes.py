@@ -9,7 +9,8 @@ import numpy as np
 
 from prc_cli.core.files import suffix_of
 from prc_cli.core.types import I64
-from prc_cli.formats.labels import CodeSource, code_of_name, dimension_of_codes, open_record_codes
+from prc_cli.formats.labels import code_of_name, dimension_of_codes, open_record_codes
+from prc_cli.formats.records import CodeSource
 from prc_cli.formats.registry import by_suffix
 from prc_cli.formats.text.dialect import is_number
 from prc_cli.formats.text.read import TextBody, TextSource

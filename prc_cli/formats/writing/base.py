@@ -23,6 +23,7 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.files import discard, output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64, U8
+from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.columns import (
     HIGH_NOISE_CODE,
     LabelOutput,
@@ -37,8 +38,6 @@ from prc_cli.formats.writing.record import ClassCount, RunRecord, fingerprint, r
 
 CHUNK_RECORDS = 400_000
 """Records per chunk when an output is written."""
-NO_CODE = -1
-"""Class code of a shot without one."""
 
 
 @dataclass(frozen=True, slots=True)

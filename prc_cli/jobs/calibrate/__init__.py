@@ -25,7 +25,8 @@ from prc_cli.core.types import I64
 from prc_cli.evaluation.confusion import refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.scores import scores
-from prc_cli.formats.labels import CodeSource, open_codes
+from prc_cli.formats.labels import open_codes
+from prc_cli.formats.records import CodeSource
 from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply
 from prc_cli.jobs.calibrate.search import (
     MEAN_F1,
