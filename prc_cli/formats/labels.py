@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import ASPRS_NAMES, ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
-from prc_cli.core.types import I64
-from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.records import NO_CODE, CodeSource
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.writing.base import Columns, ScatterWriter
@@ -40,15 +38,11 @@ NAMES = ("class", "label", "classification", "class_code")
 """Names that codes have where none is given; the first one present is taken, whatever its case."""
 CODES_AT_ONCE = 1 << 20
 """Codes read at a time."""
-MAX_POINTS_PER_LINE = 10_000_000
-"""Longest row of a label image."""
 
 LABEL_BYTES = 4
 """Bytes of a SemanticKITTI label."""
 SEMANTIC_BITS = 0xFFFF
 """Its bits that hold the class."""
-
-_DAMAGED = (OSError, ValueError, LookupError, MemoryError)
 
 
 def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
@@ -123,33 +117,6 @@ def code_of_name(where: str, name: str) -> int:
     return code
 
 
-def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open an array of codes, 1-D or 2-D, or that of an archive."""
-    file = ArrayFile(path)
-    if file.is_archive:
-        name = dimension_of_codes(path, list(file.headers), dimension)
-    elif dimension is not None:
-        raise ConfigError(str(path), f"no dimension {dimension!r} in a .npy file", "leave it out")
-    else:
-        name = ""
-    header = file.headers[name]
-    header.check_numbers(expected="class codes, whole numbers")
-    shape = header.shape
-    if len(shape) not in (1, 2) or 0 in shape or max(shape[1:], default=1) > MAX_POINTS_PER_LINE:
-        problem = f"found shape {shape}, expected (records,) or (lines, points per line)"
-        raise InputError(header.where, problem, "save one class code a record, in record order")
-    row = shape[1] if len(shape) == 2 else 1
-
-    def read() -> Iterator[NDArray[Any]]:
-        each = max(1, CODES_AT_ONCE // row)
-        with file.open(name) as (rows,):
-            for first in range(0, shape[0], each):
-                yield rows.read(min(each, shape[0] - first)).ravel()
-            rows.finish()
-
-    return CodeSource(path, shape[0] * row, read, name=name)
-
-
 def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open a dimension of a file of records: a text, a cloud."""
     source = by_suffix("scans")[suffix_of(path)].open_records(path, None)
@@ -177,64 +144,6 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
 def open_las_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open a dimension of a LAS or LAZ file, ``classification`` by default."""
     return open_record_codes(path, dimension or "classification")
-
-
-def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open a column of a Parquet file."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    from prc_cli.formats.tables.read import read_batches
-
-    damaged = "copy it from the archive again"
-    try:
-        with parquet.ParquetFile(path) as file:
-            schema = file.schema_arrow
-            n = file.metadata.num_rows
-    except (pa.ArrowException, *_DAMAGED) as error:
-        raise InputError(
-            str(path), f"no whole Parquet file ({' '.join(str(error).split())[:160]})", damaged
-        ) from error
-    name = dimension_of_codes(path, list(schema.names), dimension)
-    kind = schema.types[schema.names.index(name)]
-    plain = kind.value_type if pa.types.is_dictionary(kind) else kind
-    if pa.types.is_string(plain) or pa.types.is_large_string(plain):
-        return CodeSource(path, n, lambda: _named_codes(path, name))
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        problem = f"column {name!r} holds {kind}, expected class codes, whole numbers"
-        raise InputError(str(path), problem, "name the column that holds class codes")
-    if not n:
-        raise InputError(str(path), "no rows, expected a class code a record", damaged)
-
-    def read() -> Iterator[NDArray[Any]]:
-        first = 0
-        try:
-            for batch in read_batches(path, [name]):
-                column = batch.column(0)
-                if column.null_count:
-                    wide = pa.float64() if pa.types.is_floating(kind) else pa.int64()
-                    column = column.cast(wide).fill_null(NO_CODE)
-                first += len(column)
-                yield column.to_numpy(zero_copy_only=False)
-        except (pa.ArrowException, *_DAMAGED) as error:
-            problem = f"record {first} and on cannot be read ({' '.join(str(error).split())[:160]})"
-            raise InputError(str(path), problem, damaged) from error
-
-    return CodeSource(path, n, read, name=name)
-
-
-def _named_codes(path: Path, name: str) -> Iterator[I64]:
-    """Yield the codes of a Parquet column of class names."""
-    import pyarrow as pa
-
-    from prc_cli.formats.tables.read import read_batches
-
-    for batch in read_batches(path, [name]):
-        column = batch.column(0)
-        coded = column if pa.types.is_dictionary(column.type) else column.dictionary_encode()
-        codes = [code_of_name(str(path), word or "") for word in coded.dictionary.to_pylist()]
-        index = coded.indices.cast(pa.int64()).fill_null(len(codes)).to_numpy(zero_copy_only=False)
-        yield np.array([*codes, NO_CODE], np.int64)[index]
 
 
 def open_semantic_codes(path: Path, dimension: str | None) -> CodeSource:

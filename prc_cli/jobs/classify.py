@@ -30,9 +30,9 @@ from prc_cli.core.threads import close_items, default_threads, read_ahead, write
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input, scan_file
 from prc_cli.formats.las import LAZ
+from prc_cli.formats.outputs import open_writer, prepare_label_outputs
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
-from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint
 from prc_cli.jobs.choice import (

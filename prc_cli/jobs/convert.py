@@ -25,14 +25,14 @@ from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import copy_las, read_las
-from prc_cli.formats.records import NO_CODE, RecordSource
-from prc_cli.formats.registry import Held, format_of, is_cloud
-from prc_cli.formats.writing import (
+from prc_cli.formats.outputs import (
     open_stream_writer,
     prepare_stream_output,
     stream_format,
     stream_suffix,
 )
+from prc_cli.formats.records import NO_CODE, RecordSource
+from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.columns import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn

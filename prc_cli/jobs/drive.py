@@ -30,8 +30,8 @@ from prc_cli.formats.joined import (
     find_break,
     open_joined,
 )
+from prc_cli.formats.outputs import open_writer, prepare_label_outputs
 from prc_cli.formats.registry import by_suffix, is_cloud, keeps_points
-from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import fingerprint

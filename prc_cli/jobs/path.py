@@ -18,7 +18,7 @@ from prc_cli.formats.clock import with_clock
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.systems import in_metres, refuse_degrees
-from prc_cli.formats.writing.trajectory import PathTable, check_path_suffix, write_path
+from prc_cli.formats.trajectory.write import PathTable, check_path_suffix, write_path
 from prc_cli.streams.ranges import metres_of
 from prc_cli.streams.registered.comparison import (
     FAR_HEIGHT_M,

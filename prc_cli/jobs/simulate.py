@@ -26,10 +26,7 @@ from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.bags import BAG
-from prc_cli.formats.raw_binary.write import FrameFolder
-from prc_cli.formats.registry import format_of
-from prc_cli.formats.trajectory import SBET_SUFFIXES
-from prc_cli.formats.writing import (
+from prc_cli.formats.outputs import (
     BESIDE,
     open_stream_writer,
     outputs_of,
@@ -37,6 +34,9 @@ from prc_cli.formats.writing import (
     stream_format,
     stream_suffix,
 )
+from prc_cli.formats.raw_binary.write import FrameFolder
+from prc_cli.formats.registry import format_of
+from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.disk import NpyFile
 from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord

@@ -18,7 +18,7 @@ from prc_cli.core.stream import (
     StageLabels,
 )
 from prc_cli.core.types import F32, I64, U8
-from prc_cli.formats.writing import open_writer
+from prc_cli.formats.outputs import open_writer
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import Fingerprint, RunRecord

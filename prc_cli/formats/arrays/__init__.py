@@ -4,7 +4,7 @@ from prc_cli.formats.registry import Format
 
 _IMAGES = "prc_cli.formats.arrays.read:ArrayStream"
 _COLUMNS = "prc_cli.formats.tables.read:ArrayTable"
-_CODES = "prc_cli.formats.labels:open_array_codes"
+_CODES = "prc_cli.formats.arrays.codes:open_array_codes"
 
 FORMATS = (
     Format(

@@ -15,7 +15,6 @@ from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.binary import CHUNK_RECORDS
 from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.records import NO_CODE
-from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import ScatterWriter, StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import (
     RANGE,
@@ -27,6 +26,7 @@ from prc_cli.formats.writing.columns import (
     asked_columns,
 )
 from prc_cli.formats.writing.record import RunRecord
+from prc_cli.formats.writing.rows import stream_rows
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
 """Files of these writers."""

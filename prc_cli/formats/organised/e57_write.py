@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import why_not_written
 from prc_cli.core.types import F64
-from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
+from prc_cli.formats.writing.rows import stream_rows
 
 POINTS_AT_ONCE = 1 << 17
 """Points per call of the library."""

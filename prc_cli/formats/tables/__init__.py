@@ -11,7 +11,7 @@ FORMATS = (
         labels=(".parquet",),
         write_labels="prc_cli.formats.labels:LabelFileWriter",
         codes=(".parquet",),
-        open_codes="prc_cli.formats.labels:open_parquet_codes",
+        open_codes="prc_cli.formats.tables.codes:open_parquet_codes",
     ),
     Format(name="Feather", scans=(".feather",), records="prc_cli.formats.tables.read:FeatherTable"),
 )

@@ -35,9 +35,9 @@ from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source, scan_file
 from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import check_copied, copy_las, read_las
+from prc_cli.formats.outputs import open_stream_writer, open_writer, outputs_of
 from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.registry import format_of, is_bag, keeps_points
-from prc_cli.formats.writing import open_stream_writer, open_writer, outputs_of
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.disk import DiskColumn

@@ -14,7 +14,7 @@ from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, StreamInfo
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read
 from prc_cli.formats.organised.e57_read import E57Stream
-from prc_cli.formats.writing import open_stream_writer
+from prc_cli.formats.outputs import open_stream_writer
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
 from prc_cli.jobs.classify import open_stream
