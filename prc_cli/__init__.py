@@ -15,6 +15,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from prc_cli.core.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from prc_cli.config import load_config
     from prc_cli.core.classes import ClassCodes, Label
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from prc_cli.jobs.thin import thin
     from prc_cli.jobs.transfer import transfer
 
-__version__ = "1.2.0"
 __all__ = [
     "ClassCodes",
     "ClassifiedRanges",

@@ -19,7 +19,6 @@ from typing import Any
 
 import click
 
-from prc_cli import __version__
 from prc_cli.cli.guard import REPEATED_S, begin
 from prc_cli.core.errors import PrcError, printable, printable_lines
 from prc_cli.core.files import (
@@ -32,6 +31,7 @@ from prc_cli.core.files import (
 )
 from prc_cli.core.paths import begin_command
 from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
+from prc_cli.core.version import __version__
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (

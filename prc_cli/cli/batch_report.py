@@ -14,10 +14,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from prc_cli import __version__
 from prc_cli.cli.report import console, results, table_of
 from prc_cli.core.errors import OutputError, printable
 from prc_cli.core.findings import is_doubt
+from prc_cli.core.version import __version__
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
 from prc_cli.jobs.batch.lock import Holder

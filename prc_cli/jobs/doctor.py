@@ -24,11 +24,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
-from prc_cli import __version__
 from prc_cli.core.errors import PrcError
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.profile import peak_memory
 from prc_cli.core.threads import default_threads
+from prc_cli.core.version import __version__
 
 if TYPE_CHECKING:
     from prc_cli.simulation.settings import Kind

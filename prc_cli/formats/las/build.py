@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import __version__
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.core.version import __version__
 from prc_cli.formats.las.header import (
     COMPRESSED,
     LASZIP_KEY,

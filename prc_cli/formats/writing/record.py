@@ -15,12 +15,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from prc_cli import __version__
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.profile import stage, timed
 from prc_cli.core.stream import Assumption, ReadTally
+from prc_cli.core.version import __version__
 
 PROGRAM = "prc-cli"
 RECORD_SUFFIX = ".prc.json"

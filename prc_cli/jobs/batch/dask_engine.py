@@ -27,9 +27,9 @@ from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias
 
-from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import TICK_S, drain
+from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.local import remove_left
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,

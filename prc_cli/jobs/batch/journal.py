@@ -28,9 +28,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args
 
-from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
 from prc_cli.core.files import make_folder, refuse_links, why_not_written
+from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,

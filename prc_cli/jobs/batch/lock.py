@@ -26,7 +26,6 @@ from types import TracebackType
 
 from filelock import FileLock, Timeout
 
-from prc_cli import __version__
 from prc_cli.core.errors import BusyError, OutputError
 from prc_cli.core.files import (
     atomic_output,
@@ -36,6 +35,7 @@ from prc_cli.core.files import (
     refuse_links,
     remove_stale,
 )
+from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.types import Shard, own_name
 
 LOOK_S = 0.5

@@ -13,7 +13,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from prc_cli import __version__
 from prc_cli.config import (
     LoadedConfig,
     RunConfig,
@@ -26,6 +25,7 @@ from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError, PrcError
 from prc_cli.core.files import is_same, parts_of, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
+from prc_cli.core.version import __version__
 from prc_cli.formats.writing.record import RunRecord, fingerprint, read_record, record_path
 from prc_cli.jobs.batch.discovery import Found, Patterns, collisions
 from prc_cli.jobs.batch.types import (

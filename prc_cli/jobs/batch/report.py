@@ -13,11 +13,11 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from prc_cli import __version__
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError, InputError
 from prc_cli.core.files import atomic_output, remove_stale, suffix_of
 from prc_cli.core.types import F64
+from prc_cli.core.version import __version__
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict

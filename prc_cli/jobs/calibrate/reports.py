@@ -7,11 +7,11 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 
-from prc_cli import __version__
 from prc_cli.config import to_toml
 from prc_cli.core.brief import finite
 from prc_cli.core.pages import render_page
 from prc_cli.core.types import F64
+from prc_cli.core.version import __version__
 from prc_cli.jobs.calibrate import Calibration
 from prc_cli.jobs.calibrate.search import figure
 from prc_cli.jobs.calibrate.sensor import SensorEstimate

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from prc_cli import __version__
 from prc_cli.config import LoadedConfig, MethodChoice, refuse_window
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, prepare_outputs, temporary_folder, whole_set
+from prc_cli.core.version import __version__
 from prc_cli.formats import check_input
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.imaging.viewer import html_page

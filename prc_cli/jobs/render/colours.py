@@ -17,11 +17,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from prc_cli import __version__
 from prc_cli.config import LoadedConfig, preset_of
 from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64, U8, Mask
+from prc_cli.core.version import __version__
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.records import NO_CODE

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import __version__
 from prc_cli.config import LoadedConfig, options_of, preset_of, refuse_window
 from prc_cli.core.classes import Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, prepare_outputs, temporary_folder
 from prc_cli.core.stream import LabelledBlock, ScanStream
 from prc_cli.core.types import F64, I64, Mask
+from prc_cli.core.version import __version__
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.writing.columns import behind
