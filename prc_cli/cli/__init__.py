@@ -20,7 +20,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.guard import REPEATED_S, begin
-from prc_cli.core.errors import PrcError, printable, printable_lines
+from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, PrcError, printable, printable_lines
 from prc_cli.core.files import (
     drop_proofs,
     forget_placed,
@@ -82,10 +82,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Commands by name: their module (loaded when called) and the line in ``prc --help``."""
 
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as in shells."""
-SIGNALLED = 128
-"""Exit codes after a signal are higher."""
 AGAIN_S = 0.05
 """Delay after which a dropped signal is raised again [s]."""
 
@@ -168,7 +164,7 @@ def main(args: list[str] | None = None) -> None:
     try:
         code = _run(arguments, debug="--debug" in arguments)
     except SystemExit as stop:
-        if isinstance(stop.code, int) and stop.code > SIGNALLED:
+        if isinstance(stop.code, int) and stop.code > AFTER_SIGNAL:
             take_back()
         raise
     finally:
@@ -185,9 +181,10 @@ def main(args: list[str] | None = None) -> None:
 def _run(arguments: list[str], *, debug: bool) -> int:
     """Run one command and return its exit code."""
     failure: BaseException
+    code: int
     try:
         # without standalone mode click returns the exit code of ``ctx.exit`` and raises the rest
-        code = cli.main(args=arguments, prog_name="prc", standalone_mode=False)
+        returned = cli.main(args=arguments, prog_name="prc", standalone_mode=False)
         sys.stdout.flush()
     except PrcError as error:
         failure = error
@@ -218,25 +215,25 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     except MemoryError as error:
         failure = error
         message = f"not enough memory for this input and these parameters; {left_words()}"
-        code = 1
+        code = ExitCode.FAILED
     except ImportError as error:
         failure = error
         message = printable(
             f"a package cannot be loaded ({error}); prc doctor checks the installation"
         )
-        code = 1
+        code = ExitCode.FAILED
     except (click.Abort, KeyboardInterrupt) as error:
         failure = error
         take_back()
         message = printable(f"interrupted; {left_words()}")
-        code = INTERRUPTED
+        code = ExitCode.INTERRUPTED
     except OSError as error:
         failure = error
         message = printable(_system_problem(error))
-        code = 1
+        code = ExitCode.FAILED
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
     else:
-        return code if isinstance(code, int) else 0
+        return returned if isinstance(returned, int) else ExitCode.DONE
     if debug:
         with contextlib.suppress(OSError):
             click.echo(printable_lines("".join(traceback.format_exception(failure))), err=True)
@@ -276,7 +273,9 @@ def _leave_on_signals() -> None:
     """Make SIGTERM (``kill``, ``timeout``) end a run like Ctrl-C, so that temporary files are removed."""
     if threading.current_thread() is not threading.main_thread():
         return
-    signal.signal(signal.SIGTERM, lambda number, frame: _hear(number, SystemExit(128 + number)))
+    signal.signal(
+        signal.SIGTERM, lambda number, frame: _hear(number, SystemExit(AFTER_SIGNAL + number))
+    )
     # the parent process may have set Ctrl-C to be ignored, as nohup does
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda number, frame: _hear(number, KeyboardInterrupt()))

@@ -24,12 +24,15 @@ from prc_cli.cli.options import (
     stream_options,
 )
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
-from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.errors import ConfigError, ExitCode, PrcError
 from prc_cli.core.files import atomic_output, read_own, remove_stale
 from prc_cli.core.paths import begin_command
 from prc_cli.core.process import raise_or_hold
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from prc_cli.jobs.batch.outputs import Verified
     from prc_cli.jobs.batch.report import BatchSummary
     from prc_cli.jobs.batch.run import RunEvent
     from prc_cli.jobs.batch.types import BatchSettings, Engine
@@ -313,7 +316,7 @@ def status(out: Path, as_json: bool, verify: bool) -> None:
         print_status(out, entries, runs, owners)
         if verify:
             print_verified(out, verified, quiet=False)
-    click.get_current_context().exit(int(any(item.state != "whole" for item in verified)))
+    click.get_current_context().exit(_verified_code(verified))
 
 
 @batch.command()
@@ -408,6 +411,11 @@ def _run(options: dict[str, Any], typed: Sequence[str]) -> None:
     click.get_current_context().exit(summary.exit_code)
 
 
+def _verified_code(outputs: Iterable[Verified]) -> ExitCode:
+    is_whole = all(output.state == "whole" for output in outputs)
+    return ExitCode.DONE if is_whole else ExitCode.FAILED
+
+
 def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
     """Say which outputs are whole; exit code 1 if one is not."""
     from prc_cli.cli.batch_report import print_verified
@@ -418,7 +426,7 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
         click.echo(json.dumps([asdict(one) for one in found], indent=1))
     else:
         print_verified(out, found, quiet=quiet)
-    click.get_current_context().exit(int(any(one.state != "whole" for one in found)))
+    click.get_current_context().exit(_verified_code(found))
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:
@@ -512,7 +520,7 @@ def _run_and_tell(
 
     _end_with_terminal()
     summary: BatchSummary | None = None
-    code = 1
+    code = int(ExitCode.FAILED)
     problem = ""
     try:
         with contextlib.ExitStack() as stack:
@@ -533,7 +541,7 @@ def _run_and_tell(
         problem = str(error)
         raise
     except (KeyboardInterrupt, SystemExit) as stop:
-        code = 130 if isinstance(stop, KeyboardInterrupt) else int(stop.code or 0)
+        code = int(stop.code or 0) if isinstance(stop, SystemExit) else ExitCode.INTERRUPTED
         problem = "interrupted"
         say("interrupted; what was finished stays, and the next run goes on from there")
         raise SystemExit(code) from None
@@ -555,7 +563,9 @@ def _end_with_terminal() -> None:
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
         return
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
-        signal.signal(signal.SIGHUP, lambda number, frame: raise_or_hold(SystemExit(128 + number)))
+        signal.signal(
+            signal.SIGHUP, lambda number, frame: raise_or_hold(SystemExit(ExitCode.HANGUP))
+        )
 
 
 # -- the last run, for retry ------------------------------------------------------------------------------------------

@@ -9,10 +9,7 @@ import click
 
 from prc_cli.cli.paths import WRITTEN
 from prc_cli.cli.report import console, results
-from prc_cli.core.errors import printable
-
-BROKEN = 1
-"""Exit code when a check is bad."""
+from prc_cli.core.errors import ExitCode, printable
 
 
 @click.command()
@@ -79,4 +76,4 @@ def doctor(
     elif not quiet:
         console().print(f"{counts['ok']} ok, {counts['warn']} to know, {counts['bad']} bad")
     if counts["bad"]:
-        click.get_current_context().exit(BROKEN)
+        click.get_current_context().exit(ExitCode.FAILED)

@@ -23,8 +23,8 @@ from prc_cli.cli.options import (
     window_options,
 )
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
-from prc_cli.cli.report import LOOK, console, results, table_of
-from prc_cli.core.errors import ConfigError, InputError, printable_lines
+from prc_cli.cli.report import console, results, table_of
+from prc_cli.core.errors import ConfigError, ExitCode, InputError, printable_lines
 from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
 from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.confusion import ConfusionMatrix
@@ -341,7 +341,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         )
     refuse_failed(gates)
     if doubts(found):
-        raise SystemExit(LOOK)
+        raise SystemExit(ExitCode.LOOK)
 
 
 def _text(

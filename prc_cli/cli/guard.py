@@ -21,7 +21,7 @@ import threading
 import time
 from pathlib import Path
 
-from prc_cli.core.errors import printable
+from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, printable
 from prc_cli.core.process import STEP_CPU_S, hold_limits
 
 SWITCH = "PRC_GUARD"
@@ -107,7 +107,7 @@ def _end_with(parent: int) -> None:
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
     if os.getppid() != parent:
-        os._exit(128 + signal.SIGKILL)
+        os._exit(AFTER_SIGNAL + signal.SIGKILL)
 
 
 def _keep_for_parent(printed: int, notes: int) -> None:
@@ -183,16 +183,16 @@ def _exit_code(
     name = _name(number)
     if killed and number == signal.SIGKILL:
         _print(f"error: interrupted; {left}\n")
-        return 128 + sent[0]
+        return AFTER_SIGNAL + sent[0]
     if number in sent:  # it met the signal when it had already ended its work for the same one
-        return 128 + number
+        return AFTER_SIGNAL + number
     if name not in _CRASHES:  # somebody ended it so: end in the same way
         signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
         os.kill(os.getpid(), number)
-        return 128 + number
+        return AFTER_SIGNAL + number
     _print(f"error: {_message(number, name, arguments, said, left)}\n")
-    return 1
+    return ExitCode.FAILED
 
 
 def _message(

@@ -19,7 +19,7 @@ from prc_cli.cli.options import Sectioned, config_from, given_words, output_opti
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import print_doubts
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.errors import InputError, PrcError, printable
+from prc_cli.core.errors import ExitCode, InputError, PrcError, printable
 from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats.las.vlrs import short_crs
 from prc_cli.formats.records import Contents
@@ -87,7 +87,7 @@ def info(
     if path_output is not None:
         _prepare_path(files, path_output, loaded, is_checked=check_path, overwrite=overwrite)
     found: list[dict[str, Any]] = []
-    code = 0
+    code = ExitCode.DONE
     for path in files:
         written: tuple[Path, ...] = ()
         try:

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import printable, printable_lines
+from prc_cli.core.errors import ExitCode, printable, printable_lines
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import Profile, StageTime, peak_memory
 
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 NOT_KEPT = "not kept: "
 """Begins a notice of what the output cannot hold."""
-LOOK = 4
-"""Exit code of a run that is done, but must be looked at."""
 
 
 class SafeConsole(Console):
@@ -116,14 +114,14 @@ class LineBar:
         self._share = share if share >= self._share else 0.0
 
 
-def print_doubts(doubts: Iterable[Finding]) -> int:
+def print_doubts(doubts: Iterable[Finding]) -> ExitCode:
     """Print every doubt on stderr, quiet or not; return the exit code."""
-    code = 0
+    code = ExitCode.DONE
     for doubt in doubts:
         insist = f"accept it with --accept-doubt {doubt.check}"
         told = f"warning: {doubt.sentence()}; {'or ' if doubt.hint else ''}{insist}"
         click.echo(printable(told), err=True)
-        code = LOOK
+        code = ExitCode.LOOK
     return code
 
 

@@ -12,7 +12,6 @@ import click
 
 from prc_cli.cli.options import Sectioned, config_from, live_options, output_options
 from prc_cli.cli.report import (
-    LOOK,
     compiling_note,
     print_assumptions,
     print_choice,
@@ -21,6 +20,7 @@ from prc_cli.cli.report import (
 )
 from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
+from prc_cli.core.errors import ExitCode
 from prc_cli.core.findings import Finding
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.stream import Rate
@@ -101,7 +101,7 @@ def stream(
             print_assumptions(summary.info.assumptions, summary.counts.tally)
         print_line(_sentence(summary.rate, line_hz))
     if summary.doubts:
-        raise SystemExit(LOOK)
+        raise SystemExit(ExitCode.LOOK)
 
 
 def _tell(doubt: Finding) -> None:

@@ -1,14 +1,37 @@
-"""Exceptions of the package: where, what was found, what was expected, what to do.
+"""Exceptions of the package, its exit codes, and text that a terminal can show.
 
-And names that can be printed.
-
-The command line catches :class:`PrcError` once and turns it into one line and an exit code that
-scripts can trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4
-done, but look at it (doubts, or classes that drifted from those of earlier runs), 5 another run is
-at work in the output folder.
+An exception says where, what was found against what was expected, and what to do. The command line
+catches :class:`PrcError` once and turns it into one line and an :class:`ExitCode`.
 """
 
 from __future__ import annotations
+
+from enum import IntEnum
+
+AFTER_SIGNAL = 128
+"""The exit code after a signal is its number plus this, as in shells."""
+
+
+class ExitCode(IntEnum):
+    """Exit code of a command; scripts can trust it."""
+
+    DONE = 0
+    FAILED = 1
+    """At least one file failed."""
+    USAGE = 2
+    """Wrong usage or configuration; nothing was done."""
+    GATE = 3
+    """A score of an evaluation is too low; no file failed."""
+    LOOK = 4
+    """Done, but look at it: a doubt, or classes unlike those of earlier runs; no file failed."""
+    BUSY = 5
+    """Another run works in the output folder; nothing was done."""
+    HANGUP = AFTER_SIGNAL + 1
+    """SIGHUP: the terminal was closed."""
+    INTERRUPTED = AFTER_SIGNAL + 2
+    """SIGINT: Ctrl-C."""
+    TERMINATED = AFTER_SIGNAL + 15
+    """SIGTERM."""
 
 
 class PrcError(Exception):
@@ -24,7 +47,7 @@ class PrcError(Exception):
         What to do next, as something that can be typed or checked.
     """
 
-    exit_code = 1
+    exit_code = ExitCode.FAILED
 
     def __init__(self, where: str, problem: str, hint: str = "") -> None:
         self.where = where
@@ -63,31 +86,31 @@ class OutputError(PrcError):
 class OutputExistsError(OutputError):
     """An output that exists already and was not allowed to be replaced."""
 
-    exit_code = 2
+    exit_code = ExitCode.USAGE
 
 
 class ConfigError(PrcError):
     """A configuration file, option or parameter that makes no sense."""
 
-    exit_code = 2
+    exit_code = ExitCode.USAGE
 
 
 class GateError(PrcError):
     """An evaluation score below the required minimum."""
 
-    exit_code = 3
+    exit_code = ExitCode.GATE
 
 
 class DriftError(PrcError):
     """A file whose class shares differ much from those of the archive's earlier files."""
 
-    exit_code = 4
+    exit_code = ExitCode.LOOK
 
 
 class BusyError(PrcError):
     """An output folder that another run is working in; nothing was done."""
 
-    exit_code = 5
+    exit_code = ExitCode.BUSY
 
 
 def printable(text: str) -> str:
@@ -106,8 +129,7 @@ def printable_lines(text: str) -> str:
 def _shown(character: str) -> str:
     if character.isprintable():
         return character
-    if (
-        "\udc80" <= character <= "\udcff"
-    ):  # a byte that is not UTF-8, in Python's encoding of file names
+    # a byte that is not UTF-8, in Python's encoding of file names
+    if "\udc80" <= character <= "\udcff":
         return f"\\x{ord(character) - 0xDC00:02x}"
     return ascii(character)[1:-1]

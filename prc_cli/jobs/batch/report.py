@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError, InputError
+from prc_cli.core.errors import ConfigError, ExitCode, InputError
 from prc_cli.core.files import atomic_output, remove_stale, suffix_of
 from prc_cli.core.types import F64
 from prc_cli.core.version import __version__
@@ -53,9 +53,6 @@ SCHEMA = 1
 
 Keys are added without a new number, never renamed or taken away.
 """
-FAILED = 1
-"""Exit code when a file failed."""
-
 Ended: TypeAlias = Literal["finished", "stopped", "interrupted"]
 """How a run ended: with nothing left to do, early because of ``--fail-fast``, or by a signal."""
 
@@ -128,31 +125,16 @@ class BatchSummary:
         return self.n_shots / self.seconds if self.n_shots and self.seconds > 0 else None
 
     @property
-    def exit_code(self) -> int:
+    def exit_code(self) -> ExitCode:
         """0 done, 1 a file of the archive failed, 3 a gate did, 4 doubt or drift.
 
         The first of these.
         """
         if self.failed or self.standing:
-            return FAILED
+            return ExitCode.FAILED
         if self.evaluation is not None and not self.evaluation.passed:
-            return GateError.exit_code
-        return DriftError.exit_code if self.alarms or self.doubts else 0
-
-
-EXIT_CODES: dict[int, str] = {
-    0: "done: every file that was due has its output, and no doubt stands",
-    FAILED: "at least one file of the archive failed, now or in an earlier run; or archive, output folder or journal "
-    "cannot be used",
-    ConfigError.exit_code: "wrong usage or configuration; nothing was done",
-    GateError.exit_code: "an evaluation gate was not reached; nothing failed",
-    DriftError.exit_code: "done, look at it: a file is doubted, or its classes are unlike earlier ones; nothing failed",
-    BusyError.exit_code: "another run is at work in the output folder; nothing was done",
-    129: "the terminal was closed; what was finished stays, the next run goes on",
-    130: "Ctrl-C; the same",
-    143: "SIGTERM; the same",
-}
-"""What ``prc batch`` ends with."""
+            return ExitCode.GATE
+        return ExitCode.LOOK if self.alarms or self.doubts else ExitCode.DONE
 
 
 def as_dict(summary: BatchSummary) -> dict[str, Any]:

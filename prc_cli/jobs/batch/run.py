@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from itertools import groupby
 from typing import TypeAlias
 
-from prc_cli.core.errors import BusyError, PrcError
+from prc_cli.core.errors import BusyError, ExitCode, PrcError
 from prc_cli.core.files import make_folder, output_errors
 from prc_cli.core.threads import close_items
 from prc_cli.jobs.batch.discovery import check, discover
@@ -48,8 +48,6 @@ from prc_cli.jobs.batch.types import (
 from prc_cli.jobs.batch.worker import may_pass
 from prc_cli.jobs.drive import output_name
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as in shells."""
 PAUSE_S = 1.0
 LONGEST_PAUSE_S = 30.0
 """Before files are tried again; twice as long every time [s]."""
@@ -182,7 +180,7 @@ class _Run:
                 self._journal.end_run(error.exit_code)
             raise
         summary = self._summarise(plan, config, run, ended, evaluation)
-        code = summary.exit_code if stop is None else getattr(stop, "code", INTERRUPTED)
+        code = summary.exit_code if stop is None else getattr(stop, "code", ExitCode.INTERRUPTED)
         totals = {
             "done": len(summary.done),
             "failed": len(summary.failed),

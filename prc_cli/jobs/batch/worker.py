@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import OutputExistsError, PrcError
+from prc_cli.core.errors import ExitCode, OutputExistsError, PrcError
 from prc_cli.core.process import claim_process, hold_limits, raise_or_hold, return_memory
 from prc_cli.core.profile import peak_memory
 from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
@@ -51,7 +51,6 @@ STOP_S = 5.0
 """How long a worker that must end may take to remove its temporary files [s]."""
 AGAIN_S = 0.05
 """An interrupt that Python dropped is raised again so much later [s]."""
-ENDED = 128 + signal.SIGTERM
 MEMORY = "memory"
 CHANGED = "changed"
 VANISHED = "vanished"
@@ -277,7 +276,7 @@ class _Interrupts:
     def _handle(self, number: int, frame: object) -> None:
         if self._armed:
             self._armed = False
-            raise_or_hold(SystemExit(ENDED))
+            raise_or_hold(SystemExit(ExitCode.TERMINATED))
 
     def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:
         if isinstance(dropped.exc_value, SystemExit):
@@ -298,7 +297,7 @@ class _Interrupts:
             else:
                 signal.raise_signal(signal.SIGTERM)
             time.sleep(AGAIN_S)
-        os._exit(ENDED)
+        os._exit(ExitCode.TERMINATED)
 
 
 class _Parent:
@@ -318,7 +317,7 @@ class _Parent:
                 self._stream.write(data)
                 self._stream.flush()
         except OSError:
-            raise SystemExit(ENDED) from None
+            raise SystemExit(ExitCode.TERMINATED) from None
 
     def count(self, n_lines: int) -> None:
         """Count finished lines."""
@@ -446,8 +445,8 @@ def main(threads: int, limit_mib: int | None) -> int:
         parent.send(READY)
         _serve(tasks, parent, threads, limit_mib)
     except SystemExit as ended:
-        return ended.code if isinstance(ended.code, int) else 1
-    return 0
+        return ended.code if isinstance(ended.code, int) else ExitCode.FAILED
+    return ExitCode.DONE
 
 
 if __name__ == "__main__":

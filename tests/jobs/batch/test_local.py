@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.core.errors import PrcError
-from prc_cli.jobs.batch import local, worker
+from prc_cli.core.errors import ExitCode, PrcError
+from prc_cli.jobs.batch import local
 from prc_cli.jobs.batch.local import LocalEngine
 from prc_cli.jobs.batch.types import Done, EngineSettings, Event, Failed, Progress, Started, Task
 from tests import patience
@@ -266,4 +266,4 @@ finally:
 """
     found = patience.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert found.stdout == "rolled back\n"
-    assert found.returncode == worker.ENDED
+    assert found.returncode == ExitCode.TERMINATED
