@@ -53,6 +53,8 @@ class SourceFacts:
 
     points_per_line: int | None = None
     """M, shots in a scan line, where the file records it."""
+    line_hz: float | None = None
+    """Scan lines a second [Hz], where the file or its layout records it."""
     crs_wkt: str | None = None
     """Coordinate system of x, y, z: WKT or ``EPSG:CODE``."""
     time_name: str = "time"

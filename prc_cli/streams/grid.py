@@ -74,7 +74,8 @@ def open_grid(
     counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
     if counts_records and m is not None and n_records is not None and config.window is None:
         check_partial_line(source.path, n_records, m, source=records)
-    line_hz = rules.line_hz if rules.line_hz is not None else line_hz
+    recorded_hz = source.facts.line_hz if line_hz is None else line_hz
+    line_hz = recorded_hz if rules.line_hz is None else rules.line_hz
     end = (
         WindowEnd(config.window, line_hz)
         if config.window is not None and rules.scanner is None

@@ -14,9 +14,10 @@ import pytest
 from click.testing import CliRunner
 
 from prc_cli.cli import cli
-from prc_cli.formats.options import Layout
+from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.registry import by_suffix, formats
 from prc_cli.formats.testing import check_damage, check_reads, check_round_trip
+from prc_cli.streams.open import open_input
 from tests.fuzz.seeds import LAYOUT, seed
 from tests.fuzz.targets import suffix_of_seed
 from tests.street import angles, street
@@ -69,7 +70,7 @@ from prc_cli.formats.records import RecordChunk
 class Toy:
     format = "toy"
     def __init__(self, path, layout):
-        self.path, self.facts = str(path), SourceFacts()
+        self.path, self.facts = str(path), SourceFacts(line_hz=50.0)
         with path.open("rb") as handle:
             self._values = np.load(handle)
     dimensions = ("range", "scan_line", "column", "angle")
@@ -119,6 +120,13 @@ def run(*words: object) -> str:
     result = CliRunner().invoke(cli, [str(word) for word in words])
     assert result.exit_code in (0, 4), result.output
     return result.stdout
+
+
+def test_the_line_frequency_of_a_header_gives_the_times_of_a_window(toy: Path) -> None:
+    config = InputConfig(first="1s")
+    stream = open_input(toy, config)
+    assert stream.info.line_hz == 50.0
+    assert sum(block.n_lines for block in stream.blocks()) == 50
 
 
 @pytest.mark.slow

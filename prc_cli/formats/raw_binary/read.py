@@ -31,7 +31,11 @@ class RawBinarySource(FieldSource):
         n_records = _count(path, layout.header_bytes, dtype.itemsize)
         body = BinaryBody(path, dtype, layout.header_bytes, n_records, chunk_records)
         super().__init__(path, FORMAT, layout_columns(layout), body)
-        self.facts = SourceFacts(describe=self.describe, align_chunks=self.align_chunks)
+        self.facts = SourceFacts(
+            line_hz=layout.line_frequency,
+            describe=self.describe,
+            align_chunks=self.align_chunks,
+        )
 
     def align_chunks(self, n_records: int) -> None:
         """Decode a multiple of this many records at a time, so that chunks end with a block of lines."""
