@@ -237,12 +237,6 @@ _LARGEST = 6
 _PNG = b"\x89PNG\r\n\x1a\n"
 _AXES = {"range": "range [m]", "lines": "first scan line of the block", "scanner": "scanner"}
 _TITLES = {"f1": "F1", "iou": "IoU", "accuracy": "one against rest"}
-_WORDS = {
-    "accuracy": "share of the scored records whose classes are equal",
-    "balanced_accuracy": "mean recall: every class counts the same",
-    "kappa": "1: all equal, 0: as by chance",
-}
-"""What the scores of the whole mean, in a word."""
 _VIEWS = (
     ("counts", "Counts", "records, coloured by their share of the row"),
     ("rows", "Share of reference", "what became of a reference class; recall where both agree"),
@@ -271,7 +265,6 @@ def as_html(
     values = {
         "title": title,
         "origin": origin,
-        "word_of": _WORDS,
         "style": (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8"),
         "evaluation": evaluation,
         "matrix": shown,

@@ -40,6 +40,8 @@ NO_INTERVALS: Mapping[str, Interval] = {}
 _CHANCE = 0.05
 """Kappa below which the two sides may be unrelated."""
 _ENOUGH = 1000
+_SCORE_COLUMNS = tuple(dict.fromkeys((*CLASS_SCORES, *OVERALL_SCORES)))
+"""Score columns of a CSV table; the accuracy of classes and of the whole share one."""
 _TOTALS = ("n_reference", "n_predicted", "n_agreed")
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
 
@@ -92,10 +94,10 @@ def as_csv(found: Found) -> str:
     intervals, splits = (
         (found.intervals, found.splits) if isinstance(found, Evaluation) else (NO_INTERVALS, {})
     )
-    bounds = [*CLASS_SCORES, *OVERALL_SCORES[1:]] if intervals else []
+    bounds = _SCORE_COLUMNS if intervals else ()
     columns = [f"predicted {name}" for name in matrix.predicted_names]
     limits = [f"{name}_{end}" for name in bounds for end in ("low", "high")]
-    header = ["class", *_TOTALS, *CLASS_SCORES, *OVERALL_SCORES[1:], "n_ignored", *limits, *columns]
+    header = ["class", *_TOTALS, *_SCORE_COLUMNS, "n_ignored", *limits, *columns]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     if not splits:
@@ -298,26 +300,28 @@ def _three_dict(found: ThreeWay) -> dict[str, Any]:
 def _csv_rows(
     matrix: ConfusionMatrix, intervals: Mapping[str, Interval], bounds: Sequence[str]
 ) -> Iterator[list[str | int]]:
-    found = scores(matrix)
+    matrix_scores = scores(matrix)
     rows = dict(zip(matrix.reference_names, matrix.counts.tolist(), strict=True))
-    for item in found.classes:
-        counts = [getattr(item, name) for name in _TOTALS]
-        values = [_cell(getattr(item, name)) for name in CLASS_SCORES]
-        limits = _limits(intervals, [f"{name}.{item.name}" for name in bounds])
-        row = rows.get(item.name, [""] * len(matrix.predicted_names))
-        yield [item.name, *counts, *values, "", "", "", *limits, *row]
-    agreed = sum(item.n_agreed for item in found.classes)
-    overall = [_cell(getattr(found, name)) for name in OVERALL_SCORES]
-    sums = matrix.counts.sum(axis=0).tolist()
-    totals = (found.n_scored, found.n_scored, agreed)
+    for class_scores in matrix_scores.classes:
+        name = class_scores.name
+        yield [
+            name,
+            *(getattr(class_scores, total) for total in _TOTALS),
+            *(_cell(getattr(class_scores, score, math.nan)) for score in _SCORE_COLUMNS),
+            "",
+            *_limits(intervals, [f"{score}.{name}" for score in bounds]),
+            *rows.get(name, [""] * len(matrix.predicted_names)),
+        ]
+    n_agreed = sum(class_scores.n_agreed for class_scores in matrix_scores.classes)
     yield [
         "(overall)",
-        *totals,
-        *[""] * 4,
-        *overall,
-        found.n_ignored,
+        matrix_scores.n_scored,
+        matrix_scores.n_scored,
+        n_agreed,
+        *(_cell(getattr(matrix_scores, score, math.nan)) for score in _SCORE_COLUMNS),
+        matrix_scores.n_ignored,
         *_limits(intervals, bounds),
-        *sums,
+        *matrix.counts.sum(axis=0).tolist(),
     ]
 
 

@@ -22,8 +22,12 @@ from prc_cli.evaluation.mapping import ClassMapping, scored_names
 CLASS_SCORES: tuple[str, ...] = ("recall", "precision", "f1", "iou", "accuracy")
 """Scores that every class has, in the order of the reports."""
 
-OVERALL_SCORES: tuple[str, ...] = ("accuracy", "balanced_accuracy", "kappa")
-"""Scores of the whole matrix."""
+OVERALL_SCORES: Mapping[str, str] = {
+    "accuracy": "share of the scored records whose classes are equal",
+    "balanced_accuracy": "mean recall: every class counts the same",
+    "kappa": "1: all equal, 0: as by chance",
+}
+"""Scores of the whole matrix, in the order of the reports, and what each means."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,33 +75,99 @@ class Scores:
 
 
 def scores(matrix: ConfusionMatrix) -> Scores:
-    """Compute all scores of a confusion matrix."""
-    rows = dict(zip(matrix.reference_names, matrix.counts.sum(axis=1).tolist(), strict=True))
-    columns = dict(zip(matrix.predicted_names, matrix.counts.sum(axis=0).tolist(), strict=True))
-    names = (*rows, *(name for name in columns if name not in rows))
+    """Compute all scores of a confusion matrix.
+
+    Classes of one side only have counts and no scores.
+    """
+    counts = matrix.counts
+    values = all_scores(counts[None], matrix.reference_names, matrix.predicted_names)
+    n_reference = dict(zip(matrix.reference_names, counts.sum(axis=1).tolist(), strict=True))
+    n_predicted = dict(zip(matrix.predicted_names, counts.sum(axis=0).tolist(), strict=True))
     shared = matrix.scored_names
-    total = matrix.n_scored
-    classes = tuple(
-        _class_scores(name, rows.get(name, 0), columns.get(name, 0), _agreed(matrix, name), total)
-        if name in shared
-        else ClassScores(
-            name, rows.get(name, 0), columns.get(name, 0), 0, *[math.nan] * len(CLASS_SCORES)
+    classes = []
+    for name in dict.fromkeys((*n_reference, *n_predicted)):
+        n_agreed = 0
+        class_scores = dict.fromkeys(CLASS_SCORES, math.nan)
+        if name in shared:
+            row = matrix.reference_names.index(name)
+            column = matrix.predicted_names.index(name)
+            n_agreed = int(counts[row, column])
+            class_scores = {score: float(values[f"{score}.{name}"][0]) for score in CLASS_SCORES}
+        classes.append(
+            ClassScores(
+                name,
+                n_reference.get(name, 0),
+                n_predicted.get(name, 0),
+                n_agreed,
+                **class_scores,
+            )
         )
-        for name in names
-    )
-    recalls = [item.recall for item in classes if not math.isnan(item.recall)]
-    observed = _ratio(sum(item.n_agreed for item in classes), total)
-    # Python integers: the products of two counts of 1e10 would not fit 64 bits
-    expected = _ratio(sum(rows[name] * columns[name] for name in shared), total * total)
     return Scores(
-        classes=classes,
+        classes=tuple(classes),
         scored=shared,
-        n_scored=total,
+        n_scored=matrix.n_scored,
         n_ignored=matrix.n_ignored,
-        accuracy=observed,
-        balanced_accuracy=_ratio(sum(recalls), len(recalls)),
-        kappa=_ratio(observed - expected, 1.0 - expected),
+        **{score: float(values[score][0]) for score in OVERALL_SCORES},
     )
+
+
+def all_scores(
+    counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
+) -> dict[str, F64]:
+    """Compute every score of many confusion matrices at once.
+
+    Parameters
+    ----------
+    counts : (n, rows, columns) integers
+        Matrices with the same classes.
+    reference_names, predicted_names : tuple of str
+        Classes of the rows and of the columns.
+
+    Returns
+    -------
+    dict of (n,) float64
+        By name as in ``--fail-under``: ``recall.ground``, ..., ``accuracy``; NaN if undefined.
+    """
+    names = scored_names(reference_names, predicted_names)
+    rows = [reference_names.index(name) for name in names]
+    columns = [predicted_names.index(name) for name in names]
+    # float64: the product of two sums of 1e10 does not fit 64 bits
+    n_agreed = counts[:, rows, columns].astype(np.float64)
+    n_reference = counts.sum(axis=2, dtype=np.float64)[:, rows]
+    n_predicted = counts.sum(axis=1, dtype=np.float64)[:, columns]
+    n_scored = counts.sum(axis=(1, 2), dtype=np.float64)
+    n_either = n_reference + n_predicted - n_agreed
+    class_scores = {
+        "recall": _shares(n_agreed, n_reference),
+        "precision": _shares(n_agreed, n_predicted),
+        "f1": _shares(2 * n_agreed, n_reference + n_predicted),
+        "iou": _shares(n_agreed, n_either),
+        "accuracy": _shares(n_scored[:, None] - n_either + n_agreed, n_scored[:, None]),
+    }
+    observed = _shares(n_agreed.sum(axis=1), n_scored)
+    by_chance = _shares((n_reference * n_predicted).sum(axis=1), n_scored * n_scored)
+    values = {
+        f"{score}.{name}": class_scores[score][:, column]
+        for column, name in enumerate(names)
+        for score in CLASS_SCORES
+    }
+    values["accuracy"] = observed
+    values["balanced_accuracy"] = _mean_of_defined(class_scores["recall"])
+    values["kappa"] = _shares(observed - by_chance, 1.0 - by_chance)
+    return values
+
+
+def _shares(part: F64, total: F64) -> F64:
+    shares = np.full(part.shape, np.nan)
+    np.divide(part, total, out=shares, where=(total != 0) & ~np.isnan(total))
+    return shares
+
+
+def _mean_of_defined(values: F64) -> F64:
+    """(n, classes) to (n,); classes are summed in their order, so that no bit depends on n."""
+    defined = ~np.isnan(values)
+    sums = sum(np.where(defined, values, 0.0).T, np.zeros(len(values)))
+    return _shares(sums, defined.sum(axis=1).astype(np.float64))
 
 
 def gate_value(found: Scores, name: str) -> float:
@@ -117,37 +187,6 @@ def gate_value(found: Scores, name: str) -> float:
         problem = f"found score {name!r}, expected one of: {', '.join(OVERALL_SCORES)}, {per_class}"
     where = "score"
     raise ConfigError(where, problem)
-
-
-def _class_scores(
-    name: str,
-    n_reference: int,
-    n_predicted: int,
-    n_agreed: int,
-    total: int,
-) -> ClassScores:
-    either = n_reference + n_predicted - n_agreed
-    return ClassScores(
-        name,
-        n_reference,
-        n_predicted,
-        n_agreed,
-        recall=_ratio(n_agreed, n_reference),
-        precision=_ratio(n_agreed, n_predicted),
-        f1=_ratio(2 * n_agreed, n_reference + n_predicted),
-        iou=_ratio(n_agreed, either),
-        accuracy=_ratio(total - either + n_agreed, total),
-    )
-
-
-def _agreed(matrix: ConfusionMatrix, name: str) -> int:
-    return int(
-        matrix.counts[matrix.reference_names.index(name), matrix.predicted_names.index(name)]
-    )
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else math.nan
 
 
 LEVEL = 0.95
@@ -198,52 +237,6 @@ def _jackknife(
         half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
         found[name] = value - half, value + half
     return found
-
-
-def all_scores(
-    counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
-) -> dict[str, F64]:
-    """Compute every score of many confusion matrices at once.
-
-    See :func:`prc_cli.evaluation.scores.scores`.
-    """
-    # float64: the product of two sums of 1e10 does not fit 64 bits
-    rows = counts.sum(axis=2, dtype=np.float64)
-    columns = counts.sum(axis=1, dtype=np.float64)
-    total = rows.sum(axis=1)
-    found: dict[str, F64] = {}
-    agreed = np.zeros(len(counts))
-    expected = np.zeros(len(counts))
-    recalls = []
-    for name in scored_names(reference_names, predicted_names):
-        i = reference_names.index(name)
-        j = predicted_names.index(name)
-        true = counts[:, i, j].astype(np.float64)
-        row = rows[:, i]
-        column = columns[:, j]
-        either = row + column - true
-        found[f"recall.{name}"] = _shares(true, row)
-        found[f"precision.{name}"] = _shares(true, column)
-        found[f"f1.{name}"] = _shares(2 * true, row + column)
-        found[f"iou.{name}"] = _shares(true, either)
-        found[f"accuracy.{name}"] = _shares(total - either + true, total)
-        recalls.append(found[f"recall.{name}"])
-        agreed += true
-        expected += row * column
-    observed = _shares(agreed, total)
-    chance = _shares(expected, total * total)
-    known = ~np.isnan(np.stack(recalls))
-    sums = np.where(known, np.stack(recalls), 0.0).sum(axis=0)
-    found["accuracy"] = observed
-    found["balanced_accuracy"] = _shares(sums, known.sum(axis=0).astype(np.float64))
-    found["kappa"] = _shares(observed - chance, 1.0 - chance)
-    return found
-
-
-def _shares(part: F64, whole: F64) -> F64:
-    result = np.full(part.shape, np.nan)
-    np.divide(part, whole, out=result, where=(whole != 0) & ~np.isnan(whole))
-    return result
 
 
 @dataclass(frozen=True, slots=True)

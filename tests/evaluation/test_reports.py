@@ -20,8 +20,8 @@ from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import Curve, as_html, line_chart
 from prc_cli.evaluation.latex import as_latex, escape
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.reports import as_dict, as_json, as_markdown, doubts
-from prc_cli.evaluation.scores import Evaluation, Gate, check_gates, scores
+from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
+from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
 from tests import patience
 from tests.evaluation import samples
 
@@ -42,6 +42,18 @@ def test_json_holds_the_dictionary_and_null_for_undefined() -> None:
     assert table["overall"]["accuracy"] == pytest.approx(160 / 202)
     assert table["confusion"]["counts"] == MATRIX.counts.tolist()
     assert (table["n_scored"], table["n_ignored"]) == (202, 5)
+
+
+def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
+    evaluation = samples.evaluation()
+    page = as_html(evaluation)
+    header = as_csv(evaluation).splitlines()[0].split(",")
+    overall = as_dict(evaluation)["overall"]
+    for name, meaning in OVERALL_SCORES.items():
+        assert meaning
+        assert meaning in page
+        assert name in header
+        assert name in overall
 
 
 def test_markdown_shows_names_of_users_as_they_are() -> None:
