@@ -19,7 +19,7 @@ from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 class ConfusionMatrix(Brief):
     """Counts by reference class (rows) and predicted class (columns).
 
-    Names of one side alone never agree.
+    A class of one side only never agrees with another class.
     """
 
     reference_names: tuple[str, ...]
@@ -51,13 +51,12 @@ class ConfusionMatrix(Brief):
     @property
     def n_right(self) -> int:
         """Number of records whose classes have one name on both sides."""
-        places = {name: column for column, name in enumerate(self.predicted_names)}
-        right = (
-            self.counts[row, places[name]]
-            for row, name in enumerate(self.reference_names)
-            if name in places
-        )
-        return int(sum(right))
+        columns = {name: column for column, name in enumerate(self.predicted_names)}
+        n_right = 0
+        for row, name in enumerate(self.reference_names):
+            if name in columns:
+                n_right += int(self.counts[row, columns[name]])
+        return n_right
 
     def __add__(self, other: ConfusionMatrix) -> ConfusionMatrix:
         """Add the counts of two matrices of the same classes."""
@@ -74,10 +73,7 @@ class ConfusionMatrix(Brief):
         return shares(self.counts, self.counts.sum(axis=1, keepdims=True))
 
     def column_shares(self) -> F64:
-        """Divide every column by its sum.
-
-        Shares of a predicted class, with precision on the diagonal.
-        """
+        """Divide every column by its sum: shares of a predicted class, precision on the diagonal."""
         return shares(self.counts, self.counts.sum(axis=0, keepdims=True))
 
     def trimmed(self) -> ConfusionMatrix:
@@ -111,10 +107,10 @@ def accumulate(
     refuse_poor_match(predicted.size, reference.size)
     n_cells = state.counts.size
     cells = cells_of(mapping, predicted, mapping.class_indices(reference, "reference"))
-    found = np.bincount(cells, minlength=n_cells + 1)
+    cell_counts = np.bincount(cells, minlength=n_cells + 1)
     names = mapping.names("reference"), mapping.names("predicted")
-    counts = found[:n_cells].reshape(state.counts.shape).astype(np.int64)
-    return state + ConfusionMatrix(*names, counts, int(found[n_cells]))
+    counts = cell_counts[:n_cells].reshape(state.counts.shape).astype(np.int64)
+    return state + ConfusionMatrix(*names, counts, int(cell_counts[n_cells]))
 
 
 def refuse_poor_match(
@@ -126,10 +122,14 @@ def refuse_poor_match(
 ) -> None:
     """Refuse two inputs that cannot be matched by order."""
     if n_predicted != n_reference:
-        problem = f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"
-        usual = "give two label files of the same stream (LAS holds no shots without return); labels of a part of it: "
-        usual += (
-            "--match time, or label the whole and give --only-lines, --only-time or --first here"
+        problem = (
+            f"{n_predicted} records, but {reference_name} holds {n_reference}; "
+            "matched by order needs equal counts"
+        )
+        usual = (
+            "give two label files of the same stream (LAS holds no shots without return); "
+            "labels of a part of it: --match time, "
+            "or label the whole and give --only-lines, --only-time or --first here"
         )
         raise InputError(predicted_name, problem, hint or usual)
 
@@ -179,18 +179,15 @@ class GroupedCounts:
         low = int(groups.min())
         span = int(groups.max()) - int(groups.min()) + 1
         if span * n_cells <= 4 * len(groups) + (1 << 16):
-            found = np.bincount((groups - low) * n_cells + cells, minlength=span * n_cells).reshape(
-                span, n_cells
-            )
-            present = np.flatnonzero(found.any(axis=1))
-            self._add(present + low, found[present])
+            cells_by_group = (groups - low) * n_cells + cells
+            counts = np.bincount(cells_by_group, minlength=span * n_cells).reshape(span, n_cells)
+            present = np.flatnonzero(counts.any(axis=1))
+            self._add(present + low, counts[present])
             return
         names, index = np.unique(groups, return_inverse=True)
         self._check(len(names))
-        found = np.bincount(index * n_cells + cells, minlength=len(names) * n_cells).reshape(
-            len(names), n_cells
-        )
-        self._add(names, found)
+        counts = np.bincount(index * n_cells + cells, minlength=len(names) * n_cells)
+        self._add(names, counts.reshape(len(names), n_cells))
 
     def _add(self, groups: I64, counts: I64) -> None:
         for group in groups.tolist():
@@ -232,14 +229,21 @@ class GroupedCounts:
         )
 
     def scored(self) -> I64:
-        """Return the counts of all groups with scored pairs, (groups, rows, columns), by ascending group."""
+        """Return the counts of all groups with scored pairs.
+
+        (groups, rows, columns) int64, by ascending group.
+        """
         rows, columns = self._names
         counts = self._counts[[self._row[group] for group in self.groups], :-1]
         return counts[counts.any(axis=1)].reshape(-1, len(rows), len(columns))
 
 
 def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -> I64:
-    """Return the cell of the confusion matrix that every pair falls in, by predicted code and reference class."""
+    """Return the cell of the confusion matrix of every pair, (n,) int64.
+
+    ``predicted`` (n,) codes; ``rows`` (n,) int64, reference classes. The last cell counts the pairs
+    that are not scored.
+    """
     column = mapping.class_indices(predicted, "predicted")
     n_rows = len(mapping.names("reference"))
     n_columns = len(mapping.names("predicted"))
@@ -248,13 +252,13 @@ def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -
 
 def check_edges(edges: Sequence[float]) -> F64:
     """Return the edges of range bins."""
-    found = np.asarray(edges, np.float64)
-    if not np.isfinite(found).all() or (found < 0).any() or (np.diff(found) <= 0).any():
+    edges_m = np.asarray(edges, np.float64)
+    if not np.isfinite(edges_m).all() or (edges_m < 0).any() or (np.diff(edges_m) <= 0).any():
         shown = ", ".join(f"{edge:g}" for edge in edges)
         raise ConfigError(
             "split by range", f"found the edges {shown}, expected ascending ranges of 0 m and above"
         )
-    return found
+    return edges_m
 
 
 def range_groups(range_m: F64, edges: F64) -> I64:

@@ -21,7 +21,7 @@ from prc_cli.evaluation.mapping import OTHER, ClassMapping
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
     NOT_SPLIT,
-    Found,
+    Comparison,
     as_dict,
     doubts,
     gate_cells,
@@ -118,7 +118,8 @@ def line_chart(
     """Draw curves over the parts of a split, and bars for the number of records in each part."""
     n = len(names)
     parts = [
-        f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(title)}">',
+        f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
+        f'role="img" aria-label="{escape(title)}">',
         *_grid(),
         *_bars(names, counts),
         *_tick_labels(ticks, axis),
@@ -167,7 +168,10 @@ def _bars(names: Sequence[str], counts: Sequence[int]) -> list[str]:
     bars = [f'<text x="{_LEFT - 7}" y="{base - 8}" text-anchor="end" class="small">n</text>']
     for i, (name, count) in enumerate(zip(names, counts, strict=True)):
         height = _BAR_HEIGHT * count / most
-        shape = f'x="{_x(i, n) - width / 2:.1f}" y="{base - height:.1f}" width="{width:.1f}" height="{height:.1f}"'
+        shape = (
+            f'x="{_x(i, n) - width / 2:.1f}" y="{base - height:.1f}" '
+            f'width="{width:.1f}" height="{height:.1f}"'
+        )
         bars.append(
             f'<rect class="bar" {shape}><title>{escape(name)}: {count:,} records</title></rect>'
         )
@@ -180,21 +184,21 @@ def _tick_labels(ticks: Sequence[str], axis: str) -> list[str]:
     y = _HEIGHT - _LABEL_HEIGHT + 15
     step = (_WIDTH - _LEFT - _RIGHT) / max(n, 1)
     widest = max((len(tick) for tick in ticks), default=1) * _LETTER + 8
-    every = max(1, math.ceil(widest / step))
+    n_apart = max(1, math.ceil(widest / step))
     # a round number of parts between labels reads better than 7
-    every = next(
-        (number for number in (1, 2, 5, 10, 20, 50, 100, 200, 500) if number >= every), every
-    )
+    round_numbers = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+    n_apart = next((number for number in round_numbers if number >= n_apart), n_apart)
     labels = [
         f'<text x="{_x(i, n):.1f}" y="{y}" text-anchor="middle">{escape(tick)}</text>'
         for i, tick in enumerate(ticks)
-        if i % every == 0
+        if i % n_apart == 0
     ]
     middle = (_LEFT + _WIDTH - _RIGHT) / 2
-    return [
-        *labels,
-        f'<text class="small" x="{middle:.1f}" y="{_HEIGHT - 6}" text-anchor="middle">{escape(axis)}</text>',
-    ]
+    labels.append(
+        f'<text class="small" x="{middle:.1f}" y="{_HEIGHT - 6}" '
+        f'text-anchor="middle">{escape(axis)}</text>'
+    )
+    return labels
 
 
 def _break_lines(breaks: Collection[int], n: int) -> list[str]:
@@ -249,7 +253,7 @@ _VIEWS = (
 
 
 def as_html(
-    found: Found,
+    comparison: Comparison,
     gates: Sequence[GateResult] = (),
     *,
     mapping: ClassMapping | None = None,
@@ -258,11 +262,14 @@ def as_html(
     origin: Sequence[str] = (),
 ) -> str:
     """Return the page."""
-    shown = matrix_of(found).trimmed()
-    evaluation = found if isinstance(found, Evaluation) else None
+    shown = matrix_of(comparison).trimmed()
+    evaluation = comparison if isinstance(comparison, Evaluation) else None
     for name, content in pictures:
         check_picture(name, content)
-    values = {
+    mapped_names: tuple[str, ...] = ()
+    if mapping is not None:
+        mapped_names = tuple(dict.fromkeys((*mapping.reference, *mapping.predicted)))
+    values: dict[str, Any] = {
         "title": title,
         "origin": origin,
         "style": (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8"),
@@ -282,17 +289,15 @@ def as_html(
             (name, base64.b64encode(content).decode("ascii")) for name, content in pictures
         ],
         "mapping": mapping,
-        "mapped_names": ()
-        if mapping is None
-        else tuple(dict.fromkeys((*mapping.reference, *mapping.predicted))),
+        "mapped_names": mapped_names,
         # "<" is escaped, so that user text cannot end the element
-        "data": json.dumps(as_dict(found, gates), allow_nan=False).replace("<", "\\u003c"),
-        **(
-            _of_evaluation(evaluation, shown)
-            if evaluation is not None
-            else {"doubts": (), "splits": (), "three": None}
-        ),
+        "data": json.dumps(as_dict(comparison, gates), allow_nan=False).replace("<", "\\u003c"),
+        "doubts": (),
+        "splits": (),
+        "three": None,
     }
+    if evaluation is not None:
+        values |= _of_evaluation(evaluation, shown)
     filters: dict[str, Callable[..., Any]] = {
         "colour": class_colour,
         "figure": figure,
@@ -326,7 +331,7 @@ def _view(
     name: str,
     words: str,
 ) -> dict[str, Any]:
-    """Return one of the tables of the confusion matrix."""
+
     shares = (shown.column_shares() if key == "columns" else shown.row_shares()).tolist()
     agreeing = set(shown.scored_names)
     rows = []
@@ -334,9 +339,9 @@ def _view(
         shown.reference_names, shown.counts.tolist(), shares, strict=True
     ):
         cells = []
-        for other, count, share in zip(shown.predicted_names, counts, row, strict=True):
+        for column_name, count, share in zip(shown.predicted_names, counts, row, strict=True):
             colour = 0.0 if math.isnan(share) else share
-            kind = "agree" if other == row_name and row_name in agreeing else "differ"
+            kind = "agree" if column_name == row_name and row_name in agreeing else "differ"
             texts = f"{count:,}", percent(share)
             main, small = texts if key == "counts" else texts[::-1]
             cells.append(
@@ -354,35 +359,35 @@ def _view(
 def _largest(shown: ConfusionMatrix) -> list[tuple[int, str, str]]:
     """Return the largest off-diagonal cells: records, reference class, predicted class."""
     cells = [
-        (count, name, other)
-        for name, counts in zip(shown.reference_names, shown.counts.tolist(), strict=True)
-        for other, count in zip(shown.predicted_names, counts, strict=True)
-        if count and not (name == other and name in shown.scored_names)
+        (count, row_name, column_name)
+        for row_name, counts in zip(shown.reference_names, shown.counts.tolist(), strict=True)
+        for column_name, count in zip(shown.predicted_names, counts, strict=True)
+        if count and not (row_name == column_name and row_name in shown.scored_names)
     ]
     return sorted(cells, key=lambda cell: -cell[0])[:_LARGEST]
 
 
-def _of_evaluation(found: Evaluation, shown: ConfusionMatrix) -> dict[str, Any]:
+def _of_evaluation(evaluation: Evaluation, shown: ConfusionMatrix) -> dict[str, Any]:
     """Return the values that only an evaluation has, not a matrix alone."""
-    match = found.match
+    match = evaluation.match
     n_reference_matched = (
         match.n_matched if match.n_reference_matched is None else match.n_reference_matched
     )
     return {
-        "doubts": doubts(found),
-        "splits": [_split(split, parts, shown) for split, parts in found.splits.items()],
+        "doubts": doubts(evaluation),
+        "splits": [_split(split, parts, shown) for split, parts in evaluation.splits.items()],
         "match_line": match_line(match),
-        "three": found.three,
+        "three": evaluation.three,
         "sides": (
             ("predicted", match.n_predicted, match.n_matched),
             ("reference", match.n_reference, n_reference_matched),
         ),
-        "file_pairs": tuple(zip_longest(found.predicted, found.reference, fillvalue="")),
+        "file_pairs": tuple(zip_longest(evaluation.predicted, evaluation.reference, fillvalue="")),
     }
 
 
 def _split(split: str, parts: Sequence[SplitPart], shown: ConfusionMatrix) -> dict[str, Any]:
-    """Return the table of a split and the charts of its parts."""
+
     drawn = [part for part in parts if part.name != NOT_SPLIT]
     names = shown.scored_names
     # lines of every file begin at 0, and parts may be missing
@@ -404,7 +409,7 @@ def _charts(
     breaks: set[int],
 ) -> Iterator[tuple[str, str]]:
     """Yield scores and their charts, as SVG."""
-    found = [{item.name: item for item in scores(part.matrix).classes} for part in parts]
+    class_scores = [{item.name: item for item in scores(part.matrix).classes} for part in parts]
     counts = [part.matrix.n_scored for part in parts]
     # short, since the axis title gives the rest
     ticks = [
@@ -412,7 +417,7 @@ def _charts(
     ]
     for score in ("recall", "precision"):
         curves = [
-            Curve(name, tuple(getattr(part[name], score) for part in found), place)
+            Curve(name, tuple(getattr(part[name], score) for part in class_scores), place)
             for name, place in places.items()
         ]
         axis = _AXES.get(split, split)

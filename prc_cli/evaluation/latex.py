@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
-    Found,
+    Comparison,
     match_line,
     matrix_of,
     overall_line,
@@ -36,10 +36,13 @@ _SPECIAL = {
 _TITLES = {"f1": "F1", "iou": "IoU"}
 
 
-def as_latex(found: Found) -> str:
-    """Return tables (booktabs, UTF-8) of counts, row shares and scores, and one a split, without empty classes."""
-    shown = matrix_of(found).trimmed()
-    evaluation = found if isinstance(found, Evaluation) else None
+def as_latex(comparison: Comparison) -> str:
+    """Return LaTeX tables of counts, row shares, scores and splits.
+
+    They need the package booktabs and UTF-8. Empty classes are left out.
+    """
+    shown = matrix_of(comparison).trimmed()
+    evaluation = comparison if isinstance(comparison, Evaluation) else None
     blocks = [
         "% needs \\usepackage{booktabs} and \\usepackage[T1]{fontenc}",
         _counts(shown, _source(evaluation)),
@@ -90,20 +93,21 @@ def _row_shares(shown: ConfusionMatrix) -> str:
 
 def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
     intervals = NO_INTERVALS if evaluation is None else evaluation.intervals
-    found = scores(shown)
-    n_scored = _count(found.n_scored)
-    n_ignored = _count(found.n_ignored)
-    caption = f"Scores of {n_scored} records ({n_ignored} not scored): {overall_line(found, intervals, '--')}."
+    matrix_scores = scores(shown)
+    n_scored = _count(matrix_scores.n_scored)
+    n_ignored = _count(matrix_scores.n_ignored)
+    overall = overall_line(matrix_scores, intervals, "--")
+    caption = f"Scores of {n_scored} records ({n_ignored} not scored): {overall}."
     if evaluation is not None and intervals:
         caption += f" Intervals: {escape(evaluation.interval_method)}."
     header = ["Class", *(_TITLES.get(name, name.capitalize()) for name in CLASS_SCORES)]
-    rows = [list(map(escape, score_row(item, intervals, "--"))) for item in found.classes]
+    rows = [list(map(escape, score_row(item, intervals, "--"))) for item in matrix_scores.classes]
     return _table(caption, "scores", header, rows)
 
 
-def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
+def _splits(evaluation: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
     """Yield recall and precision as separate tables: side by side they are wider than a page."""
-    for number, (split, parts) in enumerate(found.splits.items()):
+    for number, (split, parts) in enumerate(evaluation.splits.items()):
         header, rows = split_table(parts, shown)
         for score in ("recall", "precision"):
             places = [i for i, title in enumerate(header) if title.startswith(f"{score} ")]
@@ -115,11 +119,12 @@ def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
             yield _table(caption, f"{score}-{number}", ["Part", "Records", *names], lines)
 
 
-def _source(found: Evaluation | None) -> str:
-    if found is None:
+def _source(evaluation: Evaluation | None) -> str:
+    if evaluation is None:
         return ""
-    files = f"{_listed(found.predicted)} against {_listed(found.reference)}"
-    return f" {escape(files)}, class mapping {escape(found.mapping)}. {escape(match_line(found.match))}"
+    files = f"{_listed(evaluation.predicted)} against {_listed(evaluation.reference)}"
+    mapping = escape(evaluation.mapping)
+    return f" {escape(files)}, class mapping {mapping}. {escape(match_line(evaluation.match))}"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -1,4 +1,7 @@
-"""Which codes mean which class, on the predicted and on the reference side (TOML files, a few built in)."""
+"""Class mappings: which codes mean which class, on the predicted and on the reference side.
+
+A mapping is a TOML file; a few come with the package.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,9 @@ class ClassMapping(Params):
     or a column and never agrees with anything, like the row "Other" of Lehtola et al. (2019), Table
     I.
 
-    >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": ["1200-1206"], "car": [1501]})
+    >>> mapping = ClassMapping(
+    ...     predicted={"ground": [2]}, reference={"ground": ["1200-1206"], "car": [1501]}
+    ... )
     >>> mapping.scored_names
     ('ground',)
     >>> mapping.class_indices(np.array([1203, 1501]), "reference")
@@ -49,7 +54,10 @@ class ClassMapping(Params):
 
     unlisted: Literal["error", "other", "ignore"] = Field(
         "error",
-        description="codes that stand in no list: refuse the file, count them as other, or do not score them",
+        description=(
+            "codes that stand in no list: refuse the file, count them as other, "
+            "or do not score them"
+        ),
     )
     ignore: Codes = Field(
         (), description="codes of either side that are not scored, for example 0 = missing"
@@ -59,7 +67,9 @@ class ClassMapping(Params):
     )
     coarser: dict[ClassName, ClassName] = Field(
         {},
-        description="predicted class = the predicted class it counts as where the reference never has it",
+        description=(
+            "predicted class = the predicted class it counts as where the reference never has it"
+        ),
     )
     predicted: dict[ClassName, Codes] = Field(
         description="class name = list of predicted codes, or ranges 'a-b'"
@@ -89,8 +99,11 @@ class ClassMapping(Params):
     def _check_both(self) -> ClassMapping:
         sides: tuple[Side, Side] = ("predicted", "reference")
         for side in sides:
-            for code, name, other in _listed_twice(self._spans(side)):
-                problem = f"every {side} code listed once, but {code} stands under {name!r} and again under {other!r}"
+            for code, name, second_name in _listed_twice(self._spans(side)):
+                problem = (
+                    f"every {side} code listed once, but {code} stands under {name!r} "
+                    f"and again under {second_name!r}"
+                )
                 raise ValueError(problem)
         for name in (name for pair in self.coarser.items() for name in pair):
             if name not in self.names("predicted"):
@@ -122,14 +135,14 @@ class ClassMapping(Params):
             raise InputError(where, f"found {codes.dtype}, expected integer class codes")
         table = self._tables[side]
         if codes.dtype.itemsize <= 2 and codes.dtype.kind == "u":
-            found: I64 = table[codes]
+            indices: I64 = table[codes]
         elif not codes.size or (codes.min() >= 0 and codes.max() < _TABLE_SIZE):
-            found = table[codes.astype(np.intp)]
+            indices = table[codes.astype(np.intp)]
         else:
-            found = self._search(codes.astype(np.int64), side)
-        if self.unlisted == "error" and (found == _UNLISTED).any():
+            indices = self._search(codes.astype(np.int64), side)
+        if self.unlisted == "error" and (indices == _UNLISTED).any():
             raise UnlistedError.of(self, side, [codes])
-        return found
+        return indices
 
     def is_unlisted(self, codes: I64, side: Side) -> NDArray[np.bool_]:
         """Return which codes stand in no list."""
@@ -137,16 +150,16 @@ class ClassMapping(Params):
         return unlisted
 
     def fitting(self, codes: NDArray[np.integer], side: Side) -> list[str]:
-        """Names of the presets that list these codes, and on the other side what this one does.
+        """Names of the presets that list these codes, and the codes of the other side of this mapping.
 
-        Likest first.
+        The preset most like this mapping comes first.
         """
-        other: Side = "reference" if side == "predicted" else "predicted"
-        spans = np.array([span[:2] for span in self._spans(other)], dtype=np.int64)
+        other_side: Side = "reference" if side == "predicted" else "predicted"
+        spans = np.array([span[:2] for span in self._spans(other_side)], dtype=np.int64)
         # the ends of a range stand for it
         kept = spans[spans[:, 1] < _TABLE_SIZE].ravel()
         known = codes[codes.astype(np.int64) != NO_CODE].astype(np.int64)
-        found = []
+        presets = []
         for name in preset_names():
             if name == TRAINING:  # small numbers mean anything
                 continue
@@ -162,14 +175,15 @@ class ClassMapping(Params):
             if (
                 useful
                 and (classes != _UNLISTED).all()
-                and (preset._search(kept, other) != _UNLISTED).all()
+                and (preset._search(kept, other_side) != _UNLISTED).all()
             ):
                 apart = len({*preset.names(side)} ^ {*self.names(side)})
                 width = sum(
-                    high - low for low, high, _ in (*preset._spans(side), *preset._spans(other))
+                    high - low
+                    for low, high, _ in (*preset._spans(side), *preset._spans(other_side))
                 )
-                found.append((apart, width, name))
-        return [name for *_, name in sorted(found)]
+                presets.append((apart, width, name))
+        return [name for *_, name in sorted(presets)]
 
     @cached_property
     def _tables(self) -> dict[Side, I64]:
@@ -190,19 +204,19 @@ class ClassMapping(Params):
             [IGNORED if name in ignored else names.index(name) for *_, name in spans],
             dtype=np.int64,
         )
-        rest = {
+        of_unlisted = {
             "error": _UNLISTED,
             "ignore": IGNORED,
             "other": names.index(OTHER) if OTHER in names else _UNLISTED,
         }
         place = np.searchsorted(low, codes, side="right") - 1
         listed = (place >= 0) & (codes <= high[place])
-        found = np.where(listed, index[place], rest[self.unlisted])
-        found[codes == NO_CODE] = IGNORED
-        return found
+        indices = np.where(listed, index[place], of_unlisted[self.unlisted])
+        indices[codes == NO_CODE] = IGNORED
+        return indices
 
     def _spans(self, side: Side) -> list[tuple[int, int, str]]:
-        """First code, last code and class name (or ignore list) of everything that is listed for a side."""
+        """First code, last code and class name (or ignore list) of every entry of a side."""
         listed = self.predicted if side == "predicted" else self.reference
         spans = [(*_span(code), name) for name, codes in listed.items() for code in codes]
         spans += [(*_span(code), "ignore") for code in self.ignore]
@@ -214,7 +228,7 @@ class ClassMapping(Params):
 TRAINING = "street_kitti_training"
 LAST_TRAINING_ID = 19
 LEAST_TRAINING_IDS = 5
-"""Mapping of SemanticKITTI's training ids, the largest, and how many of them a frame has at least."""
+"""Mapping of SemanticKITTI's training ids, the largest id, and the fewest ids of a frame."""
 
 
 class UnlistedError(InputError):
@@ -228,24 +242,32 @@ class UnlistedError(InputError):
         cls, mapping: ClassMapping, side: Side, chunks: Iterable[NDArray[np.integer]]
     ) -> UnlistedError:
         """Name the codes that are not listed and how often they are found."""
-        every: Counter[int] = Counter()
+        counts: Counter[int] = Counter()
         for codes in chunks:
-            here, n = np.unique(codes, return_counts=True)
-            every.update(dict(zip(here.tolist(), n.tolist(), strict=True)))
-        found = np.array(sorted(every), np.int64)
-        unlisted = {code: every[code] for code in found[mapping.is_unlisted(found, side)].tolist()}
+            values, n = np.unique(codes, return_counts=True)
+            counts.update(dict(zip(values.tolist(), n.tolist(), strict=True)))
+        present = np.array(sorted(counts), np.int64)
+        unlisted = {
+            code: counts[code] for code in present[mapping.is_unlisted(present, side)].tolist()
+        }
         more = ", ..." if len(unlisted) > _SHOWN else ""
         shown = ", ".join(f"{code} ({n:,})" for code, n in [*unlisted.items()][:_SHOWN]) + more
-        problem = f"found {sum(unlisted.values())} records with codes that the class mapping does not list: {shown}"
+        problem = (
+            f"found {sum(unlisted.values())} records with codes "
+            f"that the class mapping does not list: {shown}"
+        )
         line = ", ".join(map(str, [*unlisted][:_SHOWN])) + more
-        hint = f'write a line for them under [{side}], such as other = [{line}], or set unlisted = "other"'
-        fitting = mapping.fitting(found, side)
+        hint = (
+            f"write a line for them under [{side}], such as other = [{line}], "
+            'or set unlisted = "other"'
+        )
+        fitting = mapping.fitting(present, side)
         if fitting:
             hint = f"a mapping that lists them: {' or '.join(fitting)} (--mapping NAME); or {hint}"
         if (
             side == "reference"
-            and found.max(initial=0) <= LAST_TRAINING_ID
-            and len(found) >= LEAST_TRAINING_IDS
+            and present.max(initial=0) <= LAST_TRAINING_ID
+            and len(present) >= LEAST_TRAINING_IDS
         ):
             hint = f"if they are the training ids of SemanticKITTI: --mapping {TRAINING}; or {hint}"
         error = cls(f"{side} codes", problem, hint)
@@ -305,6 +327,6 @@ def _span(code: int | str) -> tuple[int, int]:
 def _listed_twice(spans: list[tuple[int, int, str]]) -> Iterator[tuple[int, str, str]]:
     """Yield the first shared code and both names of overlapping spans."""
     ordered = sorted(spans)
-    for (_, end, name), (low, _, other) in pairwise(ordered):
+    for (_, end, name), (low, _, next_name) in pairwise(ordered):
         if low <= end:
-            yield low, name, other
+            yield low, name, next_name

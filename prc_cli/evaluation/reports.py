@@ -31,7 +31,7 @@ from prc_cli.evaluation.scores import (
     scores,
 )
 
-Found: TypeAlias = ConfusionMatrix | Evaluation
+Comparison: TypeAlias = ConfusionMatrix | Evaluation
 
 NOT_SPLIT = "unknown"
 """Name of the part for pairs whose split value is unknown."""
@@ -46,53 +46,56 @@ _TOTALS = ("n_reference", "n_predicted", "n_agreed")
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
 
 
-def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
+def as_dict(comparison: Comparison, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
     """Return counts and scores with names; undefined scores are None."""
-    table = _matrix_dict(matrix_of(found))
-    if isinstance(found, Evaluation):
+    table = _matrix_dict(matrix_of(comparison))
+    if isinstance(comparison, Evaluation):
         table |= {
-            "files": {"predicted": list(found.predicted), "reference": list(found.reference)},
-            "mapping": found.mapping,
-            "match": asdict(found.match) | {"notes": list(found.match.notes)},
+            "files": {
+                "predicted": list(comparison.predicted),
+                "reference": list(comparison.reference),
+            },
+            "mapping": comparison.mapping,
+            "match": asdict(comparison.match) | {"notes": list(comparison.match.notes)},
             "intervals": {
                 name: {"low": _defined(item.low), "high": _defined(item.high)}
-                for name, item in found.intervals.items()
+                for name, item in comparison.intervals.items()
             },
-            "interval_method": found.interval_method,
-            "doubts": list(doubts(found)),
+            "interval_method": comparison.interval_method,
+            "doubts": list(doubts(comparison)),
             "splits": {
                 name: [
                     {"name": part.name, "low": _defined(part.low), "high": _defined(part.high)}
                     | _matrix_dict(part.matrix)
                     for part in parts
                 ]
-                for name, parts in found.splits.items()
+                for name, parts in comparison.splits.items()
             },
             "gates": gate_dicts(gates),
         }
-        if found.three is not None:
-            table["three"] = _three_dict(found.three)
+        if comparison.three is not None:
+            table["three"] = _three_dict(comparison.three)
     return table
 
 
-def as_json(found: Found, gates: Iterable[GateResult] = ()) -> str:
+def as_json(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str:
     """Return :func:`as_dict` as JSON text; undefined scores and open ends are ``null``."""
-    return json.dumps(as_dict(found, gates), indent=2, allow_nan=False)
+    return json.dumps(as_dict(comparison, gates), indent=2, allow_nan=False)
 
 
-def as_csv(found: Found) -> str:
+def as_csv(comparison: Comparison) -> str:
     """Return one row per class: name, counts, scores, and its row of the matrix.
 
-    Undefined scores are empty.
-
-    A last row, ``(overall)``, holds the number of scored records and the overall accuracy, balanced
-    accuracy and kappa in columns of their own. Intervals come as columns ``recall_low``,
-    ``recall_high`` and so on. Parts follow as the same rows again; then the first two columns are
+    Undefined scores are empty. A last row, ``(overall)``, has the number of scored records and the
+    overall scores. Intervals are columns ``recall_low``, ``recall_high`` and so on. If the
+    evaluation is split, the same rows follow for every part, and the first two columns are
     ``split`` and ``part``, empty for the whole.
     """
-    matrix = matrix_of(found)
+    matrix = matrix_of(comparison)
     intervals, splits = (
-        (found.intervals, found.splits) if isinstance(found, Evaluation) else (NO_INTERVALS, {})
+        (comparison.intervals, comparison.splits)
+        if isinstance(comparison, Evaluation)
+        else (NO_INTERVALS, {})
     )
     bounds = _SCORE_COLUMNS if intervals else ()
     columns = [f"predicted {name}" for name in matrix.predicted_names]
@@ -114,14 +117,14 @@ def as_csv(found: Found) -> str:
     return text.getvalue()
 
 
-def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
-    """Return the matrix with row shares, the scores, and splits, gates and match.
+def as_markdown(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str:
+    """Return the matrix with row shares, the scores, splits, gates and match as Markdown.
 
-    Without empty classes.
+    Empty classes are left out.
     """
-    shown = matrix_of(found).trimmed()
-    intervals = found.intervals if isinstance(found, Evaluation) else NO_INTERVALS
-    result = scores(shown)
+    shown = matrix_of(comparison).trimmed()
+    intervals = comparison.intervals if isinstance(comparison, Evaluation) else NO_INTERVALS
+    matrix_scores = scores(shown)
     matrix_rows = [
         [
             name,
@@ -135,24 +138,27 @@ def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
     parts = [
         "Reference in rows, predicted in columns: records (share of the row).",
         _table(["reference", *shown.predicted_names, "sum"], matrix_rows),
-        _table(["class", *CLASS_SCORES], [score_row(item, intervals) for item in result.classes]),
-        f"Scored {result.n_scored} records, ignored {result.n_ignored}: {overall_line(result, intervals)}.",
+        _table(
+            ["class", *CLASS_SCORES], [score_row(item, intervals) for item in matrix_scores.classes]
+        ),
+        f"Scored {matrix_scores.n_scored} records, ignored {matrix_scores.n_ignored}: "
+        f"{overall_line(matrix_scores, intervals)}.",
     ]
-    if isinstance(found, Evaluation):
-        parts += _evaluation_blocks(found, shown)
+    if isinstance(comparison, Evaluation):
+        parts += _evaluation_blocks(comparison, shown)
     if results := list(gates):
         rows = [[*gate_cells(item), "passed" if item.passed else "failed"] for item in results]
         parts.append(_table(["gate", "demanded", "found", ""], rows))
     return "\n\n".join(parts) + "\n"
 
 
-def matrix_of(found: Found) -> ConfusionMatrix:
+def matrix_of(comparison: Comparison) -> ConfusionMatrix:
     """Return the confusion matrix."""
-    return found.matrix if isinstance(found, Evaluation) else found
+    return comparison.matrix if isinstance(comparison, Evaluation) else comparison
 
 
 def overall_line(
-    found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS, dash: str = "-"
+    matrix_scores: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS, dash: str = "-"
 ) -> str:
     """Return the overall scores as part of a sentence.
 
@@ -160,10 +166,11 @@ def overall_line(
     >>> overall_line(scores(ConfusionMatrix(("a", "b"), ("a", "b"), np.array([[4, 1], [1, 4]]))))
     'accuracy 0.800, balanced accuracy 0.800, kappa 0.600'
     """
-    return ", ".join(
-        f"{name.replace('_', ' ')} {with_interval(getattr(found, name), intervals.get(name), dash)}"
-        for name in OVERALL_SCORES
-    )
+    texts = []
+    for name in OVERALL_SCORES:
+        value = with_interval(getattr(matrix_scores, name), intervals.get(name), dash)
+        texts.append(f"{name.replace('_', ' ')} {value}")
+    return ", ".join(texts)
 
 
 def match_line(match: MatchReport) -> str:
@@ -182,27 +189,30 @@ def match_line(match: MatchReport) -> str:
     return f"Matched by {match.method}{within}: {match.n_matched:,} pairs of {counts}{several}."
 
 
-def doubts(found: Evaluation) -> tuple[str, ...]:
-    """Return reasons to doubt the evaluation itself, such as agreement that is only that of chance."""
-    result = scores(found.matrix)
-    seen = [item for item in result.classes if item.n_reference]
-    predicted = [item for item in result.classes if item.n_predicted]
-    if len(seen) == 1 < len(predicted) and result.n_scored >= _ENOUGH:
-        only = f"All {seen[0].n_reference:,} scored records of the reference are {seen[0].name}"
+def doubts(evaluation: Evaluation) -> tuple[str, ...]:
+    """Return reasons to doubt the evaluation itself, such as agreement no better than chance."""
+    matrix_scores = scores(evaluation.matrix)
+    in_reference = [item for item in matrix_scores.classes if item.n_reference]
+    predicted = [item for item in matrix_scores.classes if item.n_predicted]
+    if len(in_reference) == 1 < len(predicted) and matrix_scores.n_scored >= _ENOUGH:
+        (only_class,) = in_reference
+        only = (
+            f"All {only_class.n_reference:,} scored records of the reference are {only_class.name}"
+        )
         return (f"{only}: check that its codes are those of the class mapping.",)
-    names = [item for item in result.classes if item.recall + item.precision >= 0]
-    if len(names) < 2 or result.n_scored < _ENOUGH or not result.kappa < _CHANCE:
+    names = [item for item in matrix_scores.classes if item.recall + item.precision >= 0]
+    if len(names) < 2 or matrix_scores.n_scored < _ENOUGH or not matrix_scores.kappa < _CHANCE:
         return ()
-    told = f"The agreement is about that of chance (kappa {figure(result.kappa)})"
-    return (f"{told}: check that both sides are in the same order, and the class mapping.",)
+    doubt = f"The agreement is about that of chance (kappa {figure(matrix_scores.kappa)})"
+    return (f"{doubt}: check that both sides are in the same order, and the class mapping.",)
 
 
 def split_table(
     parts: Sequence[SplitPart], shown: ConfusionMatrix
 ) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a split.
+    """Return header and rows of the table of a split.
 
-    Part, scored records, accuracy, recall and precision of every class.
+    Columns: part, scored records, accuracy, recall and precision of every class.
     """
     names = shown.scored_names
     header = [
@@ -213,14 +223,14 @@ def split_table(
     ]
     rows = []
     for part in parts:
-        found = scores(part.matrix)
-        by_name = {item.name: item for item in found.classes}
+        part_scores = scores(part.matrix)
+        by_name = {item.name: item for item in part_scores.classes}
         cells = [
             figure(value)
             for name in names
             for value in (by_name[name].recall, by_name[name].precision)
         ]
-        rows.append([part.name, str(found.n_scored), figure(found.accuracy), *cells])
+        rows.append([part.name, str(part_scores.n_scored), figure(part_scores.accuracy), *cells])
     return header, rows
 
 
@@ -262,15 +272,15 @@ def with_interval(value: float, interval: Interval | None, dash: str = "-") -> s
 
 
 def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
-    found = scores(matrix)
+    matrix_scores = scores(matrix)
     classes = {}
-    for item in found.classes:
+    for item in matrix_scores.classes:
         table = asdict(item)
         classes[table.pop("name")] = {key: _defined(value) for key, value in table.items()}
     return {
-        "n_scored": found.n_scored,
-        "n_ignored": found.n_ignored,
-        "overall": {name: _defined(getattr(found, name)) for name in OVERALL_SCORES},
+        "n_scored": matrix_scores.n_scored,
+        "n_ignored": matrix_scores.n_ignored,
+        "overall": {name: _defined(getattr(matrix_scores, name)) for name in OVERALL_SCORES},
         "classes": classes,
         "confusion": {
             "reference": list(matrix.reference_names),
@@ -280,18 +290,18 @@ def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
     }
 
 
-def _three_dict(found: ThreeWay) -> dict[str, Any]:
+def _three_dict(three: ThreeWay) -> dict[str, Any]:
     matrices = {
-        "predicted": found.predicted,
-        "third": found.other,
-        "predicted_against_third": found.between,
+        "predicted": three.predicted,
+        "third": three.third_matrix,
+        "predicted_against_third": three.between,
     }
     return {
-        "file": found.third,
-        "states": found.states(),
+        "file": three.third,
+        "states": three.states(),
         "both_wrong_alike": [
-            {"records": n, "reference": name, "both": other}
-            for n, name, other in found.largest_errors(most=100)
+            {"records": n, "reference": name, "both": predicted}
+            for n, name, predicted in three.largest_errors(most=100)
         ],
         **{name: _matrix_dict(matrix) for name, matrix in matrices.items()},
     }
@@ -328,33 +338,34 @@ def _csv_rows(
 def _limits(intervals: Mapping[str, Interval], names: Iterable[str]) -> list[str]:
     """Return low and high of every name; empty where there is no interval."""
     undefined = Interval(math.nan, math.nan)
-    return [
-        _cell(end)
-        for name in names
-        for item in (intervals.get(name, undefined),)
-        for end in (item.low, item.high)
-    ]
+    cells = []
+    for name in names:
+        interval = intervals.get(name, undefined)
+        cells += [_cell(interval.low), _cell(interval.high)]
+    return cells
 
 
-def _evaluation_blocks(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
-    if found.intervals:
-        yield f"Intervals: {_plain(found.interval_method)}."
-    for split, parts in found.splits.items():
+def _evaluation_blocks(evaluation: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
+    if evaluation.intervals:
+        yield f"Intervals: {_plain(evaluation.interval_method)}."
+    for split, parts in evaluation.splits.items():
         yield f"By {_plain(split)}:"
         header, rows = split_table(parts, shown)
         yield _table(header, rows)
-    if found.three is not None:
+    if evaluation.three is not None:
         yield "Three labellings:"
-        yield _table(*found.three.table())
-        yield from map(_plain, found.three.sentences())
-    yield match_line(found.match).replace(found.match.method, _plain(found.match.method))
-    yield from (_plain(note) for note in (*found.match.notes, *doubts(found)))
-    files = [f"{side} {', '.join(map(_plain, names))}" for side, names in _sides(found)]
-    yield f"Files: {'; '.join(files)}. Class mapping: {_plain(found.mapping)}."
+        yield _table(*evaluation.three.table())
+        yield from map(_plain, evaluation.three.sentences())
+    yield match_line(evaluation.match).replace(
+        evaluation.match.method, _plain(evaluation.match.method)
+    )
+    yield from (_plain(note) for note in (*evaluation.match.notes, *doubts(evaluation)))
+    files = [f"{side} {', '.join(map(_plain, names))}" for side, names in _sides(evaluation)]
+    yield f"Files: {'; '.join(files)}. Class mapping: {_plain(evaluation.mapping)}."
 
 
-def _sides(found: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    return ("predicted", found.predicted), ("reference", found.reference)
+def _sides(evaluation: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return ("predicted", evaluation.predicted), ("reference", evaluation.reference)
 
 
 def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = "-") -> list[str]:
@@ -364,7 +375,7 @@ def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = 
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table, first column left-aligned, numbers right-aligned, padded for reading as plain text."""
+    """Return a Markdown table, the first column left-aligned, padded so that plain text reads well."""
     header = [_plain(cell) for cell in header]
     rows = [[_plain(cell) for cell in row] for row in rows]
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]

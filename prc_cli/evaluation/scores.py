@@ -1,7 +1,10 @@
-"""Scores of a confusion matrix, per class and overall, their intervals and gates, and the result of an evaluation.
+"""Scores of a confusion matrix, their intervals and gates, and the result of an evaluation.
 
-Undefined scores are NaN, never 0. Last come three labellings of the same shots: predicted and third
-against the reference, and against each other.
+Undefined scores are NaN, never 0. The last part compares three labellings of the same shots:
+predicted and third against the reference, and against each other.
+
+To add a score of the whole matrix: a line in :data:`OVERALL_SCORES`, a field of :class:`Scores`,
+its formula in :func:`all_scores`. All reports show it then.
 """
 
 from __future__ import annotations
@@ -50,7 +53,7 @@ class ClassScores:
     iou: float
     """n_agreed / (n_reference + n_predicted - n_agreed), intersection over union."""
     accuracy: float
-    """One against the rest: share of scored records that both sides assign to this class, or both do not."""
+    """One against the rest: share of scored records where both sides say this class, or neither."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,16 +173,18 @@ def _mean_of_defined(values: F64) -> F64:
     return _shares(sums, defined.sum(axis=1).astype(np.float64))
 
 
-def gate_value(found: Scores, name: str) -> float:
+def gate_value(matrix_scores: Scores, name: str) -> float:
     """Look up one score by its name as in ``--fail-under``."""
     score, dot, class_name = name.partition(".")
     if not dot and score in OVERALL_SCORES:
-        return float(getattr(found, score))
-    by_name = {item.name: item for item in found.classes if item.name in found.scored}
+        return float(getattr(matrix_scores, score))
+    by_name = {
+        item.name: item for item in matrix_scores.classes if item.name in matrix_scores.scored
+    }
     if score in CLASS_SCORES and class_name in by_name:
         return float(getattr(by_name[class_name], score))
     if dot and score in CLASS_SCORES:
-        alone = class_name in (item.name for item in found.classes)
+        alone = class_name in (item.name for item in matrix_scores.classes)
         why = ", which the mapping does not have on both sides" if alone else ""
         problem = f"found class {class_name!r}{why}, expected one of: {', '.join(by_name)}"
     else:
@@ -210,10 +215,10 @@ def block_intervals(
         )
     total = blocks.sum(axis=0)
     centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
-    found = _jackknife(blocks, total, names, centre)
+    intervals = _jackknife(blocks, total, names, centre)
     return {
         name: Interval(max(low, -1.0 if name == "kappa" else 0.0), min(high, 1.0))
-        for name, (low, high) in found.items()
+        for name, (low, high) in intervals.items()
         if not np.isnan(low + high)
     }
 
@@ -226,17 +231,20 @@ def _jackknife(
 ) -> dict[str, tuple[float, float]]:
     from scipy.special import stdtrit
 
-    each = max(1, _AT_ONCE // total.size)
-    parts = [all_scores(total - blocks[k : k + each], *names) for k in range(0, len(blocks), each)]
-    found = {}
+    n_at_once = max(1, _AT_ONCE // total.size)
+    parts = [
+        all_scores(total - blocks[k : k + n_at_once], *names)
+        for k in range(0, len(blocks), n_at_once)
+    ]
+    intervals = {}
     for name, value in centre.items():
         left_out = np.concatenate([part[name] for part in parts])
         # a score that depends on a single block is undefined without it: no interval
         n = len(left_out)
         error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
         half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
-        found[name] = value - half, value + half
-    return found
+        intervals[name] = value - half, value + half
+    return intervals
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,28 +279,33 @@ def parse_gate(text: str, mapping: ClassMapping) -> Gate:
     except ValueError:
         limit = math.nan
     if not -1 <= limit <= 1:
-        problem = f"found {text!r}, expected SCORE.CLASS=VALUE with a value up to 1, such as recall.ground=0.95"
+        problem = (
+            f"found {text!r}, expected SCORE.CLASS=VALUE with a value up to 1, "
+            "such as recall.ground=0.95"
+        )
         raise ConfigError("--fail-under", problem)
     gate_value(scores(ConfusionMatrix.empty(mapping)), name.strip())
     return Gate(name.strip(), limit)
 
 
-def check_gates(found: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
+def check_gates(matrix_scores: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
     """Compare scores with gates."""
-    return tuple(GateResult(gate.name, gate.limit, gate_value(found, gate.name)) for gate in gates)
+    return tuple(
+        GateResult(gate.name, gate.limit, gate_value(matrix_scores, gate.name)) for gate in gates
+    )
 
 
 def refuse_failed(results: Iterable[GateResult]) -> None:
     """Raise if any gate failed, naming all failed ones."""
     failed = [item for item in results if not item.passed]
     if failed:
-        told = [
+        problems = [
             f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed
         ]
         more = "; ".join(
-            f"{item.name}: {text}" for item, text in zip(failed[1:], told[1:], strict=True)
+            f"{item.name}: {text}" for item, text in zip(failed[1:], problems[1:], strict=True)
         )
-        raise GateError(failed[0].name, told[0], more)
+        raise GateError(failed[0].name, problems[0], more)
 
 
 def figure(value: float) -> str:
@@ -313,7 +326,10 @@ class MatchReport(Brief):
     n_predicted: int
     n_reference: int
     n_matched: int
-    """Pairs; every record is in at most one, except reference records with several partners (``nearest``, optional)."""
+    """Pairs. Every record is in at most one.
+
+    Only ``nearest`` may give reference records several partners.
+    """
     tolerance: float | None = None
     """Largest difference of a pair: seconds for ``time``, metres for ``nearest``."""
     notes: tuple[str, ...] = ()
@@ -405,7 +421,7 @@ class ThreeWay(Brief):
         return ConfusionMatrix(self.reference_names, self.predicted_names, self.counts.sum(axis=2))
 
     @property
-    def other(self) -> ConfusionMatrix:
+    def third_matrix(self) -> ConfusionMatrix:
         """Third against reference."""
         return ConfusionMatrix(self.reference_names, self.third_names, self.counts.sum(axis=1))
 
@@ -426,7 +442,8 @@ class ThreeWay(Brief):
         states = self.states()
         shares = ", ".join(f"{name} {count:,} ({count / n:.1%})" for name, count in states.items())
         errors = [
-            f"{count:,} of {name} called {other}" for count, name, other in self.largest_errors()
+            f"{count:,} of {name} called {predicted}"
+            for count, name, predicted in self.largest_errors()
         ]
         more = (f"Where both agree and are wrong: {'; '.join(errors)}.",) if errors else ()
         return (
@@ -435,24 +452,21 @@ class ThreeWay(Brief):
         )
 
     def largest_errors(self, most: int = 6) -> list[tuple[int, str, str]]:
-        """Return where both agree and are wrong.
-
-        Shots, reference class, the class that both give.
-        """
-        found = [
+        """Return the largest errors that both make: shots, reference class, the class that both give."""
+        errors = [
             (int(self.counts[i, j, self.third_names.index(name)]), reference, name)
             for i, reference in enumerate(self.reference_names)
             for j, name in enumerate(self.predicted_names)
             if name in self.third_names and name != reference
         ]
-        return sorted((item for item in found if item[0]), reverse=True)[:most]
+        return sorted((item for item in errors if item[0]), reverse=True)[:most]
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and a row a class.
+        """Return header and one row a class.
 
-        Scores of predicted and of third against the reference, and of both.
+        Scores of predicted and of third against the reference, and their agreement.
         """
-        matrices = {"predicted": self.predicted, "third": self.other}
+        matrices = {"predicted": self.predicted, "third": self.third_matrix}
         by_name = {
             title: {item.name: item for item in scores(matrix).classes}
             for title, matrix in matrices.items()
@@ -467,7 +481,7 @@ class ThreeWay(Brief):
         for name, n in zip(
             self.reference_names, self.counts.sum(axis=(1, 2)).tolist(), strict=True
         ):
-            items = [found[name] for found in by_name.values()]
+            items = [classes[name] for classes in by_name.values()]
             values = [getattr(item, score) for item in items for score in TABLE_SCORES]
             if n or any(item.n_predicted for item in items):
                 rows.append([name, f"{n:,}", *map(figure, [*values, agreement.get(name, np.nan)])])
@@ -477,11 +491,22 @@ class ThreeWay(Brief):
 def state_table(
     reference: tuple[str, ...], predicted: tuple[str, ...], third: tuple[str, ...]
 ) -> U8:
-    """Return the index in :data:`STATES` of every triple of classes, (reference, predicted, third)."""
-    p = np.array([[name == other for other in predicted] for name in reference])[:, :, None]
-    t = np.array([[name == other for other in third] for name in reference])[:, None, :]
-    alike = np.array([[name == other for other in third] for name in predicted])[None]
-    return np.select([p & t, p & ~t, ~p & t, alike], [0, 1, 2, 3], 4).astype(np.uint8)
+    """Return the index in :data:`STATES` of every triple of class names.
+
+    (reference, predicted, third) uint8.
+    """
+    by_reference = np.array(reference)[:, None, None]
+    by_predicted = np.array(predicted)[None, :, None]
+    by_third = np.array(third)[None, None, :]
+    predicted_right = by_predicted == by_reference
+    third_right = by_third == by_reference
+    states = (
+        predicted_right & third_right,
+        predicted_right & ~third_right,
+        ~predicted_right & third_right,
+        by_predicted == by_third,
+    )
+    return np.select(states, [0, 1, 2, 3], 4).astype(np.uint8)
 
 
 class ThreeCounts:

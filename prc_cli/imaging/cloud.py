@@ -1,4 +1,4 @@
-"""Pictures of point clouds: points are splatted into a depth buffer, gaps closed, edges shaded by depth.
+"""Pictures of point clouds: points go to a depth buffer, gaps are closed, edges shaded by depth.
 
 The buffer holds one integer per pixel, depth in the upper and colour in the lower half, so that a
 minimum selects the nearest point. The picture does not depend on the order of the points or on how
@@ -20,19 +20,17 @@ EMPTY = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 FIELD_OF_VIEW_DEG = 38.0
 """Horizontal angle of the perspective."""
 FRAMED = ((2.0, 98.0), (2.0, 98.0), (1.0, 99.0))
-"""Percentiles of x, y, z that a view holds.
-
-Few shots of a drive go far: two in a hundred take most of the room.
-"""
+"""Percentiles of x, y, z that a view contains: the farthest 2 % of the shots need most of the room."""
 WIDENED = (0.06, 0.06, 0.1)
-"""What is added on every side, as a share of the extent between the percentiles, as far as there are points: evenly
-spread points are held whole (0.02 / 0.96 of the extent would do)."""
+"""Margin on every side, as a share of the extent between the percentiles, as far as there are points.
+
+Evenly spread points are all in view (0.02 / 0.96 of the extent would do)."""
 MARGIN = 0.03
 """Free margin on every side, as a share of the view."""
 AZIMUTHS_DEG = tuple(range(0, 360, 15))
 """Sides from which a perspective may be taken."""
 USUAL_DEG = 215.0
-"""Azimuth that is taken unless another side fills the picture clearly better."""
+"""Azimuth that is used unless another side fills the picture clearly better."""
 _BETTER = 1.1
 _TRIED = 20_000
 """Points that the sides are compared with."""
@@ -55,25 +53,25 @@ class Sample:
         self._width = width
         self._most = most
         self._step = 1
-        self._seen = 0
+        self._n_seen = 0
         self._n = 0
 
     def add(self, rows: F64) -> None:
         """Add rows, (n, width) float64."""
-        taken = rows[(-self._seen) % self._step :: self._step]
-        self._seen += len(rows)
-        self._rows.append(np.array(taken))
-        self._n += len(taken)
+        chosen = rows[(-self._n_seen) % self._step :: self._step]
+        self._n_seen += len(rows)
+        self._rows.append(np.array(chosen))
+        self._n += len(chosen)
         while self._n > self._most:
             thinned = np.concatenate(self._rows)[::2]
             self._rows = [thinned]
             self._n = len(thinned)
-            self._step = self._step * 2
+            self._step *= 2
 
     @property
     def n_seen(self) -> int:
         """Rows added so far."""
-        return self._seen
+        return self._n_seen
 
     def rows(self) -> F64:
         """Return the sample, (n, width) float64."""
@@ -81,7 +79,10 @@ class Sample:
 
 
 def bounds(sample: F64) -> tuple[F64, F64]:
-    """Return the box, two (3,) float64 [m], that a view of points (n, 3) frames, without far and stray ones."""
+    """Return the corners, two (3,) float64 [m], of the box that a view of points (n, 3) frames.
+
+    Far and stray points are outside.
+    """
     ends = [np.percentile(sample[:, axis], FRAMED[axis]) for axis in range(3)]
     low, high = np.array(ends).T
     more = (high - low) * np.array(WIDENED)
@@ -160,10 +161,7 @@ class FromAbove:
         return (xyz[:, 0] - self.left) / self.metres, (self.top - xyz[:, 1]) / self.metres, depth
 
     def relief(self, depth: F64) -> F64:
-        """Return depths on the scale on which steps are shaded.
-
-        Height against the size of the view.
-        """
+        """Return depths on the scale on which steps are shaded: relative to the size of the view."""
         return depth / (self.metres * max(self.size)) * 2.0
 
 
@@ -189,7 +187,7 @@ class Perspective:
         width: int,
         height: int,
     ) -> Perspective:
-        """Return the view from a direction that holds nearly all points of a sample (n, 3) float64."""
+        """Return the view from a direction with nearly all points of a sample (n, 3) float64."""
         low, high = bounds(sample)
         inside = sample[((sample >= low) & (sample <= high)).all(axis=1)]
         inside = inside if len(inside) else sample
@@ -316,10 +314,10 @@ def _close_gaps(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
     # nearer means by 2 % or more: that is at least 2^17 in the bits of a float32
     limit = keys - np.minimum(keys, np.uint64((1 << 17) << 32))
     best = np.full(keys.shape, EMPTY, np.uint64)
-    for one in _neighbours(keys, EMPTY):
-        nearer: Mask = one < limit
+    for neighbour in _neighbours(keys, EMPTY):
+        nearer: Mask = neighbour < limit
         near += nearer
-        np.minimum(best, np.where(nearer, one, EMPTY), out=best)
+        np.minimum(best, np.where(nearer, neighbour, EMPTY), out=best)
     return np.where(near >= 5, best, keys)
 
 
@@ -327,9 +325,9 @@ def _shading(relief: F32) -> F32:
     """Return brightness from 0 to 1: lower where neighbours are in front."""
     total = np.zeros(relief.shape, np.float32)
     for reach, weight in ((1, 1.0), (2, 0.5), (4, 0.25)):
-        for one in _neighbours(relief, np.inf, reach):
+        for neighbour in _neighbours(relief, np.inf, reach):
             with np.errstate(invalid="ignore"):
-                step = relief - one
+                step = relief - neighbour
             # limit the effect of one deep step, which is an edge and must not turn its surroundings
             # black
             total += np.float32(weight) * np.clip(
@@ -346,4 +344,7 @@ def splat_for(n_points: int, size: tuple[int, int]) -> int:
     """
     pixels = size[0] * size[1]
     share = n_points / max(pixels, 1)
-    return 1 if share > 0.6 else 2 if share > 0.12 else 3 if share > 0.03 else 4
+    for splat, least_share in ((1, 0.6), (2, 0.12), (3, 0.03)):
+        if share > least_share:
+            return splat
+    return 4

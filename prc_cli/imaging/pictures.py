@@ -162,7 +162,10 @@ def mask_picture(mask: Mask) -> U8:
 
 @cache
 def colour_map() -> U8:
-    """Return 256 colours, (256, 3) uint8, dark blue to bright yellow, evenly lighter in OKLab (Ottosson 2020)."""
+    """Return 256 colours, (256, 3) uint8, dark blue to bright yellow.
+
+    Their lightness grows evenly in OKLab (Ottosson 2020).
+    """
     place = np.linspace(0.0, 1.0, 256)
     lightness = 0.22 + 0.74 * place
     hue = np.deg2rad(285.0 - 178.0 * place)
@@ -228,7 +231,7 @@ def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]
 
 
 def trigger_codes(labels: U8, trigger: U8) -> U8:
-    """Pack classes and sides of the trigger into one image, (lines, M) uint8, for :func:`trigger_picture`."""
+    """Pack classes and sides of the trigger, (lines, M) uint8, for :func:`trigger_picture`."""
     packed: U8 = (labels + np.uint8(len(Label)) * trigger).astype(np.uint8)
     return packed
 
@@ -259,7 +262,8 @@ def trigger_picture(packed: U8) -> U8:
 
     A line that triggers at its third shot, although that shot is not among those drawn:
 
-    >>> packed = trigger_codes(np.full((1, 9), 3, np.uint8), np.array([[1, 1, 1, 1, 1, 3, 3, 3, 3]], np.uint8))
+    >>> sides = np.array([[1, 1, 1, 1, 1, 3, 3, 3, 3]], np.uint8)
+    >>> packed = trigger_codes(np.full((1, 9), 3, np.uint8), sides)
     >>> (trigger_picture(packed)[0, :, 0] == TRIGGER_COLOUR[0]).astype(int)
     array([0, 0, 0, 1, 1, 1, 1, 1, 0])
     """

@@ -153,7 +153,10 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     """Draw one picture with its axes and its colour bar."""
     picture = panel.picture
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or not picture.size:
-        problem = f"found {picture.dtype} of shape {picture.shape}, expected uint8 (lines, points per line, 3)"
+        problem = (
+            f"found {picture.dtype} of shape {picture.shape}, "
+            "expected uint8 (lines, points per line, 3)"
+        )
         raise InputError(panel.title, problem)
     width, height = panel.size
     top = TITLE_HEIGHT if with_title else MARGIN // 2
@@ -193,9 +196,9 @@ def _draw_key(
 ) -> None:
     for row in rows:
         for left, text, colour in row:
-            at = LEFT + left
-            draw.rectangle((at, top + 4, at + 30, top + 25), fill=colour, outline=(90, 90, 90))
-            draw.text((at + 40, top + 15), text, fill=INK, font=font(_KEY), anchor="lm")
+            x = LEFT + left
+            draw.rectangle((x, top + 4, x + 30, top + 25), fill=colour, outline=(90, 90, 90))
+            draw.text((x + 40, top + 15), text, fill=INK, font=font(_KEY), anchor="lm")
         top += KEY_HEIGHT
 
 

@@ -1,6 +1,4 @@
-"""A page to look into a scan.
-
-Its cloud and its range image, to turn, zoom and click, in one HTML file.
+"""One HTML page with the cloud and the range image of a scan, to turn, zoom and click.
 
 Values travel as planes: integers of one to four bytes, 0 = none, differences between neighbouring
 shots, byte by byte, deflated, base64. The page decodes them with what every browser has.
@@ -129,17 +127,16 @@ def viewer_page(
     if shots.xyz_m is not None:
         box, places = _placed(shots.xyz_m, shots.framed)
         more = {**more, **places}
-    for name, each in more.items():
-        planes[name], texts[name] = _plane(each, (near, far) if name == "range" else None)
+    for name, quantity in more.items():
+        planes[name], texts[name] = _plane(quantity, (near, far) if name == "range" else None)
+    order = range(n_columns) if shots.order is None else shots.order
     about = {
         "lines": {"n": n_lines, "first": shots.first[0], "step": shots.step[0]},
         "columns": {"n": n_columns, "first": shots.first[1], "step": shots.step[1]},
-        "classes": [asdict(one) for one in shots.entries],
+        "classes": [asdict(entry) for entry in shots.entries],
         "planes": planes,
         "box": box,
-        "order": list(range(n_columns))
-        if shots.order is None
-        else [int(column) for column in shots.order],
+        "order": [int(column) for column in order],
         "mirrored": shots.is_mirrored,
         "why": why,
         "ramp": colour_map().tolist(),
@@ -191,32 +188,33 @@ def _placed(xyz_m: F64, framed: NDArray[np.bool_]) -> tuple[dict[str, Any], dict
     return box, places
 
 
-def _plane(each: Values, limits: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
+def _plane(quantity: Values, limits: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
     """Return the description of a plane, and its packed values."""
-    values = np.asarray(each.values, np.float64).ravel()
+    values = np.asarray(quantity.values, np.float64).ravel()
     known = np.isfinite(values)
-    low, high = (
-        (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
-    )
-    most = 256**each.n_bytes - 2
-    scale = each.step * max(1, math.ceil((high - low) / each.step / most))
-    whole = np.zeros(len(values), np.int64)
-    whole[known] = np.rint((values[known] - low) / scale).astype(np.int64) + 1
+    low = high = 0.0
+    if known.any():
+        low = float(values[known].min())
+        high = float(values[known].max())
+    most = 256**quantity.n_bytes - 2
+    scale = quantity.step * max(1, math.ceil((high - low) / quantity.step / most))
+    packed = np.zeros(len(values), np.int64)
+    packed[known] = np.rint((values[known] - low) / scale).astype(np.int64) + 1
     about: dict[str, Any] = {
-        "bytes": each.n_bytes,
+        "bytes": quantity.n_bytes,
         "n": len(values),
         "offset": low,
         "scale": scale,
-        "title": each.title,
-        "unit": each.unit,
+        "title": quantity.title,
+        "unit": quantity.unit,
         "digits": max(0, -math.floor(math.log10(scale) + 1e-9)),
     }
-    if each.words:
-        about["words"] = {str(number): word for number, word in each.words.items()}
-    elif each.is_scale:
+    if quantity.words:
+        about["words"] = {str(number): word for number, word in quantity.words.items()}
+    elif quantity.is_scale:
         about["low"], about["high"] = value_limits(values) if limits is None else limits
-        about["log"] = each.is_logarithmic
-    return about, pack(whole.astype(np.uint32), each.n_bytes)
+        about["log"] = quantity.is_logarithmic
+    return about, pack(packed.astype(np.uint32), quantity.n_bytes)
 
 
 def pack(whole: NDArray[np.uint32], n_bytes: int) -> str:

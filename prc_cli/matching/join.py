@@ -2,9 +2,8 @@
 
 The key is a time, an id or a coordinate. A window moves along it. It holds, of both sides, every
 record that can influence the pairs of the records that are decided next. A matcher pairs the
-records of a window in memory (:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.keys`). The
-pairs therefore do not depend on how the streams are chunked, and memory does not grow with the
-streams.
+records of a window in memory (:mod:`prc_cli.matching.keys`). The pairs therefore do not depend on
+how the streams are chunked, and memory does not grow with the streams.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ def columns_of(
     sort: bool,
     with_record: bool = True,
 ) -> Iterator[Columns]:
-    """Yield dimensions of a source, and :data:`RECORD` if asked.
+    """Yield dimensions of a source, by ascending ``time`` if ``sort``, else as stored.
 
-    By ascending ``time`` if asked, else as stored.
+    With :data:`RECORD` if ``with_record``.
     """
     if sort:
         source = sorted_by_time(source, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS)
@@ -50,27 +49,24 @@ def in_step(
     streams: Sequence[Iterator[Columns]], check_lengths: Callable[[Sequence[int]], None]
 ) -> Iterator[tuple[Columns, ...]]:
     """Walk streams of the same records in equal steps."""
-    rest: list[Columns] = [{} for _ in streams]
-    seen = [0] * len(streams)
+    pending: list[Columns] = [{} for _ in streams]
+    n_read = [0] * len(streams)
     while True:
         for k, stream in enumerate(streams):
-            while not _length(rest[k]):
+            while not _length(pending[k]):
                 chunk = next(stream, None)
                 if chunk is None:
                     break
-                rest[k] = chunk
-                seen[k] += _length(chunk)
-        n = min(_length(columns) for columns in rest)
+                pending[k] = chunk
+                n_read[k] += _length(chunk)
+        n = min(_length(columns) for columns in pending)
         if not n:
             break
-        yield tuple({name: values[:n] for name, values in columns.items()} for columns in rest)
-        rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
-    check_lengths(
-        [
-            n + sum(_length(chunk) for chunk in stream)
-            for n, stream in zip(seen, streams, strict=True)
-        ]
-    )
+        yield tuple({name: values[:n] for name, values in columns.items()} for columns in pending)
+        pending = [{name: values[n:] for name, values in columns.items()} for columns in pending]
+    for k, stream in enumerate(streams):
+        n_read[k] += sum(_length(chunk) for chunk in stream)
+    check_lengths(n_read)
 
 
 def _length(columns: Columns) -> int:
@@ -83,8 +79,8 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 KEY = "time"
 """Column that the streams are sorted by, float64, finite.
 
-It is called ``time`` also where it holds an id or a
-coordinate, because :func:`prc_cli.formats.sorting.sorted_by_time` sorts by that name."""
+An id or a coordinate is called ``time`` too, because
+:func:`prc_cli.formats.sorting.sorted_by_time` sorts by that name."""
 SAME = "same"
 """Column that must be equal in a pair beside the key, int64, 0 or more: return number, scanner."""
 CODE = "code"
@@ -115,9 +111,12 @@ class JoinTally:
     n_right: int = 0
     """Right records with a partner."""
     n_ambiguous: int = 0
-    """Records left out: they share their key or place with a different number of left and right records."""
+    """Records left out: their key or place has different numbers of left and right records."""
     n_in_order: int = 0
-    """Pairs of records that share their key or place, paired in record order (labels: where their classes differ)."""
+    """Pairs of records that share their key or place, paired in record order.
+
+    Labels count only if their classes differ.
+    """
     n_by_majority: int = 0
     """Records that got the most frequent of several differing labels."""
     n_repeated: int = 0
@@ -125,26 +124,26 @@ class JoinTally:
     n_shared: int = 0
     """Records in pairs whose key several right records have (coarse time stamps)."""
     n_other_same: int = 0
-    """Records without partner whose key has a right record with another :data:`SAME` (another return)."""
+    """Records without partner whose key has a right record of another return (:data:`SAME`)."""
     largest: float = 0.0
     """Largest distance of a pair; 0 where the matcher gives no distances."""
     distances: I64 = field(default_factory=lambda: np.zeros(len(DECADES) + 1, np.int64))
-    """(17,) int64, records without partner by the distance to the nearest right one.
+    """(17,) int64, records without partner by the distance to the nearest right record.
 
-    To 10^-9, 10^-8, ..., beyond.
+    Bins end at 10^-9, 10^-8, ..., 10^6; the last one has no end.
     """
 
     def near(self, share: float = 0.5) -> float | None:
-        """Return the power of ten within which ``share`` of the records without partner have one.
+        """Return the power of ten within which ``share`` of the unpaired records have a right one.
 
-        None if none.
+        None if there is no such power.
         """
         total = int(self.distances.sum())
         reached = np.flatnonzero(np.cumsum(self.distances[:-1]) >= share * total)
         return float(10.0 ** DECADES[reached[0]]) if total and len(reached) else None
 
     def add_distances(self, distance: F64, paired: Mask) -> None:
-        """Count distances (n,) of records to their nearest right one, infinite where there is none."""
+        """Count distances (n,) of records to their nearest right one; infinite = there is none."""
         self.largest = max(self.largest, float(distance[paired].max(initial=0.0)))
         alone = distance[~paired]
         # beyond the last decade, and infinite, fall into the last place
@@ -172,11 +171,10 @@ class Match:
 
 
 Matcher: TypeAlias = Callable[[Columns, Columns, slice], Match]
-"""Pairs the records of a window.
+"""Pairs the records of a window: left columns, right columns, the left records decided now.
 
-Left and right columns, sorted by key, and which left records are decided now.
-
-Pairs of other left records are ignored: their partners may not all be in the window.
+Both sides are sorted by key. Pairs of other left records are ignored, because their partners may
+not all be in the window.
 """
 
 
@@ -188,9 +186,9 @@ class Joined:
     """Every left record comes once, by ascending key."""
     right: Columns
     """Right records of the window."""
-    at: I64
+    left_index: I64
     """(pairs,) index in ``left``."""
-    to: I64
+    right_index: I64
     """(pairs,) index in ``right``."""
 
     def pairs(self) -> tuple[Columns, Columns]:
@@ -198,9 +196,9 @@ class Joined:
 
         Row k of the left belongs to row k of the right.
         """
-        return {n: v[self.at] for n, v in self.left.items()}, {
-            n: v[self.to] for n, v in self.right.items()
-        }
+        left = {name: values[self.left_index] for name, values in self.left.items()}
+        right = {name: values[self.right_index] for name, values in self.right.items()}
+        return left, right
 
 
 def merge_join(
@@ -226,17 +224,13 @@ def merge_join(
         if behind is not None:
             behind.read()
         limit = min((side.last for side in sides if side.is_open), default=math.inf)
-        high = (
-            limit
-            if math.isinf(limit)
-            else float(np.nextafter(limit - reach, -math.inf))
-            if reach
-            else limit
-        )
+        high = limit
+        if reach and not math.isinf(limit):
+            high = float(np.nextafter(limit - reach, -math.inf))
         if high <= low or not (math.isinf(limit) or _is_worthwhile(sides, low, high)):
             continue
         window = sides[0].between(low - reach, limit), sides[1].between(low - reach, limit, spare)
-        yield from _decide(*window, (low, high), match, tally)
+        yield from _decide(*window, low, high, match, tally)
         if math.isinf(limit):
             return
         sides[0].drop(high - reach)
@@ -245,42 +239,49 @@ def merge_join(
 
 
 def _decide(
-    one: Columns,
-    other: Columns,
-    decided: tuple[float, float],
+    left: Columns,
+    right: Columns,
+    low: float,
+    high: float,
     match: Matcher,
     tally: JoinTally,
 ) -> Iterator[Joined]:
-    """Match the records of a window, and hand on the left ones whose key lies in ``decided``."""
-    first, stop = np.searchsorted(one[KEY], decided).tolist()
+    """Match the records of a window; yield the left records with ``low <= key < high``."""
+    first, stop = np.searchsorted(left[KEY], (low, high)).tolist()
     if first == stop:
         return
-    found = match(one, other, slice(first, stop))
-    chosen = (found.left >= first) & (found.left < stop)
-    at = found.left[chosen]
-    to = found.right[chosen]
-    for name, left in found.counts.items():
+    matches = match(left, right, slice(first, stop))
+    chosen = (matches.left >= first) & (matches.left < stop)
+    left_index = matches.left[chosen]
+    right_index = matches.right[chosen]
+    for name, indices in matches.counts.items():
         setattr(
             tally,
             name,
-            getattr(tally, name) + int(np.count_nonzero((left >= first) & (left < stop))),
+            getattr(tally, name) + int(np.count_nonzero((indices >= first) & (indices < stop))),
         )
-    if found.distance is not None:
+    if matches.distance is not None:
         paired = np.zeros(stop - first, np.bool_)
-        paired[at - first] = True
-        tally.add_distances(found.distance, paired)
+        paired[left_index - first] = True
+        tally.add_distances(matches.distance, paired)
     tally.n_left += stop - first
-    tally.n_pairs += len(at)
-    used = other.pop(_USED)
+    tally.n_pairs += len(left_index)
+    used = right.pop(_USED)
     n_before = int(np.count_nonzero(used))
-    used[to if found.used is None else found.used] = True  # a view of what the window holds
+    # a view of the window's own column: the mark stays for the next windows
+    used[right_index if matches.used is None else matches.used] = True
     tally.n_right += int(np.count_nonzero(used)) - n_before
-    del one[_USED]
-    yield Joined({name: values[first:stop] for name, values in one.items()}, other, at - first, to)
+    del left[_USED]
+    yield Joined(
+        {name: values[first:stop] for name, values in left.items()},
+        right,
+        left_index - first,
+        right_index,
+    )
 
 
 def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
-    """Hand on a stream in small steps, and raise :class:`UnsortedError` where its keys go back."""
+    """Yield a stream in small steps; raise :class:`UnsortedError` if its keys go back."""
     last = -math.inf
     for chunk in chunks:
         key = chunk[KEY]
@@ -294,7 +295,7 @@ def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
 
 
 def _is_worthwhile(sides: tuple[_Window, _Window], low: float, high: float) -> bool:
-    """Tell whether a window decides half of its records, else most would be matched again and again."""
+    """Whether the window decides half of its records: else most would be matched many times."""
     decided = sum(side.count(low, high) for side in sides)
     return 2 * decided >= sum(side.n_held for side in sides)
 
@@ -310,7 +311,7 @@ class _Window:
         self.last = -math.inf
 
     def read(self) -> None:
-        """Take one more chunk."""
+
         chunk = next(self._chunks, None)
         if chunk is None:
             self.is_open = False
@@ -332,7 +333,6 @@ class _Window:
 
     @property
     def n_held(self) -> int:
-        """Number of records held."""
         return len(self._held[KEY])
 
     def count(self, low: float, high: float) -> int:
@@ -341,7 +341,7 @@ class _Window:
         return int(stop - first)
 
     def between(self, low: float, high: float, spare: int = 0) -> Columns:
-        """Return views of the records with ``low <= key < high``, and of ``spare`` more at either end."""
+        """Return views of the records with ``low <= key < high``, and ``spare`` more at both ends."""
         first, stop = np.searchsorted(self._held[KEY], [low, high])
         return {
             name: values[max(first - spare, 0) : stop + spare]

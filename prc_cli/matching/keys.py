@@ -1,4 +1,4 @@
-"""Matchers by key or place: which records of a window have the nearest key, or the nearest coordinates."""
+"""Matchers: which records of a window have the nearest key."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class KeyRule:
     """The key by which a record is matched."""
 
     kind: str
-    """``time``, ``dimension``, ``cell`` (scan line and column), ``record`` (index in the input), ``rank`` (index among
-    the records with a class) or ``place`` (coordinates)."""
+    """``time``, ``dimension``, ``cell`` (scan line and column), ``record`` (index in the input),
+    ``rank`` (index among the records with a class) or ``place`` (coordinates)."""
     dimension: str = "time"
     """Dimension that holds the key; of a place, the axis that records are sorted by."""
     same: tuple[str, ...] = ()
@@ -36,13 +36,9 @@ class KeyRule:
     @property
     def key_names(self) -> tuple[str, ...]:
         """Dimensions that hold the key."""
-        return (
-            AXES
-            if self.kind == "place"
-            else (self.dimension,)
-            if self.kind in ("time", "dimension")
-            else ()
-        )
+        if self.kind == "place":
+            return AXES
+        return (self.dimension,) if self.kind in ("time", "dimension") else ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -66,7 +62,7 @@ Both: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
 
 
 def runs(key: F64) -> tuple[I64, I64]:
-    """Return where the runs of equal sorted keys begin, and the number of the run that every key lies in.
+    """Return the first index of every run of equal sorted keys, and the run of every key.
 
     >>> runs(np.array([1.0, 1.0, 3.0]))
     (array([0, 2]), array([0, 0, 1]))
@@ -133,7 +129,10 @@ def pair_in_order(
 
 
 def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask]:
-    """Return, for runs of records, the first one with the most frequent code, and whether codes differ."""
+    """Return the first record with the most frequent code of runs, and whether codes differ.
+
+    ``first, last`` (n,) int64, bounds of the runs, ``last`` exclusive.
+    """
     starts, group = np.unique(first, return_inverse=True)
     lengths = np.zeros(len(starts), np.int64)
     lengths[group] = last - first
@@ -156,7 +155,7 @@ def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask
 
 
 def _alike(classes: NDArray[Any], first: I64, count: I64) -> Mask:
-    """Return for every run of records whether it is of one class; of a run of none, anything."""
+    """Whether every run of records is of one class; empty runs may give anything."""
     changes = np.zeros(len(classes) + 1, np.int64)
     if len(classes) > 1:
         np.cumsum(classes[1:] != classes[:-1], out=changes[1:-1])
@@ -165,10 +164,7 @@ def _alike(classes: NDArray[Any], first: I64, count: I64) -> Mask:
 
 
 SPARE_LABELS = 64
-"""``spare`` of the join for :class:`NearestLabel`.
-
-How far it sees the next label with the same :data:`SAME`.
-"""
+"""``spare`` of the join for :class:`NearestLabel`: how far it sees the next label of one SAME."""
 
 
 def both(left: Columns, right: Columns, name: str) -> Both | None:
@@ -180,13 +176,12 @@ def both(left: Columns, right: Columns, name: str) -> Both | None:
 class MutualKeys:
     """Pairs of records that are nearest to each other.
 
-    The nearest is found by the key alone; of two as near, the lower. Records of one key are paired
-    as
-    :func:`prc_cli.matching.keys.pair_in_order` says, those with equal :data:`SAME` where both sides have it.
+    Only the key decides which record is nearest; of two as near, the lower one. Records of one key
+    are paired by :func:`pair_in_order`, with equal :data:`SAME` if both sides have it.
 
     >>> left, right = {KEY: np.array([1.0, 2.0, 3.0])}, {KEY: np.array([0.9, 2.8])}
-    >>> found = MutualKeys(0.5)(left, right, slice(0, 3))
-    >>> found.left, found.right
+    >>> match = MutualKeys(0.5)(left, right, slice(0, 3))
+    >>> match.left, match.right
     (array([0, 2]), array([0, 1]))
     """
 
@@ -214,13 +209,11 @@ class MutualKeys:
 
 @dataclass(frozen=True, slots=True)
 class NearestLabel:
-    """The label (right) of every point (left).
+    """The label (right) of every point (left): the nearest key among those with equal :data:`SAME`.
 
-    The one with the nearest key of those with equal :data:`SAME`.
-
-    Of labels as near, the one with the smaller key is taken. If several labels share the key, the
-    points of that key pair with them in record order where they are as many; else they all get the
-    label with the most frequent code, of equally frequent ones the first in record order.
+    Of labels as near, the one with the smaller key is used. If several labels share the key and are
+    as many as the points of that key, they pair in record order. If not, all points get the label
+    with the most frequent code, of equally frequent ones the first in record order.
     """
 
     tolerance: float
@@ -241,61 +234,61 @@ class NearestLabel:
             labels = np.flatnonzero(right[SAME] == value)
             if not len(labels):
                 continue
-            distance[points], found = self._choose(
+            distance[points], match = self._choose(
                 key[points], right[KEY][labels], right[CODE][labels]
             )
-            partner[points[found.left]] = labels[found.right]
-            for name, members in found.counts.items():
+            partner[points[match.left]] = labels[match.right]
+            for name, members in match.counts.items():
                 counts.setdefault(name, []).append(points[members])
-            if found.used is not None:
-                used.append(labels[found.used])
+            if match.used is not None:
+                used.append(labels[match.used])
         alone = np.flatnonzero(partner < 0)
         if len(alone) and len(right[KEY]):
             apart = np.abs(right[KEY][_nearest(key[alone], right[KEY])] - key[alone])
             counts["n_other_same"] = [alone[apart <= self.tolerance]]
-        at = np.flatnonzero(partner >= 0)
+        paired = np.flatnonzero(partner >= 0)
         shifted = {
             name: np.concatenate(members) + decided.start for name, members in counts.items()
         }
         partners = np.concatenate(used) if used else np.empty(0, np.int64)
-        return Match(at + decided.start, partner[at], shifted, partners, distance)
+        return Match(paired + decided.start, partner[paired], shifted, partners, distance)
 
-    def _choose(self, key: F64, there: F64, codes: I64) -> tuple[F64, Match]:
-        """Return the distance to the nearest label, and the match, of points and labels with one ``SAME``."""
-        near = _nearest(key, there)
-        distance = np.abs(there[near] - key)
-        found = np.flatnonzero(distance <= self.tolerance)
-        start, stop = (bound[found] for bound in _bounds(key))
-        first, last = (bound[near[found]] for bound in _bounds(there))
+    def _choose(self, key: F64, label_key: F64, codes: I64) -> tuple[F64, Match]:
+        """Return the distance of every point to the nearest label, and the match.
+
+        Points and labels have one :data:`SAME`.
+        """
+        near = _nearest(key, label_key)
+        distance = np.abs(label_key[near] - key)
+        paired = np.flatnonzero(distance <= self.tolerance)
+        start, stop = (bound[paired] for bound in _bounds(key))
+        first, last = (bound[near[paired]] for bound in _bounds(label_key))
         size = stop - start
-        ordinal = found - start
+        ordinal = paired - start
         choice = first.copy()
         shared = np.flatnonzero(last - first > 1)
-        counts = {"n_repeated": found[size > 1], "n_shared": found[shared]}
+        counts = {"n_repeated": paired[size > 1], "n_shared": paired[shared]}
         if len(shared):
             winner, differ = most_frequent(codes, first[shared], last[shared])
             pairs = (last - first == size)[shared]
             choice[shared] = np.where(pairs, first[shared] + ordinal[shared], winner)
-            counts["n_in_order"] = found[shared[pairs & differ]]
-            counts["n_by_majority"] = found[shared[~pairs & differ]]
+            counts["n_in_order"] = paired[shared[pairs & differ]]
+            counts["n_by_majority"] = paired[shared[~pairs & differ]]
         # every label of a key that a point found counts as used
-        marks = np.bincount(first, minlength=len(there) + 1) - np.bincount(
-            last, minlength=len(there) + 1
+        marks = np.bincount(first, minlength=len(label_key) + 1) - np.bincount(
+            last, minlength=len(label_key) + 1
         )
-        return distance, Match(found, choice, counts, np.flatnonzero(np.cumsum(marks[:-1]) > 0))
+        return distance, Match(paired, choice, counts, np.flatnonzero(np.cumsum(marks[:-1]) > 0))
 
 
 def _bounds(key: F64) -> tuple[I64, I64]:
-    """Return, for every one of sorted keys, where the run of its equals begins and where it ends."""
+    """Return first and last (exclusive) index of the run of equal keys of every sorted key."""
     first, group = runs(key)
     return first[group], np.append(first[1:], len(key))[group]
 
 
 def _nearest(values: F64, among: F64) -> I64:
-    """Return the index of the nearest of sorted numbers, at least one.
-
-    Of two as near, the lower.
-    """
+    """Return the index of the nearest of sorted numbers; of two as near, the lower."""
     above = np.clip(np.searchsorted(among, values), 0, len(among) - 1)
     below = np.maximum(above - 1, 0)
     return np.where(

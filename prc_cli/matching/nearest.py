@@ -30,13 +30,15 @@ LEAST_M = 0.002
 """Least tolerance by default: registered clouds are rounded to a millimetre or two."""
 SPREADS = 3.0
 _LEAST_SPREADS = 2.0
-"""Bounds of the tolerance by default, in median distances of the clouds or of the points of the right one."""
+"""Bounds of the tolerance by default.
+
+In median distances of the clouds or of the points of the right one."""
 _WIDER = 1.2
 _FEW_MORE = 0.03
 _STEP = 1.05
 _MARGIN = 1.07
-"""The tolerance ends where one this much wider would find a partner for less than this share of those without;
-then a margin for places that the sample has not."""
+"""The tolerance grows by ``_STEP`` until one ``_WIDER`` times as wide would find partners for less
+than ``_FEW_MORE`` of the points without one. ``_MARGIN`` is for places outside the sample."""
 _FARTHEST_M = 3.0
 _SAMPLED_TILES = 12
 _SAMPLED_RECORDS = 20_000
@@ -94,11 +96,11 @@ def _nested_places(keys: I64) -> tuple[I64, I64]:
     >>> _nested_places(_nested_keys(np.array([-0.5]), np.array([33.0])))
     (array([-1]), array([33]))
     """
-    (column, row) = np.divmod(keys >> 2 * _SIDE, 2 * _HALF)
+    cell_column, cell_row = np.divmod(keys >> 2 * _SIDE, 2 * _HALF)
     last = (1 << _SIDE) - 1
-    return ((column - _HALF) << _SIDE) + (keys >> _SIDE & last), ((row - _HALF) << _SIDE) + (
-        keys & last
-    )
+    column = ((cell_column - _HALF) << _SIDE) + (keys >> _SIDE & last)
+    row = ((cell_row - _HALF) << _SIDE) + (keys & last)
+    return column, row
 
 
 class Cloud:
@@ -157,7 +159,7 @@ class Cloud:
             self._squares = [self.squares()]
 
     def squares(self) -> tuple[I64, I64]:
-        """Return the squares of the plan that hold points, as sorted :func:`cell_keys`, and how many they hold."""
+        """Return the squares with points, as sorted :func:`cell_keys`, and their numbers of points."""
         keys, n = (np.concatenate(parts) for parts in zip(*self._squares, strict=True))
         keys, place = np.unique(keys, return_inverse=True)
         return keys, np.bincount(place, n, len(keys)).astype(np.int64)
@@ -204,20 +206,20 @@ class Cloud:
         for group in np.unique(groups).tolist():
             here = np.flatnonzero(groups == group)
             records = np.empty(int(count[here].sum()), self._dtype)
-            whole = records.view(np.uint8).data
-            at = 0
+            buffer = records.view(np.uint8).data
+            n_bytes = 0
             size = self._dtype.itemsize
             with scratch_errors("matching"), self._lock:
                 for start, n in zip(first[here].tolist(), count[here].tolist(), strict=True):
                     self._handle.seek(start * size)
-                    at += self._handle.readinto(whole[at : at + n * size])  # type: ignore[attr-defined]
+                    n_bytes += self._handle.readinto(buffer[n_bytes : n_bytes + n * size])  # type: ignore[attr-defined]
             yield records
 
 
 def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
-    """Cut the plan into boxes with about as many points of both clouds, at most.
+    """Cut the plan into boxes of at most about ``most`` points of both clouds.
 
-    None lies apart from the left one.
+    No box is apart from the left cloud.
     """
     mine = left.counts()
     theirs = right.counts()
@@ -228,9 +230,9 @@ def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
         held = np.isin(keys, cells)
         n[np.searchsorted(cells, keys[held])] += counts[held]
     column, row = cell_places(cells)
-    found: list[Box] = []
+    tiles: list[Box] = []
     if not len(cells):
-        return found
+        return tiles
     span = max(int(np.ptp(column)), int(np.ptp(row))) + 1
     nodes = [
         (
@@ -265,8 +267,8 @@ def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
             for i in range(parts)
             for j in range(parts)
         ]
-        found += [(a, b, a + edge, b + edge) for a, b in corners]
-    return found
+        tiles += [(a, b, a + edge, b + edge) for a, b in corners]
+    return tiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,19 +280,13 @@ class Fit:
     spacing_m: float
     """Median distance of a right point to the nearest other one."""
     tolerance_m: float
-    """Largest distance of partners.
-
-    Where points of one surface end and those without partner are left.
-    """
+    """Largest distance of partners: most points beyond it have none."""
     sparse: float
-    """Share of the left points beyond that lie no farther than the right ones there from each other."""
+    """Share of the left points beyond it that are no farther than right points are from each other."""
 
 
 def fit_of(left: Cloud, right: Cloud) -> Fit | None:
-    """Measure two clouds in tiles spread over the left one.
-
-    None where they do not lie on each other.
-    """
+    """Measure two clouds in tiles spread over the left one; None if they do not lie on each other."""
     boxes = tiles_of(left, right)
     random = np.random.default_rng(0)
     parts: list[tuple[F64, F64, F64]] = []
@@ -300,14 +296,14 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
         ours = left.read(tuple(box))
         if not len(ours["x"]):
             continue
-        theirs, distance, found, tree = nearest_of(
+        theirs, distance, nearest, tree = nearest_of(
             sample_of(ours, random), right, tuple(box), _FARTHEST_M
         )
         if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
-            near = np.unique(found[np.isfinite(distance)])
+            near = np.unique(nearest[np.isfinite(distance)])
             apart = np.full((len(theirs["x"]), 2), np.inf)
             apart[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1])[0]
-            around = np.append(apart, [[np.inf, 0.0]], axis=0)[found]
+            around = np.append(apart, [[np.inf, 0.0]], axis=0)[nearest]
             parts.append((distance, around[:, 1], apart[near, 0]))
     if not parts:
         return None
@@ -323,7 +319,7 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
 
 
 def _tolerance(apart: F64, spread: float, step: float) -> float:
-    """Return the least distance beyond which few more partners are found, of sorted distances."""
+    """Return the least distance beyond which few more partners are found; ``apart`` is sorted [m]."""
     most = max(SPREADS * max(spread, step), LEAST_M)
     tolerance = max(LEAST_M, _LEAST_SPREADS * spread)
     while tolerance < most:
@@ -372,8 +368,8 @@ class Nearest:
     sparse: Mask
     """(n,) points without partner that the right cloud may have lost.
 
-    They are no farther from it than its points
-    there are from each other."""
+    They are no farther from it than its points there are from each other.
+    """
 
 
 def nearest_join(
@@ -383,9 +379,18 @@ def nearest_join(
     tally: JoinTally,
     reach: float | None = None,
 ) -> Iterator[Nearest]:
-    """Find the nearest right point of every left one, by tiles.
+    """Find the nearest right point of every left point, by tiles.
 
-    Up to ``reach``, its spacing there.
+    Parameters
+    ----------
+    left, right : Cloud
+    tolerance : float
+        Largest distance of partners [m].
+    tally : JoinTally
+        Is filled.
+    reach : float, optional
+        Distance up to which the nearest point and its spacing are measured, if beyond the
+        tolerance [m].
     """
     reach = max(tolerance, reach or 0.0)
 
@@ -393,19 +398,19 @@ def nearest_join(
         # right points of the tile can be partners of left points just outside
         ours = left.read(box, tolerance)
         core = _inside(ours, box)
-        theirs, distance, found, tree = nearest_of(ours, right, box, reach, tolerance)
-        to = np.where(distance <= tolerance, found, -1)
+        theirs, distance, nearest, tree = nearest_of(ours, right, box, reach, tolerance)
+        to = np.where(distance <= tolerance, nearest, -1)
         used = np.zeros(len(theirs["x"]), np.bool_)
         used[to[to >= 0]] = True
         n_used = int(np.count_nonzero(used & _inside(theirs, box)))
         ours = {n: v[core] for n, v in ours.items()}
         to = to[core]
         distance = distance[core]
-        found = found[core]
+        nearest = nearest[core]
         sparse = np.zeros(len(to), np.bool_)
         lone = np.flatnonzero(np.isfinite(distance) & (to < 0))
         if len(lone):
-            around = tree.query(tree.data[found[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
+            around = tree.query(tree.data[nearest[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
             sparse[lone] = distance[lone] <= around
         return Nearest(box, ours, theirs, to, distance, sparse), n_used
 
@@ -425,7 +430,13 @@ def nearest_of(
     bound: float,
     margin: float = 0.0,
 ) -> tuple[Columns, F64, I64, Any]:
-    """Return points of a cloud around a box, distance (inf beyond ``bound``), index of the nearest, their tree."""
+    """Return the points of a cloud around a box, and the nearest of them to every point of ours.
+
+    Returns
+    -------
+    tuple
+        The points; distance (n,), infinite beyond ``bound``; index (n,) of the nearest; their tree.
+    """
     theirs = cloud.read(box, margin + bound)
     n = len(ours["x"])
     if not len(theirs["x"]):
@@ -436,16 +447,16 @@ def nearest_of(
     timed = TIME in ours and TIME in theirs
     k = min(_TIES, len(theirs["x"])) if timed else 1
     limit = float(np.nextafter(bound, math.inf))  # it is exclusive
-    distance, found = tree.query(
+    distance, neighbours = tree.query(
         xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit
     )
     best = np.zeros(n, np.int64)
     if timed:
         # of several as near, the one of the nearest time
-        apart = np.abs(np.append(theirs[TIME], np.nan)[found] - ours[TIME][:, None])
+        apart = np.abs(np.append(theirs[TIME], np.nan)[neighbours] - ours[TIME][:, None])
         equal = (distance == distance[:, :1]) & np.isfinite(apart)
         best = np.argmin(np.where(equal, apart, np.inf), axis=1)
-    return theirs, distance[:, 0], found[np.arange(n), best], tree
+    return theirs, distance[:, 0], neighbours[np.arange(n), best], tree
 
 
 def _inside(columns: Columns, box: Box) -> Mask:

@@ -14,12 +14,15 @@ _SHOWN = 4
 def pair_files(
     predicted: Path, reference: Path, *, allow_missing: bool = False
 ) -> tuple[tuple[Path, Path], ...]:
-    """Pair two files, or the files of two folders by name, those with suffixes that hold class codes."""
+    """Pair two files, or the files of two folders by name.
+
+    Files of folders count if their suffix is that of class codes.
+    """
     if not (predicted.is_dir() or reference.is_dir()):
         return ((predicted, reference),)
-    for side, other in ((predicted, reference), (reference, predicted)):
+    for side, folder in ((predicted, reference), (reference, predicted)):
         if not side.is_dir():
-            problem = f"a file against the folder {other}" if side.exists() else "no such folder"
+            problem = f"a file against the folder {folder}" if side.exists() else "no such folder"
             raise InputError(
                 str(side),
                 problem,
@@ -29,13 +32,13 @@ def pair_files(
     right = _by_name(reference)
     if allow_missing and left.keys() & right.keys():
         return tuple((left[name], right[name]) for name in sorted(left.keys() & right.keys()))
-    for folder, other, unpaired in (
+    for folder, other_folder, unpaired in (
         (predicted, reference, left.keys() - right.keys()),
         (reference, predicted, right.keys() - left.keys()),
     ):
         if unpaired:
             have = "file has" if len(unpaired) == 1 else "files have"
-            problem = f"{len(unpaired)} {have} no partner in {other}: {_listed(unpaired)}"
+            problem = f"{len(unpaired)} {have} no partner in {other_folder}: {_listed(unpaired)}"
             raise InputError(
                 str(folder),
                 problem,
@@ -46,15 +49,15 @@ def pair_files(
 
 def files_of(paths: Iterable[Path]) -> list[Path]:
     """Return files as they are, and in place of a folder those in it that can hold class codes."""
-    found: list[Path] = []
+    files: list[Path] = []
     for path in paths:
         inside = list(_label_files(path)) if path.is_dir() else [path]
         if not inside:
             raise InputError(
                 str(path), "no files with class codes in it", "check the name of the folder"
             )
-        found += inside
-    return found
+        files += inside
+    return files
 
 
 def stem_of(path: Path) -> str:
@@ -67,18 +70,21 @@ def stem_of(path: Path) -> str:
 
 
 def _by_name(folder: Path) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    by_name: dict[str, Path] = {}
     for path in _label_files(folder):
         name = stem_of(path)
-        if name in found:
-            problem = f"{found[name].name} and {path.name} have one name, expected one file of class codes each"
+        if name in by_name:
+            problem = (
+                f"{by_name[name].name} and {path.name} have one name, "
+                "expected one file of class codes each"
+            )
             raise InputError(str(folder), problem, "move one of them away, or use --pair")
-        found[name] = path
-    if not found:
+        by_name[name] = path
+    if not by_name:
         raise InputError(
             str(folder), "no files with class codes in it", "check the name of the folder"
         )
-    return found
+    return by_name
 
 
 def _label_files(folder: Path) -> Iterator[Path]:

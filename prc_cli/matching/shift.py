@@ -1,7 +1,4 @@
-"""What one registered cloud is shifted by against another.
-
-Coarsely by occupied voxels, then by its planes.
-"""
+"""The shift of one registered cloud against another: first by occupied voxels, then by planes."""
 
 from __future__ import annotations
 
@@ -32,16 +29,13 @@ _ROUNDS = 5
 _AROUND = 16
 _FLAT = 0.2
 _REACH_M = 1.0
-"""Neighbours of a plane, the most that they rise above it as a share of their second extent (both squared), and how far
-planes are looked for."""
+"""Neighbours of a plane; the most that they rise above it, as a share of their second extent (both
+squared); how far planes are looked for."""
 _GATE = 3.0
 
 
 def shift_of(left: Cloud, right: Cloud) -> F64 | None:
-    """Return what the right cloud is shifted by against the left one (3,) [m].
-
-    None = not by a significant amount.
-    """
+    """Return the shift of the right cloud against the left one (3,) [m]; None = not significant."""
     coarse = _coarse_shift(left, right)
     start = np.zeros(3) if coarse is None else coarse
     random = np.random.default_rng(0)
@@ -59,9 +53,9 @@ def shift_of(left: Cloud, right: Cloud) -> F64 | None:
     fitted = _fitted(parts, start)
     if fitted is None or np.abs(fitted[0] - start).max() > _REACH_M:
         return coarse
-    found, error = fitted
-    sure = np.abs(found) > np.maximum(_SURE * error, LEAST_SHIFT_M)
-    return np.where(sure, found, 0.0) if sure.any() else coarse
+    shift, error = fitted
+    sure = np.abs(shift) > np.maximum(_SURE * error, LEAST_SHIFT_M)
+    return np.where(sure, shift, 0.0) if sure.any() else coarse
 
 
 def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
@@ -95,7 +89,7 @@ def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
 
 
 def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
-    """Return points near a plane (n, 3), its normal (n, 3), and how far it lies from them along it (n,)."""
+    """Return points near a plane (n, 3), its normal (n, 3), and their distance along it (n,) [m]."""
     distance, near = tree.query(points, distance_upper_bound=_REACH_M)
     points = points[np.isfinite(distance)]
     near = near[np.isfinite(distance)]
@@ -132,14 +126,11 @@ _SHIFT_VOXELS = (192, 192, 96)
 _MOST_SHIFT_M = 12.0
 _LEAST_RECORDS = 4_000
 _CLEARER = 1.15
-"""Share of occupied voxels that fall on each other after a shift, over that before it, from which it is believed."""
+"""A shift is believed if this many times as many occupied voxels fall on each other after it."""
 
 
 def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
-    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile of both.
-
-    None = none.
-    """
+    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile of both clouds."""
     from scipy import fft
 
     boxes = tiles_of(left, right)
@@ -168,18 +159,18 @@ def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
         index[axis] = slice(reach + 1, size - reach)
         score[tuple(index)] = 0.0
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
-    steps = [
-        at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)
-    ]
+    steps = []
+    for cell, size in zip(peak, _SHIFT_VOXELS, strict=True):
+        steps.append(cell - size if cell > size // 2 else cell)
     if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
         return None
     return np.array(steps, np.float64) * SHIFT_VOXEL_M
 
 
-def shift_told(shift: F64) -> str:
+def shift_text(shift: F64) -> str:
     """Return a shift for a sentence.
 
-    >>> shift_told(np.array([0.0, 0.3, -0.4]))
+    >>> shift_text(np.array([0.0, 0.3, -0.4]))
     'by 0.50 m (x +0.00, y +0.30, z -0.40 m)'
     """
     axes = ", ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, shift, strict=True))

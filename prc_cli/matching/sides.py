@@ -1,4 +1,4 @@
-"""One side of an evaluation: class codes of one or several files, with the columns to match and split by."""
+"""One side of an evaluation: class codes of files, with the columns to match and split by."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ MISSING = 0
 """Code of a shot without return in label files."""
 MAX_SAME = 3
 """Numbers of 16 bits that are packed into the one that must be equal."""
-_FOUND = "found code"
+_CODE_BESIDE = "code beside"
+"""Column of codes from a file of their own, before they are checked."""
 _LIMIT_16 = 1 << 16
 
 
@@ -51,43 +52,48 @@ class KeyedSource(DerivedSource):
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode; every chunk carries ``record``."""
         carried = tuple(name for name in names if name not in (KEY, SAME, CODE))
-        own = () if self.codes is not None else (self.code_dimension,)
-        wanted = tuple(dict.fromkeys((*self.rule.names, *own, *carried)))
+        code_names = () if self.codes is not None else (self.code_dimension,)
+        wanted = tuple(dict.fromkeys((*self.rule.names, *code_names, *carried)))
         streams = [columns_of(self.source, wanted, sort=False)]
         if self.codes is not None:
-            streams.append({_FOUND: codes} for codes in self.codes.chunks())
+            streams.append({_CODE_BESIDE: chunk} for chunk in self.codes.chunks())
         n_kept = 0
         for values, *beside in in_step(streams, self._check_lengths):
-            found = beside[0][_FOUND] if beside else np.asarray(values[self.code_dimension])
-            if beside and not (keep := (found != MISSING) & (found != NO_CODE)).all():
-                found = found[keep]
-                values = {name: column[keep] for name, column in values.items()}
+            if beside:
+                codes = beside[0][_CODE_BESIDE]
+                classified = (codes != MISSING) & (codes != NO_CODE)
+                codes = codes[classified]
+                values = {name: column[classified] for name, column in values.items()}
+            else:
+                codes = np.asarray(values[self.code_dimension])
             record = values[RECORD]
             out = {name: values[name] for name in carried}
-            out[CODE] = self._to_codes(found, record)
+            out[CODE] = self._to_codes(codes, record)
             out[KEY] = self._keys(values, record, n_kept)
             out[SAME] = self._same(values, record)
             yield RecordChunk(n_kept, {name: out[name] for name in names}, len(record), record)
             n_kept += len(record)
 
     def _check_lengths(self, n: Sequence[int]) -> None:
-        """Refuse codes that are not as many as the records."""
         if self.codes is None or n[0] == n[1]:
             return
-        more = f"{n[0]} as {self.source.path} has records"
-        expected = (
-            f"one for every record of {self.source.path}, which has more" if n[1] < n[0] else more
-        )
-        problem = f"found {n[1]} class codes, expected {expected}"
+        n_records, n_codes = n
+        expected = f"{n_records} as {self.source.path} has records"
+        if n_codes < n_records:
+            expected = f"one for every record of {self.source.path}, which has more"
+        problem = f"found {n_codes} class codes, expected {expected}"
         raise InputError(self.codes.path, problem, "name the input that was classified")
 
     def _to_codes(self, codes: NDArray[Any], record: I64) -> U8:
         with np.errstate(invalid="ignore"):
             wrong = ~((codes >= 0) & (codes <= 255) & (np.floor(codes) == codes))
         if wrong.any():
-            at = int(np.argmax(wrong))
+            first_wrong = int(np.argmax(wrong))
             where = self.path if self.codes is None else self.codes.path
-            problem = f"record {record[at]}: found the class code {codes[at]}, expected 0 to 255 as LAS holds them"
+            problem = (
+                f"record {record[first_wrong]}: found the class code {codes[first_wrong]}, "
+                "expected 0 to 255 as LAS holds them"
+            )
             raise InputError(
                 where, problem, "name the dimension with LAS class codes: --dimension NAME"
             )
@@ -100,14 +106,17 @@ class KeyedSource(DerivedSource):
         if rule.kind == "rank":
             return np.arange(n_before, n_before + len(record), dtype=np.float64)
         stored = values[rule.dimension]
-        key, right = exact_keys(stored)
+        key, usable = exact_keys(stored)
         expected = "a whole number below 2^53"
         if rule.kind in ("time", "place"):
-            right = np.isfinite(key)
+            usable = np.isfinite(key)
             expected = f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
-        if not right.all():
-            at = int(np.argmin(right))
-            problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
+        if not usable.all():
+            first_wrong = int(np.argmin(usable))
+            problem = (
+                f"record {record[first_wrong]}: found {rule.dimension} {stored[first_wrong]}, "
+                f"expected {expected} for every point"
+            )
             raise InputError(
                 self.path, problem, "leave such points out, or match by something else with --match"
             )
@@ -120,8 +129,11 @@ class KeyedSource(DerivedSource):
             with np.errstate(invalid="ignore"):
                 wrong = ~((stored >= 0) & (stored < _LIMIT_16) & (np.floor(stored) == stored))
             if wrong.any():
-                at = int(np.argmax(wrong))
-                problem = f"record {record[at]}: found {name} {stored[at]}, expected a whole number from 0 to 65535"
+                first_wrong = int(np.argmax(wrong))
+                problem = (
+                    f"record {record[first_wrong]}: found {name} {stored[first_wrong]}, "
+                    "expected a whole number from 0 to 65535"
+                )
                 hint = "--ignore-return" if name == "return_number" else f"leave out --same {name}"
                 raise InputError(self.path, problem, hint)
             packed = (packed << 16) | stored.astype(np.int64)
@@ -188,7 +200,9 @@ def survey(source: KeyedSource) -> Survey:
         last = float(key[-1])
         low = min(low, float(key.min()))
         high = max(high, float(key.max()))
-    return Survey(n, n_read, low if n else np.nan, high if n else np.nan, in_order)
+    if not n:
+        low = high = np.nan
+    return Survey(n, n_read, low, high, in_order)
 
 
 FILE = "file"
@@ -201,8 +215,8 @@ SECONDS = "seconds"
 CONFIDENCE = "confidence"
 """What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent].
 
--1 (NaN for ranges and
-times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not known."""
+-1 (NaN for ranges and times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not
+known."""
 MAX_RETURN = 255
 UNKNOWN = -1
 SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
@@ -288,8 +302,8 @@ class SideFile:
     @property
     def crs(self) -> str | None:
         """Coordinate system of the coordinates, None where the file does not say."""
-        found = self.find(("x",))
-        return None if found is None else found[0].facts.crs_wkt
+        place = self.find(("x",))
+        return None if place is None else place[0].facts.crs_wkt
 
 
 @dataclass(slots=True)
@@ -318,10 +332,10 @@ class SideTally:
 
 @dataclass(frozen=True)
 class Side:
-    """The records of one or several files, as a source of :data:`KEY`, :data:`CODE` and what else it has.
+    """The records of one or several files, as a source of :data:`KEY`, :data:`CODE` and more columns.
 
     Chunks of :meth:`chunks` carry ``record``, the index in all files together; records without a
-    finite key are left out and counted in ``tally``, which begins anew with every reading.
+    finite key are left out and counted in ``tally``, which every reading starts again.
     """
 
     files: Sequence[SideFile]
@@ -357,12 +371,13 @@ class Side:
         for file in self.files:
             for name in () if self.key is None else self.key.key_names:
                 if self._place(file, name) is None:
-                    has = ", ".join(
-                        dict.fromkeys(
-                            name for source in file.sources for name in source.dimensions[:30]
-                        )
+                    present = dict.fromkeys(
+                        name for source in file.sources for name in source.dimensions[:30]
                     )
-                    problem = f"no {name!r} to match by in the file, which has: {has or 'class codes alone'}"
+                    problem = (
+                        f"no {name!r} to match by in the file, which has: "
+                        f"{', '.join(present) or 'class codes alone'}"
+                    )
                     hint = "name the points that the labels belong to, or match by something else"
                     raise ConfigError(file.codes.path, problem, hint)
 
@@ -382,7 +397,7 @@ class Side:
                 finite = self._finite(values, n)
                 if not finite.all():
                     self.tally.n_not_finite += n - int(np.count_nonzero(finite))
-                    values = {name: found[finite] for name, found in values.items()}
+                    values = {name: column[finite] for name, column in values.items()}
                     record = record[finite]
                 if KEY in values and len(record):
                     self.tally.low = min(self.tally.low, float(values[KEY].min()))
@@ -400,9 +415,10 @@ class Side:
 
     def _finite(self, values: Columns, n: int) -> Mask:
         finite = np.ones(n, np.bool_)
-        checked = () if self.key is None else (KEY, *AXES) if self.key.kind == "place" else (KEY,)
-        is_place = self.key is not None and self.key.kind == "place"
-        for name in checked:
+        if self.key is None:
+            return finite
+        is_place = self.key.kind == "place"
+        for name in (KEY, *AXES) if is_place else (KEY,):
             if name in values:
                 finite &= (
                     np.abs(values[name]) < FARTHEST_M if is_place else np.isfinite(values[name])
@@ -410,32 +426,21 @@ class Side:
         return finite
 
     def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
-        """Return the source of a column and its name there.
-
-        a source of None = the column is counted.
-        """
+        """Return the source of a column and its name there; a source of None = it is counted."""
         if name == LINE and self.points_per_line is not None:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
-        found = file.find(_NAMES.get(name, (name,)))
+        place = file.find(_NAMES.get(name, (name,)))
         by_index = name == RECORD and self.key == KeyRule("dimension", RECORD)
-        if (
-            found is None and by_index and not isinstance(file.table, LasSource)
-        ):  # LAS may have been filtered since
+        # points may have been removed from a LAS file since
+        if place is None and by_index and not isinstance(file.table, LasSource):
             return None, _INDEX
-        return found
+        return place
 
     def _read(self, file: SideFile, names: tuple[str, ...]) -> Iterator[tuple[Columns, I64]]:
-        """Yield the columns of one file, without :data:`FILE` and :data:`ROW`, and the index of every record."""
-        wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
-        by_cell = KEY in wanted and self.key is not None and self.key.kind == "cell"
-        own_cells = by_cell and file.has_cells
-        if by_cell:
-            del wanted[KEY]
-            wanted |= {_LINE: _LINE, _COLUMN: _COLUMN} if own_cells else {}
-        elif KEY in wanted and self.key is not None:
-            wanted[KEY] = self.key.dimension
-        if self.key is not None and self.key.kind == "place":
-            wanted |= {axis: axis for axis in AXES}
+        """Yield the columns of one file but :data:`FILE` and :data:`ROW`, and the record indices."""
+        by_cell = KEY in names and self.key is not None and self.key.kind == "cell"
+        has_cells = by_cell and file.has_cells
+        wanted = self._wanted(names, has_cells=has_cells)
         places = {name: self._place(file, source_name) for name, source_name in wanted.items()}
         asked: dict[int, list[str]] = {}
         for place in places.values():
@@ -462,21 +467,30 @@ class Side:
                 CODE: file.codes.to_codes(read[file.codes.name], row) if beside else read[_CODES]
             }
             for name, place in places.items():
-                found = (
-                    self._counted(name, index)
-                    if place is None or place[0] is None
-                    else read[place[1]]
-                )
-                values[name] = self._typed(file, name, found, row)
-            if by_cell:
-                line, column = (
-                    (values[_LINE], values[_COLUMN])
-                    if own_cells
-                    else np.divmod(index, file.dense_line or 1)
-                )
-                values[KEY] = _cell_keys(line, column)
+                if place is None or place[0] is None:
+                    stored: NDArray[Any] = self._counted(name, index)
+                else:
+                    stored = read[place[1]]
+                values[name] = self._typed(file, name, stored, row)
+            if has_cells:
+                values[KEY] = _cell_keys(values[_LINE], values[_COLUMN])
+            elif by_cell:
+                values[KEY] = _cell_keys(*np.divmod(index, file.dense_line or 1))
             yield values, index
             row += n
+
+    def _wanted(self, names: tuple[str, ...], *, has_cells: bool) -> dict[str, str]:
+        """Return the dimension to read for every column that is not counted."""
+        wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
+        if self.key is None:
+            return wanted
+        if KEY in wanted and self.key.kind != "cell":
+            wanted[KEY] = self.key.dimension
+        elif wanted.pop(KEY, None) and has_cells:
+            wanted |= {_LINE: _LINE, _COLUMN: _COLUMN}
+        if self.key.kind == "place":
+            wanted |= {axis: axis for axis in AXES}
+        return wanted
 
     def _counted(self, name: str, index: I64) -> I64:
         return index // self.points_per_line if name == LINE and self.points_per_line else index
@@ -485,28 +499,31 @@ class Side:
         self,
         file: SideFile,
         name: str,
-        found: NDArray[Any],
+        stored: NDArray[Any],
         first: int,
     ) -> NDArray[Any]:
         if name == KEY and self.key is not None and self.key.kind == "dimension":
-            return self._ids(file, self.key.dimension, found, first)
+            return self._ids(file, self.key.dimension, stored, first)
         if name in (KEY, RANGE, SECONDS, *AXES):
-            return np.asarray(found, np.float64)
-        return np.clip(_whole(found), 0, MAX_RETURN) if name == SAME else _whole(found)
+            return np.asarray(stored, np.float64)
+        return np.clip(_whole(stored), 0, MAX_RETURN) if name == SAME else _whole(stored)
 
     def _ids(
         self,
         file: SideFile,
         name: str,
-        found: NDArray[Any],
+        stored: NDArray[Any],
         first: int,
     ) -> F64:
         """Return ids as float64, in which they must be exact; NaN = none."""
-        ids, exact = exact_keys(found)
+        ids, exact = exact_keys(stored)
         wrong = ~(exact | np.isnan(ids))
         if wrong.any():
-            at = int(np.argmax(wrong))
-            problem = f"record {first + at}: found dimension:{name} {found[at]}, expected a whole number below 2^53"
+            first_wrong = int(np.argmax(wrong))
+            problem = (
+                f"record {first + first_wrong}: found dimension:{name} {stored[first_wrong]}, "
+                "expected a whole number below 2^53"
+            )
             raise InputError(file.codes.path, problem, "match by a dimension of whole numbers")
         return ids
 
@@ -521,10 +538,10 @@ def _cell_keys(line: NDArray[Any], column: NDArray[Any]) -> F64:
     return np.where(known, line * float(LONGEST_LINE) + column, np.nan)
 
 
-def _whole(found: NDArray[Any]) -> I64:
-    """Return whole numbers as int64, -1 for NaN, negative numbers and numbers of 2^31 or more."""
+def _whole(stored: NDArray[Any]) -> I64:
+    """Return integers as int64; -1 for NaN, negative numbers and numbers of 2^31 or more."""
     with np.errstate(invalid="ignore"):
-        wide = found.astype(np.float64)
+        wide = stored.astype(np.float64)
         known = (wide >= 0) & (wide < _MAX_ID)
     return np.where(known, wide, UNKNOWN).astype(np.int64)
 
@@ -542,5 +559,8 @@ def _check_lengths(
 ) -> None:
     if not equal:
         points = file.points.path if file.points is not None else "its own columns"
-        problem = f"{n_codes} class codes, but {points} holds {n_records} records; expected a code for every record"
+        problem = (
+            f"{n_codes} class codes, but {points} holds {n_records} records; "
+            "expected a code for every record"
+        )
         raise InputError(file.codes.path, problem, "name the input that was classified")

@@ -41,7 +41,10 @@ def check_block(
     """
     for array in (range_m,) if next_m is None else (range_m, next_m):
         if array.ndim != 2 or array.shape[1] != points_per_line:
-            problem = f"found an array of shape {array.shape}, expected (lines, {points_per_line}){columns}"
+            problem = (
+                f"found an array of shape {array.shape}, "
+                f"expected (lines, {points_per_line}){columns}"
+            )
             raise InputError(WHERE, problem, "check points_per_line")
     if not 1 <= len(range_m) <= lines_per_block:
         problem = f"found {len(range_m)} lines, expected 1 to {lines_per_block}"
@@ -86,7 +89,7 @@ class Turn(Protocol):
 
 
 class OneByOne(Generic[StateT]):
-    """A :class:`Turn` for blocks that are labelled one after the other in one thread.
+    """A :class:`Turn` for blocks that one thread labels one after the other.
 
     Parameters
     ----------
@@ -101,11 +104,11 @@ class OneByOne(Generic[StateT]):
     Examples
     --------
     >>> @dataclass(frozen=True)
-    ... class Seen:
+    ... class Counts:
     ...     n_lines: int
-    >>> turn = OneByOne(Seen(10))
-    >>> turn.hand_on(Part[int]("n_lines"), lambda n: (f"begins at line {n}", n + 5)), turn.state
-    ('begins at line 10', Seen(n_lines=15))
+    >>> turn = OneByOne(Counts(10))
+    >>> turn.hand_on(Part[int]("n_lines"), lambda n: (f"starts at line {n}", n + 5)), turn.state
+    ('starts at line 10', Counts(n_lines=15))
     """
 
     def __init__(self, state: StateT) -> None:
@@ -126,7 +129,7 @@ class Needs:
     """What a method requires of its input."""
 
     kernels: frozenset[str]
-    """Folders or modules of the compiled loops that it calls, as for :func:`prc_cli.kernels.load_kernels`."""
+    """Folders or modules of its compiled loops, for :func:`prc_cli.kernels.load_kernels`."""
     lines_per_block: int | None = None
     """k, scan lines per block, fewer only at the end of the stream.
 
@@ -138,15 +141,15 @@ class Needs:
     None = :func:`prc_cli.core.blocks.look_ahead_lines`.
     """
     beams: bool = True
-    """Whether blocks must hold beam angles (``beam_rad``)."""
+    """Whether blocks must have beam angles (``beam_rad``)."""
     intensity: bool = False
     """Whether labels depend on intensities: every reader gives them, if the input has any."""
     most_noise_m: float = math.inf
-    """Most range noise that the thresholds stand [m]; more is doubted."""
+    """Most range noise that the thresholds allow [m]; more is a warning."""
     least_rings: int = 0
-    """With fewer rings with returns classes are told less well; that is doubted."""
+    """Fewer rings with returns than this are a warning: classes are less certain."""
     confidence_kernels: frozenset[str] | None = None
-    """Further loops that it calls where its confidence is wanted; None = it has none."""
+    """Further loops that it calls if confidence is requested; None = it has no confidence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +161,11 @@ class Wanted:
     stages: bool = False
     """Intermediate results (:class:`~prc_cli.core.stream.StageLabels`)."""
     confidence: bool = False
-    """How sure every label is [per cent]."""
+    """How certain every label is [per cent]."""
     reasons: bool = False
     """The rule that gave every label (:class:`~prc_cli.core.classes.Reason`)."""
     measures: bool = False
-    """What the stages measured of every shot, for ``prc explain``; needs ``stages``."""
+    """Quantities that the stages measured for every shot, for ``prc explain``; needs ``stages``."""
 
 
 LABELS_ALONE = Wanted()
@@ -170,31 +173,33 @@ LABELS_ALONE = Wanted()
 
 @dataclass(frozen=True, slots=True)
 class UsualLabels:
-    """Labels that a method gives to rightly told scans, asked for by :mod:`prc_cli.streams.evidence.result`.
+    """Usual labels of a method in scans whose description fits.
 
-    The defaults ask for nothing. :mod:`prc_cli.streams.evidence.table` tells how each was measured.
+    :mod:`prc_cli.streams.evidence.result` checks them. The defaults check nothing.
+    :mod:`prc_cli.streams.evidence.table` says how each limit was measured. "Returns" are those that
+    are not noise, unless stated otherwise.
     """
 
     noise_share: float = 1.0
-    """Most noise, of all returns; more is doubtful."""
+    """Largest share of noise in all returns; more is a warning."""
     garbage_share: float = 1.0
-    """Most noise of any scanner: more is refused."""
+    """Largest share of noise of any scanner; more is refused."""
     unclassified_share: float = 1.0
-    """Most returns without a class."""
+    """Largest share of returns without a class."""
     level: tuple[Label, ...] = (Label.GROUND, Label.CURB)
-    """Labels of what lies on the ground."""
+    """Labels of the surface of the ground."""
     level_share: float = 0.0
-    """Least share of ``level`` in what is not noise within 60 deg of straight down."""
+    """Least share of ``level`` in the returns within 60 deg of straight down."""
     ground_share: float = 0.0
-    """Least share of ``level`` in all that is not noise, where nearly nothing is within 60 deg of straight down."""
+    """Least share of ``level`` in all returns, if nearly none is within 60 deg of straight down."""
     below_share: float = 1.0
-    """Most of what is not noise within 20 m and 60 deg of straight down, and lies 1 m or more below the ground."""
+    """Largest share 1 m or more below the ground in the returns within 20 m and 60 deg of down."""
     lean_deg: float = 90.0
     """Largest lean of the ground across the lines [deg]."""
     vanished_share: float = 0.0
-    """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
+    """Least share of ground, as a part of its upper quartile in the stream; below it has vanished."""
     reach_m: float = 0.0
-    """Some of what is not noise is farther than this [m]."""
+    """Some returns are farther than this [m]."""
 
 
 class Classifier(Protocol[ScannerT, StateT_co]):
@@ -207,7 +212,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
 
     @property
     def usual(self) -> UsualLabels:
-        """What its labels of a rightly told scan look like; by default nothing is known."""
+        """Its usual labels; by default nothing is known."""
         return UsualLabels()
 
     @property
@@ -227,7 +232,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
 
     @abstractmethod
     def initial_state(self, scanner: ScannerT) -> StateT_co:
-        """Return the state before the first block of a scanner, a dataclass whose fields are handed on."""
+        """Return the state before the first block: a dataclass whose fields are handed on."""
 
     @abstractmethod
     def label(
@@ -259,11 +264,11 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         """
 
     def limits(self, block: ScanBlock) -> Any:
-        """Return what holds the limits of the method for a block, by the names that its rules call them."""
+        """Return the object with the limits of the method for a block, by the names in its rules."""
         return self
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
-        """Return sentences on what a finished run could not do.
+        """Return sentences on what a finished run could not compute.
 
         Parameters
         ----------
@@ -272,7 +277,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         tally : ReadTally
             Counts of the reader and the method.
         segments : bool
-            Whether segment ids were asked for.
+            Whether segment ids were requested.
         """
         return ()
 

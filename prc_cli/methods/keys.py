@@ -1,4 +1,4 @@
-"""Makes tables of the configuration out of thresholds, which say every key once."""
+"""Makes tables of the configuration from thresholds, so that every key is written once."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ def key(
 
 
 def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) -> type[Any]:
-    """Make the parameter table of thresholds: their keys, and the tables of the thresholds in them.
+    """Make the parameter table of a ``NamedTuple`` of thresholds.
 
-    Fields without :func:`key` are constants. Descriptions are the docstrings of the fields.
+    Fields with :func:`key` become keys, thresholds within thresholds become tables, other fields
+    are constants. Descriptions are the docstrings of the fields.
     """
     kind = type(defaults)
     fields = dict[str, Any]()
@@ -44,7 +45,7 @@ def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) 
         if hasattr(value, "_fields"):
             inner = table_of(value, field)
             fields[field] = (inner, inner())
-        elif any(isinstance(each, FieldInfo) for each in getattr(annotation, "__metadata__", ())):
+        elif any(isinstance(mark, FieldInfo) for mark in getattr(annotation, "__metadata__", ())):
             fields[field] = (annotation, Field(value, description=texts[kind.__name__, field]))
     title = "".join(word.title() for word in name.split("_")) + "Params"
     table = create_model(
@@ -56,21 +57,18 @@ def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) 
 
 @cache
 def _docs_of(module: str) -> dict[tuple[str, str], str]:
-    """Read the docstrings of the fields of all classes of a module, in lower case as descriptions are."""
+    """Docstrings of the fields of all classes of a module, by class and field, as descriptions."""
     source = Path(str(sys.modules[module].__file__)).read_text("utf-8")
-    found = {}
-    kinds = [kind for kind in ast.parse(source).body if isinstance(kind, ast.ClassDef)]
-    for kind in kinds:
+    texts = {}
+    classes = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
+    for kind in classes:
         for field, text in pairwise(kind.body):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
                 words = " ".join(ast.literal_eval(text.value).split()).removesuffix(".")
-                lower = (
-                    words[:1].lower() + words[1:]
-                    if words[1:2].islower() or words[1:2] == " "
-                    else words
-                )
-                found[kind.name, ast.unparse(field.target)] = lower
-    return found
+                if words[1:2].islower() or words[1:2] == " ":
+                    words = words[:1].lower() + words[1:]
+                texts[kind.name, ast.unparse(field.target)] = words
+    return texts
 
 
 def thresholds_of(defaults: TupleT, table: Params) -> TupleT:

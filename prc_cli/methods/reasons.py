@@ -15,7 +15,7 @@ from prc_cli.core.types import U8
 
 
 class Rule(NamedTuple):
-    """What a rule says, and the limits that decide it."""
+    """A rule in words, and its limits."""
 
     sentence: str
     limits: tuple[str, ...] = ()
@@ -88,7 +88,8 @@ RULES: dict[Reason, Rule] = {
     ),
     Reason.BELOW_GROUND: Rule("rough and far below the ground", ("decision.below_m",)),
     Reason.BEHIND_WALL: Rule(
-        "few neighbours, and rough or without a smooth pair far behind a wall: a reflection in a pane",
+        "few neighbours, and rough or without a smooth pair far behind a wall: "
+        "a reflection in a pane",
         ("decision.ghost_m", "decision.behind_m", "decision.ghost_near"),
     ),
     Reason.IN_CAR: Rule("isolated in a car, without a smooth pair", ("decision.least_near",)),
@@ -222,24 +223,22 @@ LABEL_REASONS: dict[str, dict[Label, Reason]] = {
         Label.UNCLASSIFIED: Reason.UNDECIDED,
     },
 }
-"""The one rule behind every label.
-
-Of PRC in streets and in forests, and of the sequential-angle method.
-"""
+"""The one rule behind every label of PRC in streets, PRC in forests and sequential-angle."""
 
 
 def reasons_of(labels: U8, of_label: Mapping[Label, Reason]) -> U8:
     """Return the reasons of labels that have one rule each.
 
-    >>> reasons_of(np.array([0, 3], np.uint8), LABEL_REASONS["urban"]) == [Reason.MISSING, Reason.MOST_SMOOTH]
-    array([ True,  True])
+    >>> reasons = reasons_of(np.array([0, 3], np.uint8), LABEL_REASONS["urban"])
+    >>> [Reason(reason).name for reason in reasons]
+    ['MISSING', 'MOST_SMOOTH']
     """
     table = np.array([of_label.get(label, Reason.MISSING) for label in Label], np.uint8)
     return table[labels]
 
 
 def rule_of(reason: int) -> tuple[str, Rule]:
-    """Return the name and the rule of a reason, as files hold it.
+    """Return the name and the rule of a reason, by its number in files.
 
     >>> rule_of(Reason.SPIKE)[0], rule_of(VOTED | Label.CAR)[0], rule_of(9 << 4 | Label.STEM)[0]
     ('spike', 'voted', 'unknown')
@@ -258,17 +257,17 @@ def sentences() -> dict[int, str]:
         for kind, rule in ((VOTED, VOTE), (FURTHER_RETURN, FURTHER))
         for label in Label
     }
-    return {**{int(one): RULES[one].sentence for one in RULES if one}, **more}
+    return {**{int(reason): RULES[reason].sentence for reason in RULES if reason}, **more}
 
 
 def reason_table() -> list[tuple[int, str, str, str]]:
     """Return number, class, name and sentence of every reason, by number.
 
-    Of votes and further returns once.
+    Votes and further returns have one row each.
     """
     rows = [
-        (int(one), LABEL_NAMES[one & LABEL_BITS], one.name.lower(), RULES[one].sentence)
-        for one in RULES
+        (int(reason), LABEL_NAMES[reason & LABEL_BITS], reason.name.lower(), RULES[reason].sentence)
+        for reason in RULES
     ]
     more = [
         (VOTED, "any", "voted", VOTE.sentence),

@@ -58,22 +58,21 @@ def run_blocks(
 
     keep_memory()
     # one more than the threads work on: the next one waits in the queue
-    found = ordered(work, begin(), threads=threads, ahead=threads + 1)
+    results = ordered(work, begin(), threads=threads, ahead=threads + 1)
     try:
-        for labelled in found:
-            for item in labelled:
-                first = firsts[item.block.scanner]
-                yield item if not first else replace(item, block=_moved(item.block, first))
-            del labelled
+        for labelled_blocks in results:
+            for labelled in labelled_blocks:
+                first = firsts[labelled.block.scanner]
+                if first:
+                    labelled = replace(labelled, block=_moved(labelled.block, first))
+                yield labelled
+            del labelled_blocks
     finally:
-        close_items(found)
+        close_items(results)
 
 
 def _from_zero(blocks: Iterator[ScanBlock], firsts: dict[int, int]) -> Iterator[ScanBlock]:
-    """Count the lines of every scanner from the first that comes.
-
-    Methods may know by it that none was before.
-    """
+    """Count the lines of every scanner from its first one, so that methods know that none was before."""
     for block in blocks:
         first = firsts.setdefault(block.scanner, block.first_line)
         yield block if not first else _moved(block, -first)
@@ -86,7 +85,7 @@ def _moved(block: ScanBlock, n_lines: int) -> ScanBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scanner:
-    """A scanner's constants and its state, handed from block to block across threads, field by field."""
+    """A scanner's constants, and its state, whose fields pass from block to block across threads."""
 
     constants: Any
     relays: dict[str, Relay[Any]]
@@ -94,12 +93,12 @@ class _Scanner:
 
     @classmethod
     def of(cls, classifier: Classifier[Any, Any], first: ScanBlock) -> _Scanner:
-        """Return the scanner of a first block."""
+
         constants = classifier.scanner(first)
         state = classifier.initial_state(constants)
         return cls(
             constants,
-            {each.name: Relay(getattr(state, each.name)) for each in fields(state)},
+            {part.name: Relay(getattr(state, part.name)) for part in fields(state)},
             count(),
         )
 
@@ -115,7 +114,7 @@ class _Job:
     def hand_on(
         self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]
     ) -> _ResultT:
-        """Wait until the previous block has handed the part on, then run the step."""
+
         relay: Relay[_ValueT] = self.scanner.relays[part.name]
         return relay.take_turn(self.turn, step)[0]
 

@@ -205,7 +205,7 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
             record = item.left["record"]
             assert np.all(found[record] == -2)
             found[record] = -1
-            found[record[item.at]] = item.right[CODE][item.to]
+            found[record[item.left_index]] = item.right[CODE][item.right_index]
         assert found.tolist() == expected
         assert (tally.n_left, tally.n_right) == (n[1], used)
         assert tally.n_pairs == np.count_nonzero(np.array(expected) >= 0)
@@ -221,7 +221,7 @@ def test_distances_show_which_tolerance_would_help() -> None:
             tally,
         )
     )
-    assert not any(len(item.at) for item in found)
+    assert not any(len(item.left_index) for item in found)
     assert tally.near() == pytest.approx(0.01)
     assert JoinTally().near() is None
 
@@ -384,7 +384,7 @@ def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:
 
 
 def pairs_of(joined: Iterator[Joined]) -> set[tuple[int, int]]:
-    pairs = (item.pairs() for item in joined if len(item.at))
+    pairs = (item.pairs() for item in joined if len(item.left_index))
     found = [
         (int(a), int(b))
         for one, other in pairs

@@ -24,7 +24,7 @@ from prc_cli.jobs.evaluate.options import PLACE_BY_POSES, EvaluateOptions
 from prc_cli.matching.join import CODE, Columns, JoinTally, columns_of
 from prc_cli.matching.keys import AXES
 from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, nearest_of
-from prc_cli.matching.shift import shift_of, shift_told
+from prc_cli.matching.shift import shift_of, shift_text
 from prc_cli.matching.sides import FILE, SECONDS, UNKNOWN, Side
 
 GROUND = "ground"
@@ -200,7 +200,7 @@ class Registered:
         shift = shift_of(ours, theirs)
         if shift is not None:
             self._counts.note(
-                f"the reference is shifted {shift_told(shift)} against the prediction: register both with one "
+                f"the reference is shifted {shift_text(shift)} against the prediction: register both with one "
                 "trajectory before you trust these scores"
             )
         for sentence in self._overlaps():

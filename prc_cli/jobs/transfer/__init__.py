@@ -33,7 +33,7 @@ from prc_cli.jobs.transfer.sides import TransferSides, check_paths, open_sides
 from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Joined, JoinTally, columns_of, merge_join
 from prc_cli.matching.keys import AXES, SPARE_LABELS, NearestLabel
 from prc_cli.matching.nearest import Cloud, fit_of, nearest_join
-from prc_cli.matching.shift import shift_of, shift_told
+from prc_cli.matching.shift import shift_of, shift_text
 from prc_cli.matching.sides import CONFIDENCE
 
 CHANCE = 0.25
@@ -266,8 +266,8 @@ def transfer(
         for item in _partners(sides, beside, options, tally, stack):
             record = item.left[RECORD]
             codes = item.left[CODE].copy()
-            at = item.at
-            to = item.to
+            at = item.left_index
+            to = item.right_index
             if options.min_confidence is not None:
                 sure = item.right[CONFIDENCE][to] >= options.min_confidence
                 n_unsure += len(sure) - int(np.count_nonzero(sure))
@@ -346,7 +346,7 @@ def _partners(
     sides.assumptions.append(Assumption("transfer.tolerance_m", f"{sides.tolerance:g}", why))
     shift = shift_of(labels, points)
     if shift is not None:
-        sides.notices.append(f"the registered points are shifted {shift_told(shift)}")
+        sides.notices.append(f"the registered points are shifted {shift_text(shift)}")
     for item in nearest_join(points, labels, sides.tolerance, tally):
         at = np.flatnonzero(item.to >= 0)
         yield Joined(item.left, item.right, at, item.to[at])
