@@ -33,26 +33,24 @@ LimitsT = TypeVar("LimitsT", Limits, Forest)
 
 
 def changed(limits: LimitsT, **tables: Any) -> LimitsT:
-    """Return limits with others in some tables, ``walls={"height_m".
-
-    9.0}``, each of the type that it takes.
+    """Return limits with changes in some tables, ``walls={"height_m": 9.0}``.
 
     A name instead of a number is another limit of the same table. A table that is left out already
     stays so."""
-    own: Tables = {}
+    result: Tables = {}
     for table, values in tables.items():
         before = getattr(limits, table)
         if isinstance(values, dict) and before is not None:
-            told = {
+            changes = {
                 key: getattr(before, value) if isinstance(value, str) else value
                 for key, value in values.items()
             }
-            own[table] = before._replace(
-                **{key: type(getattr(before, key))(value) for key, value in told.items()}
+            result[table] = before._replace(
+                **{key: type(getattr(before, key))(value) for key, value in changes.items()}
             )
         elif before is not None:
-            own[table] = values
-    return limits._replace(**own)
+            result[table] = values
+    return limits._replace(**result)
 
 
 STREET_STEPS: dict[str, Tables] = {
@@ -106,9 +104,9 @@ def scans() -> Iterator[tuple[str, Scan]]:
 
 def f1_of(scan: Scan) -> dict[str, float]:
     """Return the F1 of every class, cars, poles and curbs too, of the method as it is now."""
-    found = label(scan, load_config(preset="fused-forest" if scan.mapping == "forest" else "fused"))
-    scores = judge(scan, found.codes, found.extra_codes).f1()
-    for name, (right, predicted, reference) in judge_things(scan, found.codes).items():
+    run = label(scan, load_config(preset="fused-forest" if scan.mapping == "forest" else "fused"))
+    scores = judge(scan, run.codes, run.extra_codes).f1()
+    for name, (right, predicted, reference) in judge_things(scan, run.codes).items():
         if reference >= LEAST_THINGS:
             scores[f"{name}s"] = 2 * right / max(predicted + reference, 1.0)
     return scores
@@ -140,22 +138,26 @@ def print_steps(
     print(
         f"| without | {' | '.join(whole)} | most lost by a class |\n|---|{'---:|' * len(whole)}---|"
     )
-    for name, found in rows.items():
+    for name, scores_by_group in rows.items():
         cells = []
         lost = []
         for group, before in whole.items():
-            if group not in found:
+            if group not in scores_by_group:
                 cells.append("")
                 continue
             now, then = (
-                np.mean([np.mean(list(one.values())) for one in some])
-                for some in (found[group], before)
+                np.mean([np.mean(list(scores.values())) for scores in group_scores])
+                for group_scores in (scores_by_group[group], before)
             )
             cells.append(f"{then:.3f}" if name == "all steps" else f"{now - then:+.4f}")
-            for one in sorted({key for scores in before for key in scores}):
-                pairs = zip(found[group], before, strict=True)
-                off = [scores.get(one, 0.0) - first[one] for scores, first in pairs if one in first]
-                lost.append((float(np.mean(off)), f"{one}, {group}"))
+            for class_name in sorted({key for scores in before for key in scores}):
+                pairs = zip(scores_by_group[group], before, strict=True)
+                off = [
+                    scores.get(class_name, 0.0) - first[class_name]
+                    for scores, first in pairs
+                    if class_name in first
+                ]
+                lost.append((float(np.mean(off)), f"{class_name}, {group}"))
         most = "" if name == "all steps" else f"{min(lost)[0]:+.3f} {min(lost)[1]}"
         print(f"| {name} | {' | '.join(cells)} | {most} |")
 

@@ -111,9 +111,9 @@ def real() -> Iterator[tuple[str, F32, float]]:
     m = round(2 * math.pi / step)
     pulses = np.where(n_echoes > 0, echo[first], np.float32(np.nan))
     yield "RIEGL, standing (echopulse)", pulses[: len(pulses) // m * m].reshape(-1, m), step
-    with np.load(DATA / "profiler" / "jakarto_0.02s_recovered.npz") as found:
-        lines = np.full((int(found["line"].max()) + 1, 5099), np.nan, np.float32)
-        lines[found["line"], found["column"]] = found["range_m"]
+    with np.load(DATA / "profiler" / "jakarto_0.02s_recovered.npz") as recovered:
+        lines = np.full((int(recovered["line"].max()) + 1, 5099), np.nan, np.float32)
+        lines[recovered["line"], recovered["column"]] = recovered["range_m"]
     yield "Jakarto, four lines", lines, 2 * math.pi / 5099
     for path, topic in (
         ("cartographer/b0_short.bag", "vertical_laser_2d"),
@@ -128,7 +128,7 @@ def real() -> Iterator[tuple[str, F32, float]]:
         assert angle_rad is not None
         yield (
             f"{Path(path).name}, {topic}",
-            np.concatenate([one.range_m for one in blocks]),
+            np.concatenate([block.range_m for block in blocks]),
             step_of(angle_rad),
         )
 
@@ -142,19 +142,21 @@ def steps() -> None:
     every = [(spec.name, made(spec)) for spec in (*STREETS, *PUSH_BROOMS, *FORESTS)]
     for name, range_m, step in (
         *real(),
-        *((name, one.range_m, step_of(one.angle_rad)) for name, one in every),
+        *((name, scan.range_m, step_of(scan.angle_rad)) for name, scan in every),
     ):
-        found = measure_step(range_m[:MOST_LINES])
+        measured_step = measure_step(range_m[:MOST_LINES])
         shape = f"| {name} | {len(range_m)} | {range_m.shape[1]} | {math.degrees(step):.4f}° |"
-        if found is None:
+        if measured_step is None:
             print(f"{shape} none | | | |")
             continue
-        cells = f"{math.degrees(found.step_rad):.4f}°{f' ({found.usual})' if found.usual else ''} | {found.off:.1%}"
-        print(f"{shape} {cells} | {found.step_rad / step - 1:+.2%} | {found.n_pieces} |")
+        cells = f"{math.degrees(measured_step.step_rad):.4f}°{f' ({measured_step.usual})' if measured_step.usual else ''} | {measured_step.off:.1%}"
+        print(
+            f"{shape} {cells} | {measured_step.step_rad / step - 1:+.2%} | {measured_step.n_pieces} |"
+        )
     print()
 
 
-def classified(scan: Scan, *told: str) -> tuple[Verdict | None, str]:
+def classified(scan: Scan, *keys: str) -> tuple[Verdict | None, str]:
     """Classify ranges and M, with what else is told.
 
     Return the verdict and the names of the doubts.
@@ -164,7 +166,7 @@ def classified(scan: Scan, *told: str) -> tuple[Verdict | None, str]:
         dump = Path(name) / "ranges.bin"
         labels = Path(name) / "labels.npy"
         scan.range_m.astype("<f4").tofile(dump)
-        options = [part for one in told for part in ("--set", f"input.{one}")]
+        options = [part for key in keys for part in ("--set", f"input.{key}")]
         code, said = in_process(["classify", str(dump), str(labels), "-M", str(m), "-q", *options])
         doubts = [line.split(": ")[1] for line in said.splitlines() if line.startswith("warning: ")]
         if not labels.exists():
@@ -181,15 +183,15 @@ def angles(scan: Scan, error: float = 0.0, *, with_down: bool = True) -> tuple[s
     return ("angle_start=0", f"angle_step={step * (1 + error)!r}", *down)
 
 
-def f1_cells(found: Iterable[Verdict | None], classes: Iterable[str]) -> str:
+def f1_cells(verdicts: Iterable[Verdict | None], classes: Iterable[str]) -> str:
     """Return the mean F1 of every class and of all."""
-    by_scan = [one.f1() for one in found if one is not None]
+    by_scan = [verdict.f1() for verdict in verdicts if verdict is not None]
     cells = []
     for name in (*classes, ""):
         values = [
-            one[name] if name else float(np.mean(list(one.values())))
-            for one in by_scan
-            if not name or name in one
+            verdict_f1[name] if name else float(np.mean(list(verdict_f1.values())))
+            for verdict_f1 in by_scan
+            if not name or name in verdict_f1
         ]
         cells.append(f"{np.mean(values):.3f}" if values else "-")
     return " | ".join(cells)
@@ -208,8 +210,8 @@ def beside_true(title: str, named: Iterable[tuple[str, Scan]]) -> None:
             if step is None
             else f"{step.step_rad / step_of(scan.angle_rad) - 1:+.2%} | {step.off:.1%}"
         )
-        for what, told in ((f"measured | {off}", ()), ("true | |", angles(scan))):
-            verdict, doubts = classified(scan, *told)
+        for what, keys in ((f"measured | {off}", ()), ("true | |", angles(scan))):
+            verdict, doubts = classified(scan, *keys)
             print(f"| {name} | {what} | {f1_cells([verdict], CLASSES)} | {doubts} |", flush=True)
     print()
 
@@ -231,10 +233,12 @@ def wrong_steps() -> None:
     ):
         scans = [made(spec) for spec in specs]
         for error in WRONG:
-            found = [classified(scan, *angles(scan, error, with_down=False)) for scan in scans]
-            refused = sum(verdict is None for verdict, _ in found)
-            doubted = sum(verdict is not None and "angle-step" in said for verdict, said in found)
-            cells = f1_cells((verdict for verdict, _ in found), CLASSES)
+            verdicts = [classified(scan, *angles(scan, error, with_down=False)) for scan in scans]
+            refused = sum(verdict is None for verdict, _ in verdicts)
+            doubted = sum(
+                verdict is not None and "angle-step" in said for verdict, said in verdicts
+            )
+            cells = f1_cells((verdict for verdict, _ in verdicts), CLASSES)
             print(f"| {name} | {error:+.0%} | {cells} | {doubted} | {refused} |", flush=True)
     print()
 
@@ -247,8 +251,8 @@ def told_steps() -> None:
     print("| angles times | says nothing | fine | doubtful | refused |\n|---:|---:|---:|---:|---:|")
     every = [(range_m, step) for _, range_m, step in real()]
     every += [
-        (one.range_m, step_of(one.angle_rad))
-        for one in map(made, (*STREETS, *PUSH_BROOMS, *FORESTS))
+        (scan.range_m, step_of(scan.angle_rad))
+        for scan in map(made, (*STREETS, *PUSH_BROOMS, *FORESTS))
     ]
     for factor in (1.0, 0.95, 0.9, 0.5, 1.1, 2.0):
         said = []
@@ -259,8 +263,8 @@ def told_steps() -> None:
                 continue
             for lines in (range_m[:250], range_m[-250:]):
                 info = StreamInfo("", "array", m, None, None)
-                found = check_angle_step(Seen(info, 0, (Window(0, lines),), beam_rad=beam_rad))
-                said.append(-1 if found is None else int(found.verdict))
+                finding = check_angle_step(Seen(info, 0, (Window(0, lines),), beam_rad=beam_rad))
+                said.append(-1 if finding is None else int(finding.verdict))
         print(
             f"| {factor:g} | {' | '.join(str(said.count(k)) for k in (-1, 0, 1, 2))} |", flush=True
         )
@@ -326,8 +330,8 @@ def picture() -> str:
                 f'<polyline points="{way}" fill="none" stroke="#d55e00" stroke-width="2"/>'
             )
     pieces = sliding_window_view(inverse, window, axis=1)[:, :: window // HOP].reshape(-1, window)
-    found, error = curvatures(pieces[np.isfinite(pieces).all(axis=1)], BENT)
-    shares = found[error < CERTAIN * step**2] / step**2
+    curvature, error = curvatures(pieces[np.isfinite(pieces).all(axis=1)], BENT)
+    shares = curvature[error < CERTAIN * step**2] / step**2
     counts = np.histogram(shares, 60, (0.4, 1.6))[0]
     for k, high in enumerate((counts * 190 / counts.max()).tolist()):
         parts.append(

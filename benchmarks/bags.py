@@ -45,7 +45,7 @@ def write_inputs(folder: Path, seconds: int) -> list[Path]:
             + packet[1204:]
             for i, packet in enumerate(packets)
         ]
-        frames = [(at + second, frame) for at, frame in captures.framed(stamped)]
+        frames = [(start_ns + second, frame) for start_ns, frame in captures.framed(stamped)]
         data = captures.write_pcap(capture, frames).read_bytes()
         parts.append(data if not second else data[24:])
     capture.write_bytes(b"".join(parts))
@@ -56,9 +56,9 @@ def write_inputs(folder: Path, seconds: int) -> list[Path]:
     sent: dict[int, list[recordings.Sent]] = {1: [], 2: []}
     for version, every in sent.items():
         for i in range(seconds * SCANS_HZ):
-            at = recordings.START_NS + i * recordings.PERIOD_NS
-            message = recordings.laser(recordings.STORES[version], at, rows[i % SCANS_HZ])
-            every.append(recordings.Sent("/scan", "sensor_msgs/msg/LaserScan", at, message))
+            start_ns = recordings.START_NS + i * recordings.PERIOD_NS
+            message = recordings.laser(recordings.STORES[version], start_ns, rows[i % SCANS_HZ])
+            every.append(recordings.Sent("/scan", "sensor_msgs/msg/LaserScan", start_ns, message))
     return [
         capture,
         recordings.write_bag(folder / f"scan_{seconds}.bag", sent[1]),
@@ -86,7 +86,8 @@ def read_elsewhere(path: Path) -> int:
         return 0
     with AnyReader([path]) as reader:
         return sum(
-            len(reader.deserialize(raw, one.msgtype).ranges) for one, _, raw in reader.messages()
+            len(reader.deserialize(raw, connection.msgtype).ranges)
+            for connection, _, raw in reader.messages()
         )
 
 
@@ -107,8 +108,10 @@ def least_s(job: Callable[[], object]) -> float:
 def peak_mib(path: Path) -> float:
     """Return the most memory of a process that reads a file [MiB]."""
     code = f"import benchmarks.bags as b; from pathlib import Path; b.read(Path({str(path)!r})); print(b.own_mib())"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return float(found.stdout)
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return float(process.stdout)
 
 
 def own_mib() -> float:
@@ -125,21 +128,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--large", action="store_true")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         print(
             "| file | MB | million shots a second, prc | the usual decoder | peak memory | ten times as long |"
         )
         print("|---|---|---|---|---|---|")
-        small = write_inputs(Path(folder), given.seconds)
-        large = write_inputs(Path(folder), 10 * given.seconds) if given.large else small
+        small = write_inputs(Path(folder), arguments.seconds)
+        large = write_inputs(Path(folder), 10 * arguments.seconds) if arguments.large else small
         for path, ten in zip(small, large, strict=True):
             shots = read(path)
             own_s = least_s(lambda path=path: read(path))
-            other = read_elsewhere(path)
-            other_s = least_s(lambda path=path: read_elsewhere(path)) if other else float("nan")
-            beside = f"{other / other_s / 1e6:.2f}" if other else "-"
-            more = f"{peak_mib(ten):.0f} MiB" if given.large else "-"
+            n_ranges = read_elsewhere(path)
+            other_s = least_s(lambda path=path: read_elsewhere(path)) if n_ranges else float("nan")
+            beside = f"{n_ranges / other_s / 1e6:.2f}" if n_ranges else "-"
+            more = f"{peak_mib(ten):.0f} MiB" if arguments.large else "-"
             size = path.stat().st_size / 1e6
             rate = shots / own_s / 1e6
             print(

@@ -111,7 +111,7 @@ class Way:
     run: Callable[[Path, Path], Any]
     rounds: int = ROUNDS
     times: list[tuple[float, float]] = field(default_factory=list)
-    found: dict[str, bytes] = field(default_factory=dict)
+    outputs: dict[str, bytes] = field(default_factory=dict)
 
     def measure(self, source: Path, out: Path) -> None:
         out.mkdir()
@@ -121,7 +121,7 @@ class Way:
         seconds = time.perf_counter() - begin
         after = os.times()
         self.times.append((seconds, cpu_of(before, after)))
-        self.found = {
+        self.outputs = {
             path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".laz"
         }
         shutil.rmtree(out)
@@ -130,7 +130,7 @@ class Way:
         wall = min(wall for wall, _ in self.times)
         cpu = min(cpu for _, cpu in self.times)
         print(
-            f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | {len(self.found)} |",
+            f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | {len(self.outputs)} |",
             flush=True,
         )
 
@@ -147,14 +147,14 @@ def n_done(out: Path) -> int:
 
 
 def children(process: int) -> list[int]:
-    found = []
+    processes = []
     for place in Path("/proc").glob("[0-9]*/stat"):
         try:
             if int(place.read_text().rpartition(")")[2].split()[1]) == process:
-                found.append(int(place.parent.name))
+                processes.append(int(place.parent.name))
         except OSError:
             continue
-    return found
+    return processes
 
 
 def kill_batch(source: Path, out: Path) -> None:
@@ -216,7 +216,7 @@ def main() -> None:
             for way in ways:
                 if number < way.rounds:
                     way.measure(source, folder / "out")
-                    assert way.found == ways[0].found, way.title
+                    assert way.outputs == ways[0].outputs, way.title
         print("| way | wall s | CPU s | CPU ms a file | files done |")
         print("|---|---|---|---|---|")
         for way in ways:

@@ -37,13 +37,15 @@ def main() -> None:
         with Journal(out / OWN_FOLDER) as journal:
             journal.begin_run("process 1 of prc on host")
             for k in range(N_FILES):
-                found = made_up(f"2026-11-{k % 30:02d}/car1/drive_{k:06d}.laz")
-                task = Task(found.name, Path(found.name), out / found.name, config, "a" * 64)
+                outcomes = made_up(f"2026-11-{k % 30:02d}/car1/drive_{k:06d}.laz")
+                task = Task(
+                    outcomes.name, Path(outcomes.name), out / outcomes.name, config, "a" * 64
+                )
                 journal.start(task, "process 1 of prc on host")
-                journal.finish(found)
-                log(Started(found.name, "process 12345"))
-                log(found)
-                done.append(found)
+                journal.finish(outcomes)
+                log(Started(outcomes.name, "process 12345"))
+                log(outcomes)
+                done.append(outcomes)
         summary = BatchSummary("run", Path("archive"), out, "", "", 1.0, N_FILES, 0, tuple(done))
         sizes = {
             "journal": sum(path.stat().st_size for path in (out / OWN_FOLDER).iterdir()),

@@ -98,11 +98,11 @@ def car_classes(xyz: F64) -> I64:
     cloth.setPointCloud(np.ascontiguousarray(xyz))
     module = import_module("CSF")
     ground = module.VecInt()
-    other = module.VecInt()
-    cloth.do_filtering(ground, other, False)
+    unclassified = module.VecInt()
+    cloth.do_filtering(ground, unclassified, False)
     codes = np.full(len(xyz), VEGETATION)
     codes[np.array(ground, np.int64)] = GROUND
-    rest = np.array(other, np.int64)
+    rest = np.array(unclassified, np.int64)
     tree = cKDTree(xyz)
     for part in np.array_split(rest, max(1, len(rest) // 100_000)):
         near = xyz[tree.query(xyz[part], k=NEIGHBOURS, workers=-1)[1]]
@@ -154,16 +154,16 @@ def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float
     return used
 
 
-def noise_of(found: Any) -> tuple[float, float]:
+def noise_of(matrix: Any) -> tuple[float, float]:
     """Return recall and precision of noise."""
-    noise = found["classes"]["noise"]
+    noise = matrix["classes"]["noise"]
     return noise["recall"], noise["precision"]
 
 
-def estimated_noise(found: Any) -> tuple[float, float]:
+def estimated_noise(matrix: Any) -> tuple[float, float]:
     """Return the recall and precision of noise that evaluate estimates."""
     text = next(
-        note for note in found["match"]["notes"] if note.startswith("noise close to the reference")
+        note for note in matrix["match"]["notes"] if note.startswith("noise close to the reference")
     )
     recall, precision = re.findall(r"(?:recall|precision) (\d\.\d+)", text)
     return float(recall), float(precision)
@@ -301,7 +301,7 @@ def oakland_section(folder: Path) -> str:
             (f"{strip}", f"{there.sum():,}", f"{used[1]:.1f}", f"{time.perf_counter() - start:.1f}")
         )
         np.save(car, codes)
-        found, *_ = prc(
+        summary, *_ = prc(
             "evaluate",
             labels,
             scan,
@@ -313,7 +313,7 @@ def oakland_section(folder: Path) -> str:
             "asprs",
             "--json",
         )
-        three = found["three"]
+        three = summary["three"]
         for name in ("ground", "building", "vegetation"):
             sides = [three[side]["classes"].get(name, {}) for side in ("predicted", "third")]
             if sides[0].get("n_reference"):
@@ -361,12 +361,10 @@ def large(n: int, folder: Path) -> str:
                 points.z = random.normal(0, 0.005, m)
                 points.classification[:] = GROUND
                 writer.write_points(points)
-    found, seconds, peak = prc(
+    summary, seconds, peak = prc(
         "evaluate", folder / "run.las", folder / "reference.las", "--match", "nearest", "--json"
     )
-    return (
-        f"{n:,} shots: {found['match']['n_matched']:,} pairs, {seconds:.0f} s, peak {peak:.0f} MiB"
-    )
+    return f"{n:,} shots: {summary['match']['n_matched']:,} pairs, {seconds:.0f} s, peak {peak:.0f} MiB"
 
 
 def main() -> None:

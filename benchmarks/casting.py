@@ -29,12 +29,12 @@ CONE_SIDES = 8
 def fastest(job: Callable[[], object]) -> float:
     """Least processor time of several runs after a warm-up [s]."""
     job()
-    found = []
+    seconds = []
     for _ in range(RUNS):
         start = time.process_time()
         job()
-        found.append(time.process_time() - start)
-    return min(found)
+        seconds.append(time.process_time() - start)
+    return min(seconds)
 
 
 def unit_box() -> F64:
@@ -78,24 +78,24 @@ def triangles_of(bodies: Bodies) -> F64:
 def _triangles(bodies: Bodies) -> Iterator[F64]:
     yield bodies.numbers[bodies.shape == Shape.TRIANGLE].reshape(-1, 3, 3)
     turn = 2 * np.pi * np.arange(CONE_SIDES) / CONE_SIDES
-    for one in bodies.numbers[bodies.shape == Shape.CONE]:
-        axis = one[3:6] - one[:3]
+    for body in bodies.numbers[bodies.shape == Shape.CONE]:
+        axis = body[3:6] - body[:3]
         across = np.cross(
             axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 * np.linalg.norm(axis) else [0.0, 1.0, 0.0]
         )
         across /= np.linalg.norm(across)
         along = np.cross(axis / np.linalg.norm(axis), across)
         ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * along
-        low = one[:3] + one[6] * ring
-        high = one[3:6] + one[7] * ring
+        low = body[:3] + body[6] * ring
+        high = body[3:6] + body[7] * ring
         yield np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0)], axis=1)
         yield np.stack([low, np.roll(high, -1, 0), high], axis=1)
     for shape, unit in ((Shape.BOX, unit_box()), (Shape.ELLIPSOID, unit_sphere())):
-        for one in bodies.numbers[bodies.shape == shape]:
-            x, y, z = np.moveaxis(unit * one[3:6], -1, 0)
-            cos = np.cos(one[6])
-            sin = np.sin(one[6])
-            yield np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1) + one[:3]
+        for body in bodies.numbers[bodies.shape == shape]:
+            x, y, z = np.moveaxis(unit * body[3:6], -1, 0)
+            cos = np.cos(body[6])
+            sin = np.sin(body[6])
+            yield np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1) + body[:3]
 
 
 def embree(triangles: F64, origin: F64, direction: F64) -> tuple[float, float] | None:
@@ -138,15 +138,13 @@ def main() -> None:
             f"| {name}, {len(bodies):,} | this project | {n_rays / fastest(ours) / 1e6:.2f} | 0 |"
         )
         triangles = triangles_of(bodies)
-        found = embree(triangles, shots.origin, shots.direction)
-        if found is None:
+        hits = embree(triangles, shots.origin, shots.direction)
+        if hits is None:
             print(f"| {name} | embreex: not installed | | |")
             continue
         version = metadata.version("embreex")
         row = f"{name}, {len(triangles):,} triangles"
-        print(
-            f"| {row} | embreex {version} | {n_rays / found[1] / 1e6:.2f} | {1e3 * found[0]:.0f} |"
-        )
+        print(f"| {row} | embreex {version} | {n_rays / hits[1] / 1e6:.2f} | {1e3 * hits[0]:.0f} |")
 
 
 if __name__ == "__main__":

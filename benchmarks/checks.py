@@ -62,15 +62,15 @@ def jobs_of(path: Path) -> dict[str, Callable[[], object]]:
             lines_kept.add(block)
 
     def repeats() -> None:
-        found = LineRepeats()
+        repeats = LineRepeats()
         for block in blocks:
-            found.add(block)
+            repeats.add(block)
 
     def result() -> None:
-        found = ResultWatch(config.classifier.method().usual)
+        watch = ResultWatch(config.classifier.method().usual)
         for item in labelled:
-            found.see(item)
-        found.findings()
+            watch.see(item)
+        watch.findings()
 
     return {
         "keeping the sample": sample,

@@ -46,12 +46,12 @@ def repeated(target: Path, times: int) -> int:
 
 def least(job: Callable[[], object]) -> float:
     """Return the least time of a job [s]."""
-    found = []
+    seconds = []
     for _ in range(RUNS):
         start = time.perf_counter()
         job()
-        found.append(time.perf_counter() - start)
-    return min(found)
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
 
 
 def read_stream(path: Path) -> None:
@@ -102,7 +102,7 @@ def main() -> None:
             seconds = least(lambda job=job: job(large))
             print(f"{name}: {seconds:.2f} s, {n / seconds / 1e6:.1f} million rows a second")
         for path in (small, large):
-            told = [
+            options = [
                 "classify",
                 str(path),
                 str(Path(folder) / f"{path.stem}.npy"),
@@ -119,7 +119,7 @@ def main() -> None:
                 "line-length",
             ]
             print(
-                f"classify {path.stat().st_size >> 20} MiB: {peak_mib([*told, *accepted]):.0f} MiB"
+                f"classify {path.stat().st_size >> 20} MiB: {peak_mib([*options, *accepted]):.0f} MiB"
             )
 
 

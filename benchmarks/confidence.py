@@ -117,9 +117,9 @@ def judge(scan: Scan, environment: Environment) -> Judged:
     ).config.classifier
     cells: list[I32] = []
 
-    def kept(labels: U8, found: I32, table: U8) -> U8:
-        cells.append(found)
-        return confidence_of(labels, found, table)
+    def kept(labels: U8, shot_cells: I32, table: U8) -> U8:
+        cells.append(shot_cells)
+        return confidence_of(labels, shot_cells, table)
 
     with mock.patch.object(pipeline, "confidence_of", kept):
         items = list(label_blocks(scan.blocks(), params, wanted=Wanted(confidence=True)))
@@ -155,15 +155,19 @@ def table_of(
     """Return the share of right labels in every cell [per cent], without the answers to some questions."""
     table = np.zeros((len(Label), N_CELLS), np.uint8)
     for label, questions in QUESTIONS[environment].items():
-        own = [
-            (one.cells[one.labels == label], one.right[one.labels == label], one.weight)
-            for one in judged
+        of_label = [
+            (
+                judged_scan.cells[judged_scan.labels == label],
+                judged_scan.right[judged_scan.labels == label],
+                judged_scan.weight,
+            )
+            for judged_scan in judged
         ]
-        if not sum(len(cells) for cells, _, _ in own):
+        if not sum(len(cells) for cells, _, _ in of_label):
             continue
         n = np.zeros(N_CELLS)
         right = np.zeros(N_CELLS)
-        for cells, is_right, weight in own:
+        for cells, is_right, weight in of_label:
             n += weight * np.bincount(cells, minlength=N_CELLS)
             right += weight * np.bincount(cells, is_right, minlength=N_CELLS)
         shape = (4,) * len(questions)
@@ -209,15 +213,20 @@ def expected_error(shots: U8, right: Mask, weight: F64) -> float:
 def pooled(judged: Sequence[Judged]) -> tuple[U8, Mask, F64]:
     """Return confidence, right and weight of the returns of several scans."""
     return (
-        np.concatenate([one.shots for one in judged]),
-        np.concatenate([one.right for one in judged]),
-        np.concatenate([np.full(len(one.labels), one.weight) for one in judged]),
+        np.concatenate([judged_scan.shots for judged_scan in judged]),
+        np.concatenate([judged_scan.right for judged_scan in judged]),
+        np.concatenate(
+            [np.full(len(judged_scan.labels), judged_scan.weight) for judged_scan in judged]
+        ),
     )
 
 
 def with_table(judged: Sequence[Judged], table: U8) -> list[Judged]:
     """Return scans with the confidence of another table."""
-    return [replace(one, shots=confidence_of(one.labels, one.cells, table)) for one in judged]
+    return [
+        replace(judged_scan, shots=confidence_of(judged_scan.labels, judged_scan.cells, table))
+        for judged_scan in judged
+    ]
 
 
 def row(name: str, judged: Sequence[Judged]) -> str:
@@ -271,8 +280,8 @@ def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     print(HEAD)
     for environment in environments:
         judged = judged_of(environment, CHECK)
-        for one in judged:
-            print(row(one.name, [one]))
+        for judged_scan in judged:
+            print(row(judged_scan.name, [judged_scan]))
         print(row(f"**{environment}**", judged), flush=True)
 
 
@@ -333,19 +342,19 @@ def print_reliability(judged: Sequence[Judged]) -> None:
     for name, mean, share, of_all in reliability(judged):
         print(f"| {name} | {mean:.1f} | {share:.1f} | {of_all:.1%} |")
     shots, right, weight = pooled(judged)
-    labels = np.concatenate([one.labels for one in judged])
+    labels = np.concatenate([judged_scan.labels for judged_scan in judged])
     print(
         "\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % |\n|---|---:|---:|---:|---:|"
     )
     for label in np.unique(labels).tolist():
-        own = labels == label
-        w = weight[own]
-        sure = shots[own] >= 95
+        is_label = labels == label
+        w = weight[is_label]
+        sure = shots[is_label] >= 95
         of_these = (
-            f"{100 * np.average(right[own][sure], weights=w[sure]):.1f}" if sure.any() else ""
+            f"{100 * np.average(right[is_label][sure], weights=w[sure]):.1f}" if sure.any() else ""
         )
-        mean = np.average(shots[own], weights=w)
-        share = 100 * np.average(right[own], weights=w)
+        mean = np.average(shots[is_label], weights=w)
+        share = 100 * np.average(right[is_label], weights=w)
         name = Label(label).name.lower()
         cells = (
             name,
@@ -372,14 +381,14 @@ def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
         f'<path d="M{edge},{edge + side} L{edge + side},{edge}" stroke="#999" stroke-dasharray="4"/>',
     ]
     for tick in range(0, 101, 20):
-        at = side * tick / 100
+        position = side * tick / 100
         parts.append(
-            f'<text x="{edge + at}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>'
+            f'<text x="{edge + position}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>'
         )
         parts.append(
-            f'<text x="{edge - 8}" y="{edge + side - at + 4}" text-anchor="end">{tick}</text>'
+            f'<text x="{edge - 8}" y="{edge + side - position + 4}" text-anchor="end">{tick}</text>'
         )
-        parts.append(f'<path d="M{edge},{edge + side - at} h{side}" stroke="#ddd"/>')
+        parts.append(f'<path d="M{edge},{edge + side - position} h{side}" stroke="#ddd"/>')
     for k, (name, rows) in enumerate(lines.items()):
         places = [
             (edge + side * mean / 100, edge + side * (1 - share / 100))
@@ -440,15 +449,15 @@ def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
             side = CodesOf(mapping, data.DATA / reference)
             right, there = side.right(codes)
             labels = np.zeros(len(codes), np.uint8)
-            one = Judged(
+            judged_scan = Judged(
                 scan,
                 labels[there],
                 np.zeros(int(there.sum()), np.int32),
                 right[there],
                 shots[there].astype(np.uint8),
             )
-            print(row(scan, [one]), flush=True)
-            oakland += [one] if scan.startswith("Oakland") else []
+            print(row(scan, [judged_scan]), flush=True)
+            oakland += [judged_scan] if scan.startswith("Oakland") else []
     lines["Oakland 1 to 3"] = reliability(oakland)
 
 
@@ -471,8 +480,8 @@ class CodesOf:
         if self.mapping == "kitti":
             kinds = {2: (40, 44, 48, 49, 60, 72), 6: (50, 51, 52), 5: (70, 71), 65: (10, 252)}
             expected = np.zeros(len(codes), np.int64)
-            for code, own in kinds.items():
-                expected[np.isin(reference, own)] = code
+            for code, reference_codes in kinds.items():
+                expected[np.isin(reference, reference_codes)] = code
             return np.where(codes == 66, 2, codes) == expected, expected > 0
         mapping = load_mapping(self.mapping)
         rows = mapping.class_indices(reference, "reference")
@@ -494,8 +503,8 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     for environment in environments:
         judged = judged_of(environment, HELD_OUT)
         print(f"\n## {NAMES[environment].capitalize()} that decided nothing\n\n{HEAD}")
-        for name in dict.fromkeys(one.name for one in judged):
-            print(row(name, [one for one in judged if one.name == name]))
+        for name in dict.fromkeys(judged_scan.name for judged_scan in judged):
+            print(row(name, [judged_scan for judged_scan in judged if judged_scan.name == name]))
         print(row(f"**all {len(judged)}**", judged), flush=True)
         print_reliability(judged)
         lines[NAMES[environment]] = reliability(judged)
@@ -526,15 +535,15 @@ def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
         print(
             f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence"
         )
-        found = {}
+        seconds = {}
         for n_lines in (128, 64, 16):
             chosen = params.model_copy(update={"lines_per_block": n_lines})
             items = label_blocks(scan.blocks(), chosen, wanted=Wanted(confidence=True))
-            found[n_lines] = np.concatenate(
+            seconds[n_lines] = np.concatenate(
                 [item.confidence for item in items if item.confidence is not None]
             )
         for n_lines in (64, 16):
-            off_by = np.abs(found[128].astype(int) - found[n_lines])[~np.isnan(scan.range_m)]
+            off_by = np.abs(seconds[128].astype(int) - seconds[n_lines])[~np.isnan(scan.range_m)]
             print(
                 f"  blocks of {n_lines} lines: {np.mean(off_by > 0):.2%} differ, "
                 f"{np.mean(off_by > 5):.2%} by more than 5"

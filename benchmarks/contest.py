@@ -91,20 +91,20 @@ class Contest:
 
     def all_runs(self, methods: tuple[Method, ...]) -> dict[str, dict[str, Run]]:
         """Return all runs by method and scan; scans are made once, one after the other."""
-        found: dict[str, dict[str, Run]] = {method.name: {} for method in methods}
+        runs_by_method: dict[str, dict[str, Run]] = {method.name: {} for method in methods}
         for item in self.items:
             scan = self.store.scan(item)
             for method in methods:
                 if method.takes(scan):
-                    found[method.name][item.how] = self.store.stream_run(item, method)
-        return {name: runs for name, runs in found.items() if runs}
+                    runs_by_method[method.name][item.how] = self.store.stream_run(item, method)
+        return {name: runs for name, runs in runs_by_method.items() if runs}
 
     def groups(self) -> dict[str, list[DataSet]]:
         """Return the scans by group."""
-        found: dict[str, list[DataSet]] = {}
+        groups: dict[str, list[DataSet]] = {}
         for item in self.items:
-            found.setdefault(item.group, []).append(item)
-        return found
+            groups.setdefault(item.group, []).append(item)
+        return groups
 
 
 def title_of(item: DataSet) -> str:
@@ -118,11 +118,11 @@ def of_group(runs: dict[str, Run], items: list[DataSet]) -> list[Verdict]:
 
 def mean_f1(verdicts: list[Verdict]) -> dict[str, float]:
     """Return the mean F1 of every class over the scans in which it exists."""
-    found: dict[str, list[float]] = {}
+    scores_by_class: dict[str, list[float]] = {}
     for verdict in verdicts:
         for name, value in verdict.f1().items():
-            found.setdefault(name, []).append(0.0 if np.isnan(value) else value)
-    return {name: float(np.mean(values)) for name, values in found.items()}
+            scores_by_class.setdefault(name, []).append(0.0 if np.isnan(value) else value)
+    return {name: float(np.mean(values)) for name, values in scores_by_class.items()}
 
 
 def summary(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
@@ -146,8 +146,8 @@ def print_macros(groups: dict[str, list[DataSet]], runs: dict[str, dict[str, Run
     if not groups:
         return
     print(f"| | {' | '.join(groups)} |\n|---|{'---:|' * len(groups)}")
-    for name, own in runs.items():
-        cells = [_macro(of_group(own, items)) for items in groups.values()]
+    for name, method_runs in runs.items():
+        cells = [_macro(of_group(method_runs, items)) for items in groups.values()]
         if any(cells):
             print(f"| {name} | {' | '.join(cells)} |")
     print()
@@ -169,20 +169,26 @@ def _others(groups: dict[str, list[DataSet]]) -> dict[str, list[DataSet]]:
 
 def print_classes(title: str, items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
     """F1 of every class by method: the mean over the scans, the worst scan in brackets."""
-    found = {name: of_group(own, items) for name, own in runs.items()}
-    found = {name: verdicts for name, verdicts in found.items() if verdicts}
-    if not found:
+    verdicts_by_method = {name: of_group(method_runs, items) for name, method_runs in runs.items()}
+    verdicts_by_method = {
+        name: verdicts for name, verdicts in verdicts_by_method.items() if verdicts
+    }
+    if not verdicts_by_method:
         return
-    classes = list(dict.fromkeys(name for verdicts in found.values() for name in mean_f1(verdicts)))
+    classes = list(
+        dict.fromkeys(
+            name for verdicts in verdicts_by_method.values() for name in mean_f1(verdicts)
+        )
+    )
     print(f"### {title}: F1 of the classes\n")
     print("| | " + " | ".join(classes) + " | macro |\n|---|" + "---:|" * (len(classes) + 1))
-    for name, verdicts in found.items():
+    for name, verdicts in verdicts_by_method.items():
         means = mean_f1(verdicts)
         cells = []
-        for each in classes:
-            values = [np.nan_to_num(v.f1()[each]) for v in verdicts if each in v.f1()]
+        for class_label in classes:
+            values = [np.nan_to_num(v.f1()[class_label]) for v in verdicts if class_label in v.f1()]
             spread = f" ({min(values):.2f})" if len(values) > 1 else ""
-            cells.append(f"{means[each]:.3f}{spread}" if values else "")
+            cells.append(f"{means[class_label]:.3f}{spread}" if values else "")
         print(f"| {name} | {' | '.join(cells)} | {np.mean([v.macro for v in verdicts]):.3f} |")
     print()
 
@@ -196,22 +202,22 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print(
         "| | class | goal | fused | worst scan | reached | papers |\n|---|---|---:|---:|---:|---|---|"
     )
-    own = {method.name for method in fused()}
+    fused_names = {method.name for method in fused()}
     for group, wanted in GOALS.items():
         items = _streets(groups) if group == STREETS else groups.get(group, [])
         for name, goal in wanted.items():
-            found = {
+            macro_f1 = {
                 method: scores
-                for method, each in runs.items()
-                if (scores := scores_of(each, items, name))
+                for method, method_runs in runs.items()
+                if (scores := scores_of(method_runs, items, name))
             }
-            ours = [scores for method, scores in found.items() if method in own]
+            ours = [scores for method, scores in macro_f1.items() if method in fused_names]
             if not ours:
                 continue
             papers = [
                 (float(np.mean(scores)), method)
-                for method, scores in found.items()
-                if method not in own
+                for method, scores in macro_f1.items()
+                if method not in fused_names
             ]
             rival = "{:.3f}, {}".format(*max(papers)) if papers else "none"
             mean = float(np.mean(ours[0]))
@@ -221,25 +227,35 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print_lost(groups.get(SLOW, []), runs)
 
 
-def scores_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
+def scores_of(method_runs: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
     """Return the F1 of a class, or of cars, poles and curbs, in the scans that hold enough of it.
 
     Empty: not known.
     """
-    counts = judged(own, items, name)
+    counts = judged(method_runs, items, name)
     if counts:
-        return [f1(each) for each in counts] if any(each[1] for each in counts) else []
-    return [float(np.nan_to_num(v.f1()[name])) for v in of_group(own, items) if name in v.present]
+        return (
+            [f1(label_counts) for label_counts in counts]
+            if any(label_counts[1] for label_counts in counts)
+            else []
+        )
+    return [
+        float(np.nan_to_num(v.f1()[name]))
+        for v in of_group(method_runs, items)
+        if name in v.present
+    ]
 
 
 def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
     """What slow drives cost beside the same streets driven normally."""
     first, *others = SLOW_DRIVES
-    own = runs.get(FUSED, {})
+    fused_runs = runs.get(FUSED, {})
     streets = [
         item.name.removesuffix(f", {first}") for item in items if item.name.endswith(f", {first}")
     ]
-    verdicts = {item.name: own[item.how].verdict.f1() for item in items if item.how in own}
+    verdicts = {
+        item.name: fused_runs[item.how].verdict.f1() for item in items if item.how in fused_runs
+    }
     if not streets or not verdicts:
         return
     say(f"""Slow drives: F1 of fused on a street driven normally, and what the same street loses when it is driven
@@ -250,7 +266,7 @@ def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
         for name, value in normal.items():
             lost = [value - verdicts[f"{street}, {drive}"].get(name, np.nan) for drive in others]
             cells = " | ".join(
-                f"{-each:+.3f}{' (missed)' if each > MOST_LOST else ''}" for each in lost
+                f"{-loss:+.3f}{' (missed)' if loss > MOST_LOST else ''}" for loss in lost
             )
             print(f"| {street} | {name} | {value:.3f} | {cells} |")
     print()
@@ -281,15 +297,17 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             continue
         print("| scan | returns | " + " | ".join(names) + " |\n|---|---:|" + "---:|" * len(names))
         for item in items:
-            found = {name: runs[name].get(item.how) for name in names}
-            own = [run for run in found.values() if run is not None]
+            runs_by_name = {name: runs[name].get(item.how) for name in names}
+            present_runs = [run for run in runs_by_name.values() if run is not None]
             cells = [
                 ""
                 if run is None
                 else f"{run.verdict.macro:.3f} ({run.verdict.worst} {_low(run.verdict):.2f})"
-                for run in found.values()
+                for run in runs_by_name.values()
             ]
-            print(f"| {title_of(item)} | {own[0].returns if own else 0:,} | {' | '.join(cells)} |")
+            print(
+                f"| {title_of(item)} | {present_runs[0].returns if present_runs else 0:,} | {' | '.join(cells)} |"
+            )
         print()
 
 
@@ -305,16 +323,16 @@ def confusion(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Confusion matrices, and predictions for reference classes that are not judged."""
     print("## Confusion\n\nShare of the reference's row. Rows below the line are not judged.\n")
     for group, items in contest.groups().items():
-        for name, own in runs.items():
-            verdicts = of_group(own, items)
+        for name, method_runs in runs.items():
+            verdicts = of_group(method_runs, items)
             if verdicts and (name in shown_in_full(runs) or len(runs) == 1):
                 print_confusion(f"{group}: {name}", pooled(verdicts))
 
 
 def shown_in_full(runs: dict[str, dict[str, Run]]) -> set[str]:
     """Return the methods whose confusion is shown: fused ones, or all if there are none."""
-    own = {method.name for method in fused()} & set(runs)
-    return own or set(runs)
+    fused_names = {method.name for method in fused()} & set(runs)
+    return fused_names or set(runs)
 
 
 def print_confusion(title: str, verdict: Verdict) -> None:
@@ -357,33 +375,37 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     if missing:
         print(f"Not installed when this was run: {', '.join(missing)}.\n")
     items = [item for item in contest.items if item.with_peers]
-    found = {item.how: contest.store.peer_runs(item, CHAINS) for item in items}
-    if left_out := [title_of(item) for item in items if not found[item.how]]:
+    peer_runs = {item.how: contest.store.peer_runs(item, CHAINS) for item in items}
+    if left_out := [title_of(item) for item in items if not peer_runs[item.how]]:
         print(f"Not run yet, and left out here: {'; '.join(left_out)}.\n")
-    items = [item for item in items if found[item.how]]
+    items = [item for item in items if peer_runs[item.how]]
     if not items:
         return
     rows: dict[str, dict[str, Run]] = {
-        name: own for name, own in runs.items() if any(item.how in own for item in items)
+        name: method_runs
+        for name, method_runs in runs.items()
+        if any(item.how in method_runs for item in items)
     }
     for chain in CHAINS:
-        own = {how: each[chain] for how, each in found.items() if chain in each}
-        if own:
-            rows[f"*{chain}*"] = own
+        chain_runs = {
+            how: peer_run[chain] for how, peer_run in peer_runs.items() if chain in peer_run
+        }
+        if chain_runs:
+            rows[f"*{chain}*"] = chain_runs
     names = {
         "simulated streets": [item for item in items if item.group in STREET_GROUPS],
         OAKLAND: [item for item in items if item.group == OAKLAND],
         OAKLAND_NOISY: [item for item in items if item.group == OAKLAND_NOISY],
         KITTI: [item for item in items if item.group == KITTI],
     }
-    names = {name: own for name, own in names.items() if own}
+    names = {name: chain_runs for name, chain_runs in names.items() if chain_runs}
     print(
         "| | " + " | ".join(f"{name}: ground | noise" for name in names) + " | s / million | MiB |"
     )
     print("|---|" + "---:|---:|" * len(names) + "---:|---:|")
-    for name, own in rows.items():
-        cells = [cell for group in names.values() for cell in _two_scores(own, group)]
-        used = [own[item.how] for item in items if item.how in own]
+    for name, row_runs in rows.items():
+        cells = [cell for group in names.values() for cell in _two_scores(row_runs, group)]
+        used = [row_runs[item.how] for item in items if item.how in row_runs]
         seconds = sum(run.cpu_s for run in used) / sum(run.returns for run in used) * 1e6
         memory = max(run.peak_mib for run in used)
         cells += [f"{seconds:.2f}", "" if np.isnan(memory) else f"{memory:,.0f}"]
@@ -393,18 +415,18 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     commands('pip install ".[peers]"', "python -m benchmarks.contest peers")
 
 
-def _two_scores(own: dict[str, Run], items: list[DataSet]) -> list[str]:
+def _two_scores(method_runs: dict[str, Run], items: list[DataSet]) -> list[str]:
     cells = []
     for name in JUDGED_OF_PEERS:
-        values = f1_of(own, items, name)
+        values = f1_of(method_runs, items, name)
         spread = f" ({min(values):.2f})" if len(values) > 1 else ""
         cells.append(f"{np.mean(values):.3f}{spread}" if values else "")
     return cells
 
 
-def f1_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
+def f1_of(method_runs: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
     """Return the F1 of a class in the scans that have it; empty if the method never predicts it."""
-    verdicts = of_group(own, items)
+    verdicts = of_group(method_runs, items)
     called = sum(int(verdict.counts[:, verdict.columns.index(name)].sum()) for verdict in verdicts)
     return (
         [float(np.nan_to_num(v.f1()[name])) for v in verdicts if name in v.present]
@@ -414,7 +436,7 @@ def f1_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
 
 
 def print_best(
-    rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], own: set[str]
+    rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], fused_names: set[str]
 ) -> None:
     """The best filter of each column beside the best method of the stream that runs on all its scans."""
     print("| | best filter of registered clouds | best of the stream |\n|---|---|---|")
@@ -424,7 +446,7 @@ def print_best(
             for row, runs in rows.items():
                 values = f1_of(runs, items, name)
                 if values and all(item.how in runs for item in items):
-                    sides[row in own].append((float(np.mean(values)), row.strip("*")))
+                    sides[row in fused_names].append((float(np.mean(values)), row.strip("*")))
             if all(sides.values()):
                 cells = [
                     f"{value:.3f}, {row}" for value, row in (max(sides[False]), max(sides[True]))
@@ -493,8 +515,8 @@ def repeated(scan: Scan) -> Scan:
 def quickest(scan: Scan, method: Method) -> tuple[float, float]:
     """Return the shortest time by the clock and of all cores [s]."""
     config = method.config(scan)
-    found = [label(scan, config) for _ in range(SPEED_RUNS)]
-    return min(each.wall_s for each in found), min(each.cpu_s for each in found)
+    runs = [label(scan, config) for _ in range(SPEED_RUNS)]
+    return min(run.wall_s for run in runs), min(run.cpu_s for run in runs)
 
 
 def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
@@ -515,9 +537,11 @@ def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         path = IMAGES / f"contest_{len(drawn) + 1:02}.png"
         failures(scan, label_scan(scan, method).codes, method.name, path)
         drawn.add(path)
-        found = runs[method.name][item.how].verdict
+        verdict = runs[method.name][item.how].verdict
         print(f"![{item.name}](../images/{path.name})\n")
-        say(f"{item.name}, {method.name}: macro F1 {found.macro:.3f}. {worst_confusions(found)}")
+        say(
+            f"{item.name}, {method.name}: macro F1 {verdict.macro:.3f}. {worst_confusions(verdict)}"
+        )
     for path in set(IMAGES.glob("contest_*.png")) - drawn:
         path.unlink()
 
@@ -525,8 +549,8 @@ def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 def best(contest: Contest, runs: dict[str, dict[str, Run]], item: DataSet) -> Method:
     """Return the fused method for a scan, the best of the others if there is none."""
     there = [method for method in contest.methods if item.how in runs.get(method.name, {})]
-    own = {method.name for method in fused()}
-    return max(there, key=lambda m: (m.name in own, runs[m.name][item.how].verdict.macro))
+    fused_names = {method.name for method in fused()}
+    return max(there, key=lambda m: (m.name in fused_names, runs[m.name][item.how].verdict.macro))
 
 
 def worst_confusions(verdict: Verdict) -> str:
@@ -538,11 +562,11 @@ def worst_confusions(verdict: Verdict) -> str:
         if row != column and n
     ]
     total = verdict.counts.sum()
-    told = [
+    sentences = [
         f"{row} as {column} ({n / total:.1%} of all judged)"
         for n, row, column in sorted(wrong, reverse=True)[:3]
     ]
-    return f"Most of what is wrong: {', '.join(told)}."
+    return f"Most of what is wrong: {', '.join(sentences)}."
 
 
 def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
@@ -555,16 +579,16 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     parameter.""")
     print("| scan | shots | returns | share of the judged classes |\n|---|---:|---:|---|")
     for item in contest.items:
-        own = next((runs[name][item.how] for name in runs if item.how in runs[name]), None)
-        if own is None:
+        first_run = next((runs[name][item.how] for name in runs if item.how in runs[name]), None)
+        if first_run is None:
             continue
-        sums = own.verdict.counts.sum(axis=1)
+        sums = first_run.verdict.counts.sum(axis=1)
         shares = ", ".join(
             f"{name} {n / sums.sum():.1%}"
-            for name, n in zip(own.verdict.rows, sums, strict=True)
+            for name, n in zip(first_run.verdict.rows, sums, strict=True)
             if n
         )
-        print(f"| {title_of(item)} | {own.shots:,} | {own.returns:,} | {shares} |")
+        print(f"| {title_of(item)} | {first_run.shots:,} | {first_run.returns:,} | {shares} |")
     print("\n## Methods\n\n| | as | run (UTC) |\n|---|---|---|")
     for method in contest.methods:
         whens = sorted(run.when for run in runs.get(method.name, {}).values())
@@ -586,14 +610,17 @@ def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print("| | scans | down had to be told | doubted | refused still |\n|---|---:|---:|---:|---:|")
     where: dict[tuple[str, str], list[str]] = {}
     titles = {item.how: title_of(item) for item in contest.items}
-    for name, own in runs.items():
-        told = sum(run.is_down_told for run in own.values())
-        doubted = sum(any("warning: " in line for line in run.said) for run in own.values())
+    for name, method_runs in runs.items():
+        n_down_known = sum(run.is_down_told for run in method_runs.values())
+        doubted = sum(any("warning: " in line for line in run.said) for run in method_runs.values())
         refused = sum(
-            sum("error: " in line for line in run.said) > run.is_down_told for run in own.values()
+            sum("error: " in line for line in run.said) > run.is_down_told
+            for run in method_runs.values()
         )
-        print(f"| {name} | {len(own)} | {told or ''} | {doubted or ''} | {refused or ''} |")
-        for how, run in own.items():
+        print(
+            f"| {name} | {len(method_runs)} | {n_down_known or ''} | {doubted or ''} | {refused or ''} |"
+        )
+        for how, run in method_runs.items():
             for line in run.said:
                 said = re.sub(r"\d+ %", "N %", line)
                 where.setdefault((name, said), []).append(titles[how])
@@ -644,16 +671,19 @@ def main() -> None:
         if part not in PARTS:
             parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
     start = time.perf_counter()
-    told: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
+    report_progress: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
     items = tuple(
-        each
-        for each in data_sets()
-        if not arguments.only or arguments.only in f"{each.group} {each.name}"
+        data_set
+        for data_set in data_sets()
+        if not arguments.only or arguments.only in f"{data_set.group} {data_set.name}"
     )
     if arguments.quick:
-        items = tuple(each for each in items if each.name in _quick_names())
+        items = tuple(data_set for data_set in items if data_set.name in _quick_names())
     contest = Contest(
-        Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick
+        Store(arguments.cache, report_progress),
+        items,
+        (*PAPERS, *fused(), *TO_THE_TOP),
+        arguments.quick,
     )
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
@@ -667,11 +697,11 @@ def main() -> None:
     what they are predicted as.""")
     for part in arguments.parts or (QUICK_PARTS if arguments.quick else PARTS):
         PARTS[part](contest, runs)
-    told(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")
+    report_progress(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")
 
 
 def _quick_names() -> tuple[str, ...]:
-    streets = [each.name for each in data_sets() if each.group in STREET_GROUPS]
+    streets = [data_set.name for data_set in data_sets() if data_set.group in STREET_GROUPS]
     return (streets[1], "Oakland strip 2", "mixed forest")
 
 

@@ -284,7 +284,7 @@ def _with_background(
         np.rint(moved / scanner.resolution_m) * scanner.resolution_m, scanner.min_range_m
     )
     ranges: F32 = np.where(hit, moved, block.range_m).astype(np.float32)
-    found: U8 = np.where(hit, np.uint8(Label.NOISE), labels)
+    codes: U8 = np.where(hit, np.uint8(Label.NOISE), labels)
     world = np.where(
         hit[..., None], shots.origin + ranges[..., None] * shots.direction, item.world_m
     )
@@ -295,7 +295,7 @@ def _with_background(
         )
     block = replace(block, range_m=ranges, intensity=intensity)
     return replace(
-        item, labelled=replace(item.labelled, block=block, labels=found), world_m=world
+        item, labelled=replace(item.labelled, block=block, labels=codes), world_m=world
     ), origin_m
 
 

@@ -48,8 +48,8 @@ class ScanFile:
         """Split codes of records into those of shots, (lines, M), and of further returns, (e,)."""
         if self.record is None:
             return codes.reshape(scan.range_m.shape), codes[self.extra_record]
-        found = np.where(self.record >= 0, codes[self.record], 0).astype(np.uint8)
-        return found, codes[self.extra_record]
+        labels = np.where(self.record >= 0, codes[self.record], 0).astype(np.uint8)
+        return labels, codes[self.extra_record]
 
 
 def write(scan: Scan, folder: Path) -> ScanFile:

@@ -100,13 +100,13 @@ class Verdict:
 
         NaN if undefined.
         """
-        found = all_scores(self.counts[None], self.rows, self.columns)
-        return float(found[name][0]) if name in found else float("nan")
+        scores = all_scores(self.counts[None], self.rows, self.columns)
+        return float(scores[name][0]) if name in scores else float("nan")
 
     def f1(self) -> dict[str, float]:
         """Return the F1 of the classes that exist."""
-        found = all_scores(self.counts[None], self.rows, self.columns)
-        return {name: float(found[f"f1.{name}"][0]) for name in self.present}
+        scores = all_scores(self.counts[None], self.rows, self.columns)
+        return {name: float(scores[f"f1.{name}"][0]) for name in self.present}
 
     @property
     def macro(self) -> float:
@@ -116,18 +116,20 @@ class Verdict:
     @property
     def worst(self) -> str:
         """The class with the lowest F1."""
-        found = self.f1()
-        return min(found, key=lambda name: found[name])
+        f1 = self.f1()
+        return min(f1, key=lambda name: f1[name])
 
-    def __add__(self, other: Verdict) -> Verdict:
+    def __add__(self, verdict: Verdict) -> Verdict:
         """Pool two verdicts of the same classes."""
-        assert (self.rows, self.columns) == (other.rows, other.columns)
+        assert (self.rows, self.columns) == (verdict.rows, verdict.columns)
         others = {name: dict(became) for name, became in self.others.items()}
-        for name, became in other.others.items():
-            own = others.setdefault(name, {})
+        for name, became in verdict.others.items():
+            counts = others.setdefault(name, {})
             for column, n in became.items():
-                own[column] = own.get(column, 0) + n
-        return Verdict(self.rows, self.columns, np.concatenate([self.blocks, other.blocks]), others)
+                counts[column] = counts.get(column, 0) + n
+        return Verdict(
+            self.rows, self.columns, np.concatenate([self.blocks, verdict.blocks]), others
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict as plain values for JSON."""
@@ -203,17 +205,17 @@ def judge_things(scan: Scan, codes: NDArray[np.integer]) -> dict[str, list[float
     there = ~np.isnan(scan.range_m) & ~np.isin(scan.codes, UNKNOWN.get(scan.mapping, [0]))
     predicted = codes[there]
     reference = scan.codes[there]
-    own = ClassCodes()
-    found = {}
+    class_codes = ClassCodes()
+    verdicts = {}
     for name, listed in THINGS.get(scan.mapping, {}).items():
-        said = predicted == own.code(Label[name.upper()])
+        said = predicted == class_codes.code(Label[name.upper()])
         true = np.isin(reference, listed)
-        found[name] = [float((said & true).sum()), float(said.sum()), float(true.sum())]
+        verdicts[name] = [float((said & true).sum()), float(said.sum()), float(true.sum())]
     if scan.world_m is not None and scan.mapping == "street":
         place = scan.world_m[there]
-        curb = own.code(Label.CURB)
-        found[CURB] = curbs(place[predicted == curb], place[reference == curb])
-    return found
+        curb = class_codes.code(Label.CURB)
+        verdicts[CURB] = curbs(place[predicted == curb], place[reference == curb])
+    return verdicts
 
 
 def curbs(ours: F64, theirs: F64) -> list[float]:
@@ -234,6 +236,6 @@ def _near(points: F64, others: F64) -> int:
 def pooled(verdicts: list[Verdict]) -> Verdict:
     """Pool verdicts of the same classes."""
     first, *rest = verdicts
-    for each in rest:
-        first = first + each
+    for verdict in rest:
+        first = first + verdict
     return first

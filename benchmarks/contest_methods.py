@@ -81,14 +81,14 @@ class Method:
 
 def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
     """Return a nested table as ``--set`` takes it."""
-    found: list[tuple[str, Any]] = []
+    keys: list[tuple[str, Any]] = []
     for key, value in table.items():
         where = f"{before}{key}"
         if isinstance(value, dict):
-            found += _flat(value, f"{where}.")
+            keys += _flat(value, f"{where}.")
         else:
-            found.append((where, str(value).lower() if isinstance(value, bool) else value))
-    return found
+            keys.append((where, str(value).lower() if isinstance(value, bool) else value))
+    return keys
 
 
 def _zeta(zeta_s: float, zeta_p: float) -> dict[str, Any]:
@@ -125,14 +125,14 @@ plane tilted by 20°. Higher parts of a stem are noise in that reference by defi
 
 def fused() -> tuple[Method, ...]:
     """Return the fused presets that exist."""
-    found = []
+    methods = []
     for name, mappings in ((FUSED, STREETS), (f"{FUSED}-forest", FORESTS)):
         try:
             load_config(preset=name)
         except ConfigError:
             continue
-        found.append(Method(name, name, mappings=mappings))
-    return tuple(found)
+        methods.append(Method(name, name, mappings=mappings))
+    return tuple(methods)
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,9 +86,9 @@ def _open3d_cloud(points: Points) -> Any:
 
 
 def _left_out(n: int, kept: Any) -> Mask:
-    found = np.ones(n, dtype=bool)
-    found[np.asarray(kept, dtype=np.int64)] = False
-    return found
+    is_left_out = np.ones(n, dtype=bool)
+    is_left_out[np.asarray(kept, dtype=np.int64)] = False
+    return is_left_out
 
 
 def csf(
@@ -109,9 +109,9 @@ def csf(
     ground = module.VecInt()
     rest = module.VecInt()
     cloth.do_filtering(ground, rest, False)
-    found = np.zeros(len(points.xyz_m), dtype=bool)
-    found[np.array(ground, dtype=np.int64)] = True
-    return found
+    is_ground = np.zeros(len(points.xyz_m), dtype=bool)
+    is_ground[np.array(ground, dtype=np.int64)] = True
+    return is_ground
 
 
 def patchwork(
@@ -141,17 +141,19 @@ def patchwork(
         [[0.0], np.cumsum(np.hypot(*np.diff(points.scanner_m[:, :2], axis=0).T))]
     )
     piece = (way_m // piece_m).astype(np.int64)
-    found = np.zeros(len(points.xyz_m), dtype=bool)
+    is_ground = np.zeros(len(points.xyz_m), dtype=bool)
     of_point = piece[points.line]
     for k in range(int(piece[-1]) + 1):
-        own = np.flatnonzero(of_point == k)
+        members = np.flatnonzero(of_point == k)
         lines = np.flatnonzero(piece == k)
-        if not len(own):
+        if not len(members):
             continue
         middle = points.scanner_m[lines[len(lines) // 2]]
-        filtered.estimateGround(np.ascontiguousarray(points.xyz_m[own] - middle, dtype=np.float32))
-        found[own[np.asarray(filtered.getGroundIndices(), dtype=np.int64)]] = True
-    return found
+        filtered.estimateGround(
+            np.ascontiguousarray(points.xyz_m[members] - middle, dtype=np.float32)
+        )
+        is_ground[members[np.asarray(filtered.getGroundIndices(), dtype=np.int64)]] = True
+    return is_ground
 
 
 def smrf(
@@ -181,12 +183,12 @@ def smrf(
     objects = _objects(surface, slope, cell_m, max(1, round(window_m / cell_m)))
     terrain = _filled(np.where(objects | empty | sunken, np.nan, surface))
     rise = np.hypot(*np.gradient(terrain, cell_m)) if min(shape) > 1 else np.zeros(shape)
-    at = ((xyz[:, :2] - low) / cell_m - 0.5).T
+    place = ((xyz[:, :2] - low) / cell_m - 0.5).T
     sample = import_module("scipy.ndimage").map_coordinates
-    height = sample(terrain, at, order=1, mode="nearest")
-    limit = threshold_m + scaler * sample(rise, at, order=1, mode="nearest")
-    found: Mask = np.abs(xyz[:, 2] - height) <= limit
-    return found
+    height = sample(terrain, place, order=1, mode="nearest")
+    limit = threshold_m + scaler * sample(rise, place, order=1, mode="nearest")
+    is_ground: Mask = np.abs(xyz[:, 2] - height) <= limit
+    return is_ground
 
 
 def _objects(
@@ -197,15 +199,15 @@ def _objects(
 ) -> Mask:
     """Mark cells above what openings with growing discs leave, by more than the slope allows."""
     ndimage = import_module("scipy.ndimage")
-    found = np.zeros(surface.shape, dtype=bool)
+    is_object = np.zeros(surface.shape, dtype=bool)
     last = surface
     for k in range(1, most + 1):
         across = np.arange(-k, k + 1)
         disc = across[:, None] ** 2 + across[None] ** 2 <= k * k
         opened = ndimage.grey_opening(last, footprint=disc)
-        found |= last - opened > slope * k * cell_m
+        is_object |= last - opened > slope * k * cell_m
         last = opened
-    return found
+    return is_object
 
 
 def _filled(surface: F64) -> F64:
@@ -217,13 +219,13 @@ def _filled(surface: F64) -> F64:
     known = ~np.isnan(surface)
     if known.all():
         return surface
-    at = np.argwhere(known)
+    cells = np.argwhere(known)
     wanted = np.argwhere(~known)
     result = surface.copy()
-    values = interpolate.LinearNDInterpolator(at, surface[known])(wanted)
+    values = interpolate.LinearNDInterpolator(cells, surface[known])(wanted)
     beyond = np.isnan(values)
     if beyond.any():
-        values[beyond] = interpolate.NearestNDInterpolator(at, surface[known])(wanted[beyond])
+        values[beyond] = interpolate.NearestNDInterpolator(cells, surface[known])(wanted[beyond])
     result[~known] = values
     return result
 
@@ -254,8 +256,8 @@ def run(
         options = dict(step)
         name = options.pop("filter")
         rest = codes != NOISE
-        found = FILTERS[name](points.some(rest), **options)
-        codes[np.flatnonzero(rest)[found]] = NOISE if name in NOISE_FILTERS else GROUND
+        is_ground = FILTERS[name](points.some(rest), **options)
+        codes[np.flatnonzero(rest)[is_ground]] = NOISE if name in NOISE_FILTERS else GROUND
     return codes, time.process_time() - start
 
 

@@ -109,10 +109,10 @@ def _places(scan: Scan, codes: U8, part: tuple[slice, NDArray[np.intp]]) -> tupl
     """Return places in :data:`COLOURS` of what is predicted and of the reference."""
     mapping = mapping_of(scan.mapping)
     there = ~np.isnan(scan.range_m[part])
-    own = codes[part].astype(np.int64)
-    own[own == 0] = 1
+    part_codes = codes[part].astype(np.int64)
+    part_codes[part_codes == 0] = 1
     sides = []
-    for values, side in ((own, "predicted"), (scan.codes[part], "reference")):
+    for values, side in ((part_codes, "predicted"), (scan.codes[part], "reference")):
         names = mapping.names(side)  # type: ignore[arg-type]
         place = np.array([NAMES.index(name) + 1 for name in names] + [UNSCORED])
         index = mapping.class_indices(values.ravel(), side).reshape(values.shape)  # type: ignore[arg-type]

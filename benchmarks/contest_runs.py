@@ -76,20 +76,20 @@ _GROUP_OF = {"photon-80": PHOTON, "sick-push-broom": SICK_GROUP, "profiler-1mhz"
 
 def data_sets() -> tuple[DataSet, ...]:
     """Return all scans for reporting, real ones if available."""
-    found = [
+    sets = [
         _simulated(spec, _GROUP_OF[spec.scanner], with_peers=spec.seed in PEER_SEEDS)
         for spec in data.TEST_STREETS
     ]
-    found += _slow_drives()
+    sets += _slow_drives()
     if (data.DATA / "oakland").exists():
         for n in (2, 3):
             name = f"Oakland strip {n}"
             path = data.DATA / "oakland" / f"oakland_{n}.csv.gz"
-            found.append(
+            sets.append(
                 DataSet(name, OAKLAND, partial(data.oakland, n), f"oakland {n}", True, path)
             )
             noisy = partial(data.oakland_noisy, n)
-            found.append(
+            sets.append(
                 DataSet(
                     f"{name}, 5 % background added",
                     OAKLAND_NOISY,
@@ -100,43 +100,43 @@ def data_sets() -> tuple[DataSet, ...]:
                 )
             )
         path = data.DATA / "oakland" / "oakland_1.csv.gz"
-        found.append(
+        sets.append(
             DataSet(
                 "Oakland strip 1", OAKLAND_TRAIN, partial(data.oakland, 1), "oakland 1", source=path
             )
         )
     if (data.DATA / "kitti").exists():
-        found.append(
+        sets.append(
             DataSet(
                 "KITTI frame", KITTI, data.kitti, "kitti", True, data.DATA / "kitti" / "000000.bin"
             )
         )
     for kind, group in VIEWS.items():
-        found += [
+        sets += [
             DataSet(path.stem, group, partial(data.view, path), path.stem, source=path)
             for path in data.view_paths(kind)
             if kind == "vlp32" or int(path.stem.rsplit("_", 1)[1]) % 2
         ]
-    found += [_simulated(spec, FOREST) for spec in data.TEST_FORESTS]
-    found += [_simulated(spec, FOREST_NOISY) for spec in data.NOISY_FORESTS]
-    found += [
+    sets += [_simulated(spec, FOREST) for spec in data.TEST_FORESTS]
+    sets += [_simulated(spec, FOREST_NOISY) for spec in data.NOISY_FORESTS]
+    sets += [
         _simulated(replace(spec, cylinders=True), FOREST_CYLINDERS) for spec in data.TEST_FORESTS
     ]
-    return tuple(found)
+    return tuple(sets)
 
 
 def _slow_drives() -> list[DataSet]:
     """Return streets driven normally and slowly, of benchmarks.slow."""
-    found = []
+    drives = []
     for spec in data.SLOW_STREETS:
         for name in SLOW_DRIVES:
             drive = slow.DRIVES[name]
-            found.append(
+            drives.append(
                 DataSet(
                     f"{spec.name}, {name}", SLOW, partial(_slowed, spec, drive), f"{spec!r} {name}"
                 )
             )
-    return found
+    return drives
 
 
 def _slowed(spec: Simulated, places: Callable[[int], F64]) -> Scan:
@@ -393,30 +393,32 @@ def f1(counts: list[float]) -> float:
     return 2 * agree / (predicted + reference)
 
 
-def judged(own: dict[str, Run], items: list[DataSet], name: str) -> list[list[float]]:
+def judged(method_runs: dict[str, Run], items: list[DataSet], name: str) -> list[list[float]]:
     """Return the counts of a thing in the scans that hold enough of it."""
-    there = (own[item.how].things.get(name) for item in items if item.how in own)
+    there = (method_runs[item.how].things.get(name) for item in items if item.how in method_runs)
     return [counts for counts in there if counts is not None and counts[2] >= LEAST_SHOTS]
 
 
 def print_things(groups: dict[str, list[DataSet]], runs: dict[str, dict[str, Run]]) -> None:
     """One table a thing: methods that know it by group."""
     for name in NAMES:
-        found = {
-            method: {group: judged(own, items, name) for group, items in groups.items()}
-            for method, own in runs.items()
+        counts_by_method = {
+            method: {group: judged(method_runs, items, name) for group, items in groups.items()}
+            for method, method_runs in runs.items()
         }
-        found = {
+        counts_by_method = {
             method: cells
-            for method, cells in found.items()
-            if any(c[1] for each in cells.values() for c in each)
+            for method, cells in counts_by_method.items()
+            if any(c[1] for counts in cells.values() for c in counts)
         }
-        shown = [group for group in groups if any(cells[group] for cells in found.values())]
+        shown = [
+            group for group in groups if any(cells[group] for cells in counts_by_method.values())
+        ]
         if not shown:
             continue
         print(f"### {name[0].upper()}{name[1:]}: F1 (precision, recall; worst scan)\n")
         print(f"| | {' | '.join(shown)} |\n|---|{'---:|' * len(shown)}")
-        for method, cells in found.items():
+        for method, cells in counts_by_method.items():
             print(f"| {method} | {' | '.join(_cell(cells[group]) for group in shown)} |")
         print()
 
@@ -425,7 +427,7 @@ def _cell(counts: list[list[float]]) -> str:
     """Return the mean F1, the means of precision and recall, and the worst F1 if there are several scans."""
     if not counts:
         return ""
-    scores = [f1(each) for each in counts]
+    scores = [f1(label_counts) for label_counts in counts]
     precision = [agree / predicted if predicted else 0.0 for agree, predicted, _ in counts]
     recall = [agree / reference for agree, _, reference in counts]
     worst = f"; {min(scores):.2f}" if len(scores) > 1 else ""

@@ -68,16 +68,16 @@ def main() -> None:
                 run(points, [{"filter": name, **setting}], None if judged == "noise" else known)[0]
                 for (_, points), known in zip(streets, before, strict=True)
             ]
-            found = [
-                float(np.nan_to_num(judge(scan, *as_image(scan, own)).score(f"f1.{judged}")))
-                for (scan, _), own in zip(streets, codes, strict=True)
+            errors = [
+                float(np.nan_to_num(judge(scan, *as_image(scan, scan_codes)).score(f"f1.{judged}")))
+                for (scan, _), scan_codes in zip(streets, codes, strict=True)
             ]
             print(
-                f"{np.mean(found):.3f}  {' '.join(f'{f:.3f}' for f in found)}  {name} {setting}",
+                f"{np.mean(errors):.3f}  {' '.join(f'{f:.3f}' for f in errors)}  {name} {setting}",
                 flush=True,
             )
-            if judged == "noise" and np.mean(found) > best:
-                best = float(np.mean(found))
+            if judged == "noise" and np.mean(errors) > best:
+                best = float(np.mean(errors))
                 noisy = codes
         before = noisy
 

@@ -84,17 +84,17 @@ def judge(angle_rad: F64, range_m: F32) -> tuple[int, int, int, float]:
 
 def main() -> None:
     """Print a table."""
-    found: dict[tuple[str, int], list[tuple[int, int, int, float]]] = {}
+    verdicts: dict[tuple[str, int], list[tuple[int, int, int, float]]] = {}
     for title, scan in scans(int(sys.argv[1]) if len(sys.argv) > 1 else 8201):
         lines = scan.range_m[np.isfinite(scan.range_m).any(axis=1)]
         for n in (SPREAD_LINES, MOST_LINES):
             starts = range(0, max(len(lines) - MOST_LINES, 1), EVERY)
-            found.setdefault((title, n), []).extend(
-                judge(scan.angle_rad, lines[at : at + n]) for at in starts
+            verdicts.setdefault((title, n), []).extend(
+                judge(scan.angle_rad, lines[start : start + n]) for start in starts
             )
     print("| scans | lines | windows | right | wrong | refused | off in the middle | at most |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
-    for (title, n), rows in found.items():
+    for (title, n), rows in verdicts.items():
         table = np.array(rows)
         right = table[table[:, 0] > 0, 3]
         counts = " | ".join(str(int(count)) for count in table[:, :3].sum(axis=0))

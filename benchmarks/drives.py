@@ -58,10 +58,10 @@ def drive_points(
 ) -> laspy.ScaleAwarePointRecord:
     """Records of some scan lines at 100 lines per second and 5 cm between lines."""
     line, column = np.indices(image.shape).reshape(2, -1)
-    found = np.isfinite(image.ravel()) & (image.ravel() > 0)
-    line = line[found] + first
-    column = column[found]
-    range_m = image.ravel()[found]
+    is_return = np.isfinite(image.ravel()) & (image.ravel() > 0)
+    line = line[is_return] + first
+    column = column[is_return]
+    range_m = image.ravel()[is_return]
     turn = 2 * np.pi * column / POINTS_PER_LINE
     points = laspy.ScaleAwarePointRecord.zeros(len(range_m), header=header)
     across = range_m * np.cos(turn) * np.sqrt(0.5)

@@ -65,16 +65,18 @@ def scans(seeds: list[int], only: str) -> Iterator[tuple[str, str, Making]]:
         scene = SCENES[seed % len(SCENES)]
         wood = WOODS[seed % len(WOODS)]
         for group, spec in STREETS.items():
-            own = replace(spec, seed=seed, scene=scene, noise=spec.noise or 0.0)
-            groups.setdefault(group, []).append((f"{scene} {seed}", partial(data.simulated, own)))
+            settings = replace(spec, seed=seed, scene=scene, noise=spec.noise or 0.0)
+            groups.setdefault(group, []).append(
+                (f"{scene} {seed}", partial(data.simulated, settings))
+            )
         forest = Simulated("", seed, 15, wood, "focus3d-120", kind="forest")
         groups.setdefault("forest", []).append((f"{wood} {seed}", partial(data.simulated, forest)))
     groups["Oakland"] = [(f"strip {strip}", partial(data.oakland, strip)) for strip in (1, 2, 3)]
     yield from (
-        (group, *each)
+        (group, *scan)
         for group, every in groups.items()
         if group.startswith(only)
-        for each in every
+        for scan in every
     )
 
 
@@ -113,8 +115,8 @@ def f1_of(python: str, scan: Scan, folder: Path) -> dict[str, float]:
         return {}  # what is refused has no labels
     mapping = MAPPINGS.get(scan.mapping, scan.mapping)
     evaluate = [*run, "evaluate", str(labels), str(reference), "--mapping", mapping, "--json"]
-    found = subprocess.run(evaluate, cwd=folder, capture_output=True, text=True, check=True)
-    classes = json.loads(found.stdout)["classes"]
+    process = subprocess.run(evaluate, cwd=folder, capture_output=True, text=True, check=True)
+    classes = json.loads(process.stdout)["classes"]
     return {
         NAMES.get(name, name): scores["f1"] or 0.0
         for name, scores in classes.items()
@@ -140,10 +142,10 @@ def row(name: str, after: dict[str, float], before: dict[str, float] | None) -> 
     return f"| {name} | {' | '.join(cells)} |"
 
 
-def mean(found: list[dict[str, float]]) -> dict[str, float]:
+def mean(all_scores: list[dict[str, float]]) -> dict[str, float]:
     """Return the mean F1 of every class over the scans that have it."""
-    own = {key: [one[key] for one in found if key in one] for key in CLASSES}
-    return {key: float(np.mean(every)) for key, every in own.items() if every}
+    by_class = {key: [scores[key] for scores in all_scores if key in scores] for key in CLASSES}
+    return {key: float(np.mean(every)) for key, every in by_class.items() if every}
 
 
 def main() -> None:
@@ -163,11 +165,11 @@ def main() -> None:
     for group, name, make in scans(numbers(chosen.seeds), chosen.only):
         with tempfile.TemporaryDirectory() as folder:
             scan = make()
-            found = [f1_of(python, scan, Path(folder)) for python in pythons]
-        groups.setdefault(group, []).append(found)
-        print(row(f"{group}: {name}", found[0], found[1] if len(found) > 1 else None), flush=True)
+            f1 = [f1_of(python, scan, Path(folder)) for python in pythons]
+        groups.setdefault(group, []).append(f1)
+        print(row(f"{group}: {name}", f1[0], f1[1] if len(f1) > 1 else None), flush=True)
     for group, every in groups.items():
-        means = [mean([found[k] for found in every]) for k in range(len(pythons))]
+        means = [mean([row[k] for row in every]) for k in range(len(pythons))]
         print(row(f"**{group}, mean**", means[0], means[1] if len(means) > 1 else None))
 
 

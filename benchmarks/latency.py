@@ -39,7 +39,7 @@ def waits(ranges: F32, preset: str, block: int) -> list[float]:
     n_lines, width = ranges.shape
     options = ["--preset", preset, "--set", f"prc.lines_per_block={block}"]
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", "-M", str(width), *options]
-    found: list[float] = []
+    seconds: list[float] = []
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
     ) as process:
@@ -53,10 +53,10 @@ def waits(ranges: F32, preset: str, block: int) -> list[float]:
             missing = block * width
             while missing:
                 missing -= len(os.read(process.stdout.fileno(), missing))
-            found.append(time.perf_counter() - start)
+            seconds.append(time.perf_counter() - start)
         process.stdin.close()
         process.stdout.read()
-    return found
+    return seconds
 
 
 def main() -> None:
@@ -67,9 +67,9 @@ def main() -> None:
     print("|---|---:|---:|---:|---:|")
     for name, kind, scanner, preset, block in JOBS:
         ranges, line_hz = lines_of(kind, scanner, LINES)
-        found = 1e3 * np.array(waits(ranges, preset, block)[max(1, WARM // block) :])
-        middle, high = np.percentile(found, [50, 99])
-        print(f"| {name} | {middle:.2f} | {high:.2f} | {found.max():.2f} | {1e3 / line_hz:.1f} |")
+        wait_ms = 1e3 * np.array(waits(ranges, preset, block)[max(1, WARM // block) :])
+        middle, high = np.percentile(wait_ms, [50, 99])
+        print(f"| {name} | {middle:.2f} | {high:.2f} | {wait_ms.max():.2f} | {1e3 / line_hz:.1f} |")
 
 
 if __name__ == "__main__":

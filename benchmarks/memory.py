@@ -127,9 +127,9 @@ def main() -> None:
     sizes = " | ".join(f"{n * POINTS_PER_LINE / 1e6:.1f} M shots [MiB]" for n in lines)
     print(f"| job | {sizes} | ratio | goal [MiB] |")
     print("|---|---|---|---|---|")
-    for job, found in peaks.items():
-        cells = [f"{peak:.0f}" for peak in found] + [""] * (2 - len(found))
-        ratio = f"{found[1] / found[0]:.2f}" if len(found) == 2 else ""
+    for job, job_peaks in peaks.items():
+        cells = [f"{peak:.0f}" for peak in job_peaks] + [""] * (2 - len(job_peaks))
+        ratio = f"{job_peaks[1] / job_peaks[0]:.2f}" if len(job_peaks) == 2 else ""
         print(
             f"| {job} | {' | '.join(cells)} | {ratio} | {LIMIT_MIB if 'calibrate' not in job else ''} |"
         )

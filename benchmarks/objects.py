@@ -65,9 +65,11 @@ class Listed:
 
     def offset(self, xyz: F64, index: F64) -> F64:
         """Return the distance in plan of points from things, each at the height of its point [m]."""
-        at = self.base[index, :2] + self.slope[index] * (xyz[:, 2] - self.base[index, 2])[:, None]
-        found: F64 = np.linalg.norm(xyz[:, :2] - at, axis=1)
-        return found
+        axis_m = (
+            self.base[index, :2] + self.slope[index] * (xyz[:, 2] - self.base[index, 2])[:, None]
+        )
+        distance: F64 = np.linalg.norm(xyz[:, :2] - axis_m, axis=1)
+        return distance
 
     def nearest(self, xyz: F64) -> tuple[Any, F64]:
         """Return the nearest thing of every point, among the four whose feet are nearest, and its distance [m]."""
@@ -118,28 +120,32 @@ def compare(
     which, off = listed.nearest(shots)
     n_shots = np.bincount(which[off < NEAR_M[listed.kind]], minlength=len(listed.base))
     seen = n_shots >= RULES[listed.kind].least_shots
-    told = np.array([[one.x, one.y, one.z] for one in things if one.kind == listed.kind]).reshape(
-        -1, 3
+    listed_m = np.array(
+        [[thing.x, thing.y, thing.z] for thing in things if thing.kind == listed.kind]
+    ).reshape(-1, 3)
+    of, distance = (
+        listed.nearest(listed_m) if len(listed_m) else (np.empty(0, np.int64), np.empty(0))
     )
-    of, distance = listed.nearest(told) if len(told) else (np.empty(0, np.int64), np.empty(0))
     right = distance < NEAR_M[listed.kind]
     said = right.copy()
-    if listed.kind == "car" and len(told):
-        said |= cKDTree(shots[:, :2]).query(told[:, :2])[0] < SHOTS_M
+    if listed.kind == "car" and len(listed_m):
+        said |= cKDTree(shots[:, :2]).query(listed_m[:, :2])[0] < SHOTS_M
     tree = cKDTree(way)
     for ring in RINGS_M:
         inside = tree.query(listed.base[:, :2])[0] < ring
-        near: Mask = (tree.query(told[:, :2])[0] < ring) if len(told) else np.empty(0, np.bool_)
-        found = np.isin(np.arange(len(listed.base)), of[right])
+        near: Mask = (
+            (tree.query(listed_m[:, :2])[0] < ring) if len(listed_m) else np.empty(0, np.bool_)
+        )
+        is_found = np.isin(np.arange(len(listed.base)), of[right])
         n_seen = int(np.count_nonzero(seen & inside))
         n_near = int(np.count_nonzero(near))
-        recall = np.count_nonzero(found & seen & inside) / n_seen if n_seen else float("nan")
+        recall = np.count_nonzero(is_found & seen & inside) / n_seen if n_seen else float("nan")
         precision = np.count_nonzero(said & near) / n_near if n_near else float("nan")
         n_found = len(np.unique(of[right & near]))
-        each = np.count_nonzero(right & near) / n_found if n_found else float("nan")
+        found_share = np.count_nonzero(right & near) / n_found if n_found else float("nan")
         middle = float(np.median(distance[right & near])) if n_found else float("nan")
         print(
-            f"| {listed.kind}, {ring:g} m | {n_seen} | {n_near} | {recall:.2f} | {precision:.2f} | {each:.2f} | "
+            f"| {listed.kind}, {ring:g} m | {n_seen} | {n_near} | {recall:.2f} | {precision:.2f} | {found_share:.2f} | "
             f"{middle:.2f} |",
             flush=True,
         )
@@ -152,19 +158,19 @@ def compare_curbs(line: I64, column: I64, things: list[Thing]) -> None:
     """
     is_found = np.zeros(len(line), np.bool_)
     n_lines = n_right = 0
-    told = [one for one in things if one.kind == "curb"]
-    for one in told:
-        inside = (line >= one.first_line) & (line <= one.last_line)
-        inside &= (column >= one.first_column - CURB_COLUMNS) & (
-            column <= one.last_column + CURB_COLUMNS
+    curbs = [curb for curb in things if curb.kind == "curb"]
+    for curb in curbs:
+        inside = (line >= curb.first_line) & (line <= curb.last_line)
+        inside &= (column >= curb.first_column - CURB_COLUMNS) & (
+            column <= curb.last_column + CURB_COLUMNS
         )
         is_found |= inside
-        n_lines += one.last_line - one.first_line + 1
+        n_lines += curb.last_line - curb.first_line + 1
         n_right += len(np.unique(line[inside]))
     recall = is_found.mean() if len(line) else float("nan")
     precision = n_right / n_lines if n_lines else float("nan")
     print(
-        f"| curb, along the lines |  | {len(told)} | {recall:.2f} | {precision:.2f} |  |  |",
+        f"| curb, along the lines |  | {len(curbs)} | {recall:.2f} | {precision:.2f} |  |  |",
         flush=True,
     )
 
@@ -180,8 +186,12 @@ def main() -> None:
     kinds: tuple[Kind, ...] = ("forest", "street") if options.streets else ("forest",)
     for kind in kinds:
         for i, scene in enumerate(SCENES[kind]):
-            given = {"seed": options.seed + i, "scene": {"name": scene}, "length_m": LENGTH_M[kind]}
-            settings = load_settings(kind, options=given)
+            scene_options = {
+                "seed": options.seed + i,
+                "scene": {"name": scene},
+                "length_m": LENGTH_M[kind],
+            }
+            settings = load_settings(kind, options=scene_options)
             print(f"\n{kind}, {scene}, seed {options.seed + i}\n")
             print(
                 "| within | seen | told | recall | precision | told per thing | distance, median [m] |"
@@ -216,11 +226,11 @@ def _one(
     lists = (
         [trees(stems)] if kind == "forest" else [built("pole", settings), built("car", settings)]
     )
-    own = ClassCodes()
+    class_codes = ClassCodes()
     for listed in lists:
-        compare(listed, xyz[codes == own.code(Label[listed.kind.upper()])], things, way)
+        compare(listed, xyz[codes == class_codes.code(Label[listed.kind.upper()])], things, way)
     if kind == "street":
-        is_curb = codes == own.code(Label.CURB)
+        is_curb = codes == class_codes.code(Label.CURB)
         line, column = (
             np.asarray(las[name])[is_curb].astype(np.int64) for name in ("scan_line", "column")
         )

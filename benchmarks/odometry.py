@@ -83,7 +83,7 @@ class Drive:
     """(n, 3) float64 each, relative to the scanner [m]."""
     true: list[I64]
     """(n,) int64 each, class codes of the simulator."""
-    found: list[I64]
+    predicted: list[I64]
     """(n,) int64 each, class codes of prc."""
     poses: F64
     """(frames, 4, 4), from the first."""
@@ -99,15 +99,15 @@ def read_frames(folder: Path) -> list[F64]:
 
 def labelled(folder: Path) -> list[I64]:
     """Return the classes that prc gives the frames of a folder."""
-    found = []
+    drives = []
     loaded = load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         for path in sorted(folder.glob("*.bin")):
             output = Path(place) / f"{path.stem}.npy"
             classify(path, output, loaded)
-            found.append(np.load(output).ravel().astype(np.int64))
-    return found
+            drives.append(np.load(output).ravel().astype(np.int64))
+    return drives
 
 
 def make(
@@ -165,17 +165,19 @@ def only_static(*, is_true: bool = False) -> Frames:
 def _chosen(
     drive: Drive, choose: Callable[[I64], Any], *, is_true: bool
 ) -> Iterator[tuple[F64, I64]]:
-    for points, classes in zip(drive.points, drive.true if is_true else drive.found, strict=True):
+    for points, classes in zip(
+        drive.points, drive.true if is_true else drive.predicted, strict=True
+    ):
         keep = choose(classes)
         yield points[keep], classes[keep]
 
 
-def as_many(other: Frames) -> Frames:
+def as_many(frames_like: Frames) -> Frames:
     """Return as many points of every frame as another arm has, drawn at random."""
 
     def frames(drive: Drive) -> Iterator[tuple[F64, I64]]:
         random = np.random.default_rng(1)
-        for points, (wanted, _) in zip(drive.points, other(drive), strict=True):
+        for points, (wanted, _) in zip(drive.points, frames_like(drive), strict=True):
             keep = np.sort(random.choice(len(points), len(wanted), replace=False))
             yield points[keep], np.zeros(len(keep), np.int64)
 
@@ -194,9 +196,9 @@ def weighted(drive: Drive) -> Iterator[tuple[F64, I64]]:
         yield np.concatenate(parts), ONE_CLASS
 
 
-def in_one(other: Frames) -> Frames:
+def in_one(frames: Frames) -> Frames:
     """Return an arm whose points are of one class to what matches class to class."""
-    return lambda drive: ((points, np.zeros(len(points), np.int64)) for points, _ in other(drive))
+    return lambda drive: ((points, np.zeros(len(points), np.int64)) for points, _ in frames(drive))
 
 
 GREENLESS = but("noise", "vegetation")
@@ -248,13 +250,13 @@ def runs_of(job: tuple[str, int, int, bool]) -> Result:
         os.sched_setaffinity(0, {cores[os.getpid() % len(cores)]})
     with tempfile.TemporaryDirectory() as folder:
         drive = make(SCENES[name], seed, n_frames, Path(folder))
-    found = {
+    runs = {
         (library, arm): run(library, frames(drive), drive.poses)
         for (library, arm), frames in PLAN.items()
         if has_slow or library not in SLOW
     }
     print(name, seed, "done", flush=True)
-    return name, seed, found, drive.poses[:, :3, 3]
+    return name, seed, runs, drive.poses[:, :3, 3]
 
 
 MEASURES = (
@@ -279,11 +281,11 @@ def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
     rows = []
     for (library, arm), seeds in runs.items():
         cells = [
-            spread([getattr(one, key) for one in seeds], digits) for _, key, digits in MEASURES
+            spread([getattr(run, key) for run in seeds], digits) for _, key, digits in MEASURES
         ]
-        failed = f"{sum(one.is_failed for one in seeds)} of {len(seeds)}"
+        failed = f"{sum(run.is_failed for run in seeds)} of {len(seeds)}"
         means = (
-            f"{np.mean([getattr(one, key) for one in seeds]):,.0f}" for key in ("ms", "points")
+            f"{np.mean([getattr(run, key) for run in seeds]):,.0f}" for key in ("ms", "points")
         )
         rows.append((f"{library}: {arm}", *cells, failed, *means))
     return table(
@@ -304,12 +306,12 @@ def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, 
     for library, arm in PLAN:
         seeds = [runs.get((library, arm), []) for runs in every.values()]
         cells = [
-            f"{np.median([getattr(one, key) for one in scene]):.{digits}f}" if scene else "–"
+            f"{np.median([getattr(run, key) for run in scene]):.{digits}f}" if scene else "–"
             for scene in seeds
         ]
-        flat = [one for scene in seeds for one in scene]
+        flat = [run for scene in seeds for run in scene]
         rows.append(
-            (f"{library}: {arm}", *cells, f"{sum(one.is_failed for one in flat)} of {len(flat)}")
+            (f"{library}: {arm}", *cells, f"{sum(run.is_failed for run in flat)} of {len(flat)}")
         )
     return table(("library: points", *every, "failed"), rows)
 
@@ -351,14 +353,16 @@ def results(
         return list(pool.map(runs_of, jobs))
 
 
-def page(found: list[Result], n_frames: int, picture: Path) -> str:
+def page(results: list[Result], n_frames: int, picture: Path) -> str:
     """Return the page, and draw the paths of the first seed in snow."""
     every: dict[str, dict[tuple[str, str], list[Run]]] = {}
-    for name, _, runs, _ in found:
-        for key, one in runs.items():
-            every.setdefault(name, {}).setdefault(key, []).append(one)
-    seeds = sorted({seed for _, seed, _, _ in found})
-    name, _, runs, path_m = next((one for one in found if one[0].startswith("snow")), found[0])
+    for name, _, runs, _ in results:
+        for key, run_of_key in runs.items():
+            every.setdefault(name, {}).setdefault(key, []).append(run_of_key)
+    seeds = sorted({seed for _, seed, _, _ in results})
+    name, _, runs, path_m = next(
+        (result for result in results if result[0].startswith("snow")), results[0]
+    )
     arms = ("all points", "ground, building, pole")
     drawn(name, {arm: runs["small_gicp", arm].path_m for arm in arms}, path_m, picture)
     parts = [
@@ -397,15 +401,15 @@ def main() -> None:
         return
     names = [name for name in SCENES if name.startswith(tuple(options.scenes))]
     picture = PICTURE if options.page == PAGE else options.page.with_suffix(".png")
-    found = results(names, list(options.seeds), options.frames, options.jobs)
-    options.page.write_text(page(found, options.frames, picture), encoding="utf-8")
+    all_results = results(names, list(options.seeds), options.frames, options.jobs)
+    options.page.write_text(page(all_results, options.frames, picture), encoding="utf-8")
 
 
 def smoke(folder: Path) -> None:
     """Print how far every library says that frames without truth went."""
     points = read_frames(folder)
-    found = labelled(folder)
-    drive = Drive(points, found, found, np.tile(np.eye(4), (len(points), 1, 1)))
+    drives = labelled(folder)
+    drive = Drive(points, drives, drives, np.tile(np.eye(4), (len(points), 1, 1)))
     for arm in ("all points", "− noise", "ground, building, pole"):
         for library in LIBRARIES:
             end = run(library, ARMS[arm](drive), drive.poses).path_m[-1]

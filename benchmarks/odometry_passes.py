@@ -68,7 +68,7 @@ class Pass:
     """(n, 3) true coordinates."""
     time_s: F64
     true: I64
-    found: I64
+    predicted: I64
     way_s: F64
     """(m,) times of the trajectory."""
     way_m: F64
@@ -123,14 +123,14 @@ class Drift:
 
     def __init__(
         self,
-        one: Pass,
+        drive_pass: Pass,
         seed: int,
         start_m: float = 0.0,
         start_deg: float = 0.0,
     ) -> None:
         random = np.random.default_rng(seed)
-        self._one = one
-        self._from_s = float(one.way_s[0])
+        self._one = drive_pass
+        self._from_s = float(drive_pass.way_s[0])
         self._acceleration = random.normal(0.0, ACCELERATION)
         self._turn = np.deg2rad(random.normal(0.0, TURN_DEG))
         self._start_m = np.array([*random.uniform(-start_m, start_m, 2), 0.0])
@@ -138,10 +138,11 @@ class Drift:
 
     def __call__(self, xyz_m: F64, time_s: F64) -> F64:
         """Return where points come to lie, (n, 3)."""
-        one = self._one
+        drive_pass = self._one
         after = time_s - self._from_s
         place = np.stack(
-            [np.interp(time_s, one.way_s, one.way_m[:, axis]) for axis in range(3)], axis=1
+            [np.interp(time_s, drive_pass.way_s, drive_pass.way_m[:, axis]) for axis in range(3)],
+            axis=1,
         )
         upright = np.array([0.0, 0.0, 1.0])
         swung = Rotation.from_rotvec((self._turn * after)[:, None] * upright).apply(xyz_m - place)
@@ -152,7 +153,7 @@ class Drift:
 def icp(target_m: F64, source_m: F64) -> F64:
     """Return the matrix that brings points onto others, (4, 4)."""
     middle = target_m.mean(axis=0)
-    found = small_gicp.align(
+    alignment = small_gicp.align(
         target_m - middle,
         source_m - middle,
         downsampling_resolution=DOWN_M,
@@ -160,7 +161,7 @@ def icp(target_m: F64, source_m: F64) -> F64:
         max_iterations=50,
     )
     back = np.eye(4)
-    matrix = np.array(found.T_target_source)
+    matrix = np.array(alignment.T_target_source)
     back[:3, 3] = middle
     return back @ matrix @ np.linalg.inv(back)
 
@@ -212,10 +213,11 @@ def strips(seed: int, length_m: float) -> dict[str, list[float]]:
         )
     drifted = Drift(second, seed)(second.xyz_m, second.time_s)
     result: dict[str, list[float]] = {"before": [], **{arm: [] for arm in STRIPS}}
-    start = max(one.way_m[0, 0] for one in (first, second))
+    start = max(drive_pass.way_m[0, 0] for drive_pass in (first, second))
     for low in np.arange(start, start + length_m - STRIP_M / 2, STRIP_M):
         ours, theirs = (
-            (one.xyz_m[:, 0] >= low) & (one.xyz_m[:, 0] < low + STRIP_M) for one in (first, second)
+            (drive_pass.xyz_m[:, 0] >= low) & (drive_pass.xyz_m[:, 0] < low + STRIP_M)
+            for drive_pass in (first, second)
         )
         near = (
             np.abs(second.xyz_m[theirs, 1] - np.interp(low, second.way_m[:, 0], second.way_m[:, 1]))
@@ -224,26 +226,26 @@ def strips(seed: int, length_m: float) -> dict[str, list[float]]:
         judged = np.flatnonzero(theirs)[near & ~np.isin(second.true[theirs], MOVABLE)]
         result["before"].append(off(drifted[judged], second.xyz_m[judged]))
         for arm, choose in STRIPS.items():
-            target = first.xyz_m[ours][choose(first.found[ours], first.true[ours])]
-            source = drifted[theirs][choose(second.found[theirs], second.true[theirs])]
+            target = first.xyz_m[ours][choose(first.predicted[ours], first.true[ours])]
+            source = drifted[theirs][choose(second.predicted[theirs], second.true[theirs])]
             result[arm].append(
                 off(moved(icp(target, source), drifted[judged]), second.xyz_m[judged])
             )
     return result
 
 
-def stems_of(one: Pass, folder: Path) -> tuple[F64, F64]:
+def stems_of(drive_pass: Pass, folder: Path) -> tuple[F64, F64]:
     """Return places, (n, 2), and times, (n,), of the stems that prc objects tells of a pass."""
-    output = folder / f"{one.path.stem}_stems.csv"
+    output = folder / f"{drive_pass.path.stem}_stems.csv"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         anew = load_config(preset="fused-forest")
-        find_objects(one.path, output, anew, kinds=("stem",))
+        find_objects(drive_pass.path, output, anew, kinds=("stem",))
     with output.open(encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
     lines = np.array([(int(row["first_line"]) + int(row["last_line"])) / 2 for row in rows])
     n_lines = max(int(row["last_line"]) for row in rows) + 1
-    every = np.linspace(one.time_s.min(), one.time_s.max(), n_lines)
+    every = np.linspace(drive_pass.time_s.min(), drive_pass.time_s.max(), n_lines)
     places = np.array([[float(row["x"]), float(row["y"]), float(row["z"])] for row in rows])
     return places, np.interp(lines, np.arange(n_lines), every)
 
@@ -253,10 +255,10 @@ def _rigid(source_m: F64, target_m: F64) -> F64:
     turn, _ = Rotation.align_vectors(
         target_m - target_m.mean(axis=0), source_m - source_m.mean(axis=0)
     )
-    found = np.eye(4)
-    found[:3, :3] = turn.as_matrix()
-    found[:3, 3] = target_m.mean(axis=0) - turn.apply(source_m.mean(axis=0))
-    return found
+    pose = np.eye(4)
+    pose[:3, :3] = turn.as_matrix()
+    pose[:3, 3] = target_m.mean(axis=0) - turn.apply(source_m.mean(axis=0))
+    return pose
 
 
 def pairs_by_pattern(ours_m: F64, theirs_m: F64) -> I64:
@@ -265,11 +267,11 @@ def pairs_by_pattern(ours_m: F64, theirs_m: F64) -> I64:
     for places in (ours_m, theirs_m):
         apart, _ = cKDTree(places).query(places, k=min(BUDDIES + 1, len(places)))
         patterns.append(apart[:, 1:])
-    found = []
+    matches = []
     for j, theirs in enumerate(patterns[1]):
         near = np.abs(theirs[None, :, None] - patterns[0][:, None, :]).min(axis=2) < CLOSE_M
-        found += [(i, j) for i in np.flatnonzero(near.sum(axis=1) >= 2)]
-    return np.array(found, np.int64).reshape(-1, 2)
+        matches += [(i, j) for i in np.flatnonzero(near.sum(axis=1) >= 2)]
+    return np.array(matches, np.int64).reshape(-1, 2)
 
 
 def matched(ours_m: F64, theirs_m: F64) -> F64 | None:
@@ -284,10 +286,10 @@ def matched(ours_m: F64, theirs_m: F64) -> F64 | None:
     model, inliers = ransac(sides, EuclideanTransform, 2, CLOSE_M, max_trials=5000, rng=1)
     if model is None or inliers is None or inliers.sum() < 4:
         return None
-    found = np.eye(4)
-    found[:2, :2] = model.params[:2, :2]
-    found[:2, 3] = model.params[:2, 2]
-    return found
+    pose = np.eye(4)
+    pose[:2, :2] = model.params[:2, :2]
+    pose[:2, 3] = model.params[:2, 2]
+    return pose
 
 
 def forest(seed: int, length_m: float) -> dict[str, float]:
@@ -318,7 +320,9 @@ def forest(seed: int, length_m: float) -> dict[str, float]:
         "ICP, points of stems alone": lambda codes: codes == CODE["stem"],
     }
     for arm, choose in chosen.items():
-        result[arm] = apart(icp(first.xyz_m[choose(first.found)], drifted[choose(second.found)]))
+        result[arm] = apart(
+            icp(first.xyz_m[choose(first.predicted)], drifted[choose(second.predicted)])
+        )
     matrix = matched(ours, drift(theirs, times))
     result["stems by their pattern, RANSAC"] = float("nan") if matrix is None else apart(matrix)
     return {**result, "stems, first pass": len(ours), "stems, second pass": len(theirs)}
@@ -331,14 +335,14 @@ def page(
 ) -> str:
     """Return the page of what every seed gave: strips and walk."""
     seeds = [seed for seed, _, _ in of_seeds]
-    found: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
     walks: dict[str, list[float]] = {}
     for _, of_strips, of_walk in of_seeds:
         for arm, values in of_strips.items():
-            found.setdefault(arm, []).extend(values)
+            errors.setdefault(arm, []).extend(values)
         for arm, value in of_walk.items():
             walks.setdefault(arm, []).append(value)
-    rows = [(arm, spread(values, 3), str(len(values))) for arm, values in found.items()]
+    rows = [(arm, spread(values, 3), str(len(values))) for arm, values in errors.items()]
     of_walks = [
         (
             arm,
@@ -379,11 +383,11 @@ def main() -> None:
     parser.add_argument("--walk", type=float, default=WALK_M, help="length of a walk [m]")
     parser.add_argument("--page", type=Path, default=PAGE)
     options = parser.parse_args()
-    found = []
+    passes = []
     for seed in options.seeds:
-        found.append((seed, strips(seed, options.streets), forest(seed, options.walk)))
+        passes.append((seed, strips(seed, options.streets), forest(seed, options.walk)))
         print(seed, "done", flush=True)
-    options.page.write_text(page(found, options.streets, options.walk), encoding="utf-8")
+    options.page.write_text(page(passes, options.streets, options.walk), encoding="utf-8")
 
 
 if __name__ == "__main__":

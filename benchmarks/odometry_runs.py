@@ -91,9 +91,11 @@ class Small:
     def __call__(self, points: F64, _: I64) -> F64:
         cloud, _tree = small_gicp.preprocess_points(points, downsampling_resolution=DOWN_M)
         if not self.is_first:
-            found = small_gicp.align(self.map, cloud, init_T_target_source=self.pose @ self.delta)
-            self.delta = np.linalg.inv(self.pose) @ found.T_target_source
-            self.pose = np.array(found.T_target_source)
+            alignment = small_gicp.align(
+                self.map, cloud, init_T_target_source=self.pose @ self.delta
+            )
+            self.delta = np.linalg.inv(self.pose) @ alignment.T_target_source
+            self.pose = np.array(alignment.T_target_source)
         self.is_first = False
         self.map.insert(cloud, self.pose)
         return self.pose
@@ -111,30 +113,33 @@ class ClassToClass:
         self.kept: deque[dict[int, tuple[F64, F64]]] = deque(maxlen=N_KEPT)
 
     def __call__(self, points: F64, classes: I64) -> F64:
-        own = {}
-        for one in np.unique(classes).tolist():
-            mine = points[classes == one]
+        by_label = {}
+        for label in np.unique(classes).tolist():
+            mine = points[classes == label]
             if len(mine) > 20:
                 cloud, _ = small_gicp.preprocess_points(mine, downsampling_resolution=DOWN_M)
-                own[one] = np.array(cloud.points()[:, :3]), np.array(cloud.normals()[:, :3])
+                by_label[label] = np.array(cloud.points()[:, :3]), np.array(cloud.normals()[:, :3])
         if self.kept:
             before = self.pose
-            self.pose = self._aligned(own, self.pose @ self.delta)
+            self.pose = self._aligned(by_label, self.pose @ self.delta)
             self.delta = np.linalg.inv(before) @ self.pose
         turn = self.pose[:3, :3]
         shift = self.pose[:3, 3]
         self.kept.append(
-            {one: (xyz @ turn.T + shift, normal @ turn.T) for one, (xyz, normal) in own.items()}
+            {
+                label: (xyz @ turn.T + shift, normal @ turn.T)
+                for label, (xyz, normal) in by_label.items()
+            }
         )
         return self.pose
 
-    def _aligned(self, own: dict[int, tuple[F64, F64]], pose: F64) -> F64:
+    def _aligned(self, by_label: dict[int, tuple[F64, F64]], pose: F64) -> F64:
         """Return the pose of a frame, by Gauss-Newton with Cauchy's weights."""
         sides = []
-        for one, (points, _) in own.items():
-            there = [frame[one] for frame in self.kept if one in frame]
+        for label, (points, _) in by_label.items():
+            there = [frame[label] for frame in self.kept if label in frame]
             if there:
-                xyz, normal = (np.concatenate(each) for each in zip(*there, strict=True))
+                xyz, normal = (np.concatenate(arrays) for arrays in zip(*there, strict=True))
                 sides.append((points, xyz, normal, small_gicp.KdTree(xyz)))
         for _ in range(N_TURNS):
             lines = []
@@ -144,10 +149,10 @@ class ClassToClass:
                 which, squares = map(np.asarray, tree.batch_nearest_neighbor_search(moved))
                 near = squares < NEAR_M**2
                 moved = moved[near]
-                at = xyz[which[near]]
+                targets = xyz[which[near]]
                 up = normal[which[near]]
                 lines.append(np.hstack([np.cross(moved - pose[:3, 3], up), up]))
-                apart.append(((moved - at) * up).sum(axis=1))
+                apart.append(((moved - targets) * up).sum(axis=1))
             rows = np.concatenate(lines)
             off = np.concatenate(apart)
             weight = 1.0 / (1.0 + (off / 0.1) ** 2)
@@ -220,22 +225,22 @@ def run(name: str, frames: Iterable[tuple[F64, I64]], truth: F64) -> Run:
         if k:
             delta = np.linalg.inv(poses[-1]) @ pose
             poses.append(pose)
-    found = np.array(poses)
-    n = len(found)
+    path = np.array(poses)
+    n = len(path)
     ms = 1e3 * spent / n
     mean = n_points / n
-    away = np.linalg.norm(found[:, :3, 3] - truth[:n, :3, 3], axis=1)
+    away = np.linalg.norm(path[:, :3, 3] - truth[:n, :3, 3], axis=1)
     way_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
     is_failed = n < len(truth) or bool(away.max() > max(FAILED_M, FAILED_SHARE * way_m))
     if n < 10:
-        return Run(*[float("nan")] * 4, True, ms, mean, found[:, :3, 3])
+        return Run(*[float("nan")] * 4, True, ms, mean, path[:, :3, 3])
     return Run(
-        *_evo(truth[:n], found), *_kitti(truth[:n], found), is_failed, ms, mean, found[:, :3, 3]
+        *_evo(truth[:n], path), *_kitti(truth[:n], path), is_failed, ms, mean, path[:, :3, 3]
     )
 
 
-def _evo(truth: F64, found: F64) -> tuple[float, float]:
-    sides = [PosePath3D(poses_se3=[_rigid(pose) for pose in poses]) for poses in (truth, found)]
+def _evo(truth: F64, estimate: F64) -> tuple[float, float]:
+    sides = [PosePath3D(poses_se3=[_rigid(pose) for pose in poses]) for poses in (truth, estimate)]
     relative = metrics.RPE(metrics.PoseRelation.translation_part, 1, metrics.Unit.frames)
     relative.process_data(tuple(sides))
     sides[1].align(sides[0])
@@ -247,13 +252,13 @@ def _evo(truth: F64, found: F64) -> tuple[float, float]:
 
 def _rigid(pose: F64) -> F64:
     """Return a pose whose rotation is one in all digits, (4, 4)."""
-    found = np.eye(4)
-    found[:3, :3] = Rotation.from_matrix(pose[:3, :3]).as_matrix()
-    found[:3, 3] = pose[:3, 3]
-    return found
+    rigid = np.eye(4)
+    rigid[:3, :3] = Rotation.from_matrix(pose[:3, :3]).as_matrix()
+    rigid[:3, 3] = pose[:3, 3]
+    return rigid
 
 
-def _kitti(truth: F64, found: F64) -> tuple[float, float]:
+def _kitti(truth: F64, estimate: F64) -> tuple[float, float]:
     """Return the mean errors of parts of the way that begin at every frame.
 
     Translation [%], rotation [deg/m].
@@ -268,7 +273,7 @@ def _kitti(truth: F64, found: F64) -> tuple[float, float]:
             last = int(np.searchsorted(way_m, way_m[first] + length_m))
             if last == len(truth):
                 break
-            moves = [np.linalg.inv(poses[first]) @ poses[last] for poses in (truth, found)]
+            moves = [np.linalg.inv(poses[first]) @ poses[last] for poses in (truth, estimate)]
             error = np.linalg.inv(moves[1]) @ moves[0]
             shift.append(100 * np.linalg.norm(error[:3, 3]) / length_m)
             turn.append(

@@ -55,10 +55,11 @@ def main() -> None:
     for name, true, range_m, angle_rad in scans(seed):
         beam = np.pi - np.remainder(np.pi - angle_rad.astype(np.float64), TURN)
         starts = range(0, max(len(range_m) - SAMPLE_LINES, 0) + 1, SAMPLE_LINES)
-        found = Counter(place_of(range_m[a : a + SAMPLE_LINES], beam).kind for a in starts)
-        total.update({(true, kind): n for kind, n in found.items()})
+        places = Counter(place_of(range_m[a : a + SAMPLE_LINES], beam).kind for a in starts)
+        total.update({(true, kind): n for kind, n in places.items()})
         print(
-            f"| {name} | {found['street']} | {found['forest']} | {found['unknown']} |", flush=True
+            f"| {name} | {places['street']} | {places['forest']} | {places['unknown']} |",
+            flush=True,
         )
     for true in ("street", "forest", "park"):
         row = " | ".join(str(total[true, kind]) for kind in ("street", "forest", "unknown"))

@@ -115,14 +115,14 @@ def profiler(folder: Path) -> None:
 def strip(folder: Path) -> None:
     """The airborne strip: lines by the wrap of the scan angle, checked by the times."""
     source = DATA / "las" / "als_strip_labelled.laz"
-    found = inspect(source, load_config())
-    assert found.facts is not None
+    setup = inspect(source, load_config())
+    assert setup.facts is not None
     las = laspy.read(source)
     time_s = np.asarray(las.gps_time)[661:]
     print("## Airborne strip\n\n```console\n$ prc info als_strip_labelled.laz\n```\n")
     print("| | |\n|---|---|")
-    print(f"| lines by the wrap of the scan angle | {found.facts.n_lines} |")
-    print(f"| line frequency from the times of the lines | {found.facts.line_hz:.3f} Hz |")
+    print(f"| lines by the wrap of the scan angle | {setup.facts.n_lines} |")
+    print(f"| line frequency from the times of the lines | {setup.facts.line_hz:.3f} Hz |")
     print(
         f"| line periods between the first and the last record after the stray start | {np.ptp(time_s) * 150:.1f} |"
     )

@@ -209,7 +209,7 @@ class Drive:
         raw = work / f"{self.name}.laz"
         path = work / f"{self.name}_path.csv"
         if not path.exists():
-            own = work / f"{self.name}_own.csv"
+            kept_points = work / f"{self.name}_own.csv"
             settings = ("--scanner", self.scanner, "--duration", self.seconds, "--seed", self.seed)
             _must(
                 "simulate",
@@ -217,12 +217,12 @@ class Drive:
                 raw,
                 *settings,
                 "--trajectory",
-                own,
+                kept_points,
                 *self.options,
                 "-q",
                 "--overwrite",
             )
-            _move_path(own, path)
+            _move_path(kept_points, path)
         las = laspy.read(raw)
         n = len(las.points)
         cloud = Cloud(
@@ -240,12 +240,12 @@ class Drive:
         return cloud.take(np.argsort(cloud.time_s, kind="stable"))
 
 
-def _move_path(own: Path, path: Path) -> None:
+def _move_path(source: Path, path: Path) -> None:
     """Write a path of the simulator on the map, with GPS times."""
-    rows = np.loadtxt(own, delimiter=",", skiprows=1)
+    rows = np.loadtxt(source, delimiter=",", skiprows=1)
     rows[:, 0] += CLOCK_S
     rows[:, 1:4] += PLACE_M
-    header = own.read_text(encoding="ascii").split("\n", 1)[0]
+    header = source.read_text(encoding="ascii").split("\n", 1)[0]
     np.savetxt(path, rows, "%.6f,%.4f,%.4f,%.4f,%.5f,%.5f,%.5f", header=header, comments="")
 
 
@@ -256,11 +256,11 @@ def part_of(raw: Path, records: I64, name: str) -> Path:
         return path
     if raw.suffix == ".npz":
         with np.load(raw) as arrays:
-            found = dict(arrays)
-        kept = np.zeros(found["range_m"].size, np.bool_)
+            parts = dict(arrays)
+        kept = np.zeros(parts["range_m"].size, np.bool_)
         kept[records] = True
-        found["range_m"] = np.where(kept.reshape(found["range_m"].shape), found["range_m"], np.nan)
-        np.savez(path, **found)
+        parts["range_m"] = np.where(kept.reshape(parts["range_m"].shape), parts["range_m"], np.nan)
+        np.savez(path, **parts)
         return path
     las = laspy.read(raw)
     las.points = las.points[np.sort(records)]
@@ -402,9 +402,9 @@ class PathError:
     """Share of the true time."""
 
 
-def path_error(found: Path, true: Path) -> PathError:
+def path_error(estimate: Path, true: Path) -> PathError:
     """Compare two paths at the times of the first one."""
-    rows = read_path(found)
+    rows = read_path(estimate)
     truth = read_path(true)
     inside = (rows[:, 0] >= truth[0, 0]) & (rows[:, 0] <= truth[-1, 0])
     rows = rows[inside]
@@ -491,8 +491,8 @@ def run_case(case: Case, work: Path, output: Path) -> Row:
         row.whole = scores(np.concatenate(whole), np.concatenate(truths))
     _measure_path(case, max(parts, key=lambda piece: piece.points.stat().st_size), row, output)
     codes = _classify_drive(parts, row, output) if case.as_drive else _classify(parts, row, output)
-    row.n_points = sum(len(each) for each in codes if each is not None)
-    complete = [each for each in codes if each is not None]
+    row.n_points = sum(len(codes_of_tile) for codes_of_tile in codes if codes_of_tile is not None)
+    complete = [codes_of_tile for codes_of_tile in codes if codes_of_tile is not None]
     if truths and len(complete) == len(parts):
         row.points = scores(np.concatenate(complete), np.concatenate(truths))
         row.same = float(np.mean(np.concatenate(complete) == np.concatenate(wanted)))
@@ -508,15 +508,15 @@ def _measure_path(
 ) -> None:
     if "points" not in piece.options:
         return
-    found = output / "path.csv"
+    estimate = output / "path.csv"
     row.plain_info = prc("info", piece.points)
-    row.info = prc("info", piece.points, *piece.options, "--path", found)
-    if not found.exists():
+    row.info = prc("info", piece.points, *piece.options, "--path", estimate)
+    if not estimate.exists():
         return
     if piece.path is not None:
-        row.path = path_error(found, piece.path)
+        row.path = path_error(estimate, piece.path)
     if case.check is not None:
-        row.note = case.check(piece.points, found)
+        row.note = case.check(piece.points, estimate)
 
 
 def _classify(parts: Sequence[Part], row: Row, output: Path) -> list[U8 | None]:
@@ -627,7 +627,7 @@ def tiles(name: str, work: Path) -> list[Part]:
     """Return the tiles of a drive."""
     cloud = DRIVES[name].cloud(work)
     folder = work / f"{name}_tiles"
-    return [masked(folder / f"{tile}.laz", own, tile) for tile, own in tiles_of(cloud)]
+    return [masked(folder / f"{tile}.laz", points, tile) for tile, points in tiles_of(cloud)]
 
 
 def halves_of_street(name: str, work: Path) -> list[Part]:
@@ -635,34 +635,38 @@ def halves_of_street(name: str, work: Path) -> list[Part]:
     cloud = DRIVES[name].cloud(work)
     aside_m = np.array([0.0, TILE_M / 2, 0.0])
     folder = work / f"{name}_halves"
-    cut = enumerate(own for _, own in tiles_of(replace(cloud, xyz_m=cloud.xyz_m + aside_m)))
-    own = ((k, replace(half_street, xyz_m=half_street.xyz_m - aside_m)) for k, half_street in cut)
-    return [masked(folder / f"{k}.laz", half_street, f"half_{k}") for k, half_street in own]
+    cut = enumerate(half for _, half in tiles_of(replace(cloud, xyz_m=cloud.xyz_m + aside_m)))
+    half = ((k, replace(half_street, xyz_m=half_street.xyz_m - aside_m)) for k, half_street in cut)
+    return [masked(folder / f"{k}.laz", half_street, f"half_{k}") for k, half_street in half]
 
 
 def tiles_as_drive(name: str, work: Path) -> list[Part]:
     """Return the tiles of a drive, compared with the raw stream of all of them."""
     cloud = DRIVES[name].cloud(work)
     cut = list(tiles_of(cloud))
-    kept = np.sort(np.concatenate([own.record for _, own in cut]))
+    kept = np.sort(np.concatenate([points.record for _, points in cut]))
     raw = part_of(cloud.raw, kept, "all_tiles")
     folder = work / f"{name}_tiles"
     return [
-        part(folder / f"{tile}.laz", replace(own, record=np.searchsorted(kept, own.record)), raw)
-        for tile, own in cut
+        part(
+            folder / f"{tile}.laz",
+            replace(points, record=np.searchsorted(kept, points.record)),
+            raw,
+        )
+        for tile, points in cut
     ]
 
 
 def largest_tile(cloud: Cloud) -> Cloud:
     """Return the tile with the most points."""
-    return max((own for _, own in tiles_of(cloud)), key=lambda own: len(own.time_s))
+    return max((points for _, points in tiles_of(cloud)), key=lambda points: len(points.time_s))
 
 
 def tile_with_trajectory(name: str, work: Path) -> list[Part]:
     """Return the largest tile, read with the true path."""
-    own = largest_tile(DRIVES[name].cloud(work))
-    options = ("--range", f"trajectory:{own.path}")
-    return [masked(work / f"{name}_tile.laz", own, "tile", options=options)]
+    points = largest_tile(DRIVES[name].cloud(work))
+    options = ("--range", f"trajectory:{points.path}")
+    return [masked(work / f"{name}_tile.laz", points, "tile", options=options)]
 
 
 def as_text(name: str, work: Path) -> list[Part]:
@@ -833,15 +837,17 @@ class Turning:
 
 def sharp_turn(work: Path) -> list[Part]:
     """Return a drive that turns by 90 degrees within two seconds."""
-    raw, path, own = (work / f"sharp_turn{suffix}" for suffix in (".npz", "_path.csv", "_own.csv"))
+    raw, path, kept_points = (
+        work / f"sharp_turn{suffix}" for suffix in (".npz", "_path.csv", "_own.csv")
+    )
     extra = work / "sharp_turn_world.npz"
     if not extra.exists():
         settings = load_settings("street", options={"seed": 5113, "duration_s": 6.0})
         scan = open_simulation("street", settings, with_world=True).scan
         turning = Turning(scan.platform, np.pi / 2, 2.0, 2.0)
         items = list(replace(scan, platform=turning).simulated())
-        write_trajectory(own, turning, 6.0)
-        _move_path(own, path)
+        write_trajectory(kept_points, turning, 6.0)
+        _move_path(kept_points, path)
         lookup = ClassCodes().lookup()
         blocks = [item.labelled.block for item in items]
         assert blocks[0].angle_rad is not None
@@ -857,7 +863,7 @@ def sharp_turn(work: Path) -> list[Part]:
         time_s = arrays["time_s"].ravel()
         truth = arrays["truth"].ravel()
     there = np.flatnonzero(np.isfinite(world[:, 0]))
-    one = np.ones(len(there), np.int64)
+    ones = np.ones(len(there), np.int64)
     codes = truth[there].astype(np.uint8)
     cloud = Cloud(
         world[there] + PLACE_M,
@@ -866,10 +872,10 @@ def sharp_turn(work: Path) -> list[Part]:
         raw,
         there,
         path,
-        one,
-        one,
-        one,
-        0 * one,
+        ones,
+        ones,
+        ones,
+        0 * ones,
     )
     return [part(work / "sharp_turn_points.laz", cloud)]
 
@@ -898,7 +904,7 @@ def riegl(work: Path) -> list[Part]:
     rows = np.concatenate([_ply_rows(DATA / name) for name in RIEGL])
     if not labels.exists():
         _must("classify", *(DATA / name for name in RIEGL), labels, "--return", "first")
-    own = np.concatenate(
+    path_rows = np.concatenate(
         [np.load(labels / f"{Path(name).name}.labels.npy").ravel() for name in RIEGL]
     )
     n = len(rows)
@@ -907,7 +913,7 @@ def riegl(work: Path) -> list[Part]:
     cloud = Cloud(
         xyz,
         rows["GPS_time"].astype(np.float64),
-        own,
+        path_rows,
         points,
         np.arange(n),
         points,
@@ -920,7 +926,7 @@ def riegl(work: Path) -> list[Part]:
     with np.load(DATA / "registered" / "riegl_mirror_centre.npz") as arrays:
         table = np.column_stack([arrays["gps_time"], arrays["centre"]])
     np.savetxt(path, table, "%.7f,%.4f,%.4f,%.4f", header="time,x,y,z", comments="")
-    return [Part(write_cloud(points, cloud), own, path=path, own_labels=own)]
+    return [Part(write_cloud(points, cloud), path_rows, path=path, own_labels=path_rows)]
 
 
 def _ply_rows(path: Path) -> np.ndarray[Any, Any]:
@@ -947,12 +953,12 @@ def _ply_rows(path: Path) -> np.ndarray[Any, Any]:
     return np.frombuffer(body, kind, count)
 
 
-def jakarto_path(points: Path, found: Path) -> str:
+def jakarto_path(points: Path, estimate: Path) -> str:
     """Return how far the ranges from a path are from the recovered ranges."""
     las = laspy.read(points)
     with np.load(DATA / "profiler" / "jakarto_0.02s_recovered.npz") as arrays:
         range_m = arrays["range_m"].astype(np.float64)
-    path = read_path(found)
+    path = read_path(estimate)
     time_s = np.asarray(las.gps_time)
     station = np.stack([np.interp(time_s, path[:, 0], path[:, k]) for k in (1, 2, 3)], axis=1)
     apart = np.linalg.norm(np.stack([las.x, las.y, las.z], axis=1) - station, axis=1) - range_m

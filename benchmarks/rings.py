@@ -158,7 +158,7 @@ def _view(path: Path, kind: str, folder: Path) -> Frame:
     elevation = _medians(np.rad2deg(np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))))
     order = np.argsort(elevation)[: np.count_nonzero(np.isfinite(elevation))]
     ranges, xyz, codes = (
-        np.ascontiguousarray(np.swapaxes(each[order], 0, 1)) for each in (ranges, xyz, codes)
+        np.ascontiguousarray(np.swapaxes(array[order], 0, 1)) for array in (ranges, xyz, codes)
     )
     file = folder / path.name
     np.savez(file, range_m=ranges, xyz=xyz, zenith_deg=90.0 - elevation[order])
@@ -181,12 +181,12 @@ def _snow(name: str, folder: Path) -> Frame:
     n_lines = stored.shape[1]
     image = np.full((n_lines, 64, 4), np.nan, np.float32)
     codes = np.full((n_lines, 64), IGNORED, np.uint8)
-    ring, at = np.nonzero((stored != -1).any(axis=-1))
-    shots = stored[ring, at]
+    ring, column = np.nonzero((stored != -1).any(axis=-1))
+    shots = stored[ring, column]
     azimuth = np.pi - np.arctan2(shots[:, 1], shots[:, 0])
     line = (azimuth / (2 * np.pi) * n_lines).astype(np.int64) % n_lines
     image[line, ring] = shots
-    codes[line, ring] = np.where(labels[ring, at] == 1, NOISE, OTHER)
+    codes[line, ring] = np.where(labels[ring, column] == 1, NOISE, OTHER)
     seen = np.isfinite(image[..., 0]).any(axis=0)
     xyz = np.ascontiguousarray(image[:, seen][:, ::-1, :3])
     ranges = np.sqrt((xyz**2).sum(axis=-1))
@@ -213,8 +213,8 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
     sweep = feather.read_table(home / "315966265259836000.feather")
     truth = feather.read_table(home / "315966265259836000_labels.feather")
     poses = {
-        one["sensor_name"]: one
-        for one in feather.read_table(home / "egovehicle_SE3_sensor.feather").to_pylist()
+        row["sensor_name"]: row
+        for row in feather.read_table(home / "egovehicle_SE3_sensor.feather").to_pylist()
     }
     is_ground, box = (
         truth[name].to_numpy(zero_copy_only=False) for name in ("is_ground", "box_class")
@@ -223,11 +223,11 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
     laser = sweep["laser_number"].to_numpy()
     for k, name in enumerate(("up", "down")):
         pose = poses[f"{name}_lidar"]
-        own = laser // 32 == k
+        of_scanner = laser // 32 == k
         turn = rotation.from_quat([pose[key] for key in ("qx", "qy", "qz", "qw")])
         xyz = (
             turn.inv()
-            .apply(vehicle_m[own] - [pose[key] for key in ("tx_m", "ty_m", "tz_m")])
+            .apply(vehicle_m[of_scanner] - [pose[key] for key in ("tx_m", "ty_m", "tz_m")])
             .astype(np.float32)
         )
         kinds = [
@@ -240,16 +240,16 @@ def _argoverse(folder: Path) -> Iterator[Frame]:
         ]
         rows = np.zeros(len(xyz), kinds)
         rows["x"], rows["y"], rows["z"] = xyz.T
-        rows["intensity"] = sweep["intensity"].to_numpy()[own]
-        rows["ring"] = laser[own] % 32
-        rows["time"] = sweep["offset_ns"].to_numpy()[own] * 1e-9
+        rows["intensity"] = sweep["intensity"].to_numpy()[of_scanner]
+        rows["ring"] = laser[of_scanner] % 32
+        rows["time"] = sweep["offset_ns"].to_numpy()[of_scanner] * 1e-9
         file = folder / f"av2_{name}.ply"
         types = {"<f4": "float", "<u2": "ushort", "<f8": "double"}
         head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
         head += [f"property {types[kind]} {field}" for field, kind in kinds]
         file.write_bytes("\n".join([*head, "end_header", ""]).encode() + rows.tobytes())
         codes = np.where(
-            is_ground[own], GROUND, np.where(box[own] == REGULAR_VEHICLE, CAR, OTHER)
+            is_ground[of_scanner], GROUND, np.where(box[of_scanner] == REGULAR_VEHICLE, CAR, OTHER)
         ).astype(np.uint8)
         xyz = xyz * np.array([1, 1, 1 if name == "up" else -1], np.float32)
         yield Frame(f"av2_{name}", f"av2_{name}", file, xyz, codes, name == "up")
@@ -266,7 +266,7 @@ def label(frame: Frame) -> tuple[U8, str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         summary = classify(frame.path, output, overwrite=True)
-    doubts = [one.check for one in summary.findings if one.verdict.name != "FINE"]
+    doubts = [finding.check for finding in summary.findings if finding.verdict.name != "FINE"]
     codes = np.load(output).ravel().astype(np.uint8)
     return codes, ", ".join(doubts)
 
@@ -298,9 +298,9 @@ def patchwork(frame: Frame) -> Mask | None:
     there = np.flatnonzero(np.isfinite(frame.xyz_m[:, 0]))
     points = np.column_stack([frame.xyz_m[there], np.zeros(len(there), np.float32)])
     filtered.estimateGround(np.ascontiguousarray(points, dtype=np.float32))
-    found = np.zeros(len(frame.xyz_m), np.bool_)
-    found[there[np.asarray(filtered.getGroundIndices(), np.int64)]] = True
-    return found
+    is_ground = np.zeros(len(frame.xyz_m), np.bool_)
+    is_ground[there[np.asarray(filtered.getGroundIndices(), np.int64)]] = True
+    return is_ground
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,11 +311,11 @@ class Score:
     recall: float
 
     @classmethod
-    def of(cls, found: Mask, reference: Mask) -> Score:
+    def of(cls, is_found: Mask, reference: Mask) -> Score:
         """Compare two masks."""
-        both = int(np.count_nonzero(found & reference))
+        both = int(np.count_nonzero(is_found & reference))
         return cls(
-            both / max(np.count_nonzero(found), 1), both / max(np.count_nonzero(reference), 1)
+            both / max(np.count_nonzero(is_found), 1), both / max(np.count_nonzero(reference), 1)
         )
 
     @property
@@ -328,16 +328,18 @@ def ground_scores(frame: Frame, is_ground: Mask) -> dict[str, Score]:
     """Judge the ground in the ways that the data set allows."""
     reference = frame.codes
     there = np.isfinite(frame.xyz_m[:, 0]) & (frame.codes != IGNORED)
-    own = there & (reference != VEGETATION)
-    found = {"ground": Score.of(is_ground[own], reference[own] == GROUND)}
+    is_judged = there & (reference != VEGETATION)
+    scores_by_class = {"ground": Score.of(is_ground[is_judged], reference[is_judged] == GROUND)}
     if frame.group.startswith("kitti"):
         is_low = (reference == VEGETATION) & (frame.xyz_m[:, 2] < LOW_M)
-        found["ground, low plants too"] = Score.of(
+        scores_by_class["ground, low plants too"] = Score.of(
             is_ground[there], ((reference == GROUND) | is_low)[there]
         )
     if not frame.group.startswith("av2"):
-        found["ground, plants apart"] = Score.of(is_ground[there], reference[there] == GROUND)
-    return found
+        scores_by_class["ground, plants apart"] = Score.of(
+            is_ground[there], reference[there] == GROUND
+        )
+    return scores_by_class
 
 
 def scores(frame: Frame, codes: U8) -> dict[str, Score]:
@@ -345,12 +347,12 @@ def scores(frame: Frame, codes: U8) -> dict[str, Score]:
     there = np.isfinite(frame.xyz_m[:, 0]) & (frame.codes != IGNORED)
     if frame.group == "snow":
         return {"snow": Score.of(codes[there] == NOISE, frame.codes[there] == NOISE)}
-    found = ground_scores(frame, codes == GROUND)
+    frame_scores = ground_scores(frame, codes == GROUND)
     kinds = {"building": BUILDING, "vegetation": VEGETATION, "car": CAR, "pole": POLE}
     for name, code in kinds.items():
         if np.count_nonzero(frame.codes == code) and not frame.group.startswith("av2"):
-            found[name] = Score.of(codes[there] == code, frame.codes[there] == code)
-    return found
+            frame_scores[name] = Score.of(codes[there] == code, frame.codes[there] == code)
+    return frame_scores
 
 
 def main() -> None:
@@ -369,12 +371,12 @@ def main() -> None:
             if wanted and not frame.name.startswith(wanted):
                 continue
             codes, doubts = label(frame)
-            own = scores(frame, codes)
+            frame_scores = scores(frame, codes)
             mask = None if frame.group == "snow" else patchwork(frame)
-            other = {} if mask is None else ground_scores(frame, mask)
-            means.setdefault((frame.group, frame.is_tuned), []).append((own, other))
-            for name, score in own.items():
-                beside = _cell(other[name]) if name in other else ""
+            peer_scores = {} if mask is None else ground_scores(frame, mask)
+            means.setdefault((frame.group, frame.is_tuned), []).append((frame_scores, peer_scores))
+            for name, score in frame_scores.items():
+                beside = _cell(peer_scores[name]) if name in peer_scores else ""
                 chosen = "yes" if frame.is_tuned else "no"
                 print(
                     f"| {frame.name} | {chosen} | {name} | {_cell(score)} | {beside} | {doubts} |",
@@ -383,16 +385,16 @@ def main() -> None:
     print(
         "\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ |\n|---|---|---|---:|---:|"
     )
-    for (group, is_tuned), found in means.items():
-        for name in found[0][0]:
+    for (group, is_tuned), pairs in means.items():
+        for name in pairs[0][0]:
             mine, theirs = (
-                [f"{np.mean([each[k][name].f1 for each in found if name in each[k]]):.3f}"]
-                if name in found[0][k]
+                [f"{np.mean([pair[k][name].f1 for pair in pairs if name in pair[k]]):.3f}"]
+                if name in pairs[0][k]
                 else [""]
                 for k in (0, 1)
             )
             print(
-                f"| {group} ({len(found)}) | {'yes' if is_tuned else 'no'} | {name} | {mine[0]} | {theirs[0]} |"
+                f"| {group} ({len(pairs)}) | {'yes' if is_tuned else 'no'} | {name} | {mine[0]} | {theirs[0]} |"
             )
 
 

@@ -156,10 +156,10 @@ def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
         ys = [base - y / top * 120 for _, y in points]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(xs, ys, strict=True))
         parts.append(f'<polyline points="{line}" fill="none" stroke="#1f6fb2" stroke-width="2"/>')
-        for x, y, (value, found) in zip(xs, ys, points, strict=True):
+        for x, y, (value, step) in zip(xs, ys, points, strict=True):
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="#1f6fb2"/>')
             parts.append(
-                f'<text x="{x:.1f}" y="{y - 7:.1f}" text-anchor="middle">{found:.1f}</text>'
+                f'<text x="{x:.1f}" y="{y - 7:.1f}" text-anchor="middle">{step:.1f}</text>'
             )
             parts.append(
                 f'<text x="{x:.1f}" y="{base + 14}" text-anchor="middle">{short(value)}</text>'
@@ -170,13 +170,13 @@ def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
     for panel in range(len(curves)):
         x = panel * width + left
         parts.append(f'<path d="M{x},20V{base}H{x + width - 50}" fill="none" stroke="#888"/>')
-    for row, (name, found) in enumerate(worst.items()):
+    for row, (name, step) in enumerate(worst.items()):
         y = height + 18 + 18 * row
         parts.append(f'<text x="200" y="{y + 9}" text-anchor="end">{name}</text>')
         parts.append(
-            f'<rect x="208" y="{y}" width="{found / top * 700:.1f}" height="11" fill="#1f6fb2"/>'
+            f'<rect x="208" y="{y}" width="{step / top * 700:.1f}" height="11" fill="#1f6fb2"/>'
         )
-        parts.append(f'<text x="{214 + found / top * 700:.1f}" y="{y + 9}">{found:.1f}</text>')
+        parts.append(f'<text x="{214 + step / top * 700:.1f}" y="{y + 9}">{step:.1f}</text>')
     size = f'viewBox="0 0 {width * len(curves)} {height + 30 + 18 * len(worst)}"'
     style = '<rect width="100%" height="100%" fill="#fff"/><text x="6" y="13">ns a shot, one core</text>'
     return (
@@ -199,8 +199,8 @@ def main() -> None:
         )
         print("| ns a shot | " + " | ".join(f"{y:.1f}" for _, y in points) + " |")
     print("\n| stream | ns a shot |\n|---|---|")
-    for name, found in worst.items():
-        print(f"| {name} | {found:.1f} |")
+    for name, step in worst.items():
+        print(f"| {name} | {step:.1f} |")
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(draw(curves, worst), encoding="utf-8")
 

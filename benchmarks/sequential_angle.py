@@ -175,10 +175,10 @@ def write_scan(folder: Path, seed: int, *options: dict[str, Any]) -> tuple[Path,
 
 def merged(*options: dict[str, Any]) -> dict[str, Any]:
     """Merge nested tables."""
-    found: dict[str, Any] = {}
-    for each in options:
-        found = merge(found, each)
-    return found
+    options_so: dict[str, Any] = {}
+    for option in options:
+        options_so = merge(options_so, option)
+    return options_so
 
 
 def scan_of(seed: int, *options: dict[str, Any]) -> tuple[ScanBlock, U8]:
@@ -193,21 +193,21 @@ def print_scores(rows: dict[str, ConfusionMatrix], names: tuple[str, ...]) -> No
     print("| | " + " | ".join(f"{name} recall | precision" for name in names) + " | all |")
     print("|---|" + "---:|---:|" * len(names) + "---:|")
     for title, matrix in rows.items():
-        found = scores(matrix)
-        by_name = {item.name: item for item in found.classes}
+        by_class = scores(matrix)
+        by_name = {item.name: item for item in by_class.classes}
         cells = [
             f"{number:.3f}"
             for name in names
             for number in (by_name[name].recall, by_name[name].precision)
         ]
-        print(f"| {title} | {' | '.join(cells)} | {found.accuracy:.3f} |".replace("nan", "-"))
+        print(f"| {title} | {' | '.join(cells)} | {by_class.accuracy:.3f} |".replace("nan", "-"))
 
 
 def simulated(folder: Path) -> None:
     """Simulated static scans beside Table 1."""
     names = tuple(PAPER)
     sums: dict[str, ConfusionMatrix] = {}
-    each: dict[str, ConfusionMatrix] = {}
+    matrices: dict[str, ConfusionMatrix] = {}
     fine: ConfusionMatrix | None = None
     for number, (title, setting) in enumerate(SETTINGS.items()):
         first = not sums
@@ -221,9 +221,9 @@ def simulated(folder: Path) -> None:
             matrix = evaluate(labels, reference, "street_scan")
             sums[title] = sums[title] + matrix if title in sums else matrix
             if first:
-                each[f"street {seed}"] = matrix
-                own = evaluate(labels, reference, "sequential_angle")
-                fine = own if fine is None else fine + own
+                matrices[f"street {seed}"] = matrix
+                counts = evaluate(labels, reference, "sequential_angle")
+                fine = counts if fine is None else fine + counts
     print("## Simulated static street scans\n")
     print(
         f"{SEEDS} streets in the first {ON_ALL_SEEDS} rows, {MORE_SEEDS} in the others. No parameter was chosen on"
@@ -244,7 +244,7 @@ def simulated(folder: Path) -> None:
     print_scores(sums, names)
     cells = " | ".join(f"{recall:.3f} | {precision:.3f}" for recall, precision in PAPER.values())
     print(f"| *the paper* | {cells} | 0.876 |\n\n### Street by street, scanner on the road\n")
-    print_scores(each, names)
+    print_scores(matrices, names)
     print("\n### Confusion, scanner on the road\n")
     print(as_markdown(next(iter(sums.values()))))
     if fine is not None:
@@ -311,7 +311,7 @@ VEGETATION: dict[str, tuple[int, dict[str, Any]]] = {
 def readings(folder: Path) -> None:
     """Effect of our readings of the paper, one at a time."""
     names = ("ground", "curb", "car", "vegetation", "vertical")
-    found: dict[str, ConfusionMatrix] = {}
+    matrices: dict[str, ConfusionMatrix] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + MORE_SEEDS):
         source, reference = write_scan(folder, seed, COARSE, VARIED, SIDEWALK if seed % 2 else {})
         for title, options in PRINTED.items():
@@ -319,7 +319,7 @@ def readings(folder: Path) -> None:
             config = load_config(preset="street-scan", options={"sequential_angle": options})
             classify(source, labels, config, overwrite=True)
             matrix = evaluate(labels, reference, "sequential_angle")
-            found[title] = found[title] + matrix if title in found else matrix
+            matrices[title] = matrices[title] + matrix if title in matrices else matrix
     print(
         f"## Readings, one at a time\n\n{MORE_SEEDS} of the varied streets above, 5 mm, every other one from the"
     )
@@ -328,7 +328,7 @@ def readings(folder: Path) -> None:
         "```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0"
     )
     print("$ prc evaluate labels.npy scan.npz --mapping sequential_angle\n```\n")
-    print_scores(found, names)
+    print_scores(matrices, names)
     print()
 
 
@@ -430,7 +430,9 @@ def windows(folder: Path) -> None:
     usual = dict(PROPERTIES)
     config = street_scan(preset="street-scan-published", range_noise_m=0.001)
     for title, dark in WINDOWS.items():
-        PROPERTIES.update({each: Property(usual[each].label, DARK) for each in dark})
+        PROPERTIES.update(
+            {property_name: Property(usual[property_name].label, DARK) for property_name in dark}
+        )
         total = np.zeros((4, 4))
         for seed in range(1, 5):
             source, reference = write_scan(folder, seed, COARSE, FINE)
@@ -492,9 +494,9 @@ def kitti(folder: Path) -> None:
             load_config(KITTI, preset="street-scan", options=options),
             overwrite=True,
         )
-        found = np.load(labels).ravel() == code
-        cells = [np.mean(found[np.isin(truth, classes)]) for classes in KITTI_GROUND.values()]
-        right = np.mean(np.isin(truth[found], sum(KITTI_GROUND.values(), ())))
+        is_class = np.load(labels).ravel() == code
+        cells = [np.mean(is_class[np.isin(truth, classes)]) for classes in KITTI_GROUND.values()]
+        right = np.mean(np.isin(truth[is_class], sum(KITTI_GROUND.values(), ())))
         print(
             f"| ground.follow_m = {follow_m:g} | {' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |"
         )
@@ -504,11 +506,11 @@ def kitti(folder: Path) -> None:
     )
     print("| | views | ground found | found that is ground |\n|---|---:|---:|---:|")
     for follow_m in (THRESHOLDS.ground.follow_m, 0):
-        found = np.array(
+        scores_of_class = np.array(
             [_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)]
         )
         print(
-            f"| ground.follow_m = {follow_m:g} | {len(found)} | {found[:, 0].mean():.3f} | {found[:, 1].mean():.3f} |"
+            f"| ground.follow_m = {follow_m:g} | {len(scores_of_class)} | {scores_of_class[:, 0].mean():.3f} | {scores_of_class[:, 1].mean():.3f} |"
         )
     print()
 
@@ -522,8 +524,8 @@ def _ground_of(scan: Scan, follow_m: float) -> tuple[float, float]:
     code = ClassCodes().code(Label.GROUND)
     truth = np.isin(scan.codes, CLASSES["kitti"][Label.GROUND])
     seen = np.isfinite(scan.range_m) & (scan.codes != 0)
-    found = (labels == code) & seen
-    return float(np.mean(found[truth & seen])), float(np.mean(truth[found]))
+    is_class = (labels == code) & seen
+    return float(np.mean(is_class[truth & seen])), float(np.mean(truth[is_class]))
 
 
 def oakland(folder: Path) -> None:
@@ -710,10 +712,10 @@ def stage_times(block: ScanBlock) -> dict[str, float]:
 
     cars_on = timed("T', and its H and V", car_layer)
 
-    found = (lines, surface, phihat, angles.ahead)
-    potential = timed("potential ground", lambda: potential_ground(*found, THRESHOLDS.ground))
+    results = (lines, surface, phihat, angles.ahead)
+    potential = timed("potential ground", lambda: potential_ground(*results, THRESHOLDS.ground))
     state = initial_ground(potential.height_m, THRESHOLDS.ground)
-    mask, z_g, _ = timed("ground", lambda: ground(*found, potential, state, THRESHOLDS.ground))
+    mask, z_g, _ = timed("ground", lambda: ground(*results, potential, state, THRESHOLDS.ground))
 
     def curbs_all() -> Any:
         possible = possible_curbs(lines, surface, mask, z_g, THRESHOLDS.curb)

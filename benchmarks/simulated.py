@@ -165,10 +165,10 @@ def recall_table(
     parts: list[ConfusionMatrix], rows: tuple[str, ...], columns: tuple[str, ...]
 ) -> list[list[str]]:
     """Shares of reference rows over all parts, smallest and largest of the parts in brackets."""
-    each = np.stack([shares_of(part, rows, columns) for part in parts])
+    shares = np.stack([shares_of(part, rows, columns) for part in parts])
     whole = shares_of(pooled(parts), rows, columns)
-    low = np.nanmin(each, axis=0)
-    high = np.nanmax(each, axis=0)
+    low = np.nanmin(shares, axis=0)
+    high = np.nanmax(shares, axis=0)
     spread = len(parts) > 1
     return [
         [
@@ -199,13 +199,13 @@ def urban(folder: Path) -> None:
     """Drives down streets beside Table I."""
     keys = [(zeta, area, gamma) for zeta in TABLE_I for area in AREAS for gamma in GAMMAS]
     runs = {key: urban_config(*key) for key in keys}
-    found: dict[tuple[float, int, int], list[ConfusionMatrix]] = {key: [] for key in runs}
+    matrices: dict[tuple[float, int, int], list[ConfusionMatrix]] = {key: [] for key in runs}
     for seed in range(FIRST_SEED, FIRST_SEED + STREETS):
         source = made("street", folder, seed=seed, length_m=STREET_M)
         for key, config in runs.items():
-            found[key].append(compared(source, config, "lehtola_urban"))
+            matrices[key].append(compared(source, config, "lehtola_urban"))
     print("## Streets: Table I\n")
-    n = pooled(found[1.0, 30, 2]).n_scored
+    n = pooled(matrices[1.0, 30, 2]).n_scored
     say(f"""{STREETS} mixed streets of {STREET_M:g} m, Photon 80 with the paper's mount, 30 km/h: {n:,} returns.
     Shares of all streets together, the smallest and the largest of a single street in brackets; the paper's figure in
     italics.""")
@@ -215,8 +215,8 @@ def urban(folder: Path) -> None:
         "prc evaluate labels.npy street.npz --mapping lehtola_urban",
     )
     for zeta, published in TABLE_I.items():
-        print_table_i(f"ζ_p = {zeta:g} m, A = 30, γ = 2", found[zeta, 30, 2], published)
-    print_areas(found)
+        print_table_i(f"ζ_p = {zeta:g} m, A = 30, γ = 2", matrices[zeta, 30, 2], published)
+    print_areas(matrices)
     kinds(folder)
     set_back(folder)
 
@@ -246,7 +246,7 @@ def print_table_i(
     print(f"\nPrecision: {', '.join(cells)}. Shares of the reference: {', '.join(shares)}.\n")
 
 
-def print_areas(found: dict[tuple[float, int, int], list[ConfusionMatrix]]) -> None:
+def print_areas(matrices: dict[tuple[float, int, int], list[ConfusionMatrix]]) -> None:
     print("### Area and dilation\n")
     say("""Recall of vegetation and building, and the share of all returns that is called so. The paper says: with γ = 0
     fewer true and false positives of vegetation and more of building, with γ = 20 next to no building left; A = 10
@@ -257,7 +257,7 @@ def print_areas(found: dict[tuple[float, int, int], list[ConfusionMatrix]]) -> N
     print(
         "| ζ_p | A | γ | vegetation recall | share | building recall | share |\n|---:|---:|---:|---:|---:|---:|---:|"
     )
-    for (zeta, area, gamma), parts in found.items():
+    for (zeta, area, gamma), parts in matrices.items():
         matrix = pooled(parts)
         shares = shares_of(matrix, URBAN_ROWS, URBAN_COLUMNS)
         called = matrix.counts.sum(axis=0) / matrix.n_scored
@@ -299,12 +299,12 @@ def print_diagonals(folder: Path, scenes: dict[str, dict[str, Any]]) -> None:
         + "---:|" * 5
     )
     for name, scene in scenes.items():
-        found: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
+        matrices: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
         for seed in range(FIRST_SEED, FIRST_SEED + MORE_STREETS):
             source = made("street", folder, seed=seed, length_m=MORE_M, scene=scene)
-            for zeta, parts in found.items():
+            for zeta, parts in matrices.items():
                 parts.append(compared(source, urban_config(zeta), "lehtola_urban"))
-        for zeta, parts in found.items():
+        for zeta, parts in matrices.items():
             cells = recall_table(parts, URBAN_ROWS, URBAN_COLUMNS)
             diagonal = [cells[i][i] for i in range(len(URBAN_COLUMNS))]
             print(f"| {name} | {zeta:g} | {' | '.join(diagonal)} | {cells[3][1]} |")
@@ -336,11 +336,13 @@ def walk(folder: Path, scene: str, seed: int) -> Walk:
     lookup = ClassCodes().lookup()
     ranges: list[F32] = []
     codes: dict[str, list[U8]] = {"cylinders": [], "truth": []}
-    for found in simulation.scan.simulated():
-        ranges.append(found.labelled.block.range_m)
-        assert found.world_m is not None
-        codes["truth"].append(lookup[found.labelled.labels].ravel())
-        codes["cylinders"].append(lookup[reference_labels(forest, found.world_m.reshape(-1, 3))])
+    for scan_line in simulation.scan.simulated():
+        ranges.append(scan_line.labelled.block.range_m)
+        assert scan_line.world_m is not None
+        codes["truth"].append(lookup[scan_line.labelled.labels].ravel())
+        codes["cylinders"].append(
+            lookup[reference_labels(forest, scan_line.world_m.reshape(-1, 3))]
+        )
     source = folder / "walk.npy"
     np.save(source, np.concatenate(ranges))
     references = {name: folder / f"reference_{i}.npy" for i, name in enumerate(codes)}
@@ -357,17 +359,17 @@ def forest_config(zeta_s: float, zeta_p: float) -> LoadedConfig:
 
 def forest(folder: Path) -> None:
     """Walks through forests beside Table II."""
-    found: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]] = {}
+    matrices: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]] = {}
     for scene, n in PLOTS.items():
         for seed in range(FIRST_SEED, FIRST_SEED + n):
-            one = walk(folder, scene, seed)
+            run = walk(folder, scene, seed)
             for zetas in ZETAS:
                 labels = folder / "labels.npy"
-                classify(one.source, labels, forest_config(*zetas), overwrite=True)
-                for name, reference in one.references.items():
+                classify(run.source, labels, forest_config(*zetas), overwrite=True)
+                for name, reference in run.references.items():
                     matrix = evaluate(labels, reference, "lehtola_forest")
-                    found.setdefault((scene, name, zetas), []).append(matrix)
-    parts = found["mixed", "cylinders", ZETAS[0]]
+                    matrices.setdefault((scene, name, zetas), []).append(matrix)
+    parts = matrices["mixed", "cylinders", ZETAS[0]]
     print("## Forest: Table II\n")
     say(f"""{PLOTS["mixed"]} mixed plots, {WALK_M:g} m walked in each, Focus3D 120 on a backpack:
     {pooled(parts).n_scored:,} returns. All plots together, the smallest and the largest of a single
@@ -383,10 +385,10 @@ def forest(folder: Path) -> None:
             paper = TABLE_II if zetas == ZETAS[0] and kind == "cylinders" else None
             print_table_ii(
                 f"ζ_s = {zetas[0]:g} m, ζ_p = {zetas[1]:g} m, reference: {kind}",
-                found["mixed", kind, zetas],
+                matrices["mixed", kind, zetas],
                 paper,
             )
-    print_stems(found)
+    print_stems(matrices)
 
 
 UNSUPPORTED = (0.746, 0.341)
@@ -404,15 +406,19 @@ def unsupported(folder: Path) -> None:
     )
     print("| forest | ζ_s, ζ_p | without support |\n|---|---|---:|")
     for scene in PLOTS:
-        one = walk(folder, scene, FIRST_SEED)
+        run = walk(folder, scene, FIRST_SEED)
         for zeta_s, zeta_p in ZETAS:
             support = {"zeta_s": zeta_s, "zeta_p": zeta_p}
             options = {"prc": {"support": support, "forest": {"noise_in_ground_columns": False}}}
             config = load_config(preset="forest", options=options)
             classes = classify(
-                one.source, folder / "labels.npy", config, overwrite=True
+                run.source, folder / "labels.npy", config, overwrite=True
             ).record.classes
-            counts = {found.name: found.count for found in classes if found.name != "missing"}
+            counts = {
+                class_count.name: class_count.count
+                for class_count in classes
+                if class_count.name != "missing"
+            }
             print(
                 f"| {scene} | {zeta_s:g}, {zeta_p:g} | {counts['noise'] / sum(counts.values()):.3f} |"
             )
@@ -437,7 +443,9 @@ def print_table_ii(
     print()
 
 
-def print_stems(found: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]]) -> None:
+def print_stems(
+    matrices: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]],
+) -> None:
     names = (
         "stem recall",
         "precision",
@@ -460,7 +468,7 @@ def print_stems(found: dict[tuple[str, str, tuple[float, float]], list[Confusion
     for scene in PLOTS:
         for zetas in ZETAS:
             for reference in ("cylinders", "truth"):
-                cells = stem_cells(pooled(found[scene, reference, zetas]))
+                cells = stem_cells(pooled(matrices[scene, reference, zetas]))
                 print(
                     f"| {scene} | {zetas[0]:g}, {zetas[1]:g} | {reference} | {' | '.join(cells)} |"
                 )
@@ -535,15 +543,15 @@ def spread_scores(parts: list[ConfusionMatrix]) -> list[str]:
     """Recall and precision of every class and the accuracy, with the spread over scans."""
 
     def row(matrix: ConfusionMatrix) -> list[float]:
-        found = scores(matrix)
-        by_name = {item.name: item for item in found.classes}
+        by_class = scores(matrix)
+        by_name = {item.name: item for item in by_class.classes}
         return [
             n for name in SCAN_NAMES for n in (by_name[name].recall, by_name[name].precision)
-        ] + [found.accuracy]
+        ] + [by_class.accuracy]
 
-    each = np.array([row(part) for part in parts])
-    low = np.nanmin(each, axis=0)
-    high = np.nanmax(each, axis=0)
+    rows_of_parts = np.array([row(part) for part in parts])
+    low = np.nanmin(rows_of_parts, axis=0)
+    high = np.nanmax(rows_of_parts, axis=0)
     return [
         f"{a:.3f} ({b:.2f}–{c:.2f})" for a, b, c in zip(row(pooled(parts)), low, high, strict=True)
     ]
@@ -580,19 +588,21 @@ def strip_numbers(strip: Strip, mapping: str) -> dict[str, float]:
         strip.reference.shape
     )
     for name in ("ground", "vegetation", "building"):
-        own = np.where(index == names.index(name), strip.range_m, np.nan)
-        numbers[f"{name}: range 50% [m]"] = median(own)
+        strip_range_m = np.where(index == names.index(name), strip.range_m, np.nan)
+        numbers[f"{name}: range 50% [m]"] = median(strip_range_m)
         for where, axis in (("in the line", 1), ("from line to line", 0)):
-            numbers[f"{name}: step {where} 50% [m]"] = median(np.abs(np.diff(own, axis=axis)))
+            numbers[f"{name}: step {where} 50% [m]"] = median(
+                np.abs(np.diff(strip_range_m, axis=axis))
+            )
     for name in ("ground", "vegetation", "building", "other", "noise"):
         share = (index == names.index(name)).sum() / (index >= 0).sum() if name in names else 0.0
         numbers[f"reference: {name}"] = float(share)
     codes = {name: code for code, name in ClassCodes().names().items()}
-    found = strip.predicted[strip.predicted != 0]
-    numbers["PRC: S, supported"] = float((found != codes["noise"]).mean())
-    numbers["PRC: G, ground"] = float((found == codes["ground"]).mean())
+    classified = strip.predicted[strip.predicted != 0]
+    numbers["PRC: S, supported"] = float((classified != codes["noise"]).mean())
+    numbers["PRC: G, ground"] = float((classified == codes["ground"]).mean())
     for name in ("vegetation", "building"):
-        numbers[f"PRC: {name}"] = float((found == codes[name]).mean())
+        numbers[f"PRC: {name}"] = float((classified == codes[name]).mean())
     building = strip.predicted[(index == names.index("building")) & (strip.predicted != 0)]
     numbers["PRC: building as ground"] = (
         float((building == codes["ground"]).mean()) if building.size else np.nan
@@ -741,12 +751,12 @@ def park_numbers(folder: Path, range_m: F32) -> dict[str, float]:
     np.save(source, range_m)
     numbers = statistics(range_m)
     classify(source, folder / "labels.npy", forest_config(0.01, 0.01), overwrite=True)
-    found = np.load(folder / "labels.npy").ravel()
+    predicted = np.load(folder / "labels.npy").ravel()
     codes = {name: code for code, name in ClassCodes().names().items()}
-    returned = max(int((found != 0).sum()), 1)
-    numbers["PRC: S, supported"] = 1.0 - int((found == codes["noise"]).sum()) / returned
+    returned = max(int((predicted != 0).sum()), 1)
+    numbers["PRC: S, supported"] = 1.0 - int((predicted == codes["noise"]).sum()) / returned
     for name in ("ground", "stem", "vegetation"):
-        numbers[f"PRC: {name}"] = int((found == codes[name]).sum()) / returned
+        numbers[f"PRC: {name}"] = int((predicted == codes[name]).sum()) / returned
     return numbers
 
 
@@ -787,13 +797,13 @@ def run_through(kind: Kind, settings: Settings, threads: int) -> None:
 def quickest(job: Callable[[], object], runs: int = 2) -> tuple[float, float]:
     """Shortest time by the clock and on all cores [s], after one run that is not counted."""
     job()
-    found = []
+    seconds = []
     for _ in range(runs):
         start = time.perf_counter()
         busy = time.process_time()
         job()
-        found.append((time.perf_counter() - start, time.process_time() - busy))
-    return min(wall for wall, _ in found), min(cpu for _, cpu in found)
+        seconds.append((time.perf_counter() - start, time.process_time() - busy))
+    return min(wall for wall, _ in seconds), min(cpu for _, cpu in seconds)
 
 
 PARTS: dict[str, Callable[[Path], None]] = {

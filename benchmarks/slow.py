@@ -55,19 +55,19 @@ def slowed(scan: Scan, places: F64, seed: int) -> Scan:
     codes = []
     for place, line in zip(places, before, strict=True):
         takes_next = turn[line] < place - line
-        other = min(line + 1, last)
-        one = scan.range_m[line]
-        two = scan.range_m[other]
-        rows = np.where(takes_next, two, one)
+        next_line = min(line + 1, last)
+        line_ranges = scan.range_m[line]
+        two = scan.range_m[next_line]
+        rows = np.where(takes_next, two, line_ranges)
         # surfaces go on evenly
         is_even = (
-            (abs(two - one) < EVEN_M)
-            & (scan.codes[line] == scan.codes[other])
+            (abs(two - line_ranges) < EVEN_M)
+            & (scan.codes[line] == scan.codes[next_line])
             & (scan.codes[line] != LEAVES)
         )
-        rows = np.where(is_even, one + np.float32(place - line) * (two - one), rows)
+        rows = np.where(is_even, line_ranges + np.float32(place - line) * (two - line_ranges), rows)
         rows = rows + rng.normal(0, NOISE_M, rows.shape).astype(np.float32)
-        own = np.where(takes_next, scan.codes[other], scan.codes[line])
+        line_codes = np.where(takes_next, scan.codes[next_line], scan.codes[line])
         is_stray = rng.random(rows.shape) < STRAY_SHARE
         is_around = rng.random(rows.shape) < data.STRAY_SHARE
         around = rows + rng.normal(0, data.STRAY_M, rows.shape)
@@ -75,7 +75,7 @@ def slowed(scan: Scan, places: F64, seed: int) -> Scan:
             is_around & (around > 0), around, rng.random(rows.shape) * data.FARTHEST_M
         )
         ranges.append(np.where(is_stray, strays, rows))
-        codes.append(np.where(is_stray, NOISE, own))
+        codes.append(np.where(is_stray, NOISE, line_codes))
     return replace(
         scan,
         range_m=np.maximum(np.stack(ranges), np.float32(0.1)).astype(np.float32),
@@ -127,8 +127,8 @@ def streets(seeds: Sequence[int]) -> list[Scan]:
 def f1_of(scan: Scan, limits: Limits) -> list[float]:
     """Return the F1 of the four classes; NaN = too rare."""
     with mock.patch.object(pipeline, "STREET", limits):
-        found = label(scan, load_config(preset="fused"))
-    scores = judge(scan, found.codes, found.extra_codes).f1()
+        run = label(scan, load_config(preset="fused"))
+    scores = judge(scan, run.codes, run.extra_codes).f1()
     return [scores.get(name, np.nan) for name in NAMES]
 
 
@@ -137,7 +137,8 @@ def cells(f1: F64, normal: F64) -> str:
     loss = np.nanmax(normal - f1, axis=0)
     pairs = zip(f1.T, loss, strict=True)
     return " | ".join(
-        f"{np.nanmean(one):.3f} ({np.nanmin(one):.2f}, {-lost:+.3f})" for one, lost in pairs
+        f"{np.nanmean(scores):.3f} ({np.nanmin(scores):.2f}, {-lost:+.3f})"
+        for scores, lost in pairs
     )
 
 

@@ -110,16 +110,16 @@ def main() -> None:
         lambda: classify_ranges(ranges, urban).labels,
         ranges.size,
     )
-    found = list(best_times(jobs, ROUNDS))
-    found += best_times(
+    times = list(best_times(jobs, ROUNDS))
+    times += best_times(
         {"oracle, urban": (lambda: oracle_prc.classify_stream(piece, settings), piece.size)}, 1
     )
-    base = found[-1][1]
+    base = times[-1][1]
     print(
         "| work | million shots a second | beside the oracle | million shots a second of one core's time |"
     )
     print("|---|---|---|---|")
-    for name, by_clock, by_core in found:
+    for name, by_clock, by_core in times:
         print(f"| {name} | {by_clock:.2f} | {by_clock / base:.0f} | {by_core:.2f} |")
 
 

@@ -114,14 +114,14 @@ def modules(folder: Path) -> None:
     print("\n| module | CPU s |\n|---|---:|")
     for number, module in enumerate(sorted(set(KERNELS.values()))):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"one-{number}")}
-        found = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", ONE, module],
             env=environment,
             check=True,
             capture_output=True,
             text=True,
         )
-        print(f"| {short_name(module)} | {float(found.stdout):.2f} |")
+        print(f"| {short_name(module)} | {float(process.stdout):.2f} |")
 
 
 def main() -> None:

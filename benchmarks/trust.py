@@ -129,15 +129,15 @@ class Trial:
     run: Runner = in_process
     results: list[Result] = field(default_factory=list)
 
-    def classify(self, told: Told, method: tuple[str, ...]) -> tuple[Done, str]:
+    def classify(self, stated: Told, method: tuple[str, ...]) -> tuple[Done, str]:
         """Run ``prc classify``; return what it says and the command line."""
         output = self.folder / "labels.npy"
         for left in (output, output.with_name(output.name + ".prc.json")):
             left.unlink(missing_ok=True)
-        options = [*method, *told.options]
-        code, stderr = self.run(["classify", str(told.path), str(output), *options, "-q"])
+        options = [*method, *stated.options]
+        code, stderr = self.run(["classify", str(stated.path), str(output), *options, "-q"])
         labels = np.load(output).ravel() if output.exists() else None
-        command = shlex.join(["prc", "classify", told.path.name, output.name, *options])
+        command = shlex.join(["prc", "classify", stated.path.name, output.name, *options])
         return Done(code, stderr, labels), command.replace(f"{self.folder}/", "").replace(
             f"{ROOT}/", ""
         )
@@ -145,15 +145,17 @@ class Trial:
     def judge(
         self,
         case: Case,
-        told: Told,
+        stated: Told,
         f1_right: float,
         *,
         is_right: bool = False,
     ) -> Result:
         """Run a case and say what became of it."""
-        done, command = self.classify(told, case.options)
+        done, command = self.classify(stated, case.options)
         f1 = (
-            float("nan") if done.labels is None else macro_f1(case.mapping, done.labels, told.truth)
+            float("nan")
+            if done.labels is None
+            else macro_f1(case.mapping, done.labels, stated.truth)
         )
         said = next((line for line in done.stderr.splitlines() if line.strip()), "").replace(
             f"{self.folder}/", ""
@@ -162,7 +164,7 @@ class Trial:
         works = (
             None
             if is_right or outcome not in ("doubted", "refused")
-            else self.follow(case, told, done, f1_right)
+            else self.follow(case, stated, done, f1_right)
         )
         result = Result(
             case.row,
@@ -184,7 +186,7 @@ class Trial:
     def follow(
         self,
         case: Case,
-        told: Told,
+        stated: Told,
         done: Done,
         f1_right: float,
     ) -> bool | None:
@@ -195,13 +197,13 @@ class Trial:
         works = None
         for _ in range(MOST_HINTS):
             typed = typed_by(done.stderr)
-            if not typed or set(typed) <= set(told.options[-len(typed) :]):
+            if not typed or set(typed) <= set(stated.options[-len(typed) :]):
                 break
-            told = replace(told, options=(*told.options, *typed))
-            done, _ = self.classify(told, case.options)
+            stated = replace(stated, options=(*stated.options, *typed))
+            done, _ = self.classify(stated, case.options)
             works = (
                 done.labels is not None
-                and macro_f1(case.mapping, done.labels, told.truth) > f1_right - NEAR
+                and macro_f1(case.mapping, done.labels, stated.truth) > f1_right - NEAR
             )
         return works
 
@@ -216,8 +218,8 @@ def typed_by(stderr: str) -> tuple[str, ...]:
     >>> typed_by("warning: down: ...; give it with --set input.nadir=DEG; or accept it with --accept-doubt down")
     ()
     """
-    found = _TYPED.search(stderr)
-    return tuple(shlex.split(found[0])) if found else ()
+    match = _TYPED.search(stderr)
+    return tuple(shlex.split(match[0])) if match else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +266,8 @@ def macro_f1(mapping: str, codes: U8, truth: I64) -> float:
     counts = GroupedCounts(classes, "cases")
     cells = cells_of(classes, predicted, classes.class_indices(truth[judged], "reference"))
     counts.add(np.zeros(len(cells), np.int64), cells)
-    found = Verdict(classes.names("reference"), classes.names("predicted"), counts.scored()).f1()
-    return float(np.mean(np.nan_to_num(list(found.values()))))
+    verdict = Verdict(classes.names("reference"), classes.names("predicted"), counts.scored()).f1()
+    return float(np.mean(np.nan_to_num(list(verdict.values()))))
 
 
 def random_of(*parts: object) -> np.random.Generator:
@@ -289,22 +291,22 @@ def try_window(
         )
         case = Case(TOLD, window.scan, window.first_line, method, window.mapping, METHODS[method])
         forms = right_forms(window)
-        told = forms[form % len(forms)](window, context)
+        stated = forms[form % len(forms)](window, context)
         if not window.is_labelled:
-            done, _ = trial.classify(told, case.options)
+            done, _ = trial.classify(stated, case.options)
             if done.labels is None:
-                trial.judge(case, told, 1.0, is_right=True)
+                trial.judge(case, stated, 1.0, is_right=True)
                 continue
-            window = replace(window, codes=_as_image(window, done.labels, told))
-            told = forms[form % len(forms)](window, context)
-        right = trial.judge(case, told, 0.0, is_right=True)
+            window = replace(window, codes=_as_image(window, done.labels, stated))
+            stated = forms[form % len(forms)](window, context)
+        right = trial.judge(case, stated, 0.0, is_right=True)
         f1_right = 1.0 if np.isnan(right.f1) else right.f1
         for row in rows:
             if not row.aimed_only or context.is_aimed:
                 try_row(trial, row, window, context, f1_right, seed)
 
 
-def _as_image(window: Window, labels: U8, told: Told) -> I64:
+def _as_image(window: Window, labels: U8, stated: Told) -> I64:
     """Return the labels of records as reference codes of a window."""
     codes = np.zeros(window.range_m.size, np.int64)
     there = ~np.isnan(window.range_m.ravel())
@@ -353,9 +355,9 @@ def try_frame(
         right = trial.judge(case, frame_file(frame, context), 0.0, is_right=True)
         for row in FRAME_ROWS:
             if only in row.name:
-                told = row.make(frame, replace(context, random=random_of(seed, row.name, method)))
+                stated = row.make(frame, replace(context, random=random_of(seed, row.name, method)))
                 trial.judge(
-                    replace(case, row=row.name), told, 1.0 if np.isnan(right.f1) else right.f1
+                    replace(case, row=row.name), stated, 1.0 if np.isnan(right.f1) else right.f1
                 )
 
 
@@ -366,7 +368,7 @@ def run_set(
     *,
     is_quick: bool,
     only: str,
-    told: Callable[[str], None],
+    report_progress: Callable[[str], None],
 ) -> None:
     """Run all scans of a set."""
     rows = [row for row in ROWS if only in row.name]
@@ -380,16 +382,18 @@ def run_set(
             if only and not chosen[i]:
                 continue
             try_window(trial, source, window, chosen[i], i, seed)
-        told(f"{source.name}: {len(windows)} windows, {time.perf_counter() - start:.0f} s")
+        report_progress(
+            f"{source.name}: {len(windows)} windows, {time.perf_counter() - start:.0f} s"
+        )
     for frame in frames(part, is_quick=is_quick):
         try_frame(trial, frame, only, seed)
-        told(frame.scan)
+        report_progress(frame.scan)
 
 
 def chosen_windows(
     rows: list[Row],
     n: int,
-    each: int,
+    per_scan: int,
     scan: str,
     seed: int,
 ) -> list[list[Row]]:
@@ -397,15 +401,17 @@ def chosen_windows(
 
     Those for everywhere, the others at some windows by chance.
     """
-    found: list[list[Row]] = [[] for _ in range(n)]
+    windows: list[list[Row]] = [[] for _ in range(n)]
     for row in rows:
         random = random_of(seed, "where", row.name, scan)
         where = (
-            range(n) if row.everywhere else random.choice(n, min(each, n), replace=False).tolist()
+            range(n)
+            if row.everywhere
+            else random.choice(n, min(per_scan, n), replace=False).tolist()
         )
         for i in where:
-            found[i].append(row)
-    return found
+            windows[i].append(row)
+    return windows
 
 
 # What is printed
@@ -414,21 +420,23 @@ def chosen_windows(
 def print_summary(results: list[Result]) -> None:
     """One row per corruption."""
     print("## In short\n")
-    wrong = [one for one in results if not one.is_right]
+    wrong = [result for result in results if not result.is_right]
     names = dict.fromkeys([*(row.name for row in ROWS), *(row.name for row in FRAME_ROWS)])
     print("| what is wrong | cases | silent | doubted | refused | harmless | hint works |")
     print("|---|---:|---:|---:|---:|---:|---:|")
     for name in names:
-        own = [one for one in wrong if one.row == name]
-        if own:
-            print(f"| {name} | {len(own)} | {_counts(own)} |")
+        of_row = [result for result in wrong if result.row == name]
+        if of_row:
+            print(f"| {name} | {len(of_row)} | {_counts(of_row)} |")
     print(f"| all | {len(wrong)} | {_counts(wrong)} |\n")
 
 
 def _counts(results: list[Result]) -> str:
-    told = [one.hint_works for one in results if one.hint_works is not None]
-    counts = [str(sum(one.outcome == outcome for one in results) or "") for outcome in OUTCOMES]
-    return " | ".join([*counts, f"{sum(told)} of {len(told)}" if told else ""])
+    hints = [result.hint_works for result in results if result.hint_works is not None]
+    counts = [
+        str(sum(result.outcome == outcome for result in results) or "") for outcome in OUTCOMES
+    ]
+    return " | ".join([*counts, f"{sum(hints)} of {len(hints)}" if hints else ""])
 
 
 def print_alarms(results: list[Result]) -> None:
@@ -441,36 +449,36 @@ def print_alarms(results: list[Result]) -> None:
         "| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |"
     )
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
-    for name in [*dict.fromkeys(one.scan for one in results), ""]:
-        own = [one for one in results if name in ("", one.scan)]
-        right = [one for one in own if one.is_right]
-        untold = [one for one in own if one.row == "down not told"]
+    for name in [*dict.fromkeys(result.scan for result in results), ""]:
+        of_scan = [result for result in results if name in ("", result.scan)]
+        right = [result for result in of_scan if result.is_right]
+        untold = [result for result in of_scan if result.row == "down not told"]
         cells = [len(right), *(_n(right, kind) for kind in ("doubted", "refused")), len(untold)]
         cells += [_n(untold, kind) for kind in ("doubted", "refused", "silent")]
         print(f"| {name or 'all'} | {' | '.join(str(cell or '') for cell in cells)} |")
     print()
-    alarms = [one for one in results if one.is_alarm]
-    n_right = sum(one.is_right for one in results)
+    alarms = [result for result in results if result.is_alarm]
+    n_right = sum(result.is_right for result in results)
     if n_right:
         print(
             f"{len(alarms)} of {n_right} rightly told runs are false alarms ({len(alarms) / n_right:.1%}).\n"
         )
-    wrong = [one for one in results if one.is_right and one.outcome == "silent"]
-    for one in [*alarms, *wrong]:
+    wrong = [result for result in results if result.is_right and result.outcome == "silent"]
+    for result in [*alarms, *wrong]:
         print(
-            f"- {one.row}, {one.scan}, line {one.first_line}, {one.method}: {one.outcome}, F1 {one.f1:.2f}: {one.said}"
+            f"- {result.row}, {result.scan}, line {result.first_line}, {result.method}: {result.outcome}, F1 {result.f1:.2f}: {result.said}"
         )
     if alarms or wrong:
         print()
 
 
 def _n(results: list[Result], outcome: Outcome) -> int:
-    return sum(one.outcome == outcome for one in results)
+    return sum(result.outcome == outcome for result in results)
 
 
 def print_silent(results: list[Result]) -> None:
     """Every silent failure."""
-    silent = [one for one in results if not one.is_right and one.outcome == "silent"]
+    silent = [result for result in results if not result.is_right and result.outcome == "silent"]
     print("## Silent failures\n")
     if not silent:
         print("None.\n")
@@ -478,9 +486,9 @@ def print_silent(results: list[Result]) -> None:
     print(
         "| what is wrong | scan | from line | method | macro F1 | rightly told |\n|---|---|---:|---|---:|---:|"
     )
-    for one in silent:
+    for result in silent:
         print(
-            f"| {one.row} | {one.scan} | {one.first_line} | {one.method} | {one.f1:.2f} | {one.f1_right:.2f} |"
+            f"| {result.row} | {result.scan} | {result.first_line} | {result.method} | {result.f1:.2f} | {result.f1_right:.2f} |"
         )
     print()
 
@@ -490,16 +498,16 @@ def print_words(results: list[Result]) -> None:
     print("## What is said\n")
     print("| what is wrong | exit code | first line |\n|---|---:|---|")
     seen: set[tuple[str, int]] = set()
-    for one in results:
-        if one.said and (one.row, one.exit_code) not in seen:
-            seen.add((one.row, one.exit_code))
-            print(f"| {one.row} | {one.exit_code} | {one.said.replace('|', '/')} |")
+    for result in results:
+        if result.said and (result.row, result.exit_code) not in seen:
+            seen.add((result.row, result.exit_code))
+            print(f"| {result.row} | {result.exit_code} | {result.said.replace('|', '/')} |")
     print()
 
 
 def as_json(results: list[Result]) -> Iterator[dict[str, object]]:
-    for one in results:
-        values = asdict(one)
+    for result in results:
+        values = asdict(result)
         yield {
             key: None if isinstance(value, float) and np.isnan(value) else value
             for key, value in values.items()
@@ -525,7 +533,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     start = time.perf_counter()
-    told: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
+    report_progress: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
     with tempfile.TemporaryDirectory() as name:
         trial = Trial(Path(name), in_own_process if arguments.processes else in_process)
         run_set(
@@ -534,7 +542,7 @@ def main() -> None:
             arguments.seed,
             is_quick=arguments.quick,
             only=arguments.only,
-            told=told,
+            report_progress=report_progress,
         )
     results = trial.results
     print("<!-- written by python -m benchmarks.trust; do not edit -->\n\n# Trust: figures\n")
@@ -550,7 +558,7 @@ def main() -> None:
     print_words(results)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(list(as_json(results)), indent=1), encoding="utf-8")
-    told(f"{len(results)} runs, {time.perf_counter() - start:.0f} s")
+    report_progress(f"{len(results)} runs, {time.perf_counter() - start:.0f} s")
 
 
 if __name__ == "__main__":

@@ -138,7 +138,7 @@ def methods_of(window: Window) -> tuple[str, ...]:
 def shots_of(window: Window, *, returns_only: bool = False) -> Shots:
     """Return the shots of a window in firing order."""
     line, column = np.indices(window.range_m.shape).reshape(2, -1)
-    found: Shots = {
+    shots: Shots = {
         "range": window.range_m.ravel(),
         "time": window.time_s.ravel(),
         "angle": window.angle_deg()[column],
@@ -147,8 +147,8 @@ def shots_of(window: Window, *, returns_only: bool = False) -> Shots:
         "truth": window.codes.ravel(),
     }
     if window.world_m is not None:
-        found |= {axis: window.world_m[..., i].ravel() + PLACE_M[i] for i, axis in enumerate("xyz")}
-    return taken(found, np.flatnonzero(~np.isnan(found["range"]))) if returns_only else found
+        shots |= {axis: window.world_m[..., i].ravel() + PLACE_M[i] for i, axis in enumerate("xyz")}
+    return taken(shots, np.flatnonzero(~np.isnan(shots["range"]))) if returns_only else shots
 
 
 def taken(shots: Shots, order: NDArray[np.integer[Any]]) -> Shots:
@@ -195,10 +195,12 @@ def aim(
     """
     if not context.is_aimed:
         return ()
-    found: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
     if angles:
-        found += _set("angle_start", window.start_deg) + _set("angle_step", window.step_deg * step)
-    return found if nadir is None else found + _set("nadir", window.nadir_deg + nadir)
+        options += _set("angle_start", window.start_deg) + _set(
+            "angle_step", window.step_deg * step
+        )
+    return options if nadir is None else options + _set("nadir", window.nadir_deg + nadir)
 
 
 def _set(key: str, value: float) -> tuple[str, str]:
@@ -223,9 +225,9 @@ def flat(
 
 def plain(window: Window, context: Context, **aiming: Any) -> Told:
     """Write a window as a plain dump."""
-    told = flat(window, context, window.range_m)
+    stated = flat(window, context, window.range_m)
     return replace(
-        told, options=("-M", str(window.points_per_line), *aim(window, context, **aiming))
+        stated, options=("-M", str(window.points_per_line), *aim(window, context, **aiming))
     )
 
 
@@ -418,20 +420,21 @@ def angles_in_extra_bytes(window: Window, context: Context) -> Made:
     """Nothing wrong: LAS whose own scan angle is empty, with the angle beside line, column and range."""
     if window.world_m is None:
         return None
-    told = las(window, context)
-    cloud = laspy.read(told.path)
+    stated = las(window, context)
+    cloud = laspy.read(stated.path)
     cloud.add_extra_dim(laspy.ExtraBytesParams("angle_deg", "f8"))
     cloud["angle_deg"] = shots_of(window, returns_only=True)["angle"]
     cloud["scan_angle"][:] = 0
-    cloud.write(told.path)
-    return replace(told, options=())
+    cloud.write(stated.path)
+    return replace(stated, options=())
 
 
 def angles_mirrored(window: Window, context: Context) -> Made:
-    told = plain(window, context)
+    stated = plain(window, context)
     aimed = _set("angle_start", window.start_deg) + _set("angle_step", -window.step_deg)
     return replace(
-        told, options=("-M", str(window.points_per_line), *aimed, *_set("nadir", window.nadir_deg))
+        stated,
+        options=("-M", str(window.points_per_line), *aimed, *_set("nadir", window.nadir_deg)),
     )
 
 
@@ -746,7 +749,8 @@ def each_line_again(times: int, every: int) -> Callable[[Window, Context], Made]
     def make(window: Window, context: Context) -> Made:
         lines = slice(0, max(window.n_lines // times, 12))
         ranges, codes = (
-            np.repeat(one[lines, ::every], times, axis=0) for one in (window.range_m, window.codes)
+            np.repeat(values[lines, ::every], times, axis=0)
+            for values in (window.range_m, window.codes)
         )
         ranges = (ranges + context.random.normal(0.0, 0.003, ranges.shape)).astype(np.float32)
         path = context.folder / "scan.npz"

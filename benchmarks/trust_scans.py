@@ -109,11 +109,11 @@ class Drive(Simulated):
     between_lines_m: float | None = None
 
     def options(self) -> dict[str, Any]:
-        found = Simulated.options(self)
+        options = Simulated.options(self)
         if self.between_lines_m is not None:
             speed = self.between_lines_m * self.line_hz
-            found["trajectory"] |= {"speed_m_s": speed, "speed_variation": 0.0}
-        return found
+            options["trajectory"] |= {"speed_m_s": speed, "speed_variation": 0.0}
+        return options
 
     @property
     def line_hz(self) -> float:
@@ -145,11 +145,12 @@ class Source:
         """
         scan = self.make()
         lines = len(scan.range_m)
-        each = min(self.n_lines, lines)
-        n = min(n, 1 + (lines - each) // max(each // 8, 1))
-        firsts = np.unique(np.linspace(0, lines - each, n).astype(int))
+        per_window = min(self.n_lines, lines)
+        n = min(n, 1 + (lines - per_window) // max(per_window // 8, 1))
+        firsts = np.unique(np.linspace(0, lines - per_window, n).astype(int))
         return [
-            cut(self.name, scan, int(first), each, is_labelled=self.is_labelled) for first in firsts
+            cut(self.name, scan, int(first), per_window, is_labelled=self.is_labelled)
+            for first in firsts
         ]
 
     def slower(self, between_lines_m: float) -> Window:
