@@ -28,7 +28,8 @@ from prc_cli.methods.fused.thresholds import FOREST, NEVER, NO_BINS, STREET, For
 LEAST_THINGS = 200
 """Fewest cars, poles or curbs of the reference, in shots, to score them."""
 Tables = dict[str, Any]
-"""Limits by table and name; a value that is no dict takes the place of the table, None = the step is left out."""
+"""Limits by table and name; a value that is no dict takes the place of the table, None = the step
+is left out."""
 LimitsT = TypeVar("LimitsT", Limits, Forest)
 
 

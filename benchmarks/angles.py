@@ -1,6 +1,7 @@
 """The step of the angles measured from the ranges: how exact it is, and how exact it must be.
 
-    python -m benchmarks.angles > docs/figures/angles.md        # reads ../shared/data or $PRC_DATA; 5 minutes
+    # reads ../shared/data or $PRC_DATA; 5 minutes
+    python -m benchmarks.angles > docs/figures/angles.md
     python -m benchmarks.angles docs/images/angles.svg          # the picture of docs/fused.md
 
 Seeds 9311-9350, on which nothing was chosen; the limits of the estimator were chosen on 9401-9618
@@ -149,9 +150,12 @@ def steps() -> None:
         if measured_step is None:
             print(f"{shape} none | | | |")
             continue
-        cells = f"{math.degrees(measured_step.step_rad):.4f}°{f' ({measured_step.usual})' if measured_step.usual else ''} | {measured_step.off:.1%}"
+        usual = f" ({measured_step.usual})" if measured_step.usual else ""
+        degrees = math.degrees(measured_step.step_rad)
+        cells = f"{degrees:.4f}°{usual} | {measured_step.off:.1%}"
         print(
-            f"{shape} {cells} | {measured_step.step_rad / step - 1:+.2%} | {measured_step.n_pieces} |"
+            f"{shape} {cells} | {measured_step.step_rad / step - 1:+.2%} | "
+            f"{measured_step.n_pieces} |"
         )
     print()
 
@@ -200,7 +204,8 @@ def f1_cells(verdicts: Iterable[Verdict | None], classes: Iterable[str]) -> str:
 def beside_true(title: str, named: Iterable[tuple[str, Scan]]) -> None:
     """Print F1 with ranges and M alone, beside those with true angles."""
     print(
-        f"## {title}\n\n| scan | angles | step off | uncertainty | {' | '.join(CLASSES)} | mean | doubts |"
+        f"## {title}\n\n| scan | angles | step off | uncertainty | {' | '.join(CLASSES)} | "
+        "mean | doubts |"
     )
     print("|---|---|---:|---:|" + "---:|" * (len(CLASSES) + 1) + "---|")
     for name, scan in named:
@@ -219,7 +224,8 @@ def beside_true(title: str, named: Iterable[tuple[str, Scan]]) -> None:
 def wrong_steps() -> None:
     """Print F1 with steps that are wrong, told without straight down."""
     print(
-        "## How exact it must be\n\nThe step is told wrong, with `input.angle_start` and `input.angle_step`; straight"
+        "## How exact it must be\n\nThe step is told wrong, with `input.angle_start` and "
+        "`input.angle_step`; straight"
     )
     print("down is found from the ground.\n")
     print(
@@ -246,7 +252,8 @@ def wrong_steps() -> None:
 def told_steps() -> None:
     """Print what the check of the step says of angles that are told, right and wrong."""
     print(
-        "## The check of what is told\n\nThe first and the last 250 lines of all scans above, angles times a factor.\n"
+        "## The check of what is told\n\nThe first and the last 250 lines of all scans "
+        "above, angles times a factor.\n"
     )
     print("| angles times | says nothing | fine | doubtful | refused |\n|---:|---:|---:|---:|---:|")
     every = [(range_m, step) for _, range_m, step in real()]
@@ -299,7 +306,8 @@ def conditions() -> None:
 
 
 def picture() -> str:
-    """Draw u over the columns of a line with the windows that a quadratic fits, and what all lines say, as SVG."""
+    """Draw u over the columns of a line with the windows that a quadratic fits, and what all lines
+    say, as SVG."""
     scan = made(STREETS[0])
     inverse = 1.0 / scan.range_m.astype(np.float64)
     line = inverse[len(inverse) // 2]
@@ -335,7 +343,8 @@ def picture() -> str:
     counts = np.histogram(shares, 60, (0.4, 1.6))[0]
     for k, high in enumerate((counts * 190 / counts.max()).tolist()):
         parts.append(
-            f'<rect x="{470 + 6 * k}" y="{base - high:.1f}" width="5.5" height="{high:.1f}" fill="#1f6fb2"/>'
+            f'<rect x="{470 + 6 * k}" y="{base - high:.1f}" width="5.5" '
+            f'height="{high:.1f}" fill="#1f6fb2"/>'
         )
     texts = [
         (50, 24, "u = 1 / r [1/m]"),
@@ -349,8 +358,14 @@ def picture() -> str:
     axes = (
         f'<path d="M44,20V{base}H410M470,20V{base}H835M650,{base}V20" fill="none" stroke="#888"/>'
     )
-    head = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 850 260" font-family="sans-serif" font-size="11"'
-    return f'{head} fill="#222"><rect width="100%" height="100%" fill="#fff"/>{axes}{"".join(parts)}</svg>\n'
+    head = (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 850 260" '
+        'font-family="sans-serif" font-size="11"'
+    )
+    return (
+        f'{head} fill="#222"><rect width="100%" height="100%" '
+        f'fill="#fff"/>{axes}{"".join(parts)}</svg>\n'
+    )
 
 
 def main() -> None:
@@ -359,11 +374,13 @@ def main() -> None:
         Path(sys.argv[1]).write_text(picture(), encoding="utf-8")
         return
     print(
-        "<!-- written by python -m benchmarks.angles; do not edit -->\n\n# Tables of measured angles\n"
+        "<!-- written by python -m benchmarks.angles; do not edit -->\n\n# Tables of "
+        "measured angles\n"
     )
     print("```console\n$ python -m benchmarks.angles > docs/figures/angles.md\n```\n")
     print(
-        "Simulated scans of seeds 9311 to 9350, first returns; `prc classify ranges.bin labels.npy -M M`. F1.\n"
+        "Simulated scans of seeds 9311 to 9350, first returns; `prc classify ranges.bin "
+        "labels.npy -M M`. F1.\n"
     )
     steps()
     beside_true(

@@ -107,7 +107,10 @@ def least_s(job: Callable[[], object]) -> float:
 
 def peak_mib(path: Path) -> float:
     """Return the most memory of a process that reads a file [MiB]."""
-    code = f"import benchmarks.bags as b; from pathlib import Path; b.read(Path({str(path)!r})); print(b.own_mib())"
+    code = (
+        f"import benchmarks.bags as b; from pathlib import Path; b.read(Path({str(path)!r})); "
+        "print(b.own_mib())"
+    )
     process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
@@ -131,7 +134,8 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         print(
-            "| file | MB | million shots a second, prc | the usual decoder | peak memory | ten times as long |"
+            "| file | MB | million shots a second, prc | the usual decoder | peak memory | "
+            "ten times as long |"
         )
         print("|---|---|---|---|---|---|")
         small = write_inputs(Path(folder), arguments.seconds)
@@ -146,7 +150,8 @@ def main() -> None:
             size = path.stat().st_size / 1e6
             rate = shots / own_s / 1e6
             print(
-                f"| {path.name} | {size:.1f} | {rate:.2f} | {beside} | {peak_mib(path):.0f} MiB | {more} |"
+                f"| {path.name} | {size:.1f} | {rate:.2f} | {beside} | "
+                f"{peak_mib(path):.0f} MiB | {more} |"
             )
 
 

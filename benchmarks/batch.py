@@ -130,7 +130,8 @@ class Way:
         wall = min(wall for wall, _ in self.times)
         cpu = min(cpu for _, cpu in self.times)
         print(
-            f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | {len(self.outputs)} |",
+            f"| {self.title} | {wall:.1f} | {cpu:.1f} | {1000 * cpu / FILES:.0f} | "
+            f"{len(self.outputs)} |",
             flush=True,
         )
 

@@ -1,9 +1,11 @@
-"""Classification before registration beside one after it (CAR), on a simulated drive with known classes.
+"""Classification before registration beside one after it (CAR), on a simulated drive with known
+classes.
 
     python -m benchmarks.car             # writes docs/figures/car.md
     python -m benchmarks.car --length 40 --page /tmp/page.md
-    python -m benchmarks.car --oakland   # the section on Oakland's registered points, in the same page
-    python -m benchmarks.car --large 20000000 40000000   # memory of the nearest match alone, printed
+    # the section on Oakland's registered points, in the same page
+    python -m benchmarks.car --oakland
+    python -m benchmarks.car --large 20000000 40000000  # memory of the nearest match alone, printed
 
 The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40
 m, shuffled, cleaned of single points and thinned to one point in 5 cm, as an office delivers it.
@@ -242,7 +244,10 @@ def page(folder: Path, length: float, seed: int) -> str:
     truth = noise_of(exact)
     estimate = noise_of(noise)
     parts = [
-        f"# Figures of PRC and CAR\n\nWritten by `python -m benchmarks.car --length {length:g}`: {n:,} shots.",
+        (
+            "# Figures of PRC and CAR\n\nWritten by `python -m benchmarks.car --length "
+            f"{length:g}`: {n:,} shots."
+        ),
         "Times are wall times on a machine shared with other work; peak memory is of the command",
         "with its guard.\n\n## Time and memory\n",
         table(("command", "time [s]", "memory [MiB]"), commands),
@@ -283,7 +288,8 @@ def page(folder: Path, length: float, seed: int) -> str:
 
 
 def oakland_section(folder: Path) -> str:
-    """Compare PRC on recovered lines with CAR on the registered points they came from, strip by strip."""
+    """Compare PRC on recovered lines with CAR on the registered points they came from, strip by
+    strip."""
     rows: list[tuple[str, ...]] = []
     states: list[tuple[str, ...]] = []
     seconds: list[tuple[str, ...]] = []
@@ -329,10 +335,22 @@ def oakland_section(folder: Path) -> str:
     return "\n".join(
         [
             f"{OAKLAND}\n",
-            "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on the registered points. CAR reads",
-            "these points. PRC reads lines, angles and ranges that were recovered from them by fitting (.5 degrees, 1 cm):",
-            "its side is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused method,",
-            "strip 2 one of its rules, strip 3 nothing. Times include Python's start; other work ran beside them.\n",
+            (
+                "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on "
+                "the registered points. CAR reads"
+            ),
+            (
+                "these points. PRC reads lines, angles and ranges that were recovered from "
+                "them by fitting (.5 degrees, 1 cm):"
+            ),
+            (
+                "its side is no raw stream either, and its noise had been deleted. Strip 1 "
+                "decided limits of the fused method,"
+            ),
+            (
+                "strip 2 one of its rules, strip 3 nothing. Times include Python's start; "
+                "other work ran beside them.\n"
+            ),
             table(
                 (
                     "strip and class",
@@ -347,7 +365,8 @@ def oakland_section(folder: Path) -> str:
 
 
 def large(n: int, folder: Path) -> str:
-    """Return time and memory of matching n shots with as many registered points, 200 on every square metre."""
+    """Return time and memory of matching n shots with as many registered points, 200 on every
+    square metre."""
     for name, seed in (("run", 1), ("reference", 2)):
         header = laspy.LasHeader(version="1.4", point_format=6)
         header.scales = np.full(3, 0.001)
@@ -364,7 +383,10 @@ def large(n: int, folder: Path) -> str:
     summary, seconds, peak = prc(
         "evaluate", folder / "run.las", folder / "reference.las", "--match", "nearest", "--json"
     )
-    return f"{n:,} shots: {summary['match']['n_matched']:,} pairs, {seconds:.0f} s, peak {peak:.0f} MiB"
+    return (
+        f"{n:,} shots: {summary['match']['n_matched']:,} pairs, {seconds:.0f} s, peak "
+        f"{peak:.0f} MiB"
+    )
 
 
 def main() -> None:

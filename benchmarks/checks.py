@@ -92,7 +92,8 @@ def main() -> None:
     """Print the tables."""
     print("<!-- written by python -m benchmarks.checks; do not edit -->\n\n## Time of the checks\n")
     print(
-        "Processor time; the checks of the sample are asked twice in files of more than a million shots.\n"
+        "Processor time; the checks of the sample are asked twice in files of more than a "
+        "million shots.\n"
     )
     load_classifier()
     with tempfile.TemporaryDirectory() as folder:

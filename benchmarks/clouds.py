@@ -1,4 +1,5 @@
-"""Time and memory of reading PLY and PCD, beside plyfile's own read and the same stream as a raw dump.
+"""Time and memory of reading PLY and PCD, beside plyfile's own read and the same stream as a raw
+dump.
 
     python -m benchmarks.clouds [--copies 40]
 
@@ -119,7 +120,8 @@ def main() -> None:
                 "line-length",
             ]
             print(
-                f"classify {path.stat().st_size >> 20} MiB: {peak_mib([*options, *accepted]):.0f} MiB"
+                f"classify {path.stat().st_size >> 20} MiB: "
+                f"{peak_mib([*options, *accepted]):.0f} MiB"
             )
 
 

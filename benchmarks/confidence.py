@@ -2,11 +2,12 @@
 
 Its table, and how often labels of every confidence are right.
 
-    python -m benchmarks.confidence calibrate           # makes prc_cli/methods/fused/confidence.json
-    python -m benchmarks.confidence check               # reliability on other streets and forests, for choosing
-    python -m benchmarks.confidence report              # docs/figures/confidence.md, seeds that decided nothing
-    python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
-    python -m benchmarks.confidence speed               # processor time, and how much the size of blocks matters
+    python -m benchmarks.confidence calibrate  # makes prc_cli/methods/fused/confidence.json
+    python -m benchmarks.confidence check  # reliability on other streets and forests, for choosing
+    python -m benchmarks.confidence report  # docs/figures/confidence.md, seeds that decided nothing
+    # the same page: streets for choosing without single measures
+    python -m benchmarks.confidence ablation
+    python -m benchmarks.confidence speed  # processor time, and how much the size of blocks matters
 
 Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2901 to 2999 and on the
 labelled real scans of ../shared/data or $PRC_DATA. A label is right if it is the class of the
@@ -152,7 +153,8 @@ def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
 def table_of(
     judged: Sequence[Judged], environment: Environment, dropped: tuple[str, ...] = ()
 ) -> U8:
-    """Return the share of right labels in every cell [per cent], without the answers to some questions."""
+    """Return the share of right labels in every cell [per cent], without the answers to some
+    questions."""
     table = np.zeros((len(Label), N_CELLS), np.uint8)
     for label, questions in QUESTIONS[environment].items():
         of_label = [
@@ -204,7 +206,8 @@ def top_share(
 
 
 def expected_error(shots: U8, right: Mask, weight: F64) -> float:
-    """Return the mean difference of confidence and share of right ones, over the values of the byte."""
+    """Return the mean difference of confidence and share of right ones, over the values of the
+    byte."""
     n = np.bincount(shots, weight, minlength=101)
     good = np.bincount(shots, weight * right, minlength=101)
     return float(np.abs(good - n * np.arange(101) / 100.0).sum() / n.sum())
@@ -246,8 +249,8 @@ def row(name: str, judged: Sequence[Judged]) -> str:
 
 
 HEAD = (
-    "| right, % | all | nine tenths | eight tenths | share ≥ 90 | of these | calibration error |\n|---|"
-    + "---:|" * 6
+    "| right, % | all | nine tenths | eight tenths | share ≥ 90 | of these | calibration "
+    "error |\n|---|" + "---:|" * 6
 )
 
 
@@ -310,12 +313,13 @@ def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 NAMES: dict[Environment, str] = {"urban": "streets", "forest": "forests"}
 ABLATION = """\
-The table is made anew without the answers to one question. Calibrated on seeds 2601 to 2699, other scans of seeds 2701
-to 2799, on which the questions were chosen."""
+The table is made anew without the answers to one question. Calibrated on seeds 2601 to 2699, other
+scans of seeds 2701 to 2799, on which the questions were chosen."""
 ABOUT = """\
-Every simulated scan counts as much as any other. *Nine tenths*: the share of right labels among the nine tenths of the
-shots with the most confidence; of shots with one confidence, each counts in part. *Calibration error*: mean difference
-of confidence and share of right labels, over the values of the byte."""
+Every simulated scan counts as much as any other. *Nine tenths*: the share of right labels among the
+nine tenths of the shots with the most confidence; of shots with one confidence, each counts in
+part. *Calibration error*: mean difference of confidence and share of right labels, over the values
+of the byte."""
 
 
 def reliability(judged: Sequence[Judged]) -> list[tuple[str, float, float, float]]:
@@ -344,7 +348,8 @@ def print_reliability(judged: Sequence[Judged]) -> None:
     shots, right, weight = pooled(judged)
     labels = np.concatenate([judged_scan.labels for judged_scan in judged])
     print(
-        "\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % |\n|---|---:|---:|---:|---:|"
+        "\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % "
+        "|\n|---|---:|---:|---:|---:|"
     )
     for label in np.unique(labels).tolist():
         is_label = labels == label
@@ -375,10 +380,14 @@ def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
     edge = 50
     colours = ("#0072b2", "#d55e00", "#009e73")
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{side + 2 * edge}" height="{side + 2 * edge}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{side + 2 * edge}" '
+        f'height="{side + 2 * edge}" '
         'font-family="sans-serif" font-size="12">',
         f'<rect width="{side + 2 * edge}" height="{side + 2 * edge}" fill="white"/>',
-        f'<path d="M{edge},{edge + side} L{edge + side},{edge}" stroke="#999" stroke-dasharray="4"/>',
+        (
+            f'<path d="M{edge},{edge + side} L{edge + side},{edge}" stroke="#999" '
+            'stroke-dasharray="4"/>'
+        ),
     ]
     for tick in range(0, 101, 20):
         position = side * tick / 100
@@ -405,7 +414,8 @@ def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
             f'<text x="{edge + 12}" y="{edge + 20 + 16 * k}" fill="{colours[k]}">{name}</text>'
         )
     parts.append(
-        f'<text x="{edge + side / 2}" y="{edge + side + 38}" text-anchor="middle">confidence [%]</text>'
+        f'<text x="{edge + side / 2}" y="{edge + side + 38}" '
+        'text-anchor="middle">confidence [%]</text>'
     )
     parts.append(f'<text x="14" y="{edge - 14}">labels that are right [%]</text></svg>')
     return "\n".join(parts) + "\n"
@@ -462,9 +472,10 @@ def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
 
 
 REAL_TEXT = """\
-By `prc classify --preset fused --set output.confidence=true` and the mapping `street_oakland`; the first strip is one
-that `fused` was tuned on, nothing about confidence was chosen on any. Of the KITTI frame ground, building, vegetation
-and cars are compared; no ring scanner is simulated, so its confidence is that of profilers."""
+By `prc classify --preset fused --set output.confidence=true` and the mapping `street_oakland`; the
+first strip is one that `fused` was tuned on, nothing about confidence was chosen on any. Of the
+KITTI frame ground, building, vegetation and cars are compared; no ring scanner is simulated, so its
+confidence is that of profilers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -494,10 +505,12 @@ class CodesOf:
 def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     """Print the page of figures, and draw the curve."""
     print(
-        "<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: figures\n"
+        "<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: "
+        "figures\n"
     )
     print(
-        f"What the byte means is [described here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}"
+        "What the byte means is [described "
+        f"here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}"
     )
     lines: dict[str, list[tuple[str, float, float, float]]] = {}
     for environment in environments:
@@ -512,7 +525,7 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     CURVE.write_text(curve(lines), encoding="utf-8")
 
 
-COMMANDS = """$ python -m benchmarks.confidence calibrate     # the table of the package, after any change of fused
+COMMANDS = """$ python -m benchmarks.confidence calibrate  # after any change of fused
 $ python -m benchmarks.confidence report > docs/figures/confidence.md
 $ python -m benchmarks.confidence ablation urban >> docs/figures/confidence.md"""
 
@@ -533,7 +546,8 @@ def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
             times[wanted].append((time.process_time() - start) / 3 / scan.n_shots)
         off, on = (1e10 * min(times[wanted]) for wanted in (False, True))
         print(
-            f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence"
+            f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} "
+            "ms more with confidence"
         )
         seconds = {}
         for n_lines in (128, 64, 16):

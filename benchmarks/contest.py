@@ -1,7 +1,8 @@
 """The contest: both papers, the fused method and filters of registered clouds on the same points.
 
-    python -m benchmarks.contest > docs/figures/contest.md    # everything; only what changed is run again
-    python -m benchmarks.contest --quick                      # papers and fused on three scans, no filters, no pictures
+    # everything; only what changed is run again
+    python -m benchmarks.contest > docs/figures/contest.md
+    python -m benchmarks.contest --quick  # papers and fused on three scans, no filters, no pictures
     python -m benchmarks.contest tables peers                 # some of the parts
 
 Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds run if installed
@@ -129,11 +130,11 @@ def summary(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """One row per method, one column per group: mean macro F1 of the scans, then every class."""
     groups = contest.groups()
     print("## In short\n")
-    say(f"""Macro F1: the mean F1 of noise, ground, building and vegetation (in forests noise, ground, stem and
-    vegetation). A class counts in a scan if it has at least {LEAST_SHARE:.1%} of the scored returns. Cells:
-    mean over the scans of the group that the method is meant for; worst scan in brackets. The Oakland
-    reference has no noise: points predicted as noise count as errors of their true class. Noise is scored on
-    the same strips with background added.""")
+    say(f"""Macro F1: the mean F1 of noise, ground, building and vegetation (in forests noise,
+    ground, stem and vegetation). A class counts in a scan if it has at least {LEAST_SHARE:.1%} of
+    the scored returns. Cells: mean over the scans of the group that the method is meant for; worst
+    scan in brackets. The Oakland reference has no noise: points predicted as noise count as errors
+    of their true class. Noise is scored on the same strips with background added.""")
     usual = {name: items for name, items in groups.items() if name not in FURTHER}
     print_macros(usual, runs)
     print_macros({name: items for name, items in groups.items() if name in FURTHER}, runs)
@@ -197,10 +198,11 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Targets, and what the best method of the stream reaches."""
     groups = contest.groups()
     print("## Against the goals\n")
-    say("""Goals are for fused, F1, mean over the scans of a group, compared as printed. Beside it the best method of
-    the papers, by its mean.""")
+    say("""Goals are for fused, F1, mean over the scans of a group, compared as printed. Beside it
+    the best method of the papers, by its mean.""")
     print(
-        "| | class | goal | fused | worst scan | reached | papers |\n|---|---|---:|---:|---:|---|---|"
+        "| | class | goal | fused | worst scan | reached | papers "
+        "|\n|---|---|---:|---:|---:|---|---|"
     )
     fused_names = {method.name for method in fused()}
     for group, wanted in GOALS.items():
@@ -221,7 +223,10 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             ]
             rival = "{:.3f}, {}".format(*max(papers)) if papers else "none"
             mean = float(np.mean(ours[0]))
-            cells = f"≥ {goal} | {mean:.3f} | {min(ours[0]):.3f} | {_yes(round(mean, 3) >= goal)} | {rival}"
+            cells = (
+                f"≥ {goal} | {mean:.3f} | {min(ours[0]):.3f} | {_yes(round(mean, 3) >= goal)} "
+                f"| {rival}"
+            )
             print(f"| {group} | {name} | {cells} |")
     print()
     print_lost(groups.get(SLOW, []), runs)
@@ -258,8 +263,8 @@ def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
     }
     if not streets or not verdicts:
         return
-    say(f"""Slow drives: F1 of fused on a street driven normally, and what the same street loses when it is driven
-    slowly. Goal: at most {MOST_LOST} of any class.""")
+    say(f"""Slow drives: F1 of fused on a street driven normally, and what the same street loses
+    when it is driven slowly. Goal: at most {MOST_LOST} of any class.""")
     print(f"| street | class | {' | '.join(SLOW_DRIVES)} |\n|---|---|{'---:|' * len(SLOW_DRIVES)}")
     for street in streets:
         normal = verdicts[f"{street}, {first}"]
@@ -306,7 +311,8 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
                 for run in runs_by_name.values()
             ]
             print(
-                f"| {title_of(item)} | {present_runs[0].returns if present_runs else 0:,} | {' | '.join(cells)} |"
+                f"| {title_of(item)} | {present_runs[0].returns if present_runs else 0:,} "
+                f"| {' | '.join(cells)} |"
             )
         print()
 
@@ -346,7 +352,8 @@ def print_confusion(title: str, verdict: Verdict) -> None:
     for row, counts in zip(verdict.rows, verdict.counts, strict=True):
         if counts.sum():
             print(
-                f"| {row} | {' | '.join(printed_at(n / counts.sum()) for n in counts)} | {counts.sum():,} |"
+                f"| {row} | {' | '.join(printed_at(n / counts.sum()) for n in counts)} | "
+                f"{counts.sum():,} |"
             )
     for name, became in verdict.others.items():
         total = sum(became.values())
@@ -358,12 +365,12 @@ def print_confusion(title: str, verdict: Verdict) -> None:
 def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Filters of registered clouds on the same points."""
     print("## Filters of registered clouds\n")
-    say("""These filters get every return with its true world coordinates (simulated scans: the simulated pose; Oakland:
-    the set's own x, y, z; KITTI: the frame itself). Parameters: as their authors recommend and, except for
-    SMRF, as tuned on streets of seeds 9001, 9004 and 9006 by <code>python -m benchmarks.contest_tune</code>.
-    Ground filters run alone and after the best noise filter. F1 of ground and noise: mean over the scans,
-    worst in brackets. Seconds of processor time per million returns; peak memory of the process, Python and
-    points included.""")
+    say("""These filters get every return with its true world coordinates (simulated scans: the
+    simulated pose; Oakland: the set's own x, y, z; KITTI: the frame itself). Parameters: as their
+    authors recommend and, except for SMRF, as tuned on streets of seeds 9001, 9004 and 9006 by
+    <code>python -m benchmarks.contest_tune</code>. Ground filters run alone and after the best
+    noise filter. F1 of ground and noise: mean over the scans, worst in brackets. Seconds of
+    processor time per million returns; peak memory of the process, Python and points included.""")
     missing = sorted(
         {
             peers.PACKAGES[f]
@@ -438,7 +445,8 @@ def f1_of(method_runs: dict[str, Run], items: list[DataSet], name: str) -> list[
 def print_best(
     rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], fused_names: set[str]
 ) -> None:
-    """The best filter of each column beside the best method of the stream that runs on all its scans."""
+    """The best filter of each column beside the best method of the stream that runs on all its
+    scans."""
     print("| | best filter of registered clouds | best of the stream |\n|---|---|---|")
     for group, items in groups.items():
         for name in JUDGED_OF_PEERS:
@@ -458,8 +466,9 @@ def print_best(
 def things(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Cars, poles and curbs."""
     print("## Cars, poles, curbs\n")
-    say("""First returns, all shots with a known reference. A curb is right if one of the reference is within 10 cm. A
-    scan counts if it holds 100 shots of the thing. Methods that never find it are left out.""")
+    say("""First returns, all shots with a known reference. A curb is right if one of the reference
+    is within 10 cm. A scan counts if it holds 100 shots of the thing. Methods that never find it
+    are left out.""")
     print_things(contest.groups(), runs)
 
 
@@ -471,8 +480,9 @@ def drives(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 def speed(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Million shots a second, on all cores."""
     print("## Speed\n")
-    say(f"""The scan is repeated to about {SPEED_SHOTS // 1_000_000} million shots, in memory, threads on all cores; the
-    shortest of {SPEED_RUNS} runs by wall time and by processor time, which other load disturbs less.""")
+    say(f"""The scan is repeated to about {SPEED_SHOTS // 1_000_000} million shots, in memory,
+    threads on all cores; the shortest of {SPEED_RUNS} runs by wall time and by processor time,
+    which other load disturbs less.""")
     print("| | scan | million shots a second | a second of one core |\n|---|---|---:|---:|")
     chosen = {item.group: item for item in reversed(contest.items)}
     for group in (PHOTON, STREET_GROUPS[2], FOREST):
@@ -522,9 +532,9 @@ def quickest(scan: Scan, method: Method) -> tuple[float, float]:
 def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Where the best method still fails."""
     print("## Where it fails\n")
-    say("""Range, reference, prediction, and what is wrong in the colour of the predicted class. Lines downward, shots
-    across, from the right side of the car over what the scanner sees to the left. Poles, cars and the like are
-    not judged.""")
+    say("""Range, reference, prediction, and what is wrong in the colour of the predicted class.
+    Lines downward, shots across, from the right side of the car over what the scanner sees to the
+    left. Poles, cars and the like are not judged.""")
     drawn: set[Path] = set()
     for k, item in enumerate(contest.items):
         if (k not in PICTURED and item.name not in PICTURED) or item.group in (
@@ -572,11 +582,11 @@ def worst_confusions(verdict: Verdict) -> str:
 def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Data, methods, and dates of the runs."""
     print("## Scans\n")
-    say("""Simulated scans are drives of 30 to 160 m and walks of 15 m. Noise: the preset's own (phase scanners), or the
-    given share of background light; 0 % leaves only mixed ranges at edges. Phase scanners: the simulator's
-    own shares of background, scaled. Pulsed scanners have no background in the simulator; it is added at
-    random shots, a quarter of it within 30 cm of the surface. None of these seeds was used to choose a
-    parameter.""")
+    say("""Simulated scans are drives of 30 to 160 m and walks of 15 m. Noise: the preset's own
+    (phase scanners), or the given share of background light; 0 % leaves only mixed ranges at edges.
+    Phase scanners: the simulator's own shares of background, scaled. Pulsed scanners have no
+    background in the simulator; it is added at random shots, a quarter of it within 30 cm of the
+    surface. None of these seeds was used to choose a parameter.""")
     print("| scan | shots | returns | share of the judged classes |\n|---|---:|---:|---|")
     for item in contest.items:
         first_run = next((runs[name][item.how] for name in runs if item.how in runs[name]), None)
@@ -596,17 +606,17 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             between = whens[0] if whens[0] == whens[-1] else f"{whens[0]} to {whens[-1]}"
             print(f"| {method.name} | `{method.command()}` | {between} |")
     print()
-    say("""The sequential-angle classifier also gets the ranging noise of the scanner (10 mm for push-brooms, 20 mm for
-    KITTI, else the preset's 5 mm). Vertical surfaces count as building, horizontal ones as ground; the method has no
-    noise class.""")
+    say("""The sequential-angle classifier also gets the ranging noise of the scanner (10 mm for
+    push-brooms, 20 mm for KITTI, else the preset's 5 mm). Vertical surfaces count as building,
+    horizontal ones as ground; the method has no noise class.""")
     print_door(contest, runs)
 
 
 def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Where straight down had to be told, and what the program doubted or refused."""
     print("## Through the door\n")
-    say("""Every run is <code>prc classify -q</code> on a file with ranges and scan angles, straight down not told.
-    Where that is refused, it is told (<code>--set input.nadir=DEG</code>).""")
+    say("""Every run is <code>prc classify -q</code> on a file with ranges and scan angles, straight
+    down not told. Where that is refused, it is told (<code>--set input.nadir=DEG</code>).""")
     print("| | scans | down had to be told | doubted | refused still |\n|---|---:|---:|---:|---:|")
     where: dict[tuple[str, str], list[str]] = {}
     titles = {item.how: title_of(item) for item in contest.items}
@@ -618,7 +628,8 @@ def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             for run in method_runs.values()
         )
         print(
-            f"| {name} | {len(method_runs)} | {n_down_known or ''} | {doubted or ''} | {refused or ''} |"
+            f"| {name} | {len(method_runs)} | {n_down_known or ''} | {doubted or ''} | "
+            f"{refused or ''} |"
         )
         for how, run in method_runs.items():
             for line in run.said:
@@ -690,11 +701,12 @@ def main() -> None:
     print(
         "<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n"
     )
-    say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of the presets and the
-    same for all scans, except where a row says otherwise. Tuning used other streets and the first Oakland strip, which
-    is shown but not counted. Classes of the macro F1: noise, ground, building, vegetation; in forests also stems.
-    Cars, poles and curbs have tables of their own. Signs, wires and people are not scored; the confusion tables show
-    what they are predicted as.""")
+    say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of
+    the presets and the same for all scans, except where a row says otherwise. Tuning used other
+    streets and the first Oakland strip, which is shown but not counted. Classes of the macro F1:
+    noise, ground, building, vegetation; in forests also stems. Cars, poles and curbs have tables of
+    their own. Signs, wires and people are not scored; the confusion tables show what they are
+    predicted as.""")
     for part in arguments.parts or (QUICK_PARTS if arguments.quick else PARTS):
         PARTS[part](contest, runs)
     report_progress(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")

@@ -1,10 +1,12 @@
-"""Scans of the contest: simulated by seed, or real ones from ../shared/data or $PRC_DATA, in one form.
+"""Scans of the contest: simulated by seed, or real ones from ../shared/data or $PRC_DATA, in one
+form.
 
 Every scan has the measurements of a scanner (ranges, angles, times, intensities, further returns),
 the reference class of every shot, and registered coordinates. Methods of the stream do not get the
 coordinates.
 
-    python -m benchmarks.contest_data train FOLDER       # streets and forests for tuning, seeds 9001-9199
+    # streets and forests for tuning, seeds 9001-9199
+    python -m benchmarks.contest_data train FOLDER
     python -m benchmarks.contest_data real FOLDER        # the real scans in the same form
 
 Seeds 7201-7399 are for reporting; nothing is tuned on them. 7001-7199 were looked at after every
@@ -171,7 +173,8 @@ PRESET_NOISE = 0.036
 
 
 def background(scanner: str, noise: float | None) -> dict[str, Any]:
-    """Return the options of the simulator for a share of noise, as far as it can simulate it for the scanner."""
+    """Return the options of the simulator for a share of noise, as far as it can simulate it for
+    the scanner."""
     if noise is None:
         return {}
     if noise == 0:
@@ -258,7 +261,8 @@ def joined(extras: list[ExtraReturns]) -> ExtraReturns:
 def _with_background(
     item: SimulatedBlock, scan: SimulatedScan, spec: Simulated
 ) -> tuple[SimulatedBlock, F64]:
-    """Add background to ranges of pulsed scanners, which the simulation lacks, and positions of the scanner.
+    """Add background to ranges of pulsed scanners, which the simulation lacks, and positions of the
+    scanner.
 
     Background replaces random shots, including those without return.
     """
@@ -595,7 +599,8 @@ def kitti() -> Scan:
 
 
 def views(kind: str, parity: int) -> Iterator[Scan]:
-    """Read the labelled range views of a kind, "kitti", "nuscenes" or "vlp32", with even or odd numbers."""
+    """Read the labelled range views of a kind, "kitti", "nuscenes" or "vlp32", with even or odd
+    numbers."""
     for path in view_paths(kind):
         if int(path.stem.rsplit("_", 1)[1]) % 2 == parity:
             yield view(path)
@@ -607,7 +612,8 @@ def view_paths(kind: str) -> list[Path]:
 
 
 def view(path: Path) -> Scan:
-    """Read a range view, an image of rings by azimuth, as vertical lines, by the median elevation of its rings."""
+    """Read a range view, an image of rings by azimuth, as vertical lines, by the median elevation
+    of its rings."""
     with np.load(path) as arrays:
         xyz = arrays["xyz"].astype(np.float64)
         ranges = arrays["range_m"]
@@ -669,23 +675,26 @@ def park() -> Scan:
     )
 
 
-README = """Data of the contest (issue 8), made by `python -m benchmarks.contest_data`; the tuning share only.
+README = """Data of the contest (issue 8), made by `python -m benchmarks.contest_data`; the tuning
+share only.
 
-train/street_90xx.npz, train_forest/forest_91xx.npz   simulated, seeds 9001-9199 (test seeds are 7201-7399: not here)
+train/street_90xx.npz, train_forest/forest_91xx.npz   simulated, seeds 9001-9199
 real/oakland_{1,2,3}.npz (strip 1 is the train share), real/park.npz
 
 Keys: range_m (lines, M) float32 [m], NaN = no return
       angle_deg (M,) from straight down within the scan plane, positive = left
       time_s (lines, M); intensity (lines, M)
-      class (lines, M) int32: reference. Simulated: 0 missing, 1 other (poles, signs, wires, people), 2 ground,
-        5 vegetation, 6 building, 7 noise, 64 stem, 65 car, 66 curb (judged as ground), 67 vertical, 68 horizontal.
-        Oakland: the numbers of the set (mapping `oakland`).
-      extra_line, extra_column, extra_range_m, extra_class: further returns (profiler-1mhz), beyond range_m's
-      cos_tilt (1,): cosine of the tilt of the scan plane (a truth of the simulator; not in a stream)
-      world_m + world_origin_m, scanner_m (lines, 3): registered coordinates. Not for methods of the stream.
-`prc classify X.npz` reads them (ranges, angles, times, intensities alone), `prc evaluate labels.npy X.npz --mapping
-prc` judges. In Python: benchmarks.contest_data.simulated(spec) gives a Scan, .blocks() a stream of ScanBlock with the
-further returns, for pipeline.label_blocks.
+      class (lines, M) int32: reference. Simulated: 0 missing, 1 other (poles, signs, wires,
+      people), 2 ground,
+        5 vegetation, 6 building, 7 noise, 64 stem, 65 car, 66 curb (judged as ground), 67 vertical,
+        68 horizontal. Oakland: the numbers of the set (mapping `oakland`).
+      extra_line, extra_column, extra_range_m, extra_class: further returns (profiler-1mhz), beyond
+      range_m's cos_tilt (1,): cosine of the tilt of the scan plane (a truth of the simulator; not
+      in a stream) world_m + world_origin_m, scanner_m (lines, 3): registered coordinates. Not for
+      methods of the stream.
+`prc classify X.npz` reads them (ranges, angles, times, intensities alone), `prc evaluate labels.npy
+X.npz --mapping prc` judges. In Python: benchmarks.contest_data.simulated(spec) gives a Scan,
+.blocks() a stream of ScanBlock with the further returns, for pipeline.label_blocks.
 
 """
 
@@ -710,7 +719,10 @@ def main() -> None:
         save(scan, folder / f"{stem}.npz")
         n = np.bincount(scan.codes[~np.isnan(scan.range_m)].ravel(), minlength=1)
         shares = {int(code): round(float(n[code] / n.sum()), 3) for code in np.flatnonzero(n)[:20]}
-        row = f"{stem}: {scan.name}: {scan.range_m.shape}, {len(scan.extra)} further returns, {shares}"
+        row = (
+            f"{stem}: {scan.name}: {scan.range_m.shape}, {len(scan.extra)} further returns, "
+            f"{shares}"
+        )
         print(row)
         with (folder / "README.txt").open("a", encoding="utf-8") as handle:
             handle.write(row + "\n")

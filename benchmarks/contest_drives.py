@@ -41,9 +41,9 @@ DRIVES = (
 def print_drives() -> None:
     """Print a row for every file that is there, and draw it."""
     print("## Real scans without a reference\n")
-    say("""<code>prc classify IN labels.npy</code>, nothing told. Records without a range and returns that are listed
-    twice stay unclassified and are left out of the shares. The pictures are of <code>prc render IN OUT.png --labels
-    labels.npy</code>.""")
+    say("""<code>prc classify IN labels.npy</code>, nothing told. Records without a range and
+    returns that are listed twice stay unclassified and are left out of the shares. The pictures are
+    of <code>prc render IN OUT.png --labels labels.npy</code>.""")
     names = ClassCodes().names()
     rows = []
     pictures = []

@@ -1,10 +1,12 @@
-"""Filters of registered clouds, run on the points of the contest with full 3-D coordinates, each in its own process.
+"""Filters of registered clouds, run on the points of the contest with full 3-D coordinates, each in
+its own process.
 
 Optional: ``pip install .[peers]`` installs cloth-simulation-filter, pypatchworkpp and open3d;
 missing packages are reported. SMRF is implemented here after Pingel et al. (2013), because pip has
 no package of it.
 
-    python -m benchmarks.contest_peers POINTS.npz OUT.npz STEP [STEP ...]     # one chain; a step is JSON
+    # one chain; a step is JSON
+    python -m benchmarks.contest_peers POINTS.npz OUT.npz STEP [STEP ...]
 """
 
 from __future__ import annotations
@@ -68,8 +70,8 @@ def installed(name: str) -> str | None:
 
 
 def statistical(points: Points, neighbours: int, sigmas: float) -> Mask:
-    """Statistical outliers: mean distance to the neighbours above the overall mean by a number of standard
-    deviations."""
+    """Statistical outliers: mean distance to the neighbours above the overall mean by a number of
+    standard deviations."""
     cloud = _open3d_cloud(points)
     return _left_out(len(points.xyz_m), cloud.remove_statistical_outlier(neighbours, sigmas)[1])
 
@@ -121,7 +123,8 @@ def patchwork(
     upright: float,
     reach_m: float,
 ) -> Mask:
-    """Patchwork++ (Lee et al. 2022), its authors' package, which takes clouds around the scanner one by one.
+    """Patchwork++ (Lee et al. 2022), its authors' package, which takes clouds around the scanner
+    one by one.
 
     A frame holds the points of some metres of the drive, with the scanner in its middle at the
     origin and z up, because a single line of a profiler has too little ground."""

@@ -175,7 +175,8 @@ class Store:
     """Whether scans without runs of all filters of registered clouds are left out."""
 
     def scan(self, item: DataSet) -> Scan:
-        """Return a scan, cached; coordinates only where filters of registered clouds or curbs need them."""
+        """Return a scan, cached; coordinates only where filters of registered clouds or curbs need
+        them."""
         if item.how not in self.scans:
             scan = item.make()
             kept = item.with_peers or item.group in STREET_GROUPS
@@ -424,7 +425,8 @@ def print_things(groups: dict[str, list[DataSet]], runs: dict[str, dict[str, Run
 
 
 def _cell(counts: list[list[float]]) -> str:
-    """Return the mean F1, the means of precision and recall, and the worst F1 if there are several scans."""
+    """Return the mean F1, the means of precision and recall, and the worst F1 if there are several
+    scans."""
     if not counts:
         return ""
     scores = [f1(label_counts) for label_counts in counts]

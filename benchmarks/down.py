@@ -1,4 +1,5 @@
-"""Guess straight down from starting points all along simulated drives, walks and the Oakland strips.
+"""Guess straight down from starting points all along simulated drives, walks and the Oakland
+strips.
 
     python -m benchmarks.down [SEED]                    # first seed, default 8201
 

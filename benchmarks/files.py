@@ -2,7 +2,7 @@
 
     python -m benchmarks.files                     # 10 million shots, inputs in the system's cache
     python -m benchmarks.files --lines 46426       # 100 million (text stays at 10)
-    python -m benchmarks.files --cold              # inputs are dropped from the cache before every run (Linux)
+    python -m benchmarks.files --cold  # inputs are dropped from the cache before every run (Linux)
 
 All jobs run in this process, in turn; the least time counts. Every output is flushed to disk. The
 last rows are classifier and fingerprint alone, a lower limit for any pipeline."""
@@ -131,10 +131,12 @@ def main() -> None:
                 took[job] = min(best[0], this[0]), min(best[1], this[1])
     cache = "not in the cache" if arguments.cold else "in the cache"
     print(
-        f"{shots['raw'] / 1e6:.1f} million shots ({shots['csv'] / 1e6:.1f} as text), inputs {cache}\n"
+        f"{shots['raw'] / 1e6:.1f} million shots ({shots['csv'] / 1e6:.1f} as text), "
+        f"inputs {cache}\n"
     )
     print(
-        "| work | s (of all cores) | Mshots/s | beside | s (of all cores) | ratio | processor time | goal |"
+        "| work | s (of all cores) | Mshots/s | beside | s (of all cores) | ratio | "
+        "processor time | goal |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for work, beside, goal in ROWS:
@@ -142,13 +144,15 @@ def main() -> None:
         (wall_beside, cpu_beside) = took[beside]
         rate = shots[work.split()[0]] / wall / 1e6
         print(
-            f"| {work} | {wall:.3f} ({cpu:.3f}) | {rate:.0f} | {beside} | {wall_beside:.3f} ({cpu_beside:.3f}) "
+            f"| {work} | {wall:.3f} ({cpu:.3f}) | {rate:.0f} | {beside} | "
+            f"{wall_beside:.3f} ({cpu_beside:.3f}) "
             f"| {wall / wall_beside:.2f} | {cpu / cpu_beside:.2f} | {goal} |"
         )
     for work in ("PRC in memory", "SHA-256"):
         wall, cpu = took[work]
         print(
-            f"| {work} | {wall:.3f} ({cpu:.3f}) | {shots[work.split()[0]] / wall / 1e6:.0f} | | | | | |"
+            f"| {work} | {wall:.3f} ({cpu:.3f}) | "
+            f"{shots[work.split()[0]] / wall / 1e6:.0f} | | | | | |"
         )
 
 

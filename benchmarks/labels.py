@@ -2,7 +2,8 @@
 
     python -m benchmarks.labels                                  # the seeds below, and Oakland
     python -m benchmarks.labels --seeds 8901-8906 --only push-broom
-    python -m benchmarks.labels --against OTHER/bin/python       # another checkout too: after, and the difference
+    # another checkout too: after, and the difference
+    python -m benchmarks.labels --against OTHER/bin/python
 
 The first seeds chose nothing and were run once for the page of figures; limits were chosen on
 :data:`SPENT`. The scene of a street goes with its seed. A class counts in a scan with at least 200

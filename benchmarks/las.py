@@ -1,8 +1,9 @@
 """Time of ``classify`` on LAS and LAZ, compared with reading and writing the same file alone.
 
     python -m benchmarks.las                     # 10 million shots, files in the system's cache
-    python -m benchmarks.las --cold              # the input is dropped from the cache before every run (Linux)
-    python -m benchmarks.las --format 1          # LAZ of an old point format: every record is compressed again
+    python -m benchmarks.las --cold  # the input is dropped from the cache before every run (Linux)
+    # LAZ of an old point format: every record is compressed again
+    python -m benchmarks.las --format 1
 
 All jobs run in this process, in turn; the least time counts. The input is a drive past a
 simulated street, point format 6 with time, angle, intensity and the dimensions of a scan line,
@@ -182,7 +183,8 @@ def main() -> None:
         (wall_beside, cpu_beside) = took[beside]
         ratios = f"{wall / wall_beside:.2f} | {cpu / cpu_beside:.2f}"
         print(
-            f"| {work} | {wall:.2f} ({cpu:.2f}) | {beside} | {wall_beside:.2f} ({cpu_beside:.2f}) | {ratios} | {goal} |"
+            f"| {work} | {wall:.2f} ({cpu:.2f}) | {beside} | {wall_beside:.2f} "
+            f"({cpu_beside:.2f}) | {ratios} | {goal} |"
         )
 
 

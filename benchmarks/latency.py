@@ -62,7 +62,8 @@ def waits(ranges: F32, preset: str, block: int) -> list[float]:
 def main() -> None:
     """Print the table."""
     print(
-        "| labels leave | median [ms] | 99 % [ms] | longest [ms] | a line of the scanner takes [ms] |"
+        "| labels leave | median [ms] | 99 % [ms] | longest [ms] | a line of the scanner "
+        "takes [ms] |"
     )
     print("|---|---:|---:|---:|---:|")
     for name, kind, scanner, preset, block in JOBS:

@@ -58,7 +58,10 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
         "LAZ to labels": (laz, "laz.npy", load_config(preset="urban"), n_returns),
         "LAZ to LAZ": (laz, "out.laz", load_config(preset="urban"), n_returns),
     }
-    yield "| work | million records a second of one core | core hours for 10⁹ | bytes read a record | written |"
+    yield (
+        "| work | million records a second of one core | core hours for 10⁹ | bytes read a "
+        "record | written |"
+    )
     yield "|---|---:|---:|---:|---:|"
     for name, (source, output, config, n) in jobs.items():
         load_classifier(config)
@@ -98,11 +101,17 @@ def plan(
     by_share = moved / (options.gigabytes * 1e9) / 3600
     yield f"core hours          {core_hours:,.0f}"
     yield f"cost of the cores   {core_hours * options.price:,.0f} at {options.price:g} a core hour"
-    yield f"read, written       {options.records * read / 1e12:,.0f} TB, {options.records * written / 1e12:,.0f} TB"
+    yield (
+        f"read, written       {options.records * read / 1e12:,.0f} TB, "
+        f"{options.records * written / 1e12:,.0f} TB"
+    )
     yield f"hours by the cores  {by_cores:,.1f} with {options.cores}"
     yield f"hours by the share  {by_share:,.1f} at {options.gigabytes:g} GB a second"
     busy = options.gigabytes * 1e9 / (rate * 1e6 * (read + written))
-    yield f"cores that the share feeds: {busy:,.0f}; a core moves {rate * (read + written):,.0f} MB a second"
+    yield (
+        f"cores that the share feeds: {busy:,.0f}; a core moves {rate * (read + written):,.0f} "
+        "MB a second"
+    )
 
 
 def main() -> None:

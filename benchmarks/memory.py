@@ -1,9 +1,10 @@
-"""Peak memory of ``prc classify`` and ``prc calibrate`` at two input sizes, each in a separate process.
+"""Peak memory of ``prc classify`` and ``prc calibrate`` at two input sizes, each in a separate
+process.
 
     python -m benchmarks.memory                           # 1.3 and 13 million shots
-    python -m benchmarks.memory --full                    # 10 and 100 million shots; takes 10 GB of disk and minutes
+    python -m benchmarks.memory --full  # 10 and 100 million shots; takes 10 GB of disk and minutes
     python -m benchmarks.memory --lines 3000 30000
-    python -m benchmarks.memory --methods                 # every method, LAZ to LAZ, at 1.3 and 10 million shots
+    python -m benchmarks.memory --methods  # every method, LAZ to LAZ, at 1.3 and 10 million shots
 
 The stream is a tiled simulated street; the documentation quotes the table.
 """
@@ -131,7 +132,8 @@ def main() -> None:
         cells = [f"{peak:.0f}" for peak in job_peaks] + [""] * (2 - len(job_peaks))
         ratio = f"{job_peaks[1] / job_peaks[0]:.2f}" if len(job_peaks) == 2 else ""
         print(
-            f"| {job} | {' | '.join(cells)} | {ratio} | {LIMIT_MIB if 'calibrate' not in job else ''} |"
+            f"| {job} | {' | '.join(cells)} | {ratio} | "
+            f"{LIMIT_MIB if 'calibrate' not in job else ''} |"
         )
 
 

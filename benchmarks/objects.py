@@ -64,7 +64,8 @@ class Listed:
     """(n, 2) float64, metres along x and y per metre of height."""
 
     def offset(self, xyz: F64, index: F64) -> F64:
-        """Return the distance in plan of points from things, each at the height of its point [m]."""
+        """Return the distance in plan of points from things, each at the height of its point
+        [m]."""
         axis_m = (
             self.base[index, :2] + self.slope[index] * (xyz[:, 2] - self.base[index, 2])[:, None]
         )
@@ -72,7 +73,8 @@ class Listed:
         return distance
 
     def nearest(self, xyz: F64) -> tuple[Any, F64]:
-        """Return the nearest thing of every point, among the four whose feet are nearest, and its distance [m]."""
+        """Return the nearest thing of every point, among the four whose feet are nearest, and its
+        distance [m]."""
         k = min(4, len(self.base))
         _, near = cKDTree(self.base[:, :2]).query(xyz[:, :2], k=k)
         near = np.asarray(near).reshape(len(xyz), k)
@@ -145,7 +147,8 @@ def compare(
         found_share = np.count_nonzero(right & near) / n_found if n_found else float("nan")
         middle = float(np.median(distance[right & near])) if n_found else float("nan")
         print(
-            f"| {listed.kind}, {ring:g} m | {n_seen} | {n_near} | {recall:.2f} | {precision:.2f} | {found_share:.2f} | "
+            f"| {listed.kind}, {ring:g} m | {n_seen} | {n_near} | {recall:.2f} | "
+            f"{precision:.2f} | {found_share:.2f} | "
             f"{middle:.2f} |",
             flush=True,
         )
@@ -194,7 +197,8 @@ def main() -> None:
             settings = load_settings(kind, options=scene_options)
             print(f"\n{kind}, {scene}, seed {options.seed + i}\n")
             print(
-                "| within | seen | told | recall | precision | told per thing | distance, median [m] |"
+                "| within | seen | told | recall | precision | told per thing | distance, "
+                "median [m] |"
             )
             print("|---|---:|---:|---:|---:|---:|---:|", flush=True)
             with tempfile.TemporaryDirectory() as name:

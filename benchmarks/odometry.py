@@ -2,9 +2,9 @@
 
 Simulated drives of spinning scanners, with and without some classes.
 
-    python -m benchmarks.odometry                    # writes docs/figures/odometry.md, docs/images/odometry_paths.png
+    python -m benchmarks.odometry  # writes docs/figures/odometry.md, docs/images/odometry_paths.png
     python -m benchmarks.odometry --frames 100 --seeds 11 12 13 --scenes snow --page /tmp/page.md
-    python -m benchmarks.odometry --kitti FOLDER     # frames of KITTI and nothing else: does it run?
+    python -m benchmarks.odometry --kitti FOLDER  # frames of KITTI and nothing else: does it run?
 
 Labels are those of ``prc classify`` with nothing told, frame by frame; ``prc thin`` leaves out the
 same points. No limit of prc or of a library was chosen on these scenes."""
@@ -301,7 +301,8 @@ def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
 
 
 def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, digits: int) -> str:
-    """Return the medians of a measure in all scenes, a row an arm, and how many of all runs failed."""
+    """Return the medians of a measure in all scenes, a row an arm, and how many of all runs
+    failed."""
     rows = []
     for library, arm in PLAN:
         seeds = [runs.get((library, arm), []) for runs in every.values()]
@@ -369,7 +370,10 @@ def page(results: list[Result], n_frames: int, picture: Path) -> str:
         "<!-- written by python -m benchmarks.odometry; do not edit -->\n\n# Figures of odometry\n",
         f"`python -m benchmarks.odometry --frames {n_frames} --seeds {' '.join(map(str, seeds))}`",
         f"\nFrames of a drive: {n_frames}, 10 turns a second, {360 / STEP_DEG:.0f} lines a turn.",
-        f"Median of the seeds (lowest–highest); {' and '.join(SLOW)}, which are slow, have the first seed alone.",
+        (
+            f"Median of the seeds (lowest–highest); {' and '.join(SLOW)}, which are slow, have "
+            "the first seed alone."
+        ),
         "A run fails where it stops, or a pose is off by more than 2 m and 5 % of the way.",
         "Times are of one machine shared with other work: compare them within a table alone.\n",
         "## ATE of all scenes [m]\n",

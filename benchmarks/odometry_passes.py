@@ -56,7 +56,8 @@ MOVABLE = tuple(CODE[name] for name in ("noise", "vegetation", "car"))
 BUDDIES = 4
 CLOSE_M = 0.4
 MOST_M = 1.0
-"""Stems: neighbours that make the pattern of distances, how well two have to agree, residual of RANSAC [m]."""
+"""Stems: neighbours that make the pattern of distances, how well two have to agree, residual of
+RANSAC [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +195,8 @@ def _as_many(mask: Any) -> Any:
 
 
 def strips(seed: int, length_m: float) -> dict[str, list[float]]:
-    """Return how far the points of every strip of a street are off, before and after ICP, by arm [m]."""
+    """Return how far the points of every strip of a street are off, before and after ICP, by arm
+    [m]."""
     common = {
         "seed": seed,
         "length_m": length_m,
@@ -293,7 +295,8 @@ def matched(ours_m: F64, theirs_m: F64) -> F64 | None:
 
 
 def forest(seed: int, length_m: float) -> dict[str, float]:
-    """Return how far the second pass's trajectory is off, by way of matching [m], and the stems of both passes."""
+    """Return how far the second pass's trajectory is off, by way of matching [m], and the stems of
+    both passes."""
     common = {"seed": seed, "length_m": length_m, "sight_m": 30.0}
     with tempfile.TemporaryDirectory() as folder:
         first, second = (
@@ -359,15 +362,24 @@ def page(
     ]
     return "\n".join(
         (
-            "<!-- written by python -m benchmarks.odometry_passes; do not edit -->\n\n# Figures of two passes\n",
+            (
+                "<!-- written by python -m benchmarks.odometry_passes; do not edit -->\n\n# "
+                "Figures of two passes\n"
+            ),
             f"`python -m benchmarks.odometry_passes --streets {street_m:g} --walk {walk_m:g}"
             f" --seeds {' '.join(map(str, seeds))}`\n",
             "Streets are of a Photon 80, walks of a Focus3D.\n",
             "## Strips of a street\n",
-            f"How far what stands still is off in strips of {STRIP_M:g} m, root mean square [m]: median (least–most).\n",
+            (
+                f"How far what stands still is off in strips of {STRIP_M:g} m, root mean "
+                "square [m]: median (least–most).\n"
+            ),
             table(("points", "off [m]", "strips"), rows),
             "## Walks in a forest\n",
-            "How far the second pass's trajectory is off in x and y, root mean square [m], and stems of prc objects.\n",
+            (
+                "How far the second pass's trajectory is off in x and y, root mean square [m], "
+                "and stems of prc objects.\n"
+            ),
             table(("way", *(f"seed {seed}" for seed in seeds)), of_walks),
         )
     )

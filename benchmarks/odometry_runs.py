@@ -1,4 +1,5 @@
-"""Odometry of frames by KISS-ICP, GenZ-ICP and small_gicp, as their own examples run them, and how far it is off.
+"""Odometry of frames by KISS-ICP, GenZ-ICP and small_gicp, as their own examples run them, and how
+far it is off.
 
 Every frame is straightened before by the motion of the two frames before it (constant velocity),
 the same way for all: KITTI's frames carry no times, and the time of a point follows from its

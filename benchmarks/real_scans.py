@@ -1,6 +1,7 @@
 """Classify and evaluate the real scans, and print the page docs/figures/real_scans.md.
 
-    python -m benchmarks.real_scans > docs/figures/real_scans.md          # reads ../shared/data or $PRC_DATA
+    # reads ../shared/data or $PRC_DATA
+    python -m benchmarks.real_scans > docs/figures/real_scans.md
 
 Each table names the commands that give the same figures one by one.
 """
@@ -53,7 +54,8 @@ def oakland(folder: Path) -> None:
             print(f"### Strip {strip}\n")
             print(f"```console\n$ prc classify {source.name} {name}.npy {option}")
             print(
-                f"$ prc evaluate {name}.npy {source.name} --mapping oakland --format markdown\n```\n"
+                f"$ prc evaluate {name}.npy {source.name} --mapping oakland --format "
+                "markdown\n```\n"
             )
             print(as_markdown(evaluate(labels, source, "oakland")))
 
@@ -63,7 +65,8 @@ def forest(folder: Path) -> None:
     source = DATA / "forest" / "tls_park.npz"
     codes = ClassCodes().names()
     print(
-        "## Park, forest preset\n\n```console\n$ prc classify tls_park.npz tls_park.npy --preset forest\n```\n"
+        "## Park, forest preset\n\n```console\n$ prc classify tls_park.npz tls_park.npy "
+        "--preset forest\n```\n"
     )
     print("| zeta_s, zeta_p | noise | ground | stem | vegetation |\n|---|---|---|---|---|")
     for zeta_s, zeta_p in ((0.01, 0.01), (1.0, 0.1)):
@@ -84,7 +87,8 @@ def forest(folder: Path) -> None:
 
 
 def profiler(folder: Path) -> None:
-    """The 360° profiler sample: cells from time stamps against cells recovered by fitting, ranges by trajectory."""
+    """The 360° profiler sample: cells from time stamps against cells recovered by fitting, ranges
+    by trajectory."""
     source, recovered = jakarto(DATA)
     las = laspy.read(source)
     write_trajectory(folder / "drive.csv", scanner_positions(las, recovered))
@@ -106,7 +110,8 @@ def profiler(folder: Path) -> None:
         print(f"| {what} | {(steps <= distance).mean():.1%} |")
     difference = np.abs(range_m - recovered["range_m"])
     print(
-        f"| range difference, median and 99th percentile | {np.nanmedian(difference) * 1000:.1f} mm, ",
+        "| range difference, median and 99th percentile | "
+        f"{np.nanmedian(difference) * 1000:.1f} mm, ",
         end="",
     )
     print(f"{np.nanpercentile(difference, 99) * 1000:.1f} mm |\n")
@@ -124,18 +129,21 @@ def strip(folder: Path) -> None:
     print(f"| lines by the wrap of the scan angle | {setup.facts.n_lines} |")
     print(f"| line frequency from the times of the lines | {setup.facts.line_hz:.3f} Hz |")
     print(
-        f"| line periods between the first and the last record after the stray start | {np.ptp(time_s) * 150:.1f} |"
+        "| line periods between the first and the last record after the stray start | "
+        f"{np.ptp(time_s) * 150:.1f} |"
     )
     degrees = np.asarray(las.scan_angle) * 0.006
     print(
-        f"| jumps back of the scan angle by more than 2° | {np.count_nonzero(np.diff(degrees) > 2)} |\n"
+        "| jumps back of the scan angle by more than 2° | "
+        f"{np.count_nonzero(np.diff(degrees) > 2)} |\n"
     )
 
 
 def main() -> None:
     """Print all tables."""
     print(
-        "<!-- written by python -m benchmarks.real_scans; do not edit -->\n\n# Tables of real scans\n"
+        "<!-- written by python -m benchmarks.real_scans; do not edit -->\n\n# Tables of "
+        "real scans\n"
     )
     with tempfile.TemporaryDirectory() as name:
         profiler(Path(name))

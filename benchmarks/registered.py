@@ -3,7 +3,8 @@
 ``--range points`` and nothing else.
 
     python -m benchmarks.registered --work FOLDER > docs/figures/registered.md      # all cases
-    python -m benchmarks.registered --work FOLDER --only tile drives                # cases whose names contain a word
+    # cases whose names contain a word
+    python -m benchmarks.registered --work FOLDER --only tile drives
     python -m benchmarks.registered --list
 
 A cloud has coordinates (1 mm), times, intensities and return numbers of a simulated drive, without
@@ -176,7 +177,8 @@ class Cloud:
 
 
 def write_cloud(path: Path, cloud: Cloud) -> Path:
-    """Write a registered cloud with nothing but coordinates, times, intensities and return numbers."""
+    """Write a registered cloud with nothing but coordinates, times, intensities and return
+    numbers."""
     if path.exists():
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -748,7 +750,8 @@ def one_in_5_cm(cloud: Cloud) -> I64:
 
 
 def moved_half(cloud: Cloud) -> Cloud:
-    """Move the second half of the drive by the height of a geoid, as after a change of the datum."""
+    """Move the second half of the drive by the height of a geoid, as after a change of the
+    datum."""
     late = cloud.time_s > np.median(cloud.time_s)
     return replace(
         cloud, xyz_m=cloud.xyz_m + np.where(late, 45.0, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
@@ -962,7 +965,10 @@ def jakarto_path(points: Path, estimate: Path) -> str:
     time_s = np.asarray(las.gps_time)
     station = np.stack([np.interp(time_s, path[:, 0], path[:, k]) for k in (1, 2, 3)], axis=1)
     apart = np.linalg.norm(np.stack([las.x, las.y, las.z], axis=1) - station, axis=1) - range_m
-    return f"ranges off by {np.median(np.abs(apart)):.4f} m, 95 % {np.quantile(np.abs(apart), 0.95):.4f} m"
+    return (
+        f"ranges off by {np.median(np.abs(apart)):.4f} m, 95 % "
+        f"{np.quantile(np.abs(apart), 0.95):.4f} m"
+    )
 
 
 CASES: tuple[tuple[str, tuple[Case, ...]], ...] = (
@@ -1177,7 +1183,8 @@ def main() -> None:
 
 def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
     print(
-        "<!-- written by python -m benchmarks.registered; do not edit -->\n\n# Figures of registered clouds\n"
+        "<!-- written by python -m benchmarks.registered; do not edit -->\n\n# Figures of "
+        "registered clouds\n"
     )
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"],
@@ -1188,13 +1195,16 @@ def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
     )
     day = datetime.now(tz=UTC).date().isoformat()
     print(
-        f"Version {prc_cli.__version__}, commit {commit.stdout.strip()}, {day}, {platform.machine()}."
+        f"Version {prc_cli.__version__}, commit {commit.stdout.strip()}, {day}, "
+        f"{platform.machine()}."
     )
     print(
-        "Every cell with an arrow is F1 of the raw stream → F1 of the points. The average is over ground, building,"
+        "Every cell with an arrow is F1 of the raw stream → F1 of the points. The average "
+        "is over ground, building,"
     )
     print(
-        "vegetation, noise and stem. Memory is the peak of `prc classify`, or of `prc batch`. Times contain the start."
+        "vegetation, noise and stem. Memory is the peak of `prc classify`, or of `prc "
+        "batch`. Times contain the start."
     )
     for title, cases in CASES:
         chosen = [case for case in cases if not words or any(word in case.name for word in words)]
@@ -1238,7 +1248,8 @@ def _make(case: Case, work: Path) -> None:
     doubts = sorted(frozenset[str]().union(*(run.doubts for _, runs in expected for run in runs)))
     values = ", ".join(f"{name} {value:.3f}" for name, value in f1.items())
     print(
-        f"| {case.name}, {len(parts)} files, {len(truth):,} points: {values} | {', '.join(doubts)} |",
+        f"| {case.name}, {len(parts)} files, {len(truth):,} points: {values} | "
+        f"{', '.join(doubts)} |",
         flush=True,
     )
 

@@ -1,6 +1,7 @@
 """Labels of spinning scanners on real labelled frames, beside Patchwork++ where it is installed.
 
-    python -m benchmarks.rings [NAME ...] > docs/figures/rings.md     # frames whose names begin so; all by default
+    # frames whose names begin so; all by default
+    python -m benchmarks.rings [NAME ...] > docs/figures/rings.md
 
 Every frame is a file of its own, read by ``prc_cli.classify`` with nothing told. Ground is judged
 in three ways: with vegetation left out, with vegetation lower than 1.3 m below the scanner as
@@ -356,15 +357,18 @@ def scores(frame: Frame, codes: U8) -> dict[str, Score]:
 
 
 def main() -> None:
-    """Print the table of all frames, and the means of those that chose limits and those that did not."""
+    """Print the table of all frames, and the means of those that chose limits and those that did
+    not."""
     wanted = tuple(sys.argv[1:])
     means: dict[tuple[str, bool], list[tuple[dict[str, Score], dict[str, Score]]]] = {}
     print("<!-- written by python -m benchmarks.rings; do not edit -->\n\n# Figures of rings\n")
     print(
-        "F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the scanner's height.\n"
+        "F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the "
+        "scanner's height.\n"
     )
     print(
-        "| frame | limits chosen on it | class | prc | Patchwork++ | doubts |\n|---|---|---|---:|---:|---|"
+        "| frame | limits chosen on it | class | prc | Patchwork++ | doubts "
+        "|\n|---|---|---|---:|---:|---|"
     )
     with tempfile.TemporaryDirectory() as folder:
         for frame in frames(Path(folder)):
@@ -383,7 +387,8 @@ def main() -> None:
                     flush=True,
                 )
     print(
-        "\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ |\n|---|---|---|---:|---:|"
+        "\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ "
+        "|\n|---|---|---|---:|---:|"
     )
     for (group, is_tuned), pairs in means.items():
         for name in pairs[0][0]:
@@ -394,7 +399,8 @@ def main() -> None:
                 for k in (0, 1)
             )
             print(
-                f"| {group} ({len(pairs)}) | {'yes' if is_tuned else 'no'} | {name} | {mine[0]} | {theirs[0]} |"
+                f"| {group} ({len(pairs)}) | {'yes' if is_tuned else 'no'} | {name} | "
+                f"{mine[0]} | {theirs[0]} |"
             )
 
 

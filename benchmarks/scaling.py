@@ -1,4 +1,5 @@
-"""Time per shot of PRC against the size of the stream, M, k and the share of noise, and in the worst cases.
+"""Time per shot of PRC against the size of the stream, M, k and the share of noise, and in the
+worst cases.
 
 python -m benchmarks.scaling [PICTURE.svg]
 
@@ -165,7 +166,8 @@ def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
                 f'<text x="{x:.1f}" y="{base + 14}" text-anchor="middle">{short(value)}</text>'
             )
         parts.append(
-            f'<text x="{panel * width + width / 2 + 10}" y="{height - 8}" text-anchor="middle">{title}</text>'
+            f'<text x="{panel * width + width / 2 + 10}" y="{height - 8}" '
+            f'text-anchor="middle">{title}</text>'
         )
     for panel in range(len(curves)):
         x = panel * width + left
@@ -178,9 +180,13 @@ def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
         )
         parts.append(f'<text x="{214 + step / top * 700:.1f}" y="{y + 9}">{step:.1f}</text>')
     size = f'viewBox="0 0 {width * len(curves)} {height + 30 + 18 * len(worst)}"'
-    style = '<rect width="100%" height="100%" fill="#fff"/><text x="6" y="13">ns a shot, one core</text>'
+    style = (
+        '<rect width="100%" height="100%" fill="#fff"/><text x="6" y="13">ns a shot, one '
+        "core</text>"
+    )
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="10" fill="#222">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" '
+        'font-size="10" fill="#222">'
         f"{style}{''.join(parts)}</svg>\n"
     )
 

@@ -2,8 +2,9 @@
 
 Simulated static scans beside the paper's Table 1, real scans, speed.
 
-    python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md     # all but speed and memory, minutes
-    python -m benchmarks.sequential_angle speed memory                           # tables of docs/figures/speed.md
+    # all but speed and memory, minutes
+    python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md
+    python -m benchmarks.sequential_angle speed memory  # tables of docs/figures/speed.md
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the
 same figures."""
@@ -226,18 +227,22 @@ def simulated(folder: Path) -> None:
                 fine = counts if fine is None else fine + counts
     print("## Simulated static street scans\n")
     print(
-        f"{SEEDS} streets in the first {ON_ALL_SEEDS} rows, {MORE_SEEDS} in the others. No parameter was chosen on"
+        f"{SEEDS} streets in the first {ON_ALL_SEEDS} rows, {MORE_SEEDS} in the others. No "
+        "parameter was chosen on"
     )
     print("them, and they were run once.\n")
     print(
-        "The classifier is told the noise; that of the paper's scanner is about 1 mm (footnote 3). Rows that name no"
+        "The classifier is told the noise; that of the paper's scanner is about 1 mm "
+        "(footnote 3). Rows that name no"
     )
     print("noise have 5 mm. Last row:")
     print(
-        "Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n"
+        "Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs "
+        "as vertical.\n"
     )
     print(
-        f"```console\n$ prc simulate street-scan scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46"
+        f"```console\n$ prc simulate street-scan scan.npz --seed {FIRST_SEED} --set "
+        "scanner.azimuth_step_deg=0.46"
     )
     print("$ prc classify scan.npz labels.npy --preset street-scan")
     print("$ prc evaluate labels.npy scan.npz --mapping street_scan --format markdown\n```\n")
@@ -321,11 +326,13 @@ def readings(folder: Path) -> None:
             matrix = evaluate(labels, reference, "sequential_angle")
             matrices[title] = matrices[title] + matrix if title in matrices else matrix
     print(
-        f"## Readings, one at a time\n\n{MORE_SEEDS} of the varied streets above, 5 mm, every other one from the"
+        f"## Readings, one at a time\n\n{MORE_SEEDS} of the varied streets above, 5 mm, "
+        "every other one from the"
     )
     print("sidewalk, every class by itself. The last rows switch a stage of the paper on or off.\n")
     print(
-        "```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0"
+        "```console\n$ prc classify scan.npz labels.npy --preset street-scan --set "
+        "sequential_angle.ground.bridge=0"
     )
     print("$ prc evaluate labels.npy scan.npz --mapping sequential_angle\n```\n")
     print_scores(matrices, names)
@@ -338,11 +345,13 @@ def vegetation(folder: Path) -> None:
     uniform = (1 / 3, 1 / 3, 1 / 3)
     slow = MarkovThresholds(h0=stay, sigmas_deg=(20.0, 20.0, 20.0), initial_h0=uniform)
     print(
-        "## The tests for vegetation\n\nLines 0.92° apart. F1 of T over all returns but those of cars and mixed ones;"
+        "## The tests for vegetation\n\nLines 0.92° apart. F1 of T over all returns but "
+        "those of cars and mixed ones;"
     )
     print("T' by the share of foliage, of cars and of all else that it takes.\n")
     print(
-        "| scan | T | T, kept with .9, σ 20° | T, printed chords | T' foliage | T' cars | T' else | script's end |"
+        "| scan | T | T, kept with .9, σ 20° | T, printed chords | T' foliage | T' cars | "
+        "T' else | script's end |"
     )
     print("|---|" + "---:|" * 7)
     for title, (seed, options) in VEGETATION.items():
@@ -396,7 +405,8 @@ def vegetation(folder: Path) -> None:
 
 
 PAPER_SHARES = (0.160, 0.656, 0.057, 0.127)
-"""Shares of the classes of :data:`PAPER` in its 7.3 million points, from the rows of its Table 1."""
+"""Shares of the classes of :data:`PAPER` in its 7.3 million points, from the rows of its Table
+1."""
 DARK = 1e-9
 """Reflectance of what gives no return."""
 WINDOWS: dict[str, tuple[Material, ...]] = {
@@ -410,10 +420,12 @@ WINDOWS: dict[str, tuple[Material, ...]] = {
 def windows(folder: Path) -> None:
     """What windows and the mixture of classes make of the published constants."""
     print(
-        "## The published constants and windows\n\nStreets 1 to 4, which were used in development, 1 mm. A shot at a"
+        "## The published constants and windows\n\nStreets 1 to 4, which were used in "
+        "development, 1 mm. A shot at a"
     )
     print(
-        "window returns from the room behind it, or not at all. In the second rows the classes have the shares"
+        "window returns from the room behind it, or not at all. In the second rows the "
+        "classes have the shares"
     )
     print(
         "that they have in the paper: "
@@ -467,7 +479,8 @@ def kitti(folder: Path) -> None:
     classify(source, labels, street_scan(KITTI, range_noise_m=0.02), overwrite=True)
     print("## KITTI frame\n\n```console")
     print(
-        f"$ prc classify {source.name} kitti.npy --preset street-scan --config sample_configs/{KITTI.name} \\"
+        f"$ prc classify {source.name} kitti.npy --preset street-scan --config "
+        f"sample_configs/{KITTI.name} \\"
     )
     print("      --set sequential_angle.angles.range_noise_m=0.02")
     print(
@@ -498,11 +511,13 @@ def kitti(folder: Path) -> None:
         cells = [np.mean(is_class[np.isin(truth, classes)]) for classes in KITTI_GROUND.values()]
         right = np.mean(np.isin(truth[is_class], sum(KITTI_GROUND.values(), ())))
         print(
-            f"| ground.follow_m = {follow_m:g} | {' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |"
+            f"| ground.follow_m = {follow_m:g} | "
+            f"{' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |"
         )
     print()
     print(
-        "The same on labelled range views of SemanticKITTI, which decided nothing; mean over the views:\n"
+        "The same on labelled range views of SemanticKITTI, which decided nothing; mean "
+        "over the views:\n"
     )
     print("| | views | ground found | found that is ground |\n|---|---:|---:|---:|")
     for follow_m in (THRESHOLDS.ground.follow_m, 0):
@@ -510,7 +525,8 @@ def kitti(folder: Path) -> None:
             [_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)]
         )
         print(
-            f"| ground.follow_m = {follow_m:g} | {len(scores_of_class)} | {scores_of_class[:, 0].mean():.3f} | {scores_of_class[:, 1].mean():.3f} |"
+            f"| ground.follow_m = {follow_m:g} | {len(scores_of_class)} | "
+            f"{scores_of_class[:, 0].mean():.3f} | {scores_of_class[:, 1].mean():.3f} |"
         )
     print()
 
@@ -544,7 +560,8 @@ def oakland(folder: Path) -> None:
     print("$ prc classify oakland_1.csv.gz labels.npy --preset urban")
     print("$ prc classify oakland_1.csv.gz labels.npy --config sample_configs/sick_push_broom.toml")
     print(
-        "$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format markdown\n```\n"
+        "$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format "
+        "markdown\n```\n"
     )
     for strip in (1, 2, 3):
         source = DATA / "oakland" / f"oakland_{strip}.csv.gz"
@@ -572,7 +589,8 @@ def organised(folder: Path) -> None:
     """Every organised file: lines, shots, class shares."""
     names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
     print(
-        "## Organised scans\n\nThe options are those of [the page on formats](../formats.md).\n\n```console"
+        "## Organised scans\n\nThe options are those of [the page on "
+        "formats](../formats.md).\n\n```console"
     )
     print("$ prc classify pumpA.e57 labels.npy --preset street-scan\n```\n")
     print("| file | lines | shots | missing | " + " | ".join(names) + " |")
@@ -612,7 +630,8 @@ def rate(job: Callable[[], object], runs: int = 3) -> float:
 
 
 def speed(folder: Path) -> None:
-    """Rates of every stage on one core, of all in memory with one and two threads, and of the whole command."""
+    """Rates of every stage on one core, of all in memory with one and two threads, and of the whole
+    command."""
     whole, _ = scan_of(3)
     n_lines = whole.n_lines
     n_shots = whole.range_m.size
@@ -652,7 +671,8 @@ def memory(folder: Path) -> None:
     config = folder / "raw.toml"
     fields = ", ".join(f'{{ name = "{name}", type = "f4" }}' for name in "xyz")
     config.write_text(
-        f'preset = "street-scan"\n[input]\nlines = "fixed"\ncolumns = "order"\nrange = "sensor-xyz"\n'
+        'preset = "street-scan"\n[input]\nlines = "fixed"\ncolumns = "order"\nrange = '
+        '"sensor-xyz"\n'
         f"points_per_line = {xyz.shape[1]}\n[layout]\nfields = [{fields}]\n",
         encoding="utf-8",
     )
@@ -755,7 +775,8 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     print(
-        "<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# Sequential-angle: figures\n"
+        "<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# "
+        "Sequential-angle: figures\n"
     )
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.parts or [part for part in PARTS if part not in SPEED]:

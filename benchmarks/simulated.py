@@ -206,9 +206,9 @@ def urban(folder: Path) -> None:
             matrices[key].append(compared(source, config, "lehtola_urban"))
     print("## Streets: Table I\n")
     n = pooled(matrices[1.0, 30, 2]).n_scored
-    say(f"""{STREETS} mixed streets of {STREET_M:g} m, Photon 80 with the paper's mount, 30 km/h: {n:,} returns.
-    Shares of all streets together, the smallest and the largest of a single street in brackets; the paper's figure in
-    italics.""")
+    say(f"""{STREETS} mixed streets of {STREET_M:g} m, Photon 80 with the paper's mount, 30 km/h:
+    {n:,} returns. Shares of all streets together, the smallest and the largest of a single street
+    in brackets; the paper's figure in italics.""")
     commands(
         f"prc simulate street street.npz --length {STREET_M:g} --seed {FIRST_SEED}",
         "prc classify street.npz labels.npy --preset urban --set prc.support.zeta_p=0.1",
@@ -248,14 +248,16 @@ def print_table_i(
 
 def print_areas(matrices: dict[tuple[float, int, int], list[ConfusionMatrix]]) -> None:
     print("### Area and dilation\n")
-    say("""Recall of vegetation and building, and the share of all returns that is called so. The paper says: with γ = 0
-    fewer true and false positives of vegetation and more of building, with γ = 20 next to no building left; A = 10
-    and A = 100 within ten percentile points of A = 30.""")
+    say("""Recall of vegetation and building, and the share of all returns that is called so. The
+    paper says: with γ = 0 fewer true and false positives of vegetation and more of building, with γ
+    = 20 next to no building left; A = 10 and A = 100 within ten percentile points of A = 30.""")
     commands(
-        "prc classify street.npz labels.npy --preset urban --set prc.surfaces.area=10 --set prc.surfaces.gamma=0"
+        "prc classify street.npz labels.npy --preset urban --set prc.surfaces.area=10 "
+        "--set prc.surfaces.gamma=0"
     )
     print(
-        "| ζ_p | A | γ | vegetation recall | share | building recall | share |\n|---:|---:|---:|---:|---:|---:|---:|"
+        "| ζ_p | A | γ | vegetation recall | share | building recall | share "
+        "|\n|---:|---:|---:|---:|---:|---:|---:|"
     )
     for (zeta, area, gamma), parts in matrices.items():
         matrix = pooled(parts)
@@ -263,7 +265,8 @@ def print_areas(matrices: dict[tuple[float, int, int], list[ConfusionMatrix]]) -
         called = matrix.counts.sum(axis=0) / matrix.n_scored
         v, b = (called[matrix.predicted_names.index(name)] for name in ("vegetation", "building"))
         print(
-            f"| {zeta:g} | {area} | {gamma} | {shares[2, 2]:.3f} | {v:.1%} | {shares[3, 3]:.3f} | {b:.1%} |"
+            f"| {zeta:g} | {area} | {gamma} | {shares[2, 2]:.3f} | {v:.1%} | "
+            f"{shares[3, 3]:.3f} | {b:.1%} |"
         )
     print()
 
@@ -271,8 +274,8 @@ def print_areas(matrices: dict[tuple[float, int, int], list[ConfusionMatrix]]) -
 def kinds(folder: Path) -> None:
     """Table I's diagonal by the character of the street."""
     print("### Kinds of street\n")
-    say(f"""{MORE_STREETS} streets of {MORE_M:g} m of each kind, A = 30, γ = 2; recall, and the share of buildings that
-    is taken for ground.""")
+    say(f"""{MORE_STREETS} streets of {MORE_M:g} m of each kind, A = 30, γ = 2; recall, and the
+    share of buildings that is taken for ground.""")
     commands(
         f"prc simulate street street.npz --scene terraces --length {MORE_M:g} --seed {FIRST_SEED}"
     )
@@ -282,8 +285,8 @@ def kinds(folder: Path) -> None:
 def set_back(folder: Path) -> None:
     """The same by the distance of the facades."""
     print("### Distance of the facades\n")
-    say("""Residential streets again, their facades farther and farther behind the usual line (which is 8.8 m to 12.8 m
-    from the middle of the road).""")
+    say("""Residential streets again, their facades farther and farther behind the usual line (which
+    is 8.8 m to 12.8 m from the middle of the road).""")
     commands("prc simulate street street.npz --scene residential --set scene.setback_m=12")
     scenes: dict[str, dict[str, Any]] = {
         f"{m:g} m farther": {"name": "residential", "setback_m": m} for m in SET_BACK_M
@@ -376,8 +379,10 @@ def forest(folder: Path) -> None:
     plot in brackets; the paper's figure in
     italics. Other vegetation counts as noise on both sides, as in the table.""")
     commands(
-        f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference cylinders",
-        "prc classify walk.npz labels.npy --preset forest --set prc.support.zeta_s=1 --set prc.support.zeta_p=0.1",
+        f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference "
+        "cylinders",
+        "prc classify walk.npz labels.npy --preset forest --set prc.support.zeta_s=1 --set "
+        "prc.support.zeta_p=0.1",
         "prc evaluate labels.npy walk.npz --mapping lehtola_forest",
     )
     for zetas in ZETAS:
@@ -398,11 +403,12 @@ UNSUPPORTED = (0.746, 0.341)
 def unsupported(folder: Path) -> None:
     """Shares of the returns that no neighbours support, beside those of sec. IV-C."""
     print("## Forest: returns without support (IV-C)\n")
-    say("""The paper gives the share of all points that get no support. Here it is the noise of PRC without its ground
-    columns, which would take some of it back.""")
+    say("""The paper gives the share of all points that get no support. Here it is the noise of PRC
+    without its ground columns, which would take some of it back.""")
     commands(
         f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED}",
-        "prc classify walk.npz labels.npy --preset forest --set prc.forest.noise_in_ground_columns=false",
+        "prc classify walk.npz labels.npy --preset forest --set "
+        "prc.forest.noise_in_ground_columns=false",
     )
     print("| forest | ζ_s, ζ_p | without support |\n|---|---|---:|")
     for scene in PLOTS:
@@ -420,7 +426,8 @@ def unsupported(folder: Path) -> None:
                 if class_count.name != "missing"
             }
             print(
-                f"| {scene} | {zeta_s:g}, {zeta_p:g} | {counts['noise'] / sum(counts.values()):.3f} |"
+                f"| {scene} | {zeta_s:g}, {zeta_p:g} | "
+                f"{counts['noise'] / sum(counts.values()):.3f} |"
             )
     for (zeta_s, zeta_p), share in zip(ZETAS, UNSUPPORTED, strict=True):
         print(f"| *the paper* | {zeta_s:g}, {zeta_p:g} | *{share:.3f}* |")
@@ -456,7 +463,8 @@ def print_stems(
         "noise and other",
     )
     print(
-        "### Stems and ground in every forest\n\nLast column: share of the returns that is called noise or other.\n"
+        "### Stems and ground in every forest\n\nLast column: share of the returns that is "
+        "called noise or other.\n"
     )
     print(
         "| forest | ζ_s, ζ_p | reference | "
@@ -473,7 +481,8 @@ def print_stems(
                     f"| {scene} | {zetas[0]:g}, {zetas[1]:g} | {reference} | {' | '.join(cells)} |"
                 )
     print(
-        f"| *the paper, from its counts* | 0.01, 0.01 | cylinders | {' | '.join(stem_cells(paper))} |"
+        "| *the paper, from its counts* | 0.01, 0.01 | cylinders | "
+        f"{' | '.join(stem_cells(paper))} |"
     )
     recall, precision = RELAXED_STEM
     print(f"| *the paper* | 1, 0.1 | cylinders | {recall:.3f} | {precision:.3f} | | | | | |\n")
@@ -513,16 +522,18 @@ def static(folder: Path) -> None:
             compared(source, load_config(preset="street-scan"), "street_scan")
         )
     print("## Static scans: Stamos et al., Table 1\n")
-    say(f"""{STATIONS} whole turns on mixed streets, as many as the paper has, lines {COARSE_DEG}° apart. Ground counts
-    as horizontal, curbs as vertical, as there. The classifier was tuned on another, simpler simulator and never on
-    this one: a first independent test. The smallest and the largest of a single scan in brackets.""")
+    say(f"""{STATIONS} whole turns on mixed streets, as many as the paper has, lines {COARSE_DEG}°
+    apart. Ground counts as horizontal, curbs as vertical, as there. The classifier was tuned on
+    another, simpler simulator and never on this one: a first independent test. The smallest and the
+    largest of a single scan in brackets.""")
     commands(
-        f"prc simulate street-scan station.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg={COARSE_DEG}",
+        f"prc simulate street-scan station.npz --seed {FIRST_SEED} --set "
+        f"scanner.azimuth_step_deg={COARSE_DEG}",
         "prc classify station.npz labels.npy --preset street-scan",
         "prc evaluate labels.npy station.npz --mapping street_scan",
     )
-    say("""Panes like walls: every pane answers itself (`--set scanner.pane_share=1 --set scanner.ghost_share=0`), so
-    that no range comes from behind it.""")
+    say("""Panes like walls: every pane answers itself (`--set scanner.pane_share=1 --set
+    scanner.ghost_share=0`), so that no range comes from behind it.""")
     print("| | " + " | ".join(f"{name} recall | precision" for name in SCAN_NAMES) + " | all |")
     print("|---|" + "---:|---:|" * len(SCAN_NAMES) + "---:|")
     for title, parts in rows.items():
@@ -558,7 +569,8 @@ def spread_scores(parts: list[ConfusionMatrix]) -> list[str]:
 
 
 def statistics(range_m: F32) -> dict[str, float]:
-    """Missing share, ranges, and steps between neighbours in a line and from line to line, (lines, M)."""
+    """Missing share, ranges, and steps between neighbours in a line and from line to line, (lines,
+    M)."""
     numbers = {"missing": float(np.isnan(range_m).mean())}
     numbers |= {f"range {q:.0%} [m]": float(np.nanquantile(range_m, q)) for q in QUANTILES}
     for name, axis in (("in the line", 1), ("from line to line", 0)):
@@ -668,13 +680,15 @@ def oakland(folder: Path) -> None:
     for title, scene in OAKLAND_SCENES.items():
         columns[f"*{title}*"] = strip_numbers(push_broom(folder, scene, config), "prc")
     print("## Beside the real push-broom scans (Oakland)\n")
-    say(f"""Three real strips of a campus, and {OAKLAND_LINES} simulated lines (in italics) of several kinds of street,
-    22 cm apart, over the same angles from nadir ({OAKLAND_DEG[0]:g}° to {OAKLAND_DEG[1]:g}°). The streets are no
-    models of the strips. Steps are differences of ranges between neighbours that both have a return, by class where
-    both have that class. PRC with `sample_configs/sick_push_broom.toml`.""")
+    say(f"""Three real strips of a campus, and {OAKLAND_LINES} simulated lines (in italics) of
+    several kinds of street, 22 cm apart, over the same angles from nadir ({OAKLAND_DEG[0]:g}° to
+    {OAKLAND_DEG[1]:g}°). The streets are no models of the strips. Steps are differences of ranges
+    between neighbours that both have a return, by class where both have that class. PRC with
+    `sample_configs/sick_push_broom.toml`.""")
     commands(
         f"prc simulate street strip.npz --scanner sick-push-broom --lines {OAKLAND_LINES} \\\n"
-        f"      --speed {OAKLAND_SPEED_M_S:.3g} --set trajectory.stop_every_m=0 --seed {FIRST_SEED}",
+        f"      --speed {OAKLAND_SPEED_M_S:.3g} --set trajectory.stop_every_m=0 --seed "
+        f"{FIRST_SEED}",
         "prc classify strip.npz labels.npy --config sample_configs/sick_push_broom.toml",
     )
     print_columns(columns)
@@ -739,10 +753,11 @@ def park(folder: Path) -> None:
         ranges = np.concatenate([block.range_m for block in scan.blocks()])
         columns[f"{name}, simulated"] = park_numbers(folder, ranges)
     print("## Beside the real park scan\n")
-    say(f"""A tripod in simulated forests, on the grid of the park scan ({n_lines} lines of {m} shots, {PARK_HEIGHT_M} m
-    above the ground), nothing beyond {PARK_SIGHT_M} m on either side, where the real scan was cut. The park has
-    conifers with branches down to the ground within a few metres of the scanner; it is no forest, and the forests
-    are no models of it. PRC with the forest preset.""")
+    say(f"""A tripod in simulated forests, on the grid of the park scan ({n_lines} lines of {m}
+    shots, {PARK_HEIGHT_M} m above the ground), nothing beyond {PARK_SIGHT_M} m on either side,
+    where the real scan was cut. The park has conifers with branches down to the ground within a few
+    metres of the scanner; it is no forest, and the forests are no models of it. PRC with the forest
+    preset.""")
     print_columns(columns)
 
 
@@ -770,10 +785,12 @@ SPEED = {
 def speed(folder: Path) -> None:
     """All of a simulation, in memory: scene, casting, sensor."""
     print("## Speed\n")
-    say("""Scene, casting and sensor, nothing written, a world that was not seen before; the shorter of two runs by the
-    clock, and by the time of all cores together, which other load disturbs less. Last row: the whole command.""")
+    say("""Scene, casting and sensor, nothing written, a world that was not seen before; the shorter
+    of two runs by the clock, and by the time of all cores together, which other load disturbs less.
+    Last row: the whole command.""")
     print(
-        "| simulation | threads | million shots a second | a second of one core |\n|---|---:|---:|---:|"
+        "| simulation | threads | million shots a second | a second of one core "
+        "|\n|---|---:|---:|---:|"
     )
     kind: Kind
     for title, (name, options, lines) in SPEED.items():
@@ -830,11 +847,13 @@ def main() -> None:
         if part not in PARTS:
             parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
     print(
-        "<!-- written by python -m benchmarks.simulated; do not edit -->\n\n# Simulated scans: figures\n"
+        "<!-- written by python -m benchmarks.simulated; do not edit -->\n\n# Simulated "
+        "scans: figures\n"
     )
-    say("""The simulator is described [here](../simulation.md), with what to make of these figures. No parameter was
-    chosen on these seeds; `fused` was tuned on other seeds of this simulator. The forest's defaults were chosen
-    with the shares of Table II's reference in view, on other seeds.""")
+    say("""The simulator is described [here](../simulation.md), with what to make of these figures.
+    No parameter was chosen on these seeds; `fused` was tuned on other seeds of this simulator. The
+    forest's defaults were chosen with the shares of Table II's reference in view, on other
+    seeds.""")
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.parts or PARTS:
             PARTS[part](Path(name))

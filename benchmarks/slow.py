@@ -95,7 +95,8 @@ def every(part: float) -> Callable[[int], F64]:
 
 
 def stop_and_go(n: int) -> F64:
-    """Return the places of a drive that brakes, stands for 400 lines and speeds up again, half way."""
+    """Return the places of a drive that brakes, stands for 400 lines and speeds up again, half
+    way."""
     usual = np.ones(max((n - 80) // 2, 0))
     steps = np.concatenate(
         [usual, np.linspace(1, 0.02, 80), np.zeros(400), np.linspace(0.02, 1, 80), usual]
@@ -133,7 +134,8 @@ def f1_of(scan: Scan, limits: Limits) -> list[float]:
 
 
 def cells(f1: F64, normal: F64) -> str:
-    """Return the mean over streets, the lowest, and the most that is lost on one street beside its normal drive."""
+    """Return the mean over streets, the lowest, and the most that is lost on one street beside its
+    normal drive."""
     loss = np.nanmax(normal - f1, axis=0)
     pairs = zip(f1.T, loss, strict=True)
     return " | ".join(
@@ -147,7 +149,8 @@ def main() -> None:
     seeds = range(1311, 1317) if "report" in sys.argv[1:] else range(1, 6)
     scans = streets(seeds)
     print(
-        f"F1 on streets of seeds {seeds[0]} to {seeds[-1]}; lowest street, and most lost beside the normal drive\n"
+        f"F1 on streets of seeds {seeds[0]} to {seeds[-1]}; lowest street, and most lost "
+        "beside the normal drive\n"
     )
     print(f"| drive | {' | '.join(NAMES)} |\n|---|{'---:|' * 4}")
     normal = None

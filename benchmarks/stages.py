@@ -1,4 +1,5 @@
-"""Rates of the classifier in memory, compared with the oracle, plain NumPy and a copy of the same ranges.
+"""Rates of the classifier in memory, compared with the oracle, plain NumPy and a copy of the same
+ranges.
 
 python -m benchmarks.stages
 """
@@ -116,7 +117,8 @@ def main() -> None:
     )
     base = times[-1][1]
     print(
-        "| work | million shots a second | beside the oracle | million shots a second of one core's time |"
+        "| work | million shots a second | beside the oracle | million shots a second of "
+        "one core's time |"
     )
     print("|---|---|---|---|")
     for name, by_clock, by_core in times:

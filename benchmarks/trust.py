@@ -1,4 +1,5 @@
-"""The benchmark of trust: what the program does when it is told something wrong, or when the file is damaged.
+"""The benchmark of trust: what the program does when it is told something wrong, or when the file
+is damaged.
 
     python -m benchmarks.trust                          # held-out scans, minutes
     python -m benchmarks.trust --quick                  # three small scans, below a minute
@@ -51,13 +52,15 @@ from prc_cli.evaluation.confusion import GroupedCounts, cells_of
 
 _OPTION = (
     r"(?:-M \d+|--set [a-z_.]+=[^A-Z\s;,)]+(?=[\s;,)]|$)|--sort-by-time|--scanner [a-z_]+"
-    r"|--lines (?:angle-wrap|rings|[a-z]+:[a-z0-9_.+-]+)|--columns (?:angle|order|[a-z]+:[a-z0-9_.+-]+))"
+    r"|--lines (?:angle-wrap|rings|[a-z]+:[a-z0-9_.+-]+)|--columns "
+    r"(?:angle|order|[a-z]+:[a-z0-9_.+-]+))"
 )
 _TYPED = re.compile(f"{_OPTION}(?: {_OPTION})*")
 MOST_HINTS = 3
 """Messages in a row whose options are typed."""
 NEAR = 0.02
-"""Macro F1 by which labels may be worse than those of the right way where the options that were named are typed."""
+"""Macro F1 by which labels may be worse than those of the right way where the options that were
+named are typed."""
 LOST = 0.10
 """Loss of macro F1 from which a result is wrong."""
 WINDOWS = 12
@@ -213,9 +216,9 @@ def typed_by(stderr: str) -> tuple[str, ...]:
 
     Those that insist or need more are none.
 
-    >>> typed_by("error: a.bin: found M = 20, expected 10; give -M 10, or insist with --accept-doubt line-length")
+    >>> typed_by("error: a.bin: found M = 20; give -M 10, or insist with --accept-doubt x")
     ('-M', '10')
-    >>> typed_by("warning: down: ...; give it with --set input.nadir=DEG; or accept it with --accept-doubt down")
+    >>> typed_by("warning: down: ...; give it with --set input.nadir=DEG; or accept it")
     ()
     """
     match = _TYPED.search(stderr)
@@ -442,9 +445,9 @@ def _counts(results: list[Result]) -> str:
 def print_alarms(results: list[Result]) -> None:
     """False alarms by scan: every window told all, and told nothing of straight down."""
     print("## False alarms\n")
-    say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records, text and LAS, with
-    every method; and in other forms with nothing wrong. Not told: scan angles in the file, nothing of straight down;
-    what is refused or doubted there may be so with reason.""")
+    say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records,
+    text and LAS, with every method; and in other forms with nothing wrong. Not told: scan angles in
+    the file, nothing of straight down; what is refused or doubted there may be so with reason.""")
     print(
         "| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |"
     )
@@ -461,12 +464,14 @@ def print_alarms(results: list[Result]) -> None:
     n_right = sum(result.is_right for result in results)
     if n_right:
         print(
-            f"{len(alarms)} of {n_right} rightly told runs are false alarms ({len(alarms) / n_right:.1%}).\n"
+            f"{len(alarms)} of {n_right} rightly told runs are false alarms "
+            f"({len(alarms) / n_right:.1%}).\n"
         )
     wrong = [result for result in results if result.is_right and result.outcome == "silent"]
     for result in [*alarms, *wrong]:
         print(
-            f"- {result.row}, {result.scan}, line {result.first_line}, {result.method}: {result.outcome}, F1 {result.f1:.2f}: {result.said}"
+            f"- {result.row}, {result.scan}, line {result.first_line}, {result.method}: "
+            f"{result.outcome}, F1 {result.f1:.2f}: {result.said}"
         )
     if alarms or wrong:
         print()
@@ -484,11 +489,13 @@ def print_silent(results: list[Result]) -> None:
         print("None.\n")
         return
     print(
-        "| what is wrong | scan | from line | method | macro F1 | rightly told |\n|---|---|---:|---|---:|---:|"
+        "| what is wrong | scan | from line | method | macro F1 | rightly told "
+        "|\n|---|---|---:|---|---:|---:|"
     )
     for result in silent:
         print(
-            f"| {result.row} | {result.scan} | {result.first_line} | {result.method} | {result.f1:.2f} | {result.f1_right:.2f} |"
+            f"| {result.row} | {result.scan} | {result.first_line} | {result.method} | "
+            f"{result.f1:.2f} | {result.f1_right:.2f} |"
         )
     print()
 
@@ -546,12 +553,14 @@ def main() -> None:
         )
     results = trial.results
     print("<!-- written by python -m benchmarks.trust; do not edit -->\n\n# Trust: figures\n")
-    say(f"""Scans that are {"held out: no limit was chosen on them" if arguments.part == "held-out" else "for tuning"},
-    seed {arguments.seed}; {len(results)} runs of prc classify -q. Silent: exit code 0, no warning, and macro F1 more
-    than {LOST:.2f} below the same scan rightly told. Doubted: a warning, or exit code 4. Refused: nothing is written.
-    Harmless: macro F1 within {LOST:.2f}. Hint works: of the messages that name an option with its value, those
-    that give, typed, labels within {NEAR:.2f} of the scan rightly told. The RIEGL strip has no reference: its labels
-    when rightly told are the reference.""")
+    say(f"""Scans that are {
+        "held out: no limit was chosen on them" if arguments.part == "held-out" else "for tuning"
+    }, seed {arguments.seed}; {len(results)} runs of prc classify -q. Silent: exit
+    code 0, no warning, and macro F1 more than {LOST:.2f} below the same scan rightly told. Doubted:
+    a warning, or exit code 4. Refused: nothing is written. Harmless: macro F1 within {LOST:.2f}.
+    Hint works: of the messages that name an option with its value, those that give, typed, labels
+    within {NEAR:.2f} of the scan rightly told. The RIEGL strip has no reference: its labels when
+    rightly told are the reference.""")
     print_summary(results)
     print_alarms(results)
     print_silent(results)

@@ -417,7 +417,8 @@ def angles_in_text(window: Window, context: Context) -> Made:
 
 
 def angles_in_extra_bytes(window: Window, context: Context) -> Made:
-    """Nothing wrong: LAS whose own scan angle is empty, with the angle beside line, column and range."""
+    """Nothing wrong: LAS whose own scan angle is empty, with the angle beside line, column and
+    range."""
     if window.world_m is None:
         return None
     stated = las(window, context)
@@ -587,7 +588,8 @@ def zigzag(window: Window, context: Context) -> Made:
 
 
 def timed(window: Window, context: Context, shots: Shots) -> Told:
-    """Write shots with times: lines of fixed M, or returns alone with lines from the wrap of the angle."""
+    """Write shots with times: lines of fixed M, or returns alone with lines from the wrap of the
+    angle."""
     path = context.folder / "scan.dat"
     if context.random.random() < 0.5:
         layout = dump(path, shots, ("range", "time"))

@@ -1,4 +1,5 @@
-"""Write the reference pages from the code, and the figures in prose from the tables of the benchmarks.
+"""Write the reference pages from the code, and the figures in prose from the tables of the
+benchmarks.
 
 ``--check`` fails when a page on disk differs. Run ``python docs/generate.py`` after changing an
 option, a parameter or a class code, and after a benchmark wrote its page of figures.
@@ -8,11 +9,11 @@ text is written anew with as many digits as it has:
 ``[.527](figures/sequential_angle.md#readings-one-at-a-time "car.fourier.window = 0 > car
 recall")``.
 
-- The title holds as many leading cells of the row as are needed, with ``*`` for any text, then the column. Tables of
-  two columns need no column.
+- The title holds as many leading cells of the row as are needed, with ``*`` for any text, then the column.
+  Tables of two columns need no column.
 - Where several headings below the section have such a row, the heading comes first.
-- A column "precision" after "car recall" is "car precision". "A / B" is a quotient of two columns, "share of A" the
-  figure in brackets.
+- A column "precision" after "car recall" is "car precision". "A / B" is a quotient of two columns, "share of A"
+  the figure in brackets.
 - "least of" and "most of" before the row take the least and the most of all rows that fit.
 
 A table of prose whose rows are rows of figures has ``<!-- rows of PAGE.md#section -->`` above it:
@@ -24,7 +25,7 @@ from __future__ import annotations
 import re
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -57,7 +58,8 @@ def cli_page() -> str:
         if isinstance(command, click.Group):
             for sub_name, sub in command.commands.items():
                 parts.append(
-                    f"### prc {name} {sub_name}\n\n```text\n{_help(sub, f'prc {name} {sub_name}')}\n```\n"
+                    f"### prc {name} "
+                    f"{sub_name}\n\n```text\n{_help(sub, f'prc {name} {sub_name}')}\n```\n"
                 )
     return "\n".join(parts)
 
@@ -79,16 +81,17 @@ def configuration_page() -> str:
     intro = """\
         # Configuration
 
-        A configuration is a TOML file. Layers, each over the one before: the defaults below, a preset
-        (`--preset urban`, or `preset = "urban"` as the first line of the file), the file (`--config FILE`), options.
-        Unknown keys and values out of bounds are errors. `prc config show` prints the effective configuration with the
-        source of every value, `prc config presets` lists the presets, `prc config check FILE` checks a file,
-        `prc config schema` prints the JSON schema.
-        """
+        A configuration is a TOML file. Layers, each over the one before: the defaults below, a
+        preset (`--preset urban`, or `preset = "urban"` as the first line of the file), the file
+        (`--config FILE`), options. Unknown keys and values out of bounds are errors. `prc config
+        show` prints the effective configuration with the source of every value, `prc config
+        presets` lists the presets, `prc config check FILE` checks a file, `prc config schema`
+        prints the JSON schema. """
     parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, "")]
     parts.append("## Presets\n")
     parts.append(
-        "Each is a file of `sample_configs/`; what it does not set is a default. `prc config presets` lists them.\n"
+        "Each is a file of `sample_configs/`; what it does not set is a default. `prc "
+        "config presets` lists them.\n"
     )
     parts.extend(
         f"### {preset.name}\n\n```toml\n{preset.file.read_text(encoding='utf-8')}```\n"
@@ -167,11 +170,10 @@ def classes_page() -> str:
     text = """\
         # Class codes
 
-        Codes follow ASPRS LAS 1.4 where it has the class; the others take user codes from 64 up. All of them can be
-        changed in `[classes]`. Point formats 0 to 5 hold codes up to 31: when a run needs a larger one, the file is
-        upgraded to the matching format 6 to 10 and the command says so; with `output.codes = "below-32"` such a code
-        is refused instead.
-        """
+        Codes follow ASPRS LAS 1.4 where it has the class; the others take user codes from 64 up.
+        All of them can be changed in `[classes]`. Point formats 0 to 5 hold codes up to 31: when a
+        run needs a larger one, the file is upgraded to the matching format 6 to 10 and the command
+        says so; with `output.codes = "below-32"` such a code is refused instead. """
     return "\n".join([GENERATED, textwrap.dedent(text), table, ""])
 
 
@@ -187,10 +189,9 @@ def checks_page() -> str:
     intro = """\
         # Checks
 
-        Every check asks one question of an input or of its labels; [How prc knows](../evidence.md) says when. The names
-        are those of `--accept-doubt NAME`. Doubtful: labels are written, exit code 4. Refused: nothing is written, exit
-        code 1.
-        """
+        Every check asks one question of an input or of its labels; [How prc knows](../evidence.md)
+        says when. The names are those of `--accept-doubt NAME`. Doubtful: labels are written, exit
+        code 4. Refused: nothing is written, exit code 1. """
     parts = [GENERATED, textwrap.dedent(intro)]
     for check in check_table():
         facts = (("Limit", check.limit), ("Why", check.reason), ("Not seen", check.blind))
@@ -207,9 +208,10 @@ def reasons_page() -> str:
     intro = """\
         # Reasons
 
-        The rule that gave a shot its class, as `--set output.reason=true` writes it beside the class: uint8 extra bytes
-        `reason`, or a column. The number modulo 16 is the class inside the program, so numbers never move to another
-        class. `prc explain` and the viewer say the sentence of a shot; [Why this class?](../explain.md).
+        The rule that gave a shot its class, as `--set output.reason=true` writes it beside the
+        class: uint8 extra bytes `reason`, or a column. The number modulo 16 is the class inside the
+        program, so numbers never move to another class. `prc explain` and the viewer say the
+        sentence of a shot; [Why this class?](../explain.md).
 
         | number | class | rule | the shot is |
         |---:|---|---|---|
@@ -229,9 +231,10 @@ def simulation_page() -> str:
     intro = """\
         # Simulation
 
-        `prc simulate KIND --config FILE.toml --set TABLE.KEY=VALUE` takes the parameters below; in a table that has
-        presets, `name = "…"` chooses the one that its other keys are laid over. `prc simulate parameters KIND` prints
-        them as a file. What they mean is told in [Simulate](../simulation.md).
+        `prc simulate KIND --config FILE.toml --set TABLE.KEY=VALUE` takes the parameters below; in
+        a table that has presets, `name = "…"` chooses the one that its other keys are laid over.
+        `prc simulate parameters KIND` prints them as a file. What they mean is told in
+        [Simulate](../simulation.md).
 
         ## Scanners
         """
@@ -239,11 +242,11 @@ def simulation_page() -> str:
     fields = [
         key for key, info in Scanner.model_fields.items() if model_in(info.annotation) is None
     ]
-    rows = [f"| | {' | '.join(f'`{name}`' for name in names)} |", "|---|" + "---|" * len(names)]
+    rows = [_row("", (f"`{name}`" for name in names)), "|---|" + "---|" * len(names)]
     for key in fields:
         values = [getattr(SCANNERS[name], key) for name in names]
         rows.append(
-            f"| `{key}` | {' | '.join('not set' if value is None else _plain(value) for value in values)} |"
+            _row(f"`{key}`", ("not set" if value is None else _plain(value) for value in values))
         )
     parts = [GENERATED, textwrap.dedent(intro), "\n".join(rows) + "\n"]
     seen: set[str] = set()
@@ -254,6 +257,10 @@ def simulation_page() -> str:
         parts += [table.replace("## ", "### ", 1) for table in shown if table not in seen]
         seen |= set(shown)
     return "\n".join(parts)
+
+
+def _row(title: str, cells: Iterable[str]) -> str:
+    return f"| {title} | {' | '.join(cells)} |"
 
 
 def _plain(value: Any) -> str:
@@ -437,14 +444,15 @@ def shown_classes() -> list[tuple[int, str, tuple[int, int, int]]]:
 def qgis_style() -> str:
     """Return a style for point cloud layers of QGIS: every class code with its name and colour."""
     rows = "\n".join(
-        f'      <category render="true" value="{code}" label="{code} {name}" color="{r},{g},{b},255"/>'
+        f'      <category render="true" value="{code}" label="{code} {name}" '
+        f'color="{r},{g},{b},255"/>'
         for code, name, (r, g, b) in shown_classes()
     )
     return f"""<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <!-- written by docs/generate.py from the class codes; do not edit -->
 <qgis styleCategories="Symbology" version="3.22">
-  <renderer type="classified" attribute="Classification" pointSymbol="0" pointSize="1" pointSizeUnit="MM" \
-maximumScreenError="0.3" maximumScreenErrorUnit="MM">
+  <renderer type="classified" attribute="Classification" pointSymbol="0" pointSize="1" \
+pointSizeUnit="MM" maximumScreenError="0.3" maximumScreenErrorUnit="MM">
     <categories>
 {rows}
     </categories>
@@ -456,7 +464,8 @@ maximumScreenError="0.3" maximumScreenErrorUnit="MM">
 def potree_classes() -> str:
     """Return a script that names and colours the class codes in a Potree viewer."""
     rows = "\n".join(
-        f'    {code}: {{visible: true, name: "{name}", color: [{r / 255:.3f}, {g / 255:.3f}, {b / 255:.3f}, 1]}},'
+        f'    {code}: {{visible: true, name: "{name}", color: [{r / 255:.3f}, '
+        f"{g / 255:.3f}, {b / 255:.3f}, 1]}},"
         for code, name, (r, g, b) in shown_classes()
     )
     return f"""// written by docs/generate.py from the class codes; do not edit

@@ -91,7 +91,8 @@ class Browser:
     def settle(self) -> None:
         """Wait until what was asked for is drawn."""
         self.run(
-            "return new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(() => go(true))))"
+            "return new Promise((go) => requestAnimationFrame(() => "
+            "requestAnimationFrame(() => go(true))))"
         )
 
     def click(self, selector: str) -> None:

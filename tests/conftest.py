@@ -42,7 +42,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Give every worker tests that follow each other, so that what a module or folder shares is made once."""
+    """Give every worker tests that follow each other, so that what a module or folder shares is
+    made once."""
     from xdist.scheduler import WorkStealingScheduling
 
     return WorkStealingScheduling(config, log)
@@ -56,7 +57,8 @@ def data_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """Folder of the real scans; absent ones skip the test, but fail it where they are required (CI)."""
+    """Folder of the real scans; absent ones skip the test, but fail it where they are required
+    (CI)."""
     folder = data_folder()
     if not folder.is_dir():
         if os.environ.get("PRC_DATA_REQUIRED"):

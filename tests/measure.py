@@ -142,7 +142,8 @@ def _annotations(node: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[ast.e
 
 
 def _is_tuple(note: ast.expr | None) -> bool:
-    """Whether an annotation is a tuple of fixed length, ``tuple[A, B]`` but not ``tuple[A, ...]``."""
+    """Whether an annotation is a tuple of fixed length, ``tuple[A, B]`` but not ``tuple[A,
+    ...]``."""
     if not isinstance(note, ast.Subscript) or getattr(note.value, "id", "") != "tuple":
         return False
     parts = note.slice.elts if isinstance(note.slice, ast.Tuple) else [note.slice]

@@ -56,7 +56,8 @@ ROOMS = (
     "reference",
 )
 LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz")
-"""Tests that take long, or that run no line of the rooms in their own process, as most that are ``slow``."""
+"""Tests that take long, or that run no line of the rooms in their own process, as most that are
+``slow``."""
 SIZES = re.compile(
     r"_?(MAX|CHUNK|BLOCK|BUFFER|BATCH|COPY|READ|WRITE|PAGE|KEPT|HEAD|LOOK|FLUSH|RUN|CHECK|PROBE|SORT|MERGE|STEP|LARGE"
     r"|SHARED|SERIAL|PLAIN|TOGETHER|TEXT)(_[A-Z]+)*_(BYTES|RECORDS|SHOTS|POINTS|ITEMS|ROWS|CELLS)(_EACH)?|_?BATCH"
@@ -64,7 +65,8 @@ SIZES = re.compile(
     r"|_?(GATE|LOOK|STATUS|POLL|BEAT|SILENT|PATIENCE|PROGRESS|STOP|AGAIN|CONNECT|WORKERS|CHECK|SHARE|START|KILL|ABANDON"
     r"|WAIT|LONGEST_CHECK|COPY_PAUSE)_S"
 )
-"""Names of constants that only say how much is read, kept or worked on at a time, or how long is waited."""
+"""Names of constants that only say how much is read, kept or worked on at a time, or how long is
+waited."""
 TIMEOUT_S = 300.0
 """A mutant that runs so long hangs, which is noticed."""
 GOLDEN = "golden::"
@@ -72,7 +74,8 @@ GOLDEN = "golden::"
 FIRST = 60
 """So many tests, the nearest ones, are run before the others are looked at."""
 BUDGET_S = 15.0
-"""Tests of a statement that many share are taken, the nearest and then the quickest first, until they take so long."""
+"""Tests of a statement that many share are taken, the nearest and then the quickest first, until
+they take so long."""
 
 _AT_START = {name: value for name, value in TOLD.items() if name[:4] in ("NPY_", "OPEN")}
 """What NumPy reads when it is imported."""
@@ -216,7 +219,7 @@ def _is_text(node: ast.BinOp) -> bool:
     )
 
 
-# -- which test runs which line: this module is a plug-in of the measured run -----------------------------------------
+# -- which test runs which line: this module is a plug-in of the measured run
 
 SECONDS: dict[str, float] = {}
 
@@ -302,7 +305,8 @@ def measure(data: Path) -> None:
 
 
 def measure_golden(data: Path) -> None:
-    """Run the golden cases in this process and keep their folders, which cases read of each other."""
+    """Run the golden cases in this process and keep their folders, which cases read of each
+    other."""
     from tests.golden import run as golden
     from tests.golden.cases import all_cases
 
@@ -357,7 +361,8 @@ class Reached:
         }
 
     def cases(self, mutant: Mutant) -> list[str]:
-        """Return the golden cases that run a statement, the quickest first, as many as the budget allows."""
+        """Return the golden cases that run a statement, the quickest first, as many as the budget
+        allows."""
         found = sorted(
             (name for name in self._found(mutant) if name.startswith(GOLDEN)), key=self._took
         )
@@ -392,7 +397,8 @@ class Reached:
 
 
 def _distance(file: str, test: str) -> int:
-    """Return 0 for a module's doctests and the test file of its name, 1 for its folder, 2 for its room, 3 else."""
+    """Return 0 for a module's doctests and the test file of its name, 1 for its folder, 2 for its
+    room, 3 else."""
     own = Path(file)
     other = Path(test.partition("::")[0])
     stem = own.parent.name if own.stem == "__init__" else own.stem
@@ -403,7 +409,7 @@ def _distance(file: str, test: str) -> int:
     return 1 if tested == inside else 2 if tested[:1] == inside[:1] else 3
 
 
-# -- one fault at a time ----------------------------------------------------------------------------------------------
+# -- one fault at a time
 
 
 def judge(
@@ -412,7 +418,8 @@ def judge(
     cases: list[str],
     golden: Path,
 ) -> tuple[bool, str]:
-    """Return whether the check of the generated pages, the tests or the golden cases notice a fault, and which does."""
+    """Return whether the check of the generated pages, the tests or the golden cases notice a
+    fault, and which does."""
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
         return False, "not run: the file was changed meanwhile"
     checks: list[Callable[[], int]] = [
@@ -491,13 +498,15 @@ def _check_golden(cases: list[str], kept: Path) -> int:
 
 
 def _check_pages() -> int:
-    """Compare the reference pages, which list every default and bound of the configuration, as ``.ci/run`` does."""
+    """Compare the reference pages, which list every default and bound of the configuration, as
+    ``.ci/run`` does."""
     sys.argv = ["docs/generate.py", "--check"]
     return int(runpy.run_path("docs/generate.py")["main"]())
 
 
 def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, list[str]]:
-    """Return the exit code of a check with a fault in the program, None where it hangs, and what failed."""
+    """Return the exit code of a check with a fault in the program, None where it hangs, and what
+    failed."""
     with tempfile.TemporaryFile() as printed:
         child = os.fork()
         if child == 0:
@@ -531,7 +540,8 @@ def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, 
 
 
 def _put_in(mutant: Mutant) -> None:
-    """Put a fault into the functions of a module that was imported, or let this process import it so."""
+    """Put a fault into the functions of a module that was imported, or let this process import it
+    so."""
     path = str(ROOT / mutant.file)
     sound = SourceFileLoader.get_code
     raw = Path(path).read_bytes()
@@ -572,7 +582,8 @@ def load() -> None:
 
 
 def drawn(places: list[Mutant], seed: int) -> list[Mutant]:
-    """Return places in an order that depends on the seed and on what each changes, not on the lines around it."""
+    """Return places in an order that depends on the seed and on what each changes, not on the lines
+    around it."""
     seen: Counter[tuple[str, str, str]] = Counter()
     keys = {}
     for mutant in places:
@@ -580,6 +591,11 @@ def drawn(places: list[Mutant], seed: int) -> list[Mutant]:
         seen[what] += 1
         keys[mutant] = hashlib.sha256(repr((seed, *what, seen[what])).encode()).digest()
     return sorted(places, key=keys.__getitem__)
+
+
+def source_line(mutant: Mutant) -> str:
+    lines = (ROOT / mutant.file).read_text("utf-8").splitlines()
+    return lines[mutant.line - 1].strip()
 
 
 def main() -> None:
@@ -623,9 +639,7 @@ def main() -> None:
     ]
     if chosen.list:
         for number, mutant in numbered:
-            print(
-                f"{number:4} {mutant} | {(ROOT / mutant.file).read_text('utf-8').splitlines()[mutant.line - 1].strip()}"
-            )
+            print(f"{number:4} {mutant} | {source_line(mutant)}")
         return
     if not chosen.coverage.exists():
         measure(chosen.coverage)
@@ -652,7 +666,8 @@ def main() -> None:
     print(*(f"{room}: {killed[room]} of {tried[room]} killed" for room in sorted(tried)), sep="\n")
     total = killed.total()
     print(
-        f"{len(found)} mutants of {len(places)}, {total} killed: {100 * total / max(len(found), 1):.1f} %"
+        f"{len(found)} mutants of {len(places)}, {total} killed: "
+        f"{100 * total / max(len(found), 1):.1f} %"
     )
 
 

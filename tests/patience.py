@@ -127,7 +127,8 @@ def _end_late(process: subprocess.Popen[Any], timeout: float) -> None:
 
 @contextlib.contextmanager
 def hearing_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt for SIGINT here, and let programs that are started here hear it and SIGHUP."""
+    """Raise KeyboardInterrupt for SIGINT here, and let programs that are started here hear it and
+    SIGHUP."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

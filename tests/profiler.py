@@ -1,4 +1,5 @@
-"""The real profiler sample (README of the data: jakteristics test data) and parameters recovered from it by fitting."""
+"""The real profiler sample (README of the data: jakteristics test data) and parameters recovered
+from it by fitting."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ def scanner_positions(las: laspy.LasData, recovered: dict[str, np.ndarray]) -> F
         chosen = recovered["line"] == line
         points = xyz[chosen] - middle
         ranges = recovered["range_m"][chosen].astype(np.float64)
-        # |p - c|² = r²  becomes linear in c and |c|²; in a plane, the part across it comes from the coordinates' normal
+        # |p - c|² = r² becomes linear in c and |c|². In a plane, the part across it comes from
+        # the normal of the coordinates.
         squares = (points**2).sum(axis=1) - ranges**2
         normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
         offset = float(normal @ points.mean(axis=0))
@@ -68,7 +70,8 @@ def jakarto_input(trajectory: Path) -> dict[str, Any]:
 
 
 def placed(source: Path, loaded: LoadedConfig, n_records: int) -> tuple[I64, I64, F64, int]:
-    """Return line, column and range [m] of every record of a file as the reader places them, and the cells read."""
+    """Return line, column and range [m] of every record of a file as the reader places them, and
+    the cells read."""
     line = np.full(n_records, -1, np.int64)
     column = np.full(n_records, -1, np.int64)
     range_m = np.full(n_records, np.nan)

@@ -1,4 +1,5 @@
-"""A small analytic street with known shapes, as a range image and as files of every readable format."""
+"""A small analytic street with known shapes, as a range image and as files of every readable
+format."""
 
 from __future__ import annotations
 
@@ -72,7 +73,8 @@ def write_npz(path: Path, image: F32) -> Path:
 
 
 def write_endless(path: Path) -> Path:
-    """A raw file, or an array, of nothing but missing shots, a hole on the disk that takes minutes to classify.
+    """A raw file, or an array, of nothing but missing shots, a hole on the disk that takes minutes
+    to classify.
 
     A larger hole is refused as a copy that never ended.
     """

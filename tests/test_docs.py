@@ -1,4 +1,5 @@
-"""Python blocks of the documentation run, shell examples name what exists, figures come from tables of benchmarks."""
+"""Python blocks of the documentation run, shell examples name what exists, figures come from tables
+of benchmarks."""
 
 from __future__ import annotations
 
@@ -217,7 +218,8 @@ def test_the_copy_button_copies_what_a_shell_takes(tmp_path: Path) -> None:
         browser.wait(f"document.querySelector('{button}')")
         browser.run(
             "document.addEventListener('copy', () => { const box = document.activeElement;"
-            "window.copied = box && box.value !== undefined ? box.value : String(document.getSelection()); }, true)"
+            "window.copied = box && box.value !== undefined ? box.value : "
+            "String(document.getSelection()); }, true)"
         )
         browser.click(button)
         browser.wait("window.copied")

@@ -77,7 +77,8 @@ def test_help_loads_nothing_heavy() -> None:
         "import sys\n"
         "from prc_cli.cli import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'numba', 'laspy', 'scipy', 'skimage', 'pyarrow', 'pydantic', 'rich', 'tqdm', 'PIL'}\n"
+        "heavy = {'numpy', 'numba', 'laspy', 'scipy', 'skimage', 'pyarrow', 'pydantic', "
+        "'rich', 'tqdm', 'PIL'}\n"
         "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)"
     )
     result = patience.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -1,4 +1,5 @@
-"""The walk of a new user: from a file to a classified, evaluated, drawn result in three commands (docs, First hour).
+"""The walk of a new user: from a file to a classified, evaluated, drawn result in three commands
+(docs, First hour).
 
 Every command after the first is the one that the program itself said to type."""
 

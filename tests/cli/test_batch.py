@@ -61,14 +61,15 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Run:
     return call
 
 
-# -- real runs --------------------------------------------------------------------------------------------------------
+# -- real runs
 
 ODD = os.fsdecode(b"night/stra\xdfe\n\x1b[31m.csv")
 
 
 @pytest.fixture(scope="module")
 def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """An archive of two good files and a bad one, and an output folder after a first run without a home or terminal."""
+    """An archive of two good files and a bad one, and an output folder after a first run without a
+    home or terminal."""
     folder = tmp_path_factory.mktemp("office")
     archive = folder / "archive"
     out = folder / "out"
@@ -147,7 +148,8 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     assert nothing == f"nothing to do: 2 files are done ({out})"
     assert (
         trusted
-        == "files that were done before were judged by size and time; --verify compares their content"
+        == "files that were done before were judged by size and time; --verify compares their "
+        "content"
     )
     found = prc(*options, "--quiet")
     assert (found.code, found.out, found.err) == (0, "", "")
@@ -289,7 +291,7 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     assert prc("status", tmp_path / "none").code == 1
 
 
-# -- what is told, with a run that is made up -------------------------------------------------------------------------
+# -- what is told, with a run that is made up
 
 
 def done(name: str, n: int = 1_000_000) -> Done:
@@ -421,10 +423,19 @@ def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) ->
 def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None:
     play()
     Path("ref").mkdir()
-    options = "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 --threads 5 --retry 2 "
-    options += "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
+    options = (
+        "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 "
+        "--threads 5 --retry 2 "
+    )
+    options += (
+        "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz "
+        "--no-drift --only-failed "
+    )
     options += "--keep-version 0.0.9 --accept-doubt standing "
-    options += "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
+    options += (
+        "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time "
+        "--fail-under recall.stem=.1"
+    )
     assert prc("a", "o", *options.split()).code in (0, 3)
     found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
     expected = {

@@ -71,7 +71,8 @@ def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("told", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
 def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[object, ...]) -> None:
-    """Where the number of records speaks against M, or none is given, the command to type has the estimate."""
+    """Where the number of records speaks against M, or none is given, the command to type has the
+    estimate."""
     source = write_raw(tmp_path / "drive.bin", street())
     result = prc("info", source, "--json", *told)
     found = json.loads(result.out)
@@ -512,7 +513,10 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
     layout.write_text(LAYOUT)
     image = tmp_path / "drive.npz"
     np.savez(image, range_m=street())
-    said = "layout.fields: does nothing: .npz files describe their records themselves; leave it out; ranges in mm"
+    said = (
+        "layout.fields: does nothing: .npz files describe their records themselves; leave it "
+        "out; ranges in mm"
+    )
     for words in (("classify", image, tmp_path / "o.npy"), ("info", image)):
         found = prc(*words, "--layout", layout)
         assert found.code == 2

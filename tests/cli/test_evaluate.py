@@ -210,7 +210,10 @@ def test_two_methods_are_compared_in_the_classes_of_both(
     code, out, err = prc(*paths, "--json")
     assert (code, json.loads(out)["mapping"]) == (0, mapping)
     if mapping != "street":
-        said = f"mapping: {mapping} (the run records say {methods[0]} and {methods[1]}: it has the classes of both)"
+        said = (
+            f"mapping: {mapping} (the run records say {methods[0]} and {methods[1]}: it has "
+            "the classes of both)"
+        )
         assert err == f"{said}; --mapping names another\n"
 
 

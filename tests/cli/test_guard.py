@@ -39,9 +39,8 @@ def crash(arguments, debug):
 number = sys.argv[1]
 sys.argv = ["prc", *sys.argv[2:]]
 
-cli._run = lambda arguments, debug: (setattr(sys, "argv", [None, number, *sys.argv[1:]]), crash(arguments, debug))
-cli.main()
-"""
+cli._run = lambda arguments, debug: (setattr(sys, "argv", [None, number, *sys.argv[1:]]),
+crash(arguments, debug)) cli.main() """
 
 
 def prc(
@@ -231,7 +230,10 @@ def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
     ended = patience.run(
         command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
     )
-    said = f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time; no output was left behind"
+    said = (
+        f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time; no "
+        "output was left behind"
+    )
     assert (ended.returncode, ended.stderr.startswith(said)) == (1, True), ended.stderr
 
 

@@ -170,7 +170,10 @@ def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
     head = (
         "VERSION 0.7\nFIELDS x y z range normal\nSIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 1 2\n"
     )
-    head += f"WIDTH {IMAGE.shape[1]}\nHEIGHT {len(IMAGE)}\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {IMAGE.size}\nDATA binary\n"
+    head += (
+        f"WIDTH {IMAGE.shape[1]}\nHEIGHT {len(IMAGE)}\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS "
+        f"{IMAGE.size}\nDATA binary\n"
+    )
     (tmp_path / "a.pcd").write_bytes(head.encode() + rows.tobytes())
     found = prc("classify", tmp_path / "a.pcd", tmp_path / "b.pcd", *OPTIONS)
     assert found.code in (0, 4), found.err

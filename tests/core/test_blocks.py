@@ -45,7 +45,8 @@ def stream(
 
 
 def pieces(block: ScanBlock, sizes: list[int]) -> Iterator[ScanBlock]:
-    """Cut a stream into blocks of the given sizes (repeated), each with a tally of one collision."""
+    """Cut a stream into blocks of the given sizes (repeated), each with a tally of one
+    collision."""
     first = 0
     turn = 0
     while first < block.n_lines:

@@ -64,7 +64,10 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
         ("recall.road", "score: found class 'road', expected one of: noise, ground, stem"),
         (
             "recal.ground",
-            "score: found score 'recal.ground', expected one of: accuracy, balanced_accuracy, kappa",
+            (
+                "score: found score 'recal.ground', expected one of: accuracy, "
+                "balanced_accuracy, kappa"
+            ),
         ),
         ("recall", "recall.CLASS"),
         ("kappa.ground", "found score 'kappa.ground'"),

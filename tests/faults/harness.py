@@ -1,4 +1,5 @@
-"""An archive of small mixed files, and runs of ``prc batch`` over it that tests can kill and inspect."""
+"""An archive of small mixed files, and runs of ``prc batch`` over it that tests can kill and
+inspect."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ MARK = "PRC_FAULTS_MARK"
 AS_PLAIN_USER = """
 import ctypes, os, sys
 for capability in (1, 2) if os.getuid() == 0 else ():
-    ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP: permissions count for root as well
+    ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP: permissions count for root
+    as well
 os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 """
 ACCEPTED = """
@@ -286,7 +288,8 @@ def check_nothing_half(archive: Archive, out: Path) -> None:
 
 
 def check_known(archive: Archive, out: Path) -> None:
-    """What a run left that was killed is an output, our own state, or removed by ``prc batch clean``."""
+    """What a run left that was killed is an output, our own state, or removed by ``prc batch
+    clean``."""
     if not out.exists() or not journal_paths(out / OWN_FOLDER):
         left = [
             path for path in out.rglob("*") if path.is_file() and path.parent.name != OWN_FOLDER
@@ -303,7 +306,8 @@ _DYING_S = 10.0
 
 
 def _unknown(archive: Archive, out: Path) -> list[str]:
-    """Return the files that are neither outputs nor our own state, and that ``prc batch clean`` would not remove."""
+    """Return the files that are neither outputs nor our own state, and that ``prc batch clean``
+    would not remove."""
     try:
         removed = set(clean(out, dry_run=True).files)
     except BusyError as error:

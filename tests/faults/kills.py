@@ -1,4 +1,5 @@
-"""Kills runs of ``prc batch`` at random moments, checks after each, and lets the last run of a chain finish.
+"""Kills runs of ``prc batch`` at random moments, checks after each, and lets the last run of a
+chain finish.
 
 ``python -m tests.faults.kills --kills 200 --seed 1`` prints counts as JSON; exit code 1 with the
 reason at the first fault. ``--engine dask`` kills runs with a scheduler and workers that were

@@ -1,4 +1,5 @@
-"""Killed at any moment: no partial file under its final name, and the next run completes as usual."""
+"""Killed at any moment: no partial file under its final name, and the next run completes as
+usual."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ pytestmark = pytest.mark.slow
 
 
 def test_some_kills(few: Archive, tmp_path: Path) -> None:
-    """Everything, then the first process alone, then a worker, while a file is at work in one folder."""
+    """Everything, then the first process alone, then a worker, while a file is at work in one
+    folder."""
     out = tmp_path / "out"
     for n_known, strike in ((1, Batch.strike_all), (2, Batch.strike)):
         batch = run_into(few, out, FAST[n_known : n_known + 1], jobs=1)
@@ -94,7 +96,8 @@ def run_into(
     *options: str,
     jobs: int = 2,
 ) -> Batch:
-    """Start a run and return when its workers are about to open all these inputs, which :func:`release` lets them."""
+    """Start a run and return when its workers are about to open all these inputs, which
+    :func:`release` lets them."""
     held = [Path(f"{_release(out)}.{number}") for number in range(len(names))]
     for path in (_release(out), *held):
         path.unlink(missing_ok=True)

@@ -22,14 +22,18 @@ from tests.fuzz.seeds import seed
 
 pytestmark = pytest.mark.slow
 
-CALLS = "write,pwrite64,writev,pwritev,sendfile,copy_file_range,fsync,fdatasync,link,linkat,rename,renameat,renameat2"
+CALLS = (
+    "write,pwrite64,writev,pwritev,sendfile,copy_file_range,"
+    "fsync,fdatasync,link,linkat,rename,renameat,renameat2"
+)
 _CALL = re.compile(r"(?P<call>[a-z0-9_]+)\((?P<words>.*)\) = (?P<result>\d+)")
 _OPEN = re.compile(r"\d+<(?P<path>/[^>]*)>")
 _QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"')
 
 
 def traced(folder: Path, *words: str | Path) -> list[tuple[str, list[str]]]:
-    """Run ``prc`` and return every successful call with the files that it names, in the order they ended."""
+    """Run ``prc`` and return every successful call with the files that it names, in the order they
+    ended."""
     strace = shutil.which("strace")
     if strace is None:
         pytest.skip("strace is not installed")

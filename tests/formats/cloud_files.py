@@ -61,8 +61,10 @@ def pcd(
     n = len(next(iter(columns.values())))
     kinds = [column.dtype for column in columns.values()]
     head = (
-        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(columns)}\nSIZE {' '.join(str(kind.itemsize) for kind in kinds)}\n"
-        f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}\nCOUNT {' '.join('1' for _ in kinds)}\n"
+        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(columns)}\nSIZE "
+        f"{' '.join(str(kind.itemsize) for kind in kinds)}\n"
+        f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}\nCOUNT "
+        f"{' '.join('1' for _ in kinds)}\n"
         f"WIDTH {n // height}\nHEIGHT {height}\nVIEWPOINT {viewpoint}\nPOINTS {n}\nDATA {data}\n"
     )
     if data != "binary_compressed":

@@ -214,7 +214,8 @@ def crc32c(data: bytes) -> int:
 
 
 def with_checksums(raw: bytes) -> bytes:
-    """The file with the checksum of every page made right, so that a change in it reaches the decoder."""
+    """The file with the checksum of every page made right, so that a change in it reaches the
+    decoder."""
     pages = [raw[start : start + 1024] for start in range(0, len(raw), 1024)]
     return b"".join(
         page[:1020] + struct.pack(">I", crc32c(page[:1020])) if len(page) == 1024 else page

@@ -1,4 +1,5 @@
-"""Times in other units than seconds, and clocks that begin anew at the end of an hour, a day or a week."""
+"""Times in other units than seconds, and clocks that begin anew at the end of an hour, a day or a
+week."""
 
 from __future__ import annotations
 

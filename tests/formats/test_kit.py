@@ -80,7 +80,8 @@ class Toy:
     def align_chunks(self, n_records):
         pass
     def chunks(self, names):
-        yield RecordChunk(0, {name: self._values[name].astype(float) for name in names}, len(self._values))
+        yield RecordChunk(0, {name: self._values[name].astype(float) for name in names},
+        len(self._values))
 
 TOY = Format(name="toy", scans=(".toy",), records="toy_of_a_test:Toy")
 """

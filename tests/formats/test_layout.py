@@ -35,7 +35,10 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
         (Layout(), "layout.fields: none given, expected at least one field"),
         (
             layout({"name": "range", "type": "f8"}, record_bytes=7),
-            "layout.record_bytes: found 7, but the fields take 8 bytes; leave it out or give 8 or more",
+            (
+                "layout.record_bytes: found 7, but the fields take 8 bytes; leave it out or "
+                "give 8 or more"
+            ),
         ),
         (layout({"name": "range", "unit": "deg"}), "field 'range': found unit 'deg', expected m"),
         (
@@ -44,7 +47,10 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
         ),
         (
             layout({"name": "range", "type": "u2", "missing": -1}),
-            "field 'range': found missing = -1, which u2 cannot hold; give the value as it is stored",
+            (
+                "field 'range': found missing = -1, which u2 cannot hold; give the value as it "
+                "is stored"
+            ),
         ),
         (
             layout({"name": "range", "type": "i4", "missing": 0.5}),

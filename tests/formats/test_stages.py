@@ -1,4 +1,5 @@
-"""``[output] stages``: intermediate results of the sequential-angle classifier, in every output format."""
+"""``[output] stages``: intermediate results of the sequential-angle classifier, in every output
+format."""
 
 from __future__ import annotations
 
@@ -125,7 +126,8 @@ def test_rewritten_files_hold_them(
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])
 @pytest.mark.parametrize("rewritten", [False, True])
 def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewritten: bool) -> None:
-    """The output is that of a run without the option, byte for byte but for the run record's notice."""
+    """The output is that of a run without the option, byte for byte but for the run record's
+    notice."""
     source = SOURCE
     if rewritten:
         source = tmp_path / "in.las"

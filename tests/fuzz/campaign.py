@@ -1,4 +1,5 @@
-"""Try many damaged files: ``python -m tests.fuzz.campaign [TARGET ...] --seconds S --runs N --seed K --corpus FOLDER``.
+"""Try many damaged files: ``python -m tests.fuzz.campaign [TARGET ...] --seconds S --runs N --seed
+K --corpus FOLDER``.
 
 Most inputs are read by functions of the library in a forked process, traced; one that takes a new
 way through a parser is kept in the corpus and damaged further. One of ten goes through a command in
@@ -187,7 +188,8 @@ class Campaign:
         )
         stem = keep(self._found, finding, small, kind, fault)
         print(
-            f"{stem}: {len(small)} of {len(data)} bytes, {finding.way} {' '.join(finding.words)}\n{fault[:1500]}\n"
+            f"{stem}: {len(small)} of {len(data)} bytes, {finding.way} "
+            f"{' '.join(finding.words)}\n{fault[:1500]}\n"
         )
         sys.stdout.flush()
 
@@ -234,7 +236,8 @@ def main() -> None:
     times = os.times()
     used = times.user + times.system + times.children_user + times.children_system
     print(
-        f"{n} inputs in {time.monotonic() - begun:.0f} s, {used:.0f} s of processor time; {own.n_faults} faults"
+        f"{n} inputs in {time.monotonic() - begun:.0f} s, {used:.0f} s of processor time; "
+        f"{own.n_faults} faults"
     )
 
 

@@ -86,19 +86,21 @@ WAYS = ("read", "command", "guarded")
 _PAGE = """\
 # Hostile input in figures
 
-Written by `python -m tests.fuzz.campaign --report docs/figures/hostile.md --corpus corpus`, after campaigns of
-`python -m tests.fuzz.campaign --seconds 3600 --corpus corpus --seed 1` with several seeds. What counts as a fault:
-[Hostile input](../robustness.md#how-damaged-files-are-tested).
+Written by `python -m tests.fuzz.campaign --report docs/figures/hostile.md --corpus corpus`, after
+campaigns of `python -m tests.fuzz.campaign --seconds 3600 --corpus corpus --seed 1` with several
+seeds. What counts as a fault: [Hostile input](../robustness.md#how-damaged-files-are-tested).
 
-**{n:,} inputs**: {read:,} read by functions of the library, {command:,} through a command in the same process,
-{guarded:,} through `prc` under the guard. {accepted} were accepted, {looked} with a doubt that is said, {refused}
-refused in one line; {died:,} ended the process of the library that decoded them, which the guard makes a line of;
-{faulty:,} showed a fault ({kinds} kinds, mended or listed as a remaining risk).
+**{n:,} inputs**: {read:,} read by functions of the library, {command:,} through a command in
+the same process, {guarded:,} through `prc` under the guard. {accepted} were accepted, {looked} with a doubt that is
+said, {refused} refused in one line; {died:,} ended the process of the library that decoded them,
+which the guard makes a line of; {faulty:,} showed a fault ({kinds} kinds, mended or listed as a
+remaining risk).
 
-*New ways* are steps from line to line of the program that damaged inputs took and seeds did not; *kept* are the inputs
-of the corpus that took them first.
+*New ways* are steps from line to line of the program that damaged inputs took and seeds
+did not; *kept* are the inputs of the corpus that took them first.
 
-| target | inputs | accepted | doubt | refused | ended | faults | new ways | kept | slowest | memory |
+| target | inputs | accepted | doubt | refused | ended | faults | new ways | kept | slowest | \
+memory |
 |---|---|---|---|---|---|---|---|---|---|---|
 {rows}
 """
@@ -179,8 +181,10 @@ def report(corpus: Path) -> str:
         for way, counts in row["ways"].items():
             by_way[way] += sum(counts.values())
         rows.append(
-            f"| {name} | {sum(found.values()):,} | {found['accepted']:,} | {found['doubt']:,} | {found['refused']:,} "
-            f"| {found['ended']:,} | {faults:,} | {row['steps']:,} | {row['kept']:,} | {row['slowest']:.1f} s "
+            f"| {name} | {sum(found.values()):,} | {found['accepted']:,} | "
+            f"{found['doubt']:,} | {found['refused']:,} "
+            f"| {found['ended']:,} | {faults:,} | {row['steps']:,} | {row['kept']:,} | "
+            f"{row['slowest']:.1f} s "
             f"| {row['grown'] >> 20} MiB |"
         )
     n = sum(total.values())

@@ -91,7 +91,8 @@ def switches(n: int) -> bytes:
 
 
 def overflowing(n: int = 200_000, name: str = "pf6.laz") -> bytes:
-    """Return a LAZ file whose times overflow the stack of lazrs 0.8 (it dies between 20,000 and 40,000 symbols).
+    """Return a LAZ file whose times overflow the stack of lazrs 0.8 (it dies between 20,000 and
+    40,000 symbols).
 
     Skips the test where an older lazrs is installed: it counts the bytes first.
     """

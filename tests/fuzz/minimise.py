@@ -114,7 +114,8 @@ class Tracer:
         self._tracer.stop()
 
     def fresh(self) -> list[str]:
-        """Return the steps that were taken for the first time, in words that are the same in every process."""
+        """Return the steps that were taken for the first time, in words that are the same in every
+        process."""
         found = []
         for name, steps in self._data.items():
             known = self._known.setdefault(name, set())

@@ -413,7 +413,8 @@ def npy_header(data: bytearray, rng: random.Random) -> bytearray:
 
 
 def zip_member(data: bytearray, rng: random.Random) -> bytearray:
-    """An archive with one array damaged inside, or with members that lie, doubled, or unpack to much."""
+    """An archive with one array damaged inside, or with members that lie, doubled, or unpack to
+    much."""
     try:
         with zipfile.ZipFile(io.BytesIO(bytes(data))) as archive:
             members = [(info.filename, archive.read(info)) for info in archive.infolist()]

@@ -125,7 +125,8 @@ def _numbered(item: LabelledBlock) -> list[tuple[Any, Any]]:
 
 
 def _judge_untouched(items: list[LabelledBlock], sound: Path) -> list[str]:
-    """Compare the blocks whose ranges the damage did not touch, nor those of their neighbours, which vote on theirs."""
+    """Compare the blocks whose ranges the damage did not touch, nor those of their neighbours,
+    which vote on theirs."""
     undamaged = _sound_blocks(str(sound))
     blocks = {(item.block.scanner, item.block.first_line): item for item in items}
     untouched = {key for key, item in blocks.items() if _is_same(undamaged, item)}
@@ -135,7 +136,10 @@ def _judge_untouched(items: list[LabelledBlock], sound: Path) -> list[str]:
             _, expected = undamaged[scanner, line]
             if not np.array_equal(expected, blocks[scanner, line].labels):
                 return [
-                    f"labels: the block of line {line} and its neighbours have their ranges but not their labels"
+                    (
+                        f"labels: the block of line {line} and its neighbours have their "
+                        "ranges but not their labels"
+                    )
                 ]
     return []
 

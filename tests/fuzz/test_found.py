@@ -1,4 +1,5 @@
-"""Regression tests for faults found by campaigns and by hand, each with the smallest file that shows it."""
+"""Regression tests for faults found by campaigns and by hand, each with the smallest file that
+shows it."""
 
 from __future__ import annotations
 
@@ -158,7 +159,8 @@ def test_damaged_laz_does_not_come_out_damaged(
 def test_damaged_copc_does_not_come_out_damaged(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """``transfer`` decoded only the layers of the classes of an octree's chunks, and copied the others."""
+    """``transfer`` decoded only the layers of the classes of an octree's chunks, and copied the
+    others."""
     labels = put(tmp_path / "labels.laz", seed("copc7.laz"))
     codes = {0: 0, 1: 0}
     for number in range(16):

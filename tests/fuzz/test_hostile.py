@@ -112,12 +112,14 @@ def test_the_guard_sees(tmp_path: Path, text: str) -> None:
 
     program = (
         "import sys, pathlib\nfrom tests.fuzz.guard import Guard\n"
-        "import os, socket, subprocess, pickle, collections\nEVIL = pickle.dumps(collections.Counter)\n"
+        "import os, socket, subprocess, pickle, collections\nEVIL = "
+        "pickle.dumps(collections.Counter)\n"
         f"guard = Guard((pathlib.Path({str(tmp_path)!r}),))\n"
         "def attack():\n    try:\n        " + text + "\n    except OSError:\n        pass\n"
         "with guard.armed() as seen:\n    open(guard._folders[0] + 'inside', 'w').close()\n"
         "    quiet = list(seen)\n    attack()\n"
-        "pathlib.Path('/tmp/prc-fuzz-outside').unlink(missing_ok=True)\nsys.exit(0 if seen and not quiet else 1)\n"
+        "pathlib.Path('/tmp/prc-fuzz-outside').unlink(missing_ok=True)\nsys.exit(0 if seen "
+        "and not quiet else 1)\n"
     )
     script = tmp_path / "attack.py"
     script.write_text(program)

@@ -23,7 +23,8 @@ from tests.fuzz.targets import arguments
 LIMIT_S = 10.0
 """A command that takes more processor time hangs [s]."""
 WAIT_S = 15.0
-"""After so long without an answer, and so long again, the processor time of the worker is looked at [s]."""
+"""After so long without an answer, and so long again, the processor time of the worker is looked at
+[s]."""
 MOST_WAITS = 20
 
 
@@ -122,7 +123,10 @@ class WatchedWorker:
         ):  # what a library tried and failed at
             return []
         return [
-            f"died, and under the guard: exit code {ended.returncode}, printed {lines[:3]}, left {left}"
+            (
+                f"died, and under the guard: exit code {ended.returncode}, printed "
+                f"{lines[:3]}, left {left}"
+            )
         ]
 
     def _end_of(

@@ -1,4 +1,5 @@
-"""A process that reads damaged files and runs commands on them, one after the other, and reports what happened.
+"""A process that reads damaged files and runs commands on them, one after the other, and reports
+what happened.
 
 Jobs are lines of JSON on stdin, answers go to the original stdout; output of the program and of
 libraries goes to a file. The process that is started loads everything once and forks the one that
@@ -39,7 +40,8 @@ DECODER_BYTES = 200 << 20
 """Of which a library may take so much for a step of decoding."""
 GROWTH_BYTES = 400 << 20
 GROWTH_FACTOR = 40
-"""A command may take so much memory, and so many times the size of its file, beyond what the process held before."""
+"""A command may take so much memory, and so many times the size of its file, beyond what the
+process held before."""
 
 JOBS_PER_PROCESS = 3000
 LOOK = 4
@@ -266,7 +268,8 @@ ENDED = 77
 
 
 def _next_line() -> bytes:
-    """Return the next job; nothing of a later one is taken, which another process may have to read."""
+    """Return the next job; nothing of a later one is taken, which another process may have to
+    read."""
     line = b""
     while not line.endswith(b"\n"):
         piece = os.read(0, 1 << 16)

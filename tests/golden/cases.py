@@ -1,6 +1,6 @@
-"""The table of cases: name, and commands between `` .
+"""The table of cases: a name, and its commands.
 
-`` (see ``STEPS`` for those that begin with ``@``).
+Commands are separated by `` . ``. ``STEPS`` lists those that start with ``@``.
 """
 
 from __future__ import annotations
@@ -114,7 +114,8 @@ def _tables() -> Iterator[tuple[str, str]]:
         down = (
             ""
             if form >= 6
-            else f" ; classify {source} p.laz --preset fused --set input.nadir=0 --accept-doubt angle-step"
+            else f" ; classify {source} p.laz --preset fused --set input.nadir=0 --accept-doubt "
+            "angle-step"
         )
         fused = f"classify {source} o.laz --preset fused{down}"
         yield (
@@ -131,7 +132,10 @@ def _tables() -> Iterator[tuple[str, str]]:
         source = f"../convert-{suffix}/o.{suffix}"
         yield (
             f"read-{suffix}",
-            f"info {source} {options} ; classify {source} o.npy {options} ; convert {source} b.csv {options}",
+            (
+                f"info {source} {options} ; classify {source} o.npy {options} ; convert "
+                f"{source} b.csv {options}"
+            ),
         )
         yield f"convert-las-{suffix}", f"convert {LAS} o.{suffix} --json"
         yield (
@@ -180,7 +184,10 @@ def _damaged() -> Iterator[tuple[str, str]]:
         if suffix == "parquet":  # labels alone
             m = "; evaluate d.parquet ../sim-sick/ref.npy"
         other = "csv" if suffix == "npz" else "npz"
-        last = f"info d.{suffix} {m} ; classify d.{suffix} o.npy {m} ; convert d.{suffix} o.{other} {m}"
+        last = (
+            f"info d.{suffix} {m} ; classify d.{suffix} o.npy {m} ; convert d.{suffix} "
+            f"o.{other} {m}"
+        )
         copy = f"@cp {source} d.{suffix}"
         yield f"damaged-{suffix}-empty", f"@write d.{suffix} '' ; {last}"
         yield f"damaged-{suffix}-garbage", f"@write d.{suffix} 'one, two\\nthree\\n' ; {last}"
@@ -211,7 +218,10 @@ def _damaged() -> Iterator[tuple[str, str]]:
     ):
         for suffix, source in (("las", LAS), ("laz", BARE)):
             options = "" if suffix == "las" else "--range origin:650000,6860000,0"
-            last = f"info d.{suffix} {options} ; classify d.{suffix} o.laz {options} ; convert d.{suffix} o.las"
+            last = (
+                f"info d.{suffix} {options} ; classify d.{suffix} o.laz {options} ; convert "
+                f"d.{suffix} o.las"
+            )
             yield (
                 f"lying-{suffix}-{name}",
                 f"@cp {source} d.{suffix} ; @poke d.{suffix} {offset} {data} ; {last}",

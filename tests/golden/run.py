@@ -63,7 +63,8 @@ _VARYING = [
 
 
 def plain(text: str, folder: Path) -> str:
-    """Return what is printed or written without what differs between two runs of the same program."""
+    """Return what is printed or written without what differs between two runs of the same
+    program."""
     places = (
         (folder.resolve(), "<root>"),
         (folder, "<root>"),
@@ -92,7 +93,8 @@ def digest_of_file(path: Path, folder: Path) -> str:
     if path.suffix == ".sqlite":
         with sqlite3.connect(path) as journal:
             rows = journal.execute(
-                "SELECT name, state, config_sha256, version, attempts, owns_output, outcome FROM files ORDER BY name"
+                "SELECT name, state, config_sha256, version, attempts, owns_output, "
+                "outcome FROM files ORDER BY name"
             ).fetchall()
         return digest(plain(repr(rows), folder))
     data = path.read_bytes()
@@ -218,7 +220,8 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
 
 
 def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
-    """Return the chosen cases and those whose files they read, with how many cases lie before them."""
+    """Return the chosen cases and those whose files they read, with how many cases lie before
+    them."""
     depth: dict[str, int] = {}
 
     def visit(name: str) -> int:

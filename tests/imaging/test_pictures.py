@@ -301,14 +301,16 @@ def test_a_browser_shows_long_values_and_keeps_the_cloud_in_view(tmp_path: Path)
         "return range.getBoundingClientRect().right > edge; }).length"
     )
     seen = (
-        "const c = document.getElementById('cloud'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "const c = document.getElementById('cloud'), d = "
+        "c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
         "const all = new Uint32Array(d.buffer), many = new Map();"
         "for (const v of all) many.set(v, (many.get(v) || 0) + 1);"
         "return all.length - Math.max(...many.values())"
     )
     turn = (
         "const c = document.getElementById('cloud'), r = c.getBoundingClientRect();"
-        "c.dispatchEvent(new WheelEvent('wheel', {{deltaY: {}, clientX: r.x + {}, clientY: r.y + 20}}))"
+        "c.dispatchEvent(new WheelEvent('wheel', {{deltaY: {}, clientX: r.x + {}, clientY: "
+        "r.y + 20}}))"
     )
     with chromium() as browser:
         for width in (1280, 390):

@@ -1,4 +1,5 @@
-"""Curves against the classifier, estimates for a known scanner, and a search with a known result."""
+"""Curves against the classifier, estimates for a known scanner, and a search with a known
+result."""
 
 from __future__ import annotations
 
@@ -111,7 +112,8 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: 
 
 
 def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
-    """A street and, as its reference, what the classifier says with parameters that are not the preset's."""
+    """A street and, as its reference, what the classifier says with parameters that are not the
+    preset's."""
     source = write_npz(folder / "street.npz", street(n_lines))
     wanted = {
         "prc": {

@@ -1,4 +1,5 @@
-"""Classifying one file: the same labels for every format and by either engine, no files left after failures."""
+"""Classifying one file: the same labels for every format and by either engine, no files left after
+failures."""
 
 from __future__ import annotations
 
@@ -117,7 +118,8 @@ LINES = slice(50, 90)
 SIMULATED = {
     "urban": "street --lines 60 --set scanner.points_per_line=200",
     "forest": "forest --lines 60 --set scanner.points_per_line=300 --set sight_m=20",
-    "street-scan": "street-scan --seed 3 --set scanner.points_per_line=80 --set scanner.azimuth_step_deg=4 "
+    "street-scan": "street-scan --seed 3 --set scanner.points_per_line=80 --set "
+    "scanner.azimuth_step_deg=4 "
     "--set station.turn_deg=70",
 }
 WITHOUT_NUMBA = """

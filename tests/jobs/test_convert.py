@@ -1,4 +1,5 @@
-"""Round trips: a stream written in another format and read back is the same stream, as far as the format holds it."""
+"""Round trips: a stream written in another format and read back is the same stream, as far as the
+format holds it."""
 
 from __future__ import annotations
 

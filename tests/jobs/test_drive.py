@@ -83,7 +83,10 @@ def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
 def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path: Path) -> None:
     _, parts = cut_laz(tmp_path, gap_s=7.0)
     found = list(classify_drive(parts, tmp_path / "out", URBAN))
-    apart = "a stream of its own begins with this file: it begins 7.000 s after the end of the file before"
+    apart = (
+        "a stream of its own begins with this file: it begins 7.000 s after the end of the "
+        "file before"
+    )
     assert [apart in summary.record.notices for summary in found] == [False, False, True]
     classify(parts[2], tmp_path / "alone.laz", URBAN)
     alone = np.asarray(laspy.read(tmp_path / "alone.laz").classification)

@@ -292,8 +292,10 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
     render_viewer(static[0], page, load_config(preset="street-scan"))
     about, planes = decoded(read(page))
     drawn = (
-        "const c = document.getElementById('{}'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
-        "const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 | d[i + 1] << 8 | d[i + 2]);"
+        "const c = document.getElementById('{}'), d = c.getContext('2d').getImageData(0, "
+        "0, c.width, c.height).data;"
+        "const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 "
+        "| d[i + 1] << 8 | d[i + 2]);"
         "return seen.size"
     )
     with chromium() as browser:
@@ -323,7 +325,10 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         )
         names = {one["place"]: one["name"] for one in about["classes"]}
         assert shown[2] == names[int(planes["class"][line, column])]
-        press = "document.getElementById('image').dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))"
+        press = (
+            "document.getElementById('image').dispatchEvent(new KeyboardEvent('keydown', {key: "
+            "'ArrowRight'}))"
+        )
         browser.run(press.replace("ArrowRight", "ArrowLeft") if about["mirrored"] else press)
         browser.wait(f"document.querySelector('#shot dd').textContent !== '{line}'")
         browser.click("#image")
@@ -332,7 +337,8 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         browser.settle()
         empty = (
             "const c = document.getElementById('image');"
-            "const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer);"
+            "const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, "
+            "c.height).data.buffer);"
             "return d.filter((one) => one === d[0]).length / d.length"
         )
         assert browser.run(empty) > 0.98

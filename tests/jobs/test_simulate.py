@@ -1,4 +1,5 @@
-"""Simulated scans as files: every format gives back stream and reference, for any number of threads."""
+"""Simulated scans as files: every format gives back stream and reference, for any number of
+threads."""
 
 from __future__ import annotations
 

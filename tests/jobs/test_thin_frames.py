@@ -1,4 +1,5 @@
-"""Frames for odometry: folders, clouds and bags without the points of some classes, and all else as it was."""
+"""Frames for odometry: folders, clouds and bags without the points of some classes, and all else as
+it was."""
 
 from __future__ import annotations
 

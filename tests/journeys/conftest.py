@@ -20,7 +20,8 @@ M = 2154
 
 @pytest.fixture(scope="session")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A street (``drive.npz``, its ranges alone ``drive.bin``), a forest and a static scan, with reference classes."""
+    """A street (``drive.npz``, its ranges alone ``drive.bin``), a forest and a static scan, with
+    reference classes."""
     shell = Shell(tmp_path_factory.mktemp("drives"))
     shell(f"prc simulate street drive.npz -q {STREET}")
     shell("prc simulate forest forest.npz -q --lines 240 --seed 8802")
@@ -30,7 +31,8 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # the street as an office has it: coordinates, times and classes, and the way of the scanner
     # beside them
     shell(
-        f"prc simulate street registered.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}"
+        "prc simulate street registered.laz -q --trajectory path.csv --set "
+        f"frame.crs=EPSG:32635 {STREET}"
     )
     cloud = laspy.read(shell.here / "registered.laz")
     cloud.remove_extra_dims(list(cloud.point_format.extra_dimension_names))

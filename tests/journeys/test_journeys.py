@@ -1,4 +1,5 @@
-"""The journeys: the way from one command to the next, as a user walks it, each with a figure that must hold.
+"""The journeys: the way from one command to the next, as a user walks it, each with a figure that
+must hold.
 
 Read this first: it is what ``prc`` is for. Only drives that nothing was tuned to, only commands.
 """

@@ -29,7 +29,8 @@ def lengths(rng: Generator, n_rows: int, n: int) -> I32:
 
 
 def points(rng: Generator, n_rows: int, n: int) -> tuple[F32, F32]:
-    """Shots on a grid of 1/8 m, so that chords are exactly as long as the shortest allowed, or turn by 90 deg."""
+    """Shots on a grid of 1/8 m, so that chords are exactly as long as the shortest allowed, or turn
+    by 90 deg."""
     kind = rng.integers(3)
     if kind == 0:
         xyz = rng.integers(-3, 4, (n_rows, n, 3)) / 8 + [4.0, 0.0, 0.0]
@@ -54,7 +55,8 @@ def chord_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def signed(rng: Generator, n_rows: int, n: int) -> F32:
-    """Signed angles that wander between surfaces and foliage, some of them missing, some exactly half way."""
+    """Signed angles that wander between surfaces and foliage, some of them missing, some exactly
+    half way."""
     changes = np.cumsum(rng.random((n_rows, n)) < rng.choice([0.02, 0.1, 0.5]), axis=1)
     kinds = rng.integers(0, 4, (n_rows, n + 1))
     kind = np.take_along_axis(kinds, changes, axis=1)

@@ -44,7 +44,8 @@ def trigger_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def geometry(rng: Generator, surface: U8) -> tuple[F32, F32, F32]:
-    """Ranges, coordinates and horizontal distances on a 1/4 m grid, so that lengths meet their thresholds exactly."""
+    """Ranges, coordinates and horizontal distances on a 1/4 m grid, so that lengths meet their
+    thresholds exactly."""
     n_rows, n = surface.shape
     flat = rng.random() < 0.4
     steps = rng.choice([0.0, 0.25, 0.25, 0.5, 1.0, -0.25, 3.0, 4.0, 4.25, -4.25], (n_rows, n))

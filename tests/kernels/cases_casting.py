@@ -1,4 +1,5 @@
-"""Random worlds and scan lines for the caster, with many ties, edge cases, and hard cases for windows of columns."""
+"""Random worlds and scan lines for the caster, with many ties, edge cases, and hard cases for
+windows of columns."""
 
 from __future__ import annotations
 

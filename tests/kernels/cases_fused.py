@@ -321,7 +321,8 @@ def strips_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def columns_case(rng: Generator) -> tuple[Any, ...]:
-    """Return lines with round and flat things of several widths before a wall, stray shots and gaps."""
+    """Return lines with round and flat things of several widths before a wall, stray shots and
+    gaps."""
     n_lines = int(rng.integers(3, 9))
     around = int(rng.integers(2, 12))
     m = 40
@@ -476,7 +477,8 @@ def decision(rng: Generator) -> DecisionThresholds:
 
 
 def box_case(rng: Generator) -> tuple[Any, ...]:
-    """A bin or cabinet on level ground beside the scanner, a few lines wide, with some shots that stray."""
+    """A bin or cabinet on level ground beside the scanner, a few lines wide, with some shots that
+    stray."""
     m = 60
     n_lines = int(rng.integers(1, 6))
     first = THIN - int(rng.integers(0, 3))
@@ -624,7 +626,8 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def again_case(rng: Generator) -> tuple[Any, ...]:
-    """Labels as they may be, of lines with one more before and after than the block, ranges with three."""
+    """Labels as they may be, of lines with one more before and after than the block, ranges with
+    three."""
     one = street(rng)
     n_lines = int(rng.integers(1, 4))
     m = one.window.shape[1]

@@ -19,7 +19,8 @@ from prc_cli.reference.sequential_angle.ground import histogram_of, potential_he
 
 
 def heights(rng: Generator, n: int) -> Any:
-    """Heights of a road, of car roofs, at the ends of the histogram, and on the edges of its coarse bins."""
+    """Heights of a road, of car roofs, at the ends of the histogram, and on the edges of its coarse
+    bins."""
     level = rng.choice([-1.8, -1.8, -100.0, -0.01, 0.3])
     return (
         level
@@ -40,7 +41,8 @@ def height_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def rows(rng: Generator) -> tuple[Any, ...]:
-    """Rows with roads at several heights and slopes, line angles in groups, runs broken by other surfaces."""
+    """Rows with roads at several heights and slopes, line angles in groups, runs broken by other
+    surfaces."""
     n_rows = int(rng.integers(1, 4))
     n = int(rng.choice([1, 5, 14, 30, 70]))
     shape = (n_rows, n)
@@ -137,7 +139,8 @@ def lines_of_verticals(
     n_sides: int,
     n: int,
 ) -> tuple[Any, ...]:
-    """Low steps, walls and single points on a grid of 0.1 m or 0.25 m, so that distances and heights tie."""
+    """Low steps, walls and single points on a grid of 0.1 m or 0.25 m, so that distances and
+    heights tie."""
     shape = (n_lines * n_sides, n)
     surface = np.where(
         rng.random(shape) < rng.choice([0.2, 0.5, 0.8]), 3, rng.choice([0, 2], shape)

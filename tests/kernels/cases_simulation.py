@@ -1,4 +1,5 @@
-"""Random arguments for the kernels of rays and of the sensor, with edge cases, glass, leaves and limits."""
+"""Random arguments for the kernels of rays and of the sensor, with edge cases, glass, leaves and
+limits."""
 
 from __future__ import annotations
 

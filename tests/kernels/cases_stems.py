@@ -37,7 +37,8 @@ RUNS = typed(
 
 
 def forest(rng: Generator) -> tuple[F32, F64, F64]:
-    """Ranges of a few lines over flat ground with upright bodies, and sine and cosine of the beams."""
+    """Ranges of a few lines over flat ground with upright bodies, and sine and cosine of the
+    beams."""
     n_lines = int(rng.integers(1, 7))
     n_columns = int(rng.integers(1, 26))
     first, last = (-2.6, 2.6) if rng.random() < 0.5 else (3.0, 0.05)

@@ -104,7 +104,8 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
 def test_what_loops_are_made_of_names_their_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Numba looks at the size and time of the module's own file alone, and an upgrade may keep both."""
+    """Numba looks at the size and time of the module's own file alone, and an upgrade may keep
+    both."""
     source = tmp_path / "ground.py"
     constants = tmp_path / "core" / "classes.py"
     constants.parent.mkdir()

@@ -50,7 +50,10 @@ def test_of_four_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> Non
 
 @needs_locks
 def test_lock_of_a_dead_process_is_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "import fcntl, os, sys, time; handle = open(sys.argv[1], 'ab'); fcntl.flock(handle, fcntl.LOCK_EX)"
+    code = (
+        "import fcntl, os, sys, time; handle = open(sys.argv[1], 'ab'); fcntl.flock(handle, "
+        "fcntl.LOCK_EX)"
+    )
     path = tmp_path / compiling._LOCK
     holding = f"{code}; print('mine', flush=True); time.sleep(3600)"
     with patience.start(

@@ -42,7 +42,8 @@ SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17
 
 
 def window(rng: Generator, n_lines: int, n_columns: int) -> F32:
-    """Ranges on the millimetre or 1/16 grid around a few levels, with missing shots and absent ends."""
+    """Ranges on the millimetre or 1/16 grid around a few levels, with missing shots and absent
+    ends."""
     reach = max(n_columns + 1, 4)
     size = n_lines * n_columns + 2 * reach
     if rng.random() < 0.5:
@@ -93,7 +94,8 @@ def label_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def fill_case(rng: Generator) -> tuple[Any, ...]:
-    """Images with many small components and holes in rows, so that ties and holes without neighbours occur."""
+    """Images with many small components and holes in rows, so that ties and holes without
+    neighbours occur."""
     supported = blobs(rng)
     return supported, supported & (rng.random(supported.shape) < rng.choice([0.1, 0.3, 0.6, 1.0]))
 
@@ -290,7 +292,8 @@ ranges[5:9, 30:60] = 7.0
 for preset in ("urban", "forest", "street-scan"):
     config = load_config(preset=preset, options={"prc": {"lines_per_block": 7}}).config
     beams = np.linspace(0.5, 2.2, 90)
-    print(classify_ranges(ranges, config, beam_rad=beams, threads=2, engine=sys.argv[1]).labels.tobytes().hex())
+    print(classify_ranges(ranges, config, beam_rad=beams, threads=2,
+    engine=sys.argv[1]).labels.tobytes().hex())
 print("numba" in sys.modules, file=sys.stderr)
 """
 
@@ -379,7 +382,8 @@ def test_the_twin_of_every_kernel_is_looked_at() -> None:
 
 @pytest.mark.parametrize("module", sorted(set(KERNELS.values())))
 def test_a_module_of_kernels_imports_no_other(module: str) -> None:
-    """Two processes would compile the other at the same time, and its constants would go stale in the cache."""
+    """Two processes would compile the other at the same time, and its constants would go stale in
+    the cache."""
     path = ROOT / f"{module.replace('.', '/')}.py"
     assert not [
         name

@@ -45,7 +45,8 @@ def nearest_of(value: float, among: list[float]) -> float:
 
 
 def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, int]]:
-    """Mutual nearest keys within the tolerance, members of a key in their order, one after the other."""
+    """Mutual nearest keys within the tolerance, members of a key in their order, one after the
+    other."""
     ours, theirs = (sorted(set(side[KEY].tolist())) for side in (left, right))
     found = set()
     for key in ours:

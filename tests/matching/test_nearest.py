@@ -1,4 +1,5 @@
-"""Nearest points of two clouds, against those found one by one, and the shift between the clouds."""
+"""Nearest points of two clouds, against those found one by one, and the shift between the
+clouds."""
 
 from __future__ import annotations
 

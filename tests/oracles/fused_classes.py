@@ -128,7 +128,8 @@ class _Shot:
         return bool(self.smooth == 0 and self.near < self.thresholds.least_near)
 
     def _is_about_wall(self, most_m: np.float32) -> bool:
-        """Return whether a shot is a little before a house, or not farther than this behind it, at any height."""
+        """Return whether a shot is a little before a house, or not farther than this behind it, at
+        any height."""
         if self.strip is None:
             return False
         at = self.walls[0][self.line, self.strip]
@@ -231,7 +232,8 @@ class _Shot:
         return bool(across >= limits.thick_m)
 
     def is_round(self) -> bool:
-        """Return whether the run that stands alone around a shot is as deep as the front half of a trunk."""
+        """Return whether the run that stands alone around a shot is as deep as the front half of a
+        trunk."""
         limits = self.thresholds
         ranges = self.window[self.line + MARGIN]
         run = [self.i]

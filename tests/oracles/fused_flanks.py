@@ -108,7 +108,8 @@ def _hangs(
 
 
 def ground_of(side_m: F32, depth_m: F32, is_ground: Mask) -> tuple[I32, F32]:
-    """Return the shots of the ground in every bin of every line, and how deep the last of them lies, (lines, 4 N)."""
+    """Return the shots of the ground in every bin of every line, and how deep the last of them
+    lies, (lines, 4 N)."""
     counts = np.zeros((len(side_m), 4 * N), np.int32)
     depths = np.zeros((len(side_m), 4 * N), np.float32)
     for k, i in zip(*np.nonzero(is_ground), strict=True):

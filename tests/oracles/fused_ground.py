@@ -121,7 +121,8 @@ def _search(
 
 
 def _lowest(shots: F32, sums: F32) -> np.float32:
-    """Return the mean height of the lowest depth with a quarter of the shots of the commonest one."""
+    """Return the mean height of the lowest depth with a quarter of the shots of the commonest
+    one."""
     row = 0 if shots[0].any() else 1
     place = np.flatnonzero((shots[row] > 0) & (shots[row] >= shots[row].max() * QUARTER))[-1]
     mean: np.float32 = sums[row, place] / shots[row, place]

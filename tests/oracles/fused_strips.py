@@ -147,7 +147,8 @@ class _Lines:
         return (len(self.window) - len(self.above)) // 2
 
     def beyond(self, line: int, i: int, way: int) -> tuple[int, bool] | None:
-        """Return how far away the first line is that sees past the thing of a shot, and whether far; None: none."""
+        """Return how far away the first line is that sees past the thing of a shot, and whether
+        far; None: none."""
         k = line + self.margin
         while 0 <= k + 2 * way < len(self.window):
             own, there, beyond = (self.window[k + n * way, i] for n in range(3))
@@ -161,7 +162,8 @@ class _Lines:
         return None
 
     def seen(self, line: int, i: int, *, far: bool) -> range | None:
-        """Return the lines of the window that see the thing of a shot, if those beside them see past it, or far."""
+        """Return the lines of the window that see the thing of a shot, if those beside them see
+        past it, or far."""
         before = self.beyond(line, i, -1)
         after = self.beyond(line, i, 1)
         if before is None or after is None or (far and not (before[1] and after[1])):

@@ -1,4 +1,5 @@
-"""Slow and obvious twins of :mod:`prc_cli.methods.fused.stems_loops`, from NumPy and SciPy alone."""
+"""Slow and obvious twins of :mod:`prc_cli.methods.fused.stems_loops`, from NumPy and SciPy
+alone."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ def ground_profiles(
 
 
 def _bridged(third: F64, rise: float) -> F64:
-    """Return a profile through the bins that are not too high above any other, straight between them."""
+    """Return a profile through the bins that are not too high above any other, straight between
+    them."""
     allowed = third.copy()
     # rises are added one by one, as rounding has it
     for _ in third:

@@ -1,4 +1,5 @@
-"""Forests and streets: the same bodies from every place, a clear path, stems and the cylinders of the paper."""
+"""Forests and streets: the same bodies from every place, a clear path, stems and the cylinders of
+the paper."""
 
 from __future__ import annotations
 
@@ -72,7 +73,8 @@ def test_a_walker_sees_no_more_bodies_than_the_caster_can_bear(name: str) -> Non
 
 
 def test_the_path_is_clear(scene: ForestScene) -> None:
-    """Along 120 m, nothing solid or leafy stands where the walker and the scanner on his back pass."""
+    """Along 120 m, nothing solid or leafy stands where the walker and the scanner on his back
+    pass."""
     s = np.arange(0.0, 120.0, 0.25)
     path, _ = scene.path_point(s)
     assert np.hypot(*np.diff(path[:, :2], axis=0).T).max() < 0.3

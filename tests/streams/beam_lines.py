@@ -99,7 +99,8 @@ def pieces(block: ScanBlock, rng: np.random.Generator) -> tuple[ScanBlock, ...]:
 
 
 def worst_deg(found: F64, true: F64) -> float:
-    """Return the largest difference of two lists of angles, whichever side counts as positive [deg]."""
+    """Return the largest difference of two lists of angles, whichever side counts as positive
+    [deg]."""
     return min(
         float(np.max(np.abs(np.rad2deg(np.angle(np.exp(1j * (way * found - true)))))))
         for way in (1, -1)

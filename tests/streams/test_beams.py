@@ -237,7 +237,8 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
 
 
 def hostile(rng: np.random.Generator) -> ScanBlock:
-    """Return lines of anything: noise, grids, one direction, tiny or huge, nearly empty, lengths that lie."""
+    """Return lines of anything: noise, grids, one direction, tiny or huge, nearly empty, lengths
+    that lie."""
     n = int(rng.integers(1, 90))
     m = int(rng.integers(1, 40))
     angle = np.sort(rng.uniform(-3, 3, m))

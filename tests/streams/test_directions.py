@@ -26,7 +26,8 @@ def arc(
     middle_deg: float = 30.0,
     off_deg: float = 0.0,
 ) -> F64:
-    """Return lines (lines, n, 3) in planes ``tilt_deg`` from horizontal, around ``middle_deg`` from straight down.
+    """Return lines (lines, n, 3) in planes ``tilt_deg`` from horizontal, around ``middle_deg`` from
+    straight down.
 
     Shots lie in turns ``off_deg`` off the plane on one side, on both, and on the other.
     """
@@ -162,13 +163,14 @@ def test_columns_are_medians_of_their_lines(seed: int) -> None:
     assert not found.is_straight
 
 
-# -- scan angles -------------------------------------------------------------------------------------------------------
+# -- scan angles
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("phase", [0.0, 0.3, -0.4])
 def test_column_0_is_the_earliest_start_fitted_to_all_angles(sign: int, phase: float) -> None:
-    """The first line is cut; lines begin in columns 2, 0, 1 and so on, and all angles are off by a part of a step."""
+    """The first line is cut; lines begin in columns 2, 0, 1 and so on, and all angles are off by a
+    part of a step."""
     step = math.radians(0.5)
     first = [20, 2, 0, 1, 3]
     column = np.concatenate([np.arange(one, 100) for one in first])

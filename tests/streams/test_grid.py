@@ -1,4 +1,5 @@
-"""Records to the stream: every rule gives the same scene, chunks do not matter, all losses are counted."""
+"""Records to the stream: every rule gives the same scene, chunks do not matter, all losses are
+counted."""
 
 from __future__ import annotations
 
@@ -252,7 +253,8 @@ def test_a_few_records_do_not_make_a_large_image() -> None:
     with pytest.raises(InputError) as caught:
         open_records(records)
     assert str(caught.value) == (
-        "drive.bin: 1 lines of 9999999 columns for 10 shots: a column number is wrong, expected fewer cells; "
+        "drive.bin: 1 lines of 9999999 columns for 10 shots: a column number is wrong, "
+        "expected fewer cells; "
         "give the shots in a scan line: -M NUMBER"
     )
     records["column"][9] = 999_999
@@ -285,7 +287,8 @@ def test_lines_that_are_nearly_all_empty_are_refused(
         read(open_grid(kind(records, chunk_records), InputConfig(points_per_line=1000)))
     most = 20_300 if kind is MemorySource else 20_002
     assert str(caught.value) == (
-        f"drive.bin: scan_line: 2 shots lie in 99001 lines of 1000 columns at record 1, expected at most {most} lines; "
+        "drive.bin: scan_line: 2 shots lie in 99001 lines of 1000 columns at record 1, "
+        f"expected at most {most} lines; "
         "check the line numbers or times there; gaps that are meant: max_gap_lines above 100000"
     )
     by_time = {"range": np.ones(n), "time": np.arange(n) * 1.0, "column": np.zeros(n)}

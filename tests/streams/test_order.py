@@ -25,7 +25,8 @@ def watch_in_chunks(values: np.ndarray, chunk: int, policy: str = "trust") -> Or
 
 
 def slow_evidence(values: list[float]) -> tuple[int, int, int, int | None]:
-    """Count record by record: steps, steps back, equal steps, first record that is lower than the one before."""
+    """Count record by record: steps, steps back, equal steps, first record that is lower than the
+    one before."""
     steps = back = equal = 0
     first = None
     last = None

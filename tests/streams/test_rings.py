@@ -33,7 +33,8 @@ def frame(
     missing: float = 0.1,
     upwards: bool = False,
 ) -> tuple[dict[str, Any], I64, I64]:
-    """Return the records of a frame, ring after ring, with the line and the ring from below of each."""
+    """Return the records of a frame, ring after ring, with the line and the ring from below of
+    each."""
     rng = np.random.default_rng(seed)
     ring, line = np.divmod(np.arange(N_RINGS * N_LINES), N_LINES)
     from_top = N_RINGS - 1 - ring if upwards else ring

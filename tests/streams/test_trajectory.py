@@ -214,7 +214,7 @@ def test_sbet_without_pyproj_names_the_remedy(
         load(write_sbet(tmp_path / "drive.sbet", SOUND), crs=UTM35)
 
 
-# -- trajectories ------------------------------------------------------------------------------------------------------
+# -- trajectories
 
 
 def track(*time_s: float, gap: float | None = None) -> Trajectory:
@@ -233,7 +233,10 @@ WEEK = 604_800.0
         (-1e9, "differ by -1e+09 s: try --set input.trajectory_time_offset=-1000000000"),
         (
             1e9 + WEEK,
-            "differ by +1 GPS weeks and +1e+09 s: try --set input.trajectory_time_offset=1000604800",
+            (
+                "differ by +1 GPS weeks and +1e+09 s: try --set "
+                "input.trajectory_time_offset=1000604800"
+            ),
         ),
         # points take 10 s, the trajectory 16: so far apart that the middles may be 3 s and one more
         # off
@@ -251,14 +254,15 @@ def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
     if hint is None:
         assert (
             refused.value.hint
-            == "give the trajectory of this drive, or set trajectory_time_offset to what its times lack"
+            == "give the trajectory of this drive, or set trajectory_time_offset to what its "
+            "times lack"
         )
     else:
         assert refused.value.hint is not None
         assert hint in refused.value.hint
 
 
-# -- weeks and orders --------------------------------------------------------------------------------------------------
+# -- weeks and orders
 
 
 @pytest.mark.parametrize(

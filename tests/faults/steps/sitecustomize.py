@@ -1,4 +1,5 @@
-"""Kills a process of a run just before its n-th step in the output folder, or right after a file there got its name.
+"""Kills a process of a run just before its n-th step in the output folder, or right after a file
+there got its name.
 
 Python imports this module at start.
 

@@ -31,7 +31,8 @@ def config(**keys: Any) -> InputConfig:
 
 
 def whole(stream: ScanStream) -> ScanBlock:
-    """The stream as one block; a typed parameter, so that mypy holds ArrayStream to the protocol."""
+    """The stream as one block; a typed parameter, so that mypy holds ArrayStream to the
+    protocol."""
     blocks = list(stream.blocks())
     assert [block.first_line for block in blocks] == list(
         np.cumsum([0] + [b.n_lines for b in blocks])[:-1]

@@ -178,7 +178,8 @@ def write_db3(
         "serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL)"
     )
     base.execute(
-        "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, "
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp "
+        "INTEGER NOT NULL, "
         "data BLOB NOT NULL)"
     )
     names = list(dict.fromkeys((one.topic, one.kind) for one in sent))

@@ -1,4 +1,5 @@
-"""Clouds whose times are those of packets, whose rings have odd numbers, whose lasers fire together."""
+"""Clouds whose times are those of packets, whose rings have odd numbers, whose lasers fire
+together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Bags: every message a scan line, whatever the container, and the same values as other readers get."""
+"""Bags: every message a scan line, whatever the container, and the same values as other readers
+get."""
 
 from __future__ import annotations
 
@@ -367,7 +368,8 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     m: int,
     missing: float,
 ) -> None:
-    """The points beside a bag are those of one of its scans, as tier4/nebula decodes them (VLS-128: of another bag)."""
+    """The points beside a bag are those of one of its scans, as tier4/nebula decodes them (VLS-128:
+    of another bag)."""
     folder = real_data / "nebula" / name
     (path,) = folder.glob("*.db3")
     (cloud,) = folder.glob("*.pcd")

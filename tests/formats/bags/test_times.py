@@ -1,4 +1,5 @@
-"""Clouds of bags: units of times, pauses, times out of place, repeats, points without ring or time."""
+"""Clouds of bags: units of times, pauses, times out of place, repeats, points without ring or
+time."""
 
 from __future__ import annotations
 

@@ -62,7 +62,8 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
 def test_other_elements_and_lists_behind_the_points_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     head = (
-        "ply\nformat binary_little_endian 1.0\nelement camera 2\nproperty double f\nelement vertex 2\n"
+        "ply\nformat binary_little_endian 1.0\nelement camera 2\nproperty double "
+        "f\nelement vertex 2\n"
         "property float range\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
     )
     path.write_bytes(
@@ -112,7 +113,8 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
 def test_shots_do_not_depend_on_chunks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int
 ) -> None:
-    """A shot whose returns lie in two chunks is one shot, and no chunk waits for the next but for its last shot."""
+    """A shot whose returns lie in two chunks is one shot, and no chunk waits for the next but for
+    its last shot."""
     path = tmp_path / "a.ply"
     n_echo = np.random.default_rng(2).integers(1, 4, 300)
     shot = np.repeat(np.arange(300), n_echo)
@@ -140,11 +142,17 @@ def test_shots_do_not_depend_on_chunks(
     ("head", "told"),
     [
         (
-            "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float range\nend_header\n",
+            (
+                "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float "
+                "range\nend_header\n"
+            ),
             "in point 1",
         ),
         (
-            "ply\nformat ascii 1.0\nelement vertex 99999\nproperty float range\nproperty int a\nend_header\n1 2\n",
+            (
+                "ply\nformat ascii 1.0\nelement vertex 99999\nproperty float range\nproperty "
+                "int a\nend_header\n1 2\n"
+            ),
             "after 1",
         ),
         (
@@ -169,7 +177,10 @@ def test_shots_do_not_depend_on_chunks(
         ),
         ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float a\nend_header\n", "no points"),
         (
-            "ply\nformat ascii 1.0\nelement vertex 1\nproperty int a\nproperty int a\nend_header\n1 1\n",
+            (
+                "ply\nformat ascii 1.0\nelement vertex 1\nproperty int a\nproperty int "
+                "a\nend_header\n1 1\n"
+            ),
             "second time",
         ),
         ("ply\nformat ascii 1.0\nelement vertex 1\n", "no line end_header"),
@@ -360,7 +371,10 @@ def test_bytes_behind_the_points_are_told_unless_the_header_names_them(
     tmp_path: Path, has_faces: bool
 ) -> None:
     faces = "element face 1\nproperty list uchar int vertex_indices\n" if has_faces else ""
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float range\n{faces}end_header\n"
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float "
+        f"range\n{faces}end_header\n"
+    )
     (tmp_path / "a.ply").write_bytes(
         head.encode() + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0"
     )

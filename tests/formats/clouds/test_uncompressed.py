@@ -14,7 +14,10 @@ from prc_cli.formats.clouds.pcd import open_pcd
 
 def test_points_that_are_not_compressed_are_named(tmp_path: Path) -> None:
     body = np.arange(3000, dtype="<f4").tobytes()
-    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1000\nHEIGHT 1\nPOINTS 1000\n"
+    head = (
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1000\nHEIGHT "
+        "1\nPOINTS 1000\n"
+    )
     packed = (
         head.encode()
         + b"DATA binary_compressed\n"

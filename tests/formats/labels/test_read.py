@@ -215,7 +215,10 @@ def test_names_of_classes_in_parquet_are_codes(tmp_path: Path) -> None:
 def test_unknown_names_of_classes_are_refused_with_the_known_ones(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("class\nground\nroof tile\n", encoding="utf-8")
-    expected = "a.csv: line 3: found the class name 'roof tile', expected a class code or one of: unclassified, ground"
+    expected = (
+        "a.csv: line 3: found the class name 'roof tile', expected a class code or one of: "
+        "unclassified, ground"
+    )
     assert refused(path).startswith(expected)
     assert refused(write_parquet(tmp_path / "b.parquet", label=["roof tile"])).startswith(
         "b.parquet: found the class name"

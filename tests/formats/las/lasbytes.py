@@ -81,7 +81,8 @@ def parse(path: Path) -> Parsed:
 
 
 def same_but_class(before: Parsed, after: Parsed) -> None:
-    """Everything of the input is in the output, bit for bit, but for the class bits and the offsets that moved."""
+    """Everything of the input is in the output, bit for bit, but for the class bits and the offsets
+    that moved."""
     masked = [header_without_moved(item.header) for item in (before, after)]
     assert masked[0] == masked[1]
     assert before.kept_vlrs() == after.kept_vlrs()

@@ -265,7 +265,10 @@ def refused(path: Path) -> str:
             107,
             "<I",
             201,
-            "the header promises 201 records, 5909 bytes in all; found 5881 bytes, room for 200 records",
+            (
+                "the header promises 201 records, 5909 bytes in all; found 5881 bytes, room "
+                "for 200 records"
+            ),
         ),
         (
             107,
@@ -365,7 +368,8 @@ def test_truncated_laz(tmp_path: Path, point_format: int) -> None:
     for n_bytes in (table + 4, table - 1000, start + 100, start + 8):
         path.write_bytes(raw[:n_bytes])
         assert refused(path) == (
-            f"the LAZ chunk table should begin at byte {table}, found the file's end at byte {n_bytes}; "
+            f"the LAZ chunk table should begin at byte {table}, found the file's end at "
+            f"byte {n_bytes}; "
             "expected it after the 120000 records"
         )
     path.write_bytes(raw[: start + 3])

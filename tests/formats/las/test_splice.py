@@ -71,7 +71,8 @@ def make_laz(
     chunk_points: int,
     seed: int = 0,
 ) -> Parsed:
-    """Records of random bits, hence all scanner channels and return numbers, with extra bytes and EVLRs."""
+    """Records of random bits, hence all scanner channels and return numbers, with extra bytes and
+    EVLRs."""
     source = path.with_suffix(".las")
     make_las(source, form, n=n, seed=seed, evlrs=EVLRS, user_bytes=b"between", raw_points=True)
     return compressed(source, path, chunk_points, form=form, extra=8)

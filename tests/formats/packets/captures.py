@@ -141,7 +141,8 @@ HESAI = {
     "128": (b"\xee\xff\x01\x03", 861, 128, 2, 12, 3, 33, 42),
     "OT128": (b"\xee\xff\x01\x04", 861, 128, 2, 12, 3, 33, 42),
 }
-"""First bytes, size, channels, blocks, bytes of header and shot, places of mode and time behind the blocks."""
+"""First bytes, size, channels, blocks, bytes of header and shot, places of mode and time behind the
+blocks."""
 
 
 def hesai(
@@ -213,7 +214,8 @@ METADATA = {
 def ouster(
     profile: str = "RNG19_RFL8_SIG16_NIR16", n_frames: int = 2
 ) -> tuple[dict[str, Any], list[bytes]]:
-    """Metadata and packets: the range of a pixel is 1000 (frame + 1) + column + 200 row millimetres."""
+    """Metadata and packets: the range of a pixel is 1000 (frame + 1) + column + 200 row
+    millimetres."""
     table = json.loads(json.dumps(METADATA))
     table["data_format"]["udp_profile_lidar"] = profile
     packets = []

@@ -1,4 +1,5 @@
-"""Text files: detection of the dialect, values independent of blocks, and line numbers of errors."""
+"""Text files: detection of the dialect, values independent of blocks, and line numbers of
+errors."""
 
 from __future__ import annotations
 

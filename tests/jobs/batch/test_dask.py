@@ -177,7 +177,8 @@ def test_file_that_hangs_is_given_up(
     found: dict[str, Done | Failed] = {}
 
     def clock() -> float:
-        """Once all other files are done, the one that hangs is silent for too long whenever it is looked at."""
+        """Once all other files are done, the one that hangs is silent for too long whenever it is
+        looked at."""
         return time.monotonic() + (next(ahead_s) if len(found) == 4 else 0)
 
     def hangs(task: Task, **how: Any) -> Any:

@@ -178,7 +178,8 @@ def damage(path: Path, how: str) -> None:
         path.write_bytes(content[: len(content) // 2])
     elif how == "text":
         path.write_text(
-            "this is not a database, it is a text of some length, longer than a header of SQLite, certainly"
+            "this is not a database, it is a text of some length, longer than a header of "
+            "SQLite, certainly"
         )
     elif how == "holes":
         path.write_bytes(content[:4096] + bytes(len(content) - 4096))

@@ -32,8 +32,8 @@ from prc_cli.jobs.batch.lock import Lock
 with Lock(Path(sys.argv[1])):
     if len(sys.argv) > 2:  # as a run starts its workers
         import subprocess
-        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"], stdin=subprocess.DEVNULL)
-        print(child.pid, flush=True)
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"],
+        stdin=subprocess.DEVNULL) print(child.pid, flush=True)
     print("held", flush=True)
     time.sleep(3600)
 """
@@ -187,7 +187,7 @@ def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
     assert not has_locks(folder)
 
 
-# -- rivals -----------------------------------------------------------------------------------------------------------
+# -- rivals
 
 
 @pytest.mark.slow
@@ -199,7 +199,8 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     found: str,
     rival: str | None,
 ) -> None:
-    """The random fights below in all their variants of one rival that is quick while the other one is slow."""
+    """The random fights below in all their variants of one rival that is quick while the other one
+    is slow."""
     until: int | None = None
     """Steps until the rival comes; None when it has come."""
 

@@ -89,7 +89,7 @@ def refusals(plan: Plan) -> dict[str, str]:
     return {item.name: str(item.problem) for item in plan.refused}
 
 
-# -- decisions --------------------------------------------------------------------------------------------------------
+# -- decisions
 
 
 def test_content_decides_when_only_the_time_changed(settings: BatchSettings) -> None:
@@ -163,7 +163,7 @@ def test_adopting_needs_the_same_input_configuration_and_program(tmp_path: Path)
         assert "does not say" in refusals(plan_of(settings))["a.npz"]
 
 
-# -- configuration ----------------------------------------------------------------------------------------------------
+# -- configuration
 
 
 def config_file(tmp_path: Path, text: str) -> ConfigLayers:
@@ -239,7 +239,7 @@ def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
     assert BatchConfig(layers).of("night/a.1.laz", drive)[1] != first
 
 
-# -- estimates --------------------------------------------------------------------------------------------------------
+# -- estimates
 
 
 def put(path: Path, content: bytes = b"x") -> Path:

@@ -24,7 +24,8 @@ REFERENCE = {"a.npz": [2, 6, 6, 0], "night/b.csv.gz": [2, 2, 6, 6, 5], "night/c.
 
 
 def trees(folder: Path) -> tuple[list[Output], Path]:
-    """Outputs as batch names them, and references under several of the names that are understood."""
+    """Outputs as batch names them, and references under several of the names that are
+    understood."""
     reference_names = {
         "a.npz": "a.npy",
         "night/b.csv.gz": "night/b.csv",

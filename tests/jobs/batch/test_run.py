@@ -419,7 +419,7 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     assert {one.state for one in verify_outputs(out)} == {"missing", "whole"}
 
 
-# -- real workers -----------------------------------------------------------------------------------------------------
+# -- real workers
 
 
 def fill(archive: Path) -> None:

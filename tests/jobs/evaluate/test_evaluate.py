@@ -261,7 +261,10 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     assert names == ["0-20 m", "20-40 m", "40-99 m"]
     assert sum(part.matrix.n_scored for part in found.splits["range"]) == found.matrix.n_scored
     # nothing is farther; ranges are unknown of missing shots alone, none of which is scored
-    note = f"by range: 2 parts without scored records are left out, with {drive.missing.sum()} ignored records"
+    note = (
+        f"by range: 2 parts without scored records are left out, with {drive.missing.sum()} "
+        "ignored records"
+    )
     assert note in found.match.notes
     # a part of their own where they are scored
     truth = np.where(drive.missing, 2, 6).astype(np.uint8)

@@ -1,4 +1,5 @@
-"""A registered reference: its area, heights, trees and noise, what is wrong with it, a third labelling, raw drives."""
+"""A registered reference: its area, heights, trees and noise, what is wrong with it, a third
+labelling, raw drives."""
 
 from __future__ import annotations
 
@@ -295,7 +296,8 @@ def turn(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive through nowhere: ranges, labels, poses at every line, and the same shots registered."""
+    """A drive through nowhere: ranges, labels, poses at every line, and the same shots
+    registered."""
     folder = tmp_path_factory.mktemp("raw")
     random = np.random.default_rng(3)
     range_m = random.uniform(2, 30, (LINES, M)).astype(np.float32)

@@ -54,7 +54,8 @@ def changed(range_m: F32, beam_rad: F64, *sizes: int) -> list[float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("scanner", ["photon-80", "sick-push-broom"])
 def test_on_a_street(scanner: str) -> None:
-    """With range noise that is measured anew along the way, and cars that are found by lines on both sides."""
+    """With range noise that is measured anew along the way, and cars that are found by lines on
+    both sides."""
     options = {
         "seed": 5,
         "lines": 150,

@@ -37,7 +37,8 @@ def classified(ranges: F32, **limits: Any) -> U8:
 
 
 def surface(side_m: float, low_m: float, high_m: float) -> F64:
-    """Return the ranges of an upright surface between two heights above the road, infinite beside it."""
+    """Return the ranges of an upright surface between two heights above the road, infinite beside
+    it."""
     with np.errstate(divide="ignore"):
         ranges = np.where(SIDE * side_m > 0, side_m / SIDE, np.inf)
     height = HEIGHT_M - ranges * DOWN

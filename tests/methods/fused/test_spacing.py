@@ -47,7 +47,8 @@ def drive(places: I64, n_lines: int = 48) -> tuple[F32, U8]:
 
 
 def labelled(ranges: F32, k: int = 64, scanner: FusedScanner = SCANNER) -> tuple[U8, I64]:
-    """Return the labels of a drive in blocks of k lines, and the distances of lines after every block."""
+    """Return the labels of a drive in blocks of k lines, and the distances of lines after every
+    block."""
     params = FusedParams.model_validate(
         {"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}}
     )

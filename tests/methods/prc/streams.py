@@ -130,7 +130,8 @@ def random_params(rng: Generator) -> PrcParams:
 
 
 def random_stream(rng: Generator) -> F32:
-    """Patches at a few ranges, ramps, strays and gaps, on a grid of 1/1000 or 1/16 m, some lines without returns."""
+    """Patches at a few ranges, ramps, strays and gaps, on a grid of 1/1000 or 1/16 m, some lines
+    without returns."""
     n_lines = int(rng.integers(1, 22))
     width = int(pick(rng, 1, 2, 3, 4, 5, 8, 17, 33))
     grid = pick(rng, 0.001, 0.0625)

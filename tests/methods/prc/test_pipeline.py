@@ -183,7 +183,8 @@ def uniform_window(n_lines: int, width: int, seed: int = 2019) -> F32:
 
 
 def at_least(count: int, of: int) -> float:
-    """Probability that ``count`` or more of the neighbours are within 1 m, for ranges uniform in 0 to 120 m."""
+    """Probability that ``count`` or more of the neighbours are within 1 m, for ranges uniform in 0
+    to 120 m."""
     p = 1 - (1 - 1 / 120) ** 2
     return sum(comb(of, n) * p**n * (1 - p) ** (of - n) for n in range(count, of + 1))
 

@@ -164,7 +164,8 @@ class TestReading2Strictness:
 
 
 def test_reading_3_neighbours_go_by_flat_index() -> None:
-    """The first shot of a line sees the end of the line before, the last one the line after next."""
+    """The first shot of a line sees the end of the line before, the last one the line after
+    next."""
     image = wall(4, 10, far=50)
     image[:, ::3] += 100 * np.arange(4)[:, None]  # nothing agrees by chance
     image = np.arange(40, dtype=np.float32).reshape(4, 10) * 10

@@ -1,4 +1,5 @@
-"""What convert writes is read by classify to the same labels, in every format and of every scanner with rings."""
+"""What convert writes is read by classify to the same labels, in every format and of every scanner
+with rings."""
 
 from __future__ import annotations
 

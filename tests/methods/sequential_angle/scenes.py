@@ -119,7 +119,8 @@ def scan(
 
 
 def angles(lines: VerticalLines, surface: U8, chord_m: float = 0.02) -> tuple[F32, F32, I32]:
-    """Angle to the vertical, angle to the shot plus that of the beam, and the beam that both are measured to."""
+    """Angle to the vertical, angle to the shot plus that of the beam, and the beam that both are
+    measured to."""
     signed = np.full(surface.shape, np.nan, np.float32)
     phihat = np.full(surface.shape, np.nan, np.float32)
     ahead = np.full(surface.shape, -1, np.int32)

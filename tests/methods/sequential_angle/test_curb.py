@@ -63,7 +63,8 @@ def test_sides_of_cars_have_something_under_them() -> None:
 
 
 def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8, F32]:
-    """Lines of one side drawn with ``#`` for vertical points at one height, a grid of ``step`` metres."""
+    """Lines of one side drawn with ``#`` for vertical points at one height, a grid of ``step``
+    metres."""
     surface = np.array([[3 if c == "#" else 2 for c in row] for row in picture], np.uint8)
     rows, n = surface.shape
     x = np.arange(n) * step + 5

@@ -49,7 +49,8 @@ def rng() -> Generator:
 
 
 def log_ratios(values: F64, params: MarkovThresholds) -> F64:
-    """Logarithm of the ratio of likelihoods after every value, from the recursion that the test runs on."""
+    """Logarithm of the ratio of likelihoods after every value, from the recursion that the test
+    runs on."""
     means, sigmas, h0, h1 = (
         np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1)
     )
@@ -114,7 +115,8 @@ def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: MarkovT
 
 @pytest.mark.slow
 def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator) -> None:
-    """Restarts and onset found anew for every start, from whole stretches rather than step by step."""
+    """Restarts and onset found anew for every start, from whole stretches rather than step by
+    step."""
     params = made(MarkovThresholds, backdate=False)
     onsets = []
     alarms = []
@@ -185,7 +187,7 @@ def chain(rng: Generator, matrix: tuple[tuple[float, float, float], ...], n: int
 
 
 def test_sum_is_the_largest_log_likelihood_ratio_of_any_end_of_the_chain() -> None:
-    """S at beam k is max(0, max over j < k of ln P1(j+1..k | j) / P0(j+1..k | j)), product by product."""
+    # S at beam k is max(0, max over j < k of ln P1(j+1..k | j) / P0(j+1..k | j))
     rng = np.random.default_rng(7)
     h0 = np.array(PARAMS.h0)
     h1 = np.array(PARAMS.h1)

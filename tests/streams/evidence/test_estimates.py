@@ -193,7 +193,8 @@ def run(arguments: list[str]) -> object:
 
 
 def misread_street() -> F32:
-    """A road and two walls around a scanner 2 m above it, a tenth of the shots missing, 5 mm of noise."""
+    """A road and two walls around a scanner 2 m above it, a tenth of the shots missing, 5 mm of
+    noise."""
     angle = np.linspace(-np.pi, np.pi, M, endpoint=False)
     noise = np.random.default_rng(3).normal(0, 0.005, (LINES, M))
     with np.errstate(divide="ignore"):
@@ -228,7 +229,8 @@ def misread_street() -> F32:
             ">u4",
             1000,
             3,
-            """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' --set layout.endian=big """
+            """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' --set
+            layout.endian=big """
             "--set layout.header_bytes=3",
         ),
         (
@@ -398,7 +400,7 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
     assert n_full[-1] == sum(n_lines >= 32 * (7 * stride + 1) for stride in (1, 2, 4))
 
 
-# -- estimates ---------------------------------------------------------------------------------------------------------
+# -- estimates
 
 
 def slow_correlation(signal: F64, valid: F64, lag: int) -> float:

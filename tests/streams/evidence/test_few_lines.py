@@ -1,4 +1,5 @@
-"""Streams of few lines are told, and where all shots are in one line no rule has found the lines."""
+"""Streams of few lines are told, and where all shots are in one line no rule has found the
+lines."""
 
 from __future__ import annotations
 

@@ -71,8 +71,10 @@ def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
     # the second neighbour is more like a shot than the first, but not by half
     assert told(check_shot_order(replace(USUAL, shot=(shot, shot / 2)))) == (
         verdict,
-        f"shot-order: ranges of neighbouring shots differ {ratio}as much as those of random shots, expected "
-        "below 0.3; check the layout (byte order, types, header bytes), or sort the shots as they were fired",
+        f"shot-order: ranges of neighbouring shots differ {ratio}as much as those of "
+        "random shots, expected "
+        "below 0.3; check the layout (byte order, types, header bytes), or sort the shots "
+        "as they were fired",
         "",
     )
 
@@ -146,7 +148,8 @@ def test_another_length_that_agrees_better(
     assert found[0] is verdict
     if verdict:
         assert found[1:] == (
-            f"line-length: along the stream lines of {other} shots agree {here / there:.2g} times better than lines of "
+            f"line-length: along the stream lines of {other} shots agree "
+            f"{here / there:.2g} times better than lines of "
             f"100, expected no length that agrees better by 1.05; give -M {other}",
             f"-M {other}",
         )
@@ -169,7 +172,8 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
     assert told(check_line_order(seen(24), figures)) == (
         verdict,
-        f"line-order: {ORDER.format(ratio)}; put the lines into the order in which they were scanned; "
+        f"line-order: {ORDER.format(ratio)}; put the lines into the order in which they "
+        "were scanned; "
         "in dense snow or fog accept it",
         "",
     )
@@ -198,7 +202,8 @@ def test_standing(
     assert (found.check, found.verdict) == (name, verdict)
     if name == "standing":
         assert found.sentence() == (
-            f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; the platform stands: cut "
+            f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; "
+            "the platform stands: cut "
             "such stretches out, or accept them"
         )
 
@@ -228,12 +233,14 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     one = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
     assert verdict_of_counts(check_collisions(one)) == (
         verdict,
-        f"collisions: {share} of the records met another shot in their cell, expected at most 1%; check --lines, "
+        f"collisions: {share} of the records met another shot in their cell, expected at "
+        "most 1%; check --lines, "
         "--columns and -M; several scanners in one file: --scanner DIMENSION",
     )
     assert verdict_of_counts(check_unplaced(one)) == (
         verdict,
-        f"unplaced: {share} of the records found no cell and stay unclassified, expected at most 1%; check --lines, "
+        f"unplaced: {share} of the records found no cell and stay unclassified, expected "
+        "at most 1%; check --lines, "
         "--columns and -M; a recording that was begun anew: split the file there",
     )
 
@@ -255,7 +262,8 @@ def test_returns(
 ) -> None:
     assert verdict_of_counts(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
         verdict,
-        f"returns: {share} of the shots have a range, expected at least 2%; check --range, --max-range, the layout, "
+        f"returns: {share} of the shots have a range, expected at least 2%; check --range, "
+        "--max-range, the layout, "
         "and --columns and -M",
     )
     assert check_returns(counted(n_shots=99, n_missing=99)) is None
@@ -270,7 +278,8 @@ def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -
     option = "--max-range 99.9999924"
     assert verdict_of_counts(found) == (
         verdict,
-        f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, expected at most 1%; if it stands "
+        f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, "
+        "expected at most 1%; if it stands "
         f"for no return: {option}; else the scanner's reach cuts the scene off",
     )
     assert found is not None
@@ -344,7 +353,8 @@ def test_down_is_judged_by_the_angle(
     nadir = round(math.degrees(math.remainder(1.0 + math.radians(off_deg), 2 * math.pi)))
     assert verdict_of_shots(check_down(shots())) == (
         verdict,
-        f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 times weaker), expected "
+        f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 "
+        "times weaker), expected "
         "within 11 deg of the direction in use"
         + (
             f"; give input.nadir, or where the ground is right --set input.nadir={nadir}"
@@ -379,7 +389,10 @@ def test_angle_step(
 ) -> None:
     step = AngleStep(math.radians(factor), off, 100)
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)
-    said = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use ({factor:.4g} deg, known to "
+    said = (
+        f"the ranges show {factor:.2f} times the angle from shot to shot that is in use "
+        f"({factor:.4g} deg, known to "
+    )
     hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M"
     hint += "; to use those that the ranges show: --set input.angles=measured"
     hint = hint if verdict else ""

@@ -309,7 +309,10 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     share = n["under"] / n["near"]
     found["below-ground"] = (
         DOUBTFUL if share > usual.below_share else FINE,
-        f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground",
+        (
+            f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 "
+            "m below the ground"
+        ),
     )
     pooled = np.array([stretches[i : i + 3].sum(axis=0) for i in range(len(stretches) - 2)])
     known = pooled[:, 1] >= 375

@@ -1,4 +1,5 @@
-"""Registered clouds of simulated drives, read with ``range = "points"``, beside the streams they were made of."""
+"""Registered clouds of simulated drives, read with ``range = "points"``, beside the streams they
+were made of."""
 
 from __future__ import annotations
 
@@ -111,7 +112,8 @@ def cells(path: Path, cloud: Cloud) -> tuple[I64, I64, F64]:
 
 
 def assert_like_raw(found: tuple[I64, I64, F64], cloud: Cloud, *, share: float = 0.98) -> None:
-    """Ranges to millimetres, and shots of one line in one line, as far from each other as they were fired."""
+    """Ranges to millimetres, and shots of one line in one line, as far from each other as they were
+    fired."""
     line, column, range_m = found
     has_cell = line >= 0
     assert has_cell.mean() > share

@@ -16,7 +16,8 @@ ARM = np.array([0.6, -0.3, 1.1])
 
 
 def drive(time_s: F64, *, even: bool = False) -> tuple[F64, F64]:
-    """Positions (n, 3) and axes (n, 3, 3) of a vehicle that turns and changes its speed, or does not."""
+    """Positions (n, 3) and axes (n, 3, 3) of a vehicle that turns and changes its speed, or does
+    not."""
     if even:
         heading = 0.0 * time_s
         x = 8.0 * time_s
