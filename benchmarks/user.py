@@ -49,7 +49,8 @@ import resource, subprocess, sys
 # a process takes over the peak of the one that starts it: this one is small
 code = subprocess.run([sys.executable, "-m", "prc_cli", *sys.argv[1:]],
 stdout=sys.stderr).returncode print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss /
-(1024**2 if sys.platform == "darwin" else 1024)) sys.exit(code) """
+(1024**2 if sys.platform == "darwin" else 1024)) sys.exit(code)
+"""
 
 
 def peak_mib(arguments: Sequence[str]) -> float:

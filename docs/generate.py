@@ -1,5 +1,4 @@
-"""Write the reference pages from the code, and the figures in prose from the tables of the
-benchmarks.
+"""Write the reference pages from the code, and the figures in prose from the benchmarks.
 
 ``--check`` fails when a page on disk differs. Run ``python docs/generate.py`` after changing an
 option, a parameter or a class code, and after a benchmark wrote its page of figures.
@@ -9,11 +8,11 @@ text is written anew with as many digits as it has:
 ``[.527](figures/sequential_angle.md#readings-one-at-a-time "car.fourier.window = 0 > car
 recall")``.
 
-- The title holds as many leading cells of the row as are needed, with ``*`` for any text, then the column.
-  Tables of two columns need no column.
+- The title holds as many leading cells of the row as are needed, with ``*`` for any text, then
+  the column. Tables of two columns need no column.
 - Where several headings below the section have such a row, the heading comes first.
-- A column "precision" after "car recall" is "car precision". "A / B" is a quotient of two columns, "share of A"
-  the figure in brackets.
+- A column "precision" after "car recall" is "car precision". "A / B" is a quotient of two columns,
+  "share of A" the figure in brackets.
 - "least of" and "most of" before the row take the least and the most of all rows that fit.
 
 A table of prose whose rows are rows of figures has ``<!-- rows of PAGE.md#section -->`` above it:
@@ -86,7 +85,8 @@ def configuration_page() -> str:
         (`--config FILE`), options. Unknown keys and values out of bounds are errors. `prc config
         show` prints the effective configuration with the source of every value, `prc config
         presets` lists the presets, `prc config check FILE` checks a file, `prc config schema`
-        prints the JSON schema. """
+        prints the JSON schema.
+        """
     parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, "")]
     parts.append("## Presets\n")
     parts.append(
@@ -173,7 +173,8 @@ def classes_page() -> str:
         Codes follow ASPRS LAS 1.4 where it has the class; the others take user codes from 64 up.
         All of them can be changed in `[classes]`. Point formats 0 to 5 hold codes up to 31: when a
         run needs a larger one, the file is upgraded to the matching format 6 to 10 and the command
-        says so; with `output.codes = "below-32"` such a code is refused instead. """
+        says so; with `output.codes = "below-32"` such a code is refused instead.
+        """
     return "\n".join([GENERATED, textwrap.dedent(text), table, ""])
 
 
@@ -191,7 +192,8 @@ def checks_page() -> str:
 
         Every check asks one question of an input or of its labels; [How prc knows](../evidence.md)
         says when. The names are those of `--accept-doubt NAME`. Doubtful: labels are written, exit
-        code 4. Refused: nothing is written, exit code 1. """
+        code 4. Refused: nothing is written, exit code 1.
+        """
     parts = [GENERATED, textwrap.dedent(intro)]
     for check in check_table():
         facts = (("Limit", check.limit), ("Why", check.reason), ("Not seen", check.blind))

@@ -40,7 +40,8 @@ number = sys.argv[1]
 sys.argv = ["prc", *sys.argv[2:]]
 
 cli._run = lambda arguments, debug: (setattr(sys, "argv", [None, number, *sys.argv[1:]]),
-crash(arguments, debug)) cli.main() """
+crash(arguments, debug)) cli.main()
+"""
 
 
 def prc(

@@ -91,8 +91,8 @@ campaigns of `python -m tests.fuzz.campaign --seconds 3600 --corpus corpus --see
 seeds. What counts as a fault: [Hostile input](../robustness.md#how-damaged-files-are-tested).
 
 **{n:,} inputs**: {read:,} read by functions of the library, {command:,} through a command in
-the same process, {guarded:,} through `prc` under the guard. {accepted} were accepted, {looked} with a doubt that is
-said, {refused} refused in one line; {died:,} ended the process of the library that decoded them,
+the same process, {guarded:,} through `prc` under the guard. {accepted} were accepted, {looked}
+with a doubt that is said, {refused} refused in one line; {died:,} ended the process of the library that decoded them,
 which the guard makes a line of; {faulty:,} showed a fault ({kinds} kinds, mended or listed as a
 remaining risk).
 

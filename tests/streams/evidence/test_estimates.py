@@ -230,7 +230,8 @@ def misread_street() -> F32:
             1000,
             3,
             """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' --set
-            layout.endian=big """
+            layout.endian=big
+            """
             "--set layout.header_bytes=3",
         ),
         (
