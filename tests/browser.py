@@ -107,8 +107,8 @@ class Browser:
 
     def errors(self) -> list[str]:
         """Return what the page complained of since the last call."""
-        found = self._call("POST", "/se/log", {"type": "browser"})
-        return [entry["message"] for entry in found if entry["level"] == "SEVERE"]
+        entries = self._call("POST", "/se/log", {"type": "browser"})
+        return [entry["message"] for entry in entries if entry["level"] == "SEVERE"]
 
     def picture(self, target: Path, *, whole: bool = False) -> None:
         """Write what is seen, or the whole page, as PNG."""

@@ -51,8 +51,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
 def data_folder() -> Path:
     """Folder of the real scans: ``$PRC_DATA``, else ``../shared/data`` beside the checkout."""
-    given = os.environ.get("PRC_DATA")
-    return Path(given) if given else Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = os.environ.get("PRC_DATA")
+    return Path(folder) if folder else Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 @pytest.fixture(scope="session")

@@ -186,29 +186,31 @@ def _is_size(node: ast.AST) -> bool:
 
 def _changed(node: ast.AST) -> str | None:
     """Return the source of a node with one fault, None where it can have none."""
-    other: ast.expr
+    replacement: ast.expr
     match node:
         case ast.Compare(left=left, ops=[operator], comparators=right) if (
             type(operator) in COMPARED
         ):
-            other = ast.Compare(left, [COMPARED[type(operator)]()], right)
+            replacement = ast.Compare(left, [COMPARED[type(operator)]()], right)
         case ast.BinOp(left=left, op=operator, right=right) if type(
             operator
         ) in CALCULATED and not _is_text(node):
-            other = ast.BinOp(left, CALCULATED[type(operator)](), right)
+            replacement = ast.BinOp(left, CALCULATED[type(operator)](), right)
         case ast.BoolOp(op=operator, values=values):
-            other = ast.BoolOp(ast.Or() if isinstance(operator, ast.And) else ast.And(), values)
+            replacement = ast.BoolOp(
+                ast.Or() if isinstance(operator, ast.And) else ast.And(), values
+            )
         case ast.UnaryOp(op=ast.Not(), operand=operand):
-            other = operand
+            replacement = operand
         case ast.Constant(value=value) if type(value) in (int, float):
             return (
                 repr(value + 1) if isinstance(value, int) else repr(float(str(value)) * 1.5 + 1e-3)
             )
         case ast.Call(func=ast.Name(id=name)) if name in SWAPPED:
-            other = ast.Call(ast.Name(SWAPPED[name]), node.args, node.keywords)
+            replacement = ast.Call(ast.Name(SWAPPED[name]), node.args, node.keywords)
         case _:
             return None
-    return f"({ast.unparse(other)})"
+    return f"({ast.unparse(replacement)})"
 
 
 def _is_text(node: ast.BinOp) -> bool:
@@ -363,13 +365,13 @@ class Reached:
     def cases(self, mutant: Mutant) -> list[str]:
         """Return the golden cases that run a statement, the quickest first, as many as the budget
         allows."""
-        found = sorted(
+        names = sorted(
             (name for name in self._found(mutant) if name.startswith(GOLDEN)), key=self._took
         )
-        total = itertools.accumulate(map(self._took, found))
+        total = itertools.accumulate(map(self._took, names))
         return [
             name.removeprefix(GOLDEN)
-            for name, spent in zip(found, total, strict=True)
+            for name, spent in zip(names, total, strict=True)
             if spent < BUDGET_S
         ]
 
@@ -378,10 +380,10 @@ class Reached:
 
         The nearest first, of these the quickest first.
         """
-        found = {name for name in self._found(mutant) if not name.startswith(GOLDEN)}
-        found = {name for name in found if "::" not in name or name.partition("::")[0] not in found}
+        names = {name for name in self._found(mutant) if not name.startswith(GOLDEN)}
+        names = {name for name in names if "::" not in name or name.partition("::")[0] not in names}
         ranked = sorted(
-            found, key=lambda name: (_distance(mutant.file, name), self._took(name), name)
+            names, key=lambda name: (_distance(mutant.file, name), self._took(name), name)
         )
         total = itertools.accumulate(map(self._took, ranked))
         return [
@@ -399,12 +401,12 @@ class Reached:
 def _distance(file: str, test: str) -> int:
     """Return 0 for a module's doctests and the test file of its name, 1 for its folder, 2 for its
     room, 3 else."""
-    own = Path(file)
-    other = Path(test.partition("::")[0])
-    stem = own.parent.name if own.stem == "__init__" else own.stem
-    inside = own.parent.parts[1:]
-    tested = other.parent.parts[1:]
-    if own == other or (other.stem == f"test_{stem}" and tested[:1] == inside[:1]):
+    source_path = Path(file)
+    test_path = Path(test.partition("::")[0])
+    stem = source_path.parent.name if source_path.stem == "__init__" else source_path.stem
+    inside = source_path.parent.parts[1:]
+    tested = test_path.parent.parts[1:]
+    if source_path == test_path or (test_path.stem == f"test_{stem}" and tested[:1] == inside[:1]):
         return 0
     return 1 if tested == inside else 2 if tested[:1] == inside[:1] else 3
 
@@ -423,7 +425,7 @@ def judge(
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
         return False, "not run: the file was changed meanwhile"
     checks: list[Callable[[], int]] = [
-        partial(_run_tests, some) for some in (tests[:FIRST], tests[FIRST:]) if some
+        partial(_run_tests, chosen) for chosen in (tests[:FIRST], tests[FIRST:]) if chosen
     ]
     checks += [partial(_check_golden, cases, golden)] if cases else []
     # the number of a field or a default
@@ -448,8 +450,8 @@ def confirm(killers: list[str], golden: Path) -> set[str]:
     tests = [name for name in killers if "::" in name and not name.startswith(GOLDEN)]
     checks = [partial(_check_golden, [name], golden) for name in cases]
     checks += [
-        partial(_run_tests, tests[at : at + FIRST], "--maxfail=0")
-        for at in range(0, len(tests), FIRST)
+        partial(_run_tests, tests[start : start + FIRST], "--maxfail=0")
+        for start in range(0, len(tests), FIRST)
     ]
     return {name for check in checks for name in _fork(None, check)[1]}
 
@@ -486,12 +488,16 @@ def _check_golden(cases: list[str], kept: Path) -> int:
         with tempfile.TemporaryDirectory(prefix="prc-golden-") as folder:
             place = Path(folder)
             _lay(place)
-            for other in kept.iterdir():
-                if other.is_dir() and not other.is_symlink() and other.name != name:
-                    (place / other.name).symlink_to(other, target_is_directory=True)
-            found = golden.run_case(name, all_cases()[name], folder)[1]
+            for case_folder in kept.iterdir():
+                if (
+                    case_folder.is_dir()
+                    and not case_folder.is_symlink()
+                    and case_folder.name != name
+                ):
+                    (place / case_folder.name).symlink_to(case_folder, target_is_directory=True)
+            result = golden.run_case(name, all_cases()[name], folder)[1]
             os.chdir(ROOT)
-        if golden.differences(expected, {name: found}):
+        if golden.differences(expected, {name: result}):
             os.write(printed, f"FAILED {GOLDEN}{name}\n".encode())
             return 1
     return 0
@@ -512,8 +518,8 @@ def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, 
         if child == 0:
             os.setsid()
             silent = os.open(os.devnull, os.O_RDWR)
-            for descriptor, other in enumerate((silent, printed.fileno(), silent)):
-                os.dup2(other, descriptor)
+            for descriptor, target in enumerate((silent, printed.fileno(), silent)):
+                os.dup2(target, descriptor)
             code = 1
             try:
                 if mutant is not None:
@@ -551,10 +557,11 @@ def _put_in(mutant: Mutant) -> None:
     if any(getattr(module, "__file__", None) == path for module in list(sys.modules.values())):
         codes = dict(_codes(faulty))
         functions = gc.get_objects()
-        for one in functions:
-            if type(one) is FunctionType and one.__code__.co_filename == path:
-                one.__code__ = codes.get(
-                    (one.__code__.co_qualname, one.__code__.co_firstlineno), one.__code__
+        for function in functions:
+            if type(function) is FunctionType and function.__code__.co_filename == path:
+                function.__code__ = codes.get(
+                    (function.__code__.co_qualname, function.__code__.co_firstlineno),
+                    function.__code__,
                 )
         return
 
@@ -566,10 +573,10 @@ def _put_in(mutant: Mutant) -> None:
 
 def _codes(code: CodeType) -> Iterator[tuple[tuple[str, int], CodeType]]:
     """Yield the code of all functions by name and line."""
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield (one.co_qualname, one.co_firstlineno), one
-            yield from _codes(one)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield (constant.co_qualname, constant.co_firstlineno), constant
+            yield from _codes(constant)
 
 
 def load() -> None:
@@ -645,29 +652,30 @@ def main() -> None:
         measure(chosen.coverage)
     reached = Reached(chosen.coverage)
     golden = chosen.coverage.with_suffix(".golden").absolute()
-    found: dict[Mutant, tuple[bool, str]] = {}
+    verdicts: dict[Mutant, tuple[bool, str]] = {}
     # what is calculated on import is changed before it is imported, the body of a function when all
     # is
     for number, mutant in sorted(numbered, key=lambda item: item[1].in_body):
         if mutant.in_body and "prc_cli.cli" not in sys.modules:
             load()
-        found[mutant] = judge(mutant, reached.tests(mutant), reached.cases(mutant), golden)
+        verdicts[mutant] = judge(mutant, reached.tests(mutant), reached.cases(mutant), golden)
         print(
-            f"{number:4} {'killed by ' * found[mutant][0]}{found[mutant][1]} | {mutant}", flush=True
+            f"{number:4} {'killed by ' * verdicts[mutant][0]}{verdicts[mutant][1]} | {mutant}",
+            flush=True,
         )
-    unsound = confirm(sorted({by for is_killed, by in found.values() if is_killed}), golden)
+    unsound = confirm(sorted({by for is_killed, by in verdicts.values() if is_killed}), golden)
     print(*(f"fails without a fault: {name}" for name in sorted(unsound)), sep="\n")
-    tried = Counter(Path(mutant.file).parts[1] for mutant in found)
+    tried = Counter(Path(mutant.file).parts[1] for mutant in verdicts)
     killed = Counter(
         Path(mutant.file).parts[1]
-        for mutant, (yes, by) in found.items()
+        for mutant, (yes, by) in verdicts.items()
         if yes and by not in unsound
     )
     print(*(f"{room}: {killed[room]} of {tried[room]} killed" for room in sorted(tried)), sep="\n")
     total = killed.total()
     print(
-        f"{len(found)} mutants of {len(places)}, {total} killed: "
-        f"{100 * total / max(len(found), 1):.1f} %"
+        f"{len(verdicts)} mutants of {len(places)}, {total} killed: "
+        f"{100 * total / max(len(verdicts), 1):.1f} %"
     )
 
 

@@ -62,11 +62,11 @@ def run(
     """
     if options.pop("capture_output", False):
         options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    given = options.pop("input", None)
-    if given is not None:
+    text = options.pop("input", None)
+    if text is not None:
         options["stdin"] = subprocess.PIPE
     with start(command, timeout=2 * timeout, **options) as process:
-        out, err = process.communicate(given, timeout=timeout)
+        out, err = process.communicate(text, timeout=timeout)
     if check and process.returncode:
         raise subprocess.CalledProcessError(process.returncode, command, out, err)
     return subprocess.CompletedProcess(command, process.returncode, out, err)

@@ -51,8 +51,8 @@ def test_a_simulated_scan_is_read_back_as_it_is_judged(tmp_path) -> None:
     save(scan, tmp_path / "scan.npz")
     with np.load(tmp_path / "scan.npz") as arrays:
         np.testing.assert_array_equal(arrays["class"], scan.codes)
-    found = label_scan(scan, PAPERS[2])
-    assert judge(scan, found.codes, found.extra_codes).score("f1.ground") > 0.5
+    labelled = label_scan(scan, PAPERS[2])
+    assert judge(scan, labelled.codes, labelled.extra_codes).score("f1.ground") > 0.5
 
 
 def test_smrf_leaves_a_box_on_a_plane() -> None:
@@ -75,7 +75,7 @@ def test_smrf_leaves_a_box_on_a_plane() -> None:
 
 
 def test_results_are_kept_until_something_changes(tmp_path) -> None:
-    told: list[str] = []
+    progress: list[str] = []
     made: list[str] = []
 
     def make() -> Scan:
@@ -83,10 +83,10 @@ def test_results_are_kept_until_something_changes(tmp_path) -> None:
         return scan_of([[2, 2, 6, 6]] * 8)
 
     item = DataSet("toy", "toys", make, "toy")
-    first = Store(tmp_path, told.append).stream_run(item, PAPERS[0])
-    again = Store(tmp_path, told.append).stream_run(item, PAPERS[0])
-    assert told == ["toy: PRC, published"]
+    first = Store(tmp_path, progress.append).stream_run(item, PAPERS[0])
+    again = Store(tmp_path, progress.append).stream_run(item, PAPERS[0])
+    assert progress == ["toy: PRC, published"]
     assert first.when == again.when
     np.testing.assert_array_equal(first.verdict.counts, again.verdict.counts)
-    Store(tmp_path, told.append).stream_run(item, PAPERS[1])
-    assert len(told) == 2
+    Store(tmp_path, progress.append).stream_run(item, PAPERS[1])
+    assert len(progress) == 2

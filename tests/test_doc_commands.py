@@ -45,13 +45,13 @@ def commands(block: str) -> list[str]:
 def test_what_is_not_run_has_a_reason(path: Path) -> None:
     for reason, block in blocks(path):
         if not reason:
-            assert all(re.match(r"prc [a-z]", one) for one in commands(block)), (
+            assert all(re.match(r"prc [a-z]", line) for line in commands(block)), (
                 f"{path.name}:\n{block}"
             )
             continue
-        told = REASON.fullmatch(reason)
-        assert told, f"{path.name}: {reason}"
-        assert told[2] is None or (ROOT / told[2]).exists(), f"{path.name}: {reason}"
+        match = REASON.fullmatch(reason)
+        assert match, f"{path.name}: {reason}"
+        assert match[2] is None or (ROOT / match[2]).exists(), f"{path.name}: {reason}"
 
 
 @pytest.fixture(scope="session")

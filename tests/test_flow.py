@@ -51,12 +51,12 @@ def test_bytes_are_equal_with_any_number_of_threads(
 ) -> None:
     write = {".bin": write_raw, ".csv": write_csv, ".npz": write_npz}[kind]
     source = write(tmp_path / f"drive{kind}", image)
-    found = []
+    outputs = []
     for threads in (1, 2, 3):
         output = tmp_path / f"{threads}{suffix}"
         record = classify(source, output, SHORT, threads=threads).record
-        found.append((output.read_bytes(), record.as_dict()))
-    assert found[0] == found[1] == found[2]
+        outputs.append((output.read_bytes(), record.as_dict()))
+    assert outputs[0] == outputs[1] == outputs[2]
 
 
 @pytest.mark.usefixtures("no_thread_left")
@@ -194,7 +194,7 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
         )
         assert run.poll() is None
         run.send_signal(signal.SIGINT)
-        _, told = run.communicate(timeout=HANGS_S)
-    assert run.returncode == 130, told
-    assert "Traceback" not in told
+        _, printed = run.communicate(timeout=HANGS_S)
+    assert run.returncode == 130, printed
+    assert "Traceback" not in printed
     assert list(out.iterdir()) == []

@@ -81,9 +81,9 @@ def _options(command: click.Command, name: str) -> Iterator[str]:
             )
     if isinstance(command, click.Group):
         for inner in command.list_commands(click.Context(command)):
-            found = command.get_command(click.Context(command), inner)
-            assert found is not None
-            yield from _options(found, f"{name} {inner}")
+            subcommand = command.get_command(click.Context(command), inner)
+            assert subcommand is not None
+            yield from _options(subcommand, f"{name} {inner}")
 
 
 def _keys(model: type[Params], prefix: str) -> Iterator[str]:
@@ -102,32 +102,32 @@ def _json() -> Iterator[str]:
         Path("tree").mkdir()
         for line in COMMANDS:
             command, *words = line.split()
-            told = CliRunner().invoke(cli, [*command.split("-"), *words])
-            assert told.exit_code in (0, 4), (line, told.stderr)
+            outcome = CliRunner().invoke(cli, [*command.split("-"), *words])
+            assert outcome.exit_code in (0, 4), (line, outcome.stderr)
             if "--json" in words:
-                texts = told.stdout.splitlines() if command == "objects" else [told.stdout]
+                texts = outcome.stdout.splitlines() if command == "objects" else [outcome.stdout]
                 yield from (
                     f"json {command} {path}" for text in texts for path in _paths(json.loads(text))
                 )
 
 
-def _paths(found: Any, prefix: str = "") -> Iterator[str]:
-    if isinstance(found, dict):
-        for key, value in found.items():
+def _paths(document: Any, prefix: str = "") -> Iterator[str]:
+    if isinstance(document, dict):
+        for key, value in document.items():
             name = "CODE" if key.isdigit() else key
             yield f"{prefix}{name}"
             yield from [] if name == "config" else _paths(value, f"{prefix}{name}.")
-    elif isinstance(found, list):
-        for value in found:
+    elif isinstance(document, list):
+        for value in document:
             yield from _paths(value, prefix)
 
 
 @pytest.mark.slow
 def test_what_was_promised_is_there() -> None:
     promised = set(FROZEN.read_text(encoding="utf-8").splitlines())
-    found = set(names())
-    assert not promised - found, "gone"
-    assert not found - promised, "new: python -m tests.test_frozen"
+    present = set(names())
+    assert not promised - present, "gone"
+    assert not present - promised, "new: python -m tests.test_frozen"
 
 
 if __name__ == "__main__":

@@ -64,10 +64,10 @@ def nesting(node: ast.AST) -> int:
     An ``elif`` is as deep as its ``if``.
     """
     last = node.orelse if isinstance(node, ast.If) else []
-    elifs = [one for one in last if isinstance(one, ast.If) and len(last) == 1]
-    inner = (one for one in ast.iter_child_nodes(node) if not isinstance(one, ast.expr))
+    elifs = [child for child in last if isinstance(child, ast.If) and len(last) == 1]
+    inner = (child for child in ast.iter_child_nodes(node) if not isinstance(child, ast.expr))
     return max(
-        (nesting(one) + (isinstance(one, COMPOUND) and one not in elifs) for one in inner),
+        (nesting(child) + (isinstance(child, COMPOUND) and child not in elifs) for child in inner),
         default=0,
     )
 
@@ -133,8 +133,8 @@ def test_suffixes_of_formats_stay_in_their_room() -> None:
     """
     known = {
         suffix
-        for one in formats()
-        for suffix in (*one.scans, *one.streams, *one.labels, *one.codes)
+        for record in formats()
+        for suffix in (*record.scans, *record.streams, *record.labels, *record.codes)
     }
     root = Path(prc_cli.__file__).parent
     named: list[str] = []

@@ -51,16 +51,16 @@ def test_oakland(
 ) -> None:
     source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
     classify(source, tmp_path / "urban.npy", load_config(preset="urban"))
-    found = scores(evaluate(tmp_path / "urban.npy", source, "oakland"))
-    assert gate_value(found, "f1.ground") > published_ground
+    oakland_scores = scores(evaluate(tmp_path / "urban.npy", source, "oakland"))
+    assert gate_value(oakland_scores, "f1.ground") > published_ground
     classify(
         source, tmp_path / "sick.npy", load_config(ROOT / "sample_configs" / "sick_push_broom.toml")
     )
-    found = scores(evaluate(tmp_path / "sick.npy", source, "oakland"))
-    assert gate_value(found, "f1.ground") > ground
-    assert gate_value(found, "f1.vegetation") > vegetation
+    oakland_scores = scores(evaluate(tmp_path / "sick.npy", source, "oakland"))
+    assert gate_value(oakland_scores, "f1.ground") > ground
+    assert gate_value(oakland_scores, "f1.vegetation") > vegetation
     if building is not None:  # the third strip has no building
-        assert gate_value(found, "f1.building") > building
+        assert gate_value(oakland_scores, "f1.building") > building
 
 
 def test_profiler_from_time_and_trajectory(real_data: Path, tmp_path: Path) -> None:
@@ -108,10 +108,10 @@ def test_airborne_strip(real_data: Path, tmp_path: Path) -> None:
     n_lines = 1 + int(np.ceil(np.ptp(time_s) * 150))
     assert n_lines == 911
     assert np.count_nonzero(np.diff(np.asarray(las.scan_angle) * 0.006) > 2) == 843
-    found = inspect(source, load_config())
-    assert found.facts is not None
-    assert found.facts.n_lines == n_lines
-    json.dumps(found.as_dict(), allow_nan=False)
+    setup = inspect(source, load_config())
+    assert setup.facts is not None
+    assert setup.facts.n_lines == n_lines
+    json.dumps(setup.as_dict(), allow_nan=False)
     with pytest.raises(InputError, match="no ranges"):
         classify(source, tmp_path / "out.laz", options(order="trust"))
     assert list(tmp_path.iterdir()) == []
@@ -147,7 +147,7 @@ def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:
     las = laspy.read(tmp_path / "park.laz")
     assert len(las) == 581 * 2089 - n_missing
     assert set(np.unique(las.classification)) == {2, 5, 7, 64}
-    found = inspect(source, load_config(preset="forest"))
-    assert found.problem == ""
-    assert found.period is not None
-    assert found.period.points_per_line == 2089
+    setup = inspect(source, load_config(preset="forest"))
+    assert setup.problem == ""
+    assert setup.period is not None
+    assert setup.period.points_per_line == 2089

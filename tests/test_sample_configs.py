@@ -47,11 +47,11 @@ def tables(path: Path) -> list[tuple[str | None, dict[str, Any]]]:
     whole = tomllib.loads(path.read_text(encoding="utf-8"))
     overrides = whole.pop("override", [])
     named = whole.pop("preset", None)
-    found = [(named, whole)]
+    pairs = [(named, whole)]
     for override in overrides:
         override.pop("match")
-        found.append((override.pop("preset", named), merge(whole, override)))
-    return found
+        pairs.append((override.pop("preset", named), merge(whole, override)))
+    return pairs
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

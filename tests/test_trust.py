@@ -39,8 +39,8 @@ def window_of(name: str) -> Window:
 @cache
 def right_f1(name: str, method: str, folder: Path) -> float:
     window = window_of(name)
-    told = plain(window, Context(folder, method, random_of(name)))
-    return Trial(folder).judge(case_of(window, method), told, 0.0).f1
+    stated = plain(window, Context(folder, method, random_of(name)))
+    return Trial(folder).judge(case_of(window, method), stated, 0.0).f1
 
 
 def case_of(window: Window, method: str) -> Case:
@@ -75,14 +75,14 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(
 ) -> None:
     window = window_of(name)
     method = "fused-forest" if window.is_forest else "fused"
-    told = right_forms(window)[form](window, Context(tmp_path, method, random_of()))
-    result = Trial(tmp_path).judge(case_of(window, method), told, MACRO, is_right=True)
+    stated = right_forms(window)[form](window, Context(tmp_path, method, random_of()))
+    result = Trial(tmp_path).judge(case_of(window, method), stated, MACRO, is_right=True)
     assert result.outcome == "harmless", result
     assert result.f1 > MACRO
 
 
 @pytest.mark.parametrize(
-    ("name", "method", "seed", "told"),
+    ("name", "method", "seed", "words"),
     [
         (
             "trajectory a second late",
@@ -98,7 +98,7 @@ def test_what_is_wrong_is_named(
     name: str,
     method: str,
     seed: int,
-    told: str,
+    words: str,
     tmp_path: Path,
 ) -> None:
     row = next(row for row in ROWS if row.name == name)
@@ -111,18 +111,18 @@ def test_what_is_wrong_is_named(
         seed=seed,
     )
     assert result is not None
-    assert told in result.said
+    assert words in result.said
     # another unit is named behind it, if at all
-    assert "range_scale" not in result.said.partition(told)[0]
+    assert "range_scale" not in result.said.partition(words)[0]
 
 
 def test_a_run_in_this_process_is_a_run_of_the_command(tmp_path: Path) -> None:
     window = window_of("push-broom")
-    told = plain(window, Context(tmp_path, "fused", random_of()))
-    refused = Told(told.path, (*told.options, "-M", "7"), told.truth)
-    for each in (told, refused):
-        here, _ = Trial(tmp_path).classify(each, METHODS["fused"])
-        there, _ = Trial(tmp_path, in_own_process).classify(each, METHODS["fused"])
+    stated = plain(window, Context(tmp_path, "fused", random_of()))
+    refused = Told(stated.path, (*stated.options, "-M", "7"), stated.truth)
+    for stated_case in (stated, refused):
+        here, _ = Trial(tmp_path).classify(stated_case, METHODS["fused"])
+        there, _ = Trial(tmp_path, in_own_process).classify(stated_case, METHODS["fused"])
         assert (here.exit_code, here.stderr) == (there.exit_code, there.stderr)
         np.testing.assert_array_equal(here.labels, there.labels)
     assert here.is_refused
@@ -142,12 +142,14 @@ def test_what_becomes_of_a_case() -> None:
 
 def test_limits_are_never_chosen_on_scans_that_are_reported() -> None:
     specs = {
-        part: [each.spec for each in sources(part) if each.spec is not None] for part in FIRST_SEED
+        part: [source.spec for source in sources(part) if source.spec is not None]
+        for part in FIRST_SEED
     }
     for part, first in FIRST_SEED.items():
         assert all(first <= spec.seed < first + SEEDS_APART for spec in specs[part])
     mounts = {
-        part: {(spec.scanner, repr(spec.mount)) for spec in own} for part, own in specs.items()
+        part: {(spec.scanner, repr(spec.mount)) for spec in part_specs}
+        for part, part_specs in specs.items()
     }
     shared = mounts["tuning"] & mounts["held-out"]
     assert {scanner for scanner, _ in shared} <= {"focus3d-120"}

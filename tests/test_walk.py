@@ -47,11 +47,11 @@ class Walk:
         self.said = result.output + result.stderr
         return self.said
 
-    def told(self, what: str) -> str:
+    def command_after(self, what: str) -> str:
         """Return the command that the program offers."""
-        found = re.search(rf"^{what}: (prc .*)$", self.said, re.MULTILINE)
-        assert found, f"no {what!r} in:\n{self.said}"
-        return found[1]
+        match = re.search(rf"^{what}: (prc .*)$", self.said, re.MULTILINE)
+        assert match, f"no {what!r} in:\n{self.said}"
+        return match[1]
 
 
 @pytest.fixture
@@ -71,9 +71,9 @@ def test_profiler_ply(here: Path, real_data: Path) -> None:
     walk = Walk()
     walk.type("prc info drive.ply")
     # fourteen lines are too few to judge
-    walk.type(walk.told("type"), code=4)
+    walk.type(walk.command_after("type"), code=4)
     assert "compare it: prc evaluate drive_classified.ply REFERENCE" in walk.said
-    walk.type(walk.told("draw it"))
+    walk.type(walk.command_after("draw it"))
     assert is_drawn(here / "drive_classified.png")
     assert len(walk.typed) <= MOST_COMMANDS
 
@@ -85,13 +85,13 @@ def test_laz_with_times_alone(here: Path, real_data: Path) -> None:
     )
     walk = Walk()
     walk.type("prc info drive.laz")
-    assert walk.told("type").endswith("--range points")
-    walk.type(walk.told("type"))
+    assert walk.command_after("type").endswith("--range points")
+    walk.type(walk.command_after("type"))
     assert "method: fused" in walk.said
     with laspy.open(here / "drive_classified.laz") as file:
         codes = np.asarray(file.read().classification)
     assert 0.4 < np.mean(codes == 2) < 0.7  # a road and its sidewalks
-    walk.type(walk.told("draw it"))
+    walk.type(walk.command_after("draw it"))
     assert is_drawn(here / "drive_classified.png")
     assert len(walk.typed) <= MOST_COMMANDS
 
@@ -106,7 +106,7 @@ def test_bag(here: Path, real_data: Path) -> None:
     assert "one the floor, the other a ceiling" in walk.said
     walk.type("prc classify scan.bag scan_labels.npy --set input.nadir=0", code=4)
     assert "warning: indoors" in walk.said
-    walk.type(walk.told("draw it"))
+    walk.type(walk.command_after("draw it"))
     assert is_drawn(here / "scan_labels.png")
     assert len(walk.typed) <= MOST_COMMANDS
 
@@ -134,8 +134,8 @@ def test_text_in_millimetres_with_decimal_commas(here: Path) -> None:
     walk.type("prc classify drive.csv labels.csv")
     assert "decimals stand behind a comma" in walk.said
     assert "range in mm" in walk.said
-    draw = walk.told("draw it")
-    compare = walk.told("compare it")
+    draw = walk.command_after("draw it")
+    compare = walk.command_after("compare it")
     walk.type(compare.replace("REFERENCE", "truth.csv"))
     accuracy = re.search(r"accuracy ([0-9.]+)", walk.said)
     assert accuracy
@@ -152,8 +152,8 @@ def test_kitti_frame(here: Path, real_data: Path) -> None:
     walk = Walk()
     walk.type("prc classify 000000.bin labels.npy")
     assert "look like x, y, z and intensity of a frame" in walk.said
-    draw = walk.told("draw it")
-    compare = walk.told("compare it")
+    draw = walk.command_after("draw it")
+    compare = walk.command_after("compare it")
     assert compare == "prc evaluate labels.npy 000000.label"
     walk.type(compare)
     assert "mapping: street_kitti" in walk.said
@@ -233,12 +233,12 @@ def test_other_readers_find_codes_and_names(tmp_path: Path) -> None:
             strict=True,
         )
     )
-    told = {
-        one.code: one.count for one in summary.record.classes if one.count and one.name != "missing"
+    counts = {
+        vlr.code: vlr.count for vlr in summary.record.classes if vlr.count and vlr.name != "missing"
     }
-    assert codes == told
+    assert codes == counts
     (record,) = [
-        one for one in cloud.header.vlrs if (one.user_id, one.record_id) == ("LASF_Spec", 0)
+        vlr for vlr in cloud.header.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Spec", 0)
     ]
     names = record.lookups
     assert {65: "car", 66: "curb", 69: "pole"}.items() <= names.items()
@@ -247,13 +247,15 @@ def test_other_readers_find_codes_and_names(tmp_path: Path) -> None:
     pipeline = json.loads(re.findall(r"```json\n(.*?)```", page, re.DOTALL)[0])
     wanted = [int(code) for code in re.findall(r"== (\d+)", pipeline[1]["expression"])]
     assert wanted == [2, 65, 66]
-    assert np.isin(cloud.classification, wanted).sum() == sum(told.get(code, 0) for code in wanted)
+    assert np.isin(cloud.classification, wanted).sum() == sum(
+        counts.get(code, 0) for code in wanted
+    )
 
 
 def test_styles_of_viewers_hold_every_code() -> None:
     codes = {ClassCodes().code(label) for label in Label} | {0, 18}
     style = ElementTree.parse(samples_folder() / "viewers/prc_classes.qml").getroot()
-    assert {int(one.get("value", "-1")) for one in style.iter("category")} == codes
+    assert {int(category.get("value", "-1")) for category in style.iter("category")} == codes
     script = (samples_folder() / "viewers/prc_classes_potree.js").read_text(encoding="utf-8")
     assert {int(code) for code in re.findall(r"^ +(\d+):", script, re.MULTILINE)} == codes
 
@@ -267,8 +269,12 @@ def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(
     assert result.exit_code == 0
     assert ("coordinates are those of" in result.stderr) == bool(crs)
     with laspy.open(tmp_path / "drive.laz") as file:
-        found = file.header.parse_crs()
+        header_crs = file.header.parse_crs()
         # the flag says how a system would be written; point formats 6 to 10 must have it
         assert file.header.global_encoding.wkt
         assert abs(file.header.mins[1] - (6_671_000 if crs else 0)) < 2000
-    assert (found is None) if not crs else (found is not None and found.to_epsg() == 32635)
+    assert (
+        (header_crs is None)
+        if not crs
+        else (header_crs is not None and header_crs.to_epsg() == 32635)
+    )

@@ -82,14 +82,14 @@ class Campaign:
         names: list[str],
         first_seed: int,
         corpus: Path,
-        found: Path,
+        tallies: Path,
     ) -> None:
         self.tallies = {name: Tally() for name in names}
         self.corpora = {name: Corpus(corpus / name, TARGETS[name]) for name in names}
         self._rng = random.Random(first_seed)
         self._corpus = corpus
-        self._found = found
-        self._known = known_kinds(found)
+        self._found = tallies
+        self._known = known_kinds(tallies)
         self.n_faults = 0
 
     def run(self, runs: int, seconds: float) -> int:
@@ -105,7 +105,9 @@ class Campaign:
             try:
                 self._know_corpus()
                 while n < runs and time.monotonic() - begun < seconds:
-                    name = min(self.tallies, key=lambda one: self.tallies[one].seconds)
+                    name = min(
+                        self.tallies, key=lambda target_name: self.tallies[target_name].seconds
+                    )
                     start = time.monotonic()
                     n += self._one(name)
                     self.tallies[name].seconds += time.monotonic() - start
@@ -122,7 +124,10 @@ class Campaign:
         for name, corpus in self.corpora.items():
             target = TARGETS[name]
             if name not in _ONLY_COMMANDS:
-                for chosen, data in [*((each, seed(each)) for each in target.seeds), *corpus.kept]:
+                for chosen, data in [
+                    *((seed_name, seed(seed_name)) for seed_name in target.seeds),
+                    *corpus.kept,
+                ]:
                     answer = self._worker.read(name, lay(self._folder, target, chosen, data))
                     corpus.steps |= set(answer.get("fresh", ()))
 
@@ -225,19 +230,19 @@ def main() -> None:
     parser.add_argument("--corpus", type=Path, default=Path("fuzz-corpus"))
     parser.add_argument("--keep", type=Path, default=FOUND)
     parser.add_argument("--report", type=Path)
-    given = parser.parse_args()
-    if given.report is not None:
-        given.report.write_text(report(given.corpus), encoding="utf-8")
+    arguments = parser.parse_args()
+    if arguments.report is not None:
+        arguments.report.write_text(report(arguments.corpus), encoding="utf-8")
         return
-    own = Campaign(given.targets, given.seed, given.corpus, given.keep)
+    campaign = Campaign(arguments.targets, arguments.seed, arguments.corpus, arguments.keep)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what was counted is kept
     begun = time.monotonic()
-    n = own.run(given.runs, given.seconds)
+    n = campaign.run(arguments.runs, arguments.seconds)
     times = os.times()
     used = times.user + times.system + times.children_user + times.children_system
     print(
         f"{n} inputs in {time.monotonic() - begun:.0f} s, {used:.0f} s of processor time; "
-        f"{own.n_faults} faults"
+        f"{campaign.n_faults} faults"
     )
 
 

@@ -53,7 +53,9 @@ class Corpus:
             name, data = rng.choice(self.kept[-_NEWEST:] if rng.random() < 0.3 else self.kept)
         if rng.random() < _CROSS_SHARE:
             others = [
-                each for own, each in self.kept if suffix_of_seed(own) == suffix_of_seed(name)
+                content
+                for seed_name, content in self.kept
+                if suffix_of_seed(seed_name) == suffix_of_seed(name)
             ]
             data = _cross(data, rng.choice(others), rng) if others else data
         return name, mutate(data, suffix_of_seed(name), rng.getrandbits(60))
@@ -74,12 +76,12 @@ class Corpus:
 
 def _cross(first: bytes, second: bytes, rng: random.Random) -> bytes:
     """Return the begin of one and the end of the other, or one with a piece of the other."""
-    at = rng.randrange(len(first))
+    cut = rng.randrange(len(first))
     if rng.random() < 0.5:
-        return first[:at] + second[min(at, len(second) - 1) :]
+        return first[:cut] + second[min(cut, len(second) - 1) :]
     start = rng.randrange(len(second))
     piece = second[start : start + rng.choice((4, 16, 64, 256))]
-    return first[:at] + piece + first[at + len(piece) :]
+    return first[:cut] + piece + first[cut + len(piece) :]
 
 
 WAYS = ("read", "command", "guarded")
@@ -92,8 +94,8 @@ seeds. What counts as a fault: [Hostile input](../robustness.md#how-damaged-file
 
 **{n:,} inputs**: {read:,} read by functions of the library, {command:,} through a command in
 the same process, {guarded:,} through `prc` under the guard. {accepted} were accepted, {looked}
-with a doubt that is said, {refused} refused in one line; {died:,} ended the process of the library that decoded them,
-which the guard makes a line of; {faulty:,} showed a fault ({kinds} kinds, mended or listed as a
+with a doubt that is said, {refused} refused in one line; {died:,} ended the process of the
+library that decoded them, which the guard makes a line of; {faulty:,} showed a fault ({kinds} kinds, mended or listed as a
 remaining risk).
 
 *New ways* are steps from line to line of the program that damaged inputs took and seeds
@@ -149,7 +151,7 @@ def add_up(corpus: Path, tallies: Mapping[str, Any], corpora: Mapping[str, Any])
 
 
 def _outcomes(ways: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
-    found = dict.fromkeys(("accepted", "doubt", "refused", "ended", "none"), 0)
+    outcomes = dict.fromkeys(("accepted", "doubt", "refused", "ended", "none"), 0)
     for counts in ways.values():
         for code, n in counts.items():
             word = {
@@ -159,8 +161,8 @@ def _outcomes(ways: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
                 "2": "refused",
                 "None": "none",
             }.get(code, "ended")
-            found[word] += n
-    return found
+            outcomes[word] += n
+    return outcomes
 
 
 def report(corpus: Path) -> str:
@@ -172,18 +174,18 @@ def report(corpus: Path) -> str:
     n_faults = 0
     kinds = set()
     for name, row in sorted(table.items()):
-        found = _outcomes(row["ways"])
+        outcomes = _outcomes(row["ways"])
         faults = sum(row["faults"].values())
         n_faults = n_faults + faults
         kinds = kinds | set(row["faults"])
-        for word, n in found.items():
+        for word, n in outcomes.items():
             total[word] += n
         for way, counts in row["ways"].items():
             by_way[way] += sum(counts.values())
         rows.append(
-            f"| {name} | {sum(found.values()):,} | {found['accepted']:,} | "
-            f"{found['doubt']:,} | {found['refused']:,} "
-            f"| {found['ended']:,} | {faults:,} | {row['steps']:,} | {row['kept']:,} | "
+            f"| {name} | {sum(outcomes.values()):,} | {outcomes['accepted']:,} | "
+            f"{outcomes['doubt']:,} | {outcomes['refused']:,} "
+            f"| {outcomes['ended']:,} | {faults:,} | {row['steps']:,} | {row['kept']:,} | "
             f"{row['slowest']:.1f} s "
             f"| {row['grown'] >> 20} MiB |"
         )

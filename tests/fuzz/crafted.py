@@ -75,11 +75,11 @@ class _Coder:
         self._base += step
         if self._base > 0xFFFFFFFF:
             self._base &= 0xFFFFFFFF
-            at = len(self.out) - 1
-            while self.out[at] == 0xFF:
-                self.out[at] = 0
-                at -= 1
-            self.out[at] += 1
+            place = len(self.out) - 1
+            while self.out[place] == 0xFF:
+                self.out[place] = 0
+                place -= 1
+            self.out[place] += 1
 
 
 def switches(n: int) -> bytes:
@@ -102,17 +102,17 @@ def overflowing(n: int = 200_000, name: str = "pf6.laz") -> bytes:
     start = struct.unpack_from("<I", sound, 96)[0]
     length = struct.unpack_from("<H", sound, 105)[0]
     (table_at,) = struct.unpack_from("<q", sound, start)
-    at = start + 8 + length
+    place = start + 8 + length
     # one chunk: number of records, sizes of the layers, layers; extra bytes have a layer each
     n_extra = length - {"pf6.laz": 30, "pf7.laz": 36}[name]
     more = {"pf6.laz": 0, "pf7.laz": 1}[name]
     head = struct.Struct(f"<{1 + _N_LAYERS + more + n_extra}I")
-    n_records, *sizes = head.unpack_from(sound, at)
-    first = at + head.size + sum(sizes[:_GPS_TIME])
+    n_records, *sizes = head.unpack_from(sound, place)
+    first = place + head.size + sum(sizes[:_GPS_TIME])
     layer = switches(n)
-    body = sound[at + head.size : first] + layer + sound[first + sizes[_GPS_TIME] : table_at]
+    body = sound[place + head.size : first] + layer + sound[first + sizes[_GPS_TIME] : table_at]
     sizes[_GPS_TIME] = len(layer)
-    chunk = sound[start + 8 : at] + head.pack(n_records, *sizes) + body
+    chunk = sound[start + 8 : place] + head.pack(n_records, *sizes) + body
     out = io.BytesIO(sound[:start] + struct.pack("<q", start + 8 + len(chunk)) + chunk)
     out.seek(0, 2)
     vlr = next(data for data in _vlrs(sound) if data[:16].rstrip(b"\0") == b"laszip encoded")
@@ -125,13 +125,13 @@ def overflowing(n: int = 200_000, name: str = "pf6.laz") -> bytes:
 
 def _vlrs(data: bytes) -> list[bytes]:
     """Return the VLRs from their user id on."""
-    at = struct.unpack_from("<H", data, 94)[0]
-    found = []
+    offset = struct.unpack_from("<H", data, 94)[0]
+    records = []
     for _ in range(struct.unpack_from("<I", data, 100)[0]):
-        n = struct.unpack_from("<H", data, at + 20)[0]
-        found.append(data[at + 2 : at + 54 + n])
-        at += 54 + n
-    return found
+        n = struct.unpack_from("<H", data, offset + 20)[0]
+        records.append(data[offset + 2 : offset + 54 + n])
+        offset += 54 + n
+    return records
 
 
 def endless_rows(path: Path, table: str) -> Path:
@@ -149,11 +149,13 @@ def endless_rows(path: Path, table: str) -> Path:
     n_pages = len(data) // size
     n_cells = (size - 12) // 7
     children = [*range(n_pages + 1, n_pages + 5), n_pages + 5]
-    at = [(size - 5 * (i + 1)) for i in range(n_cells)]
+    places = [(size - 5 * (i + 1)) for i in range(n_cells)]
 
     def inner(child: int) -> bytes:
-        page = bytearray(struct.pack(">BHHHBI", 5, 0, n_cells, at[-1], 0, child)).ljust(size, b"\0")
-        for i, place in enumerate(at):
+        page = bytearray(struct.pack(">BHHHBI", 5, 0, n_cells, places[-1], 0, child)).ljust(
+            size, b"\0"
+        )
+        for i, place in enumerate(places):
             struct.pack_into(">H", page, 12 + 2 * i, place)
             struct.pack_into(">IB", page, place, child, 100)
         return bytes(page)
@@ -192,21 +194,21 @@ def huge_page(path: Path) -> Path:
     pq.write_table(pa.table(columns), path, use_dictionary=False, compression="snappy")
     data = path.read_bytes()
     with pq.ParquetFile(path) as file:
-        at = file.metadata.row_group(0).column(1).data_page_offset
+        offset = file.metadata.row_group(0).column(1).data_page_offset
     # type, size and stored size of the page; the longer size takes two bytes from its end
-    kind = data[at : at + 3]
-    size = data[at + 3 : at + 6]
-    stored = data[at + 6 : at + 10]
-    rest = data[at + 10 :]
+    kind = data[offset : offset + 3]
+    size = data[offset + 3 : offset + 6]
+    stored = data[offset + 6 : offset + 10]
+    rest = data[offset + 10 :]
     assert (kind[2], stored[0], size[2] >> 7, stored[3] >> 7) == (0x15, 0x15, 0, 0)
     stored = bytes([stored[0], stored[1] - 4, *stored[2:]])
-    end = at + 10 + (stored[1] & 0x7F | (stored[2] & 0x7F) << 7 | stored[3] << 14) // 2
+    end = offset + 10 + (stored[1] & 0x7F | (stored[2] & 0x7F) << 7 | stored[3] << 14) // 2
     path.write_bytes(
-        data[:at]
+        data[:offset]
         + kind
         + b"\xfe\xff\xff\xff\x0f"
         + stored
-        + rest[: end - at - 10]
+        + rest[: end - offset - 10]
         + data[end + 2 :]
     )
     return path

@@ -86,8 +86,8 @@ class Guard:
             return
         self._inside = True
         try:
-            if found := self._judge(event, arguments):
-                self.seen.append(found)
+            if fault := self._judge(event, arguments):
+                self.seen.append(fault)
         finally:
             self._inside = False
 
@@ -105,8 +105,8 @@ class Guard:
             outside = [name for name in names if not self._allowed(name)]
             return f"{event} {outside!r}" if outside else ""
         if event.startswith(FORBIDDEN):
-            own = event == "ctypes.dlopen" and arguments[0] is None  # the process itself
-            return "" if own or _is_import() else f"{event} {arguments!r}"[:300]
+            is_process = event == "ctypes.dlopen" and arguments[0] is None  # the process itself
+            return "" if is_process or _is_import() else f"{event} {arguments!r}"[:300]
         if event == "exec":
             code = arguments[0]
             plain = isinstance(code, CodeType) and (

@@ -55,17 +55,17 @@ def _put_back(data: bytes, sound: bytes) -> Iterator[bytes]:
     n = min(len(data), len(sound))
     size = n
     while size:
-        for at in range(0, n, size):
-            if data[at : at + size] != sound[at : at + size]:
-                yield data[:at] + sound[at : at + size] + data[at + size :]
+        for start in range(0, n, size):
+            if data[start : start + size] != sound[start : start + size]:
+                yield data[:start] + sound[start : start + size] + data[start + size :]
         size //= 4
 
 
 def _left_out(data: bytes, sound: bytes) -> Iterator[bytes]:
     size = len(data) // 2
     while size:
-        for at in range(len(data) - size, -1, -size):
-            yield data[:at] + data[at + size :]
+        for start in range(len(data) - size, -1, -size):
+            yield data[:start] + data[start + size :]
         size //= 4
 
 
@@ -116,14 +116,14 @@ class Tracer:
     def fresh(self) -> list[str]:
         """Return the steps that were taken for the first time, in words that are the same in every
         process."""
-        found = []
+        steps_taken = []
         for name, steps in self._data.items():
             known = self._known.setdefault(name, set())
             if len(steps) != len(known):
                 short = name.removeprefix(f"{_ROOT}/")
-                found += [f"{short}:{step:x}" for step in steps - known]
+                steps_taken += [f"{short}:{step:x}" for step in steps - known]
                 known |= steps
-        return found
+        return steps_taken
 
 
 def _choose(name: str, frame: FrameType) -> Any:

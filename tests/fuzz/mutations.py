@@ -112,8 +112,8 @@ WORDS = (
 
 def flip_bits(data: bytearray, rng: random.Random) -> bytearray:
     for _ in range(rng.choice((1, 1, 2, 8))):
-        at = rng.randrange(len(data))
-        data[at] ^= 1 << rng.randrange(8)
+        place = rng.randrange(len(data))
+        data[place] ^= 1 << rng.randrange(8)
     return data
 
 
@@ -136,8 +136,8 @@ def cut_middle(data: bytearray, rng: random.Random) -> bytearray:
 def repeat(data: bytearray, rng: random.Random) -> bytearray:
     start = rng.randrange(len(data))
     piece = data[start : start + rng.choice((1, 4, 30, 300, 3000))]
-    at = rng.choice((start, rng.randrange(len(data))))
-    return data[:at] + piece * rng.choice((1, 2, 50)) + data[at:]
+    place = rng.choice((start, rng.randrange(len(data))))
+    return data[:place] + piece * rng.choice((1, 2, 50)) + data[place:]
 
 
 def fill(data: bytearray, rng: random.Random) -> bytearray:
@@ -148,12 +148,12 @@ def fill(data: bytearray, rng: random.Random) -> bytearray:
 
 
 def insert_run(data: bytearray, rng: random.Random) -> bytearray:
-    at = rng.randrange(len(data) + 1)
+    place = rng.randrange(len(data) + 1)
     return (
-        data[:at]
+        data[:place]
         + bytes([rng.choice((0, 0xFF, 0x0A, 0x20, 0x39))])
         * rng.choice((10, 1000, 100_000, 1_200_000))
-        + data[at:]
+        + data[place:]
     )
 
 
@@ -162,13 +162,13 @@ def set_number(data: bytearray, rng: random.Random) -> bytearray:
     size, code = rng.choice(((1, "<B"), (2, "<H"), (4, "<I"), (8, "<Q"), (4, ">I"), (8, ">Q")))
     if len(data) <= size:
         return data
-    at = (
+    place = (
         rng.randrange(min(len(data), rng.choice((64, 400, 10**9))) - size + 1)
         if len(data) > size
         else 0
     )
     value = rng.choice((*NUMBERS, len(data), rng.randrange(2 * len(data))))
-    struct.pack_into(code, data, at, value % (1 << (8 * size)))
+    struct.pack_into(code, data, place, value % (1 << (8 * size)))
     return data
 
 
@@ -176,9 +176,9 @@ def nudge_number(data: bytearray, rng: random.Random) -> bytearray:
     size, code = rng.choice(((2, "<H"), (4, "<I"), (8, "<Q")))
     if len(data) <= size:
         return data
-    at = rng.randrange(min(len(data), rng.choice((400, 10**9))) - size + 1)
-    value = struct.unpack_from(code, data, at)[0] + rng.choice((-1000, -2, -1, 1, 2, 10, 1000))
-    struct.pack_into(code, data, at, value % (1 << (8 * size)))
+    place = rng.randrange(min(len(data), rng.choice((400, 10**9))) - size + 1)
+    value = struct.unpack_from(code, data, place)[0] + rng.choice((-1000, -2, -1, 1, 2, 10, 1000))
+    struct.pack_into(code, data, place, value % (1 << (8 * size)))
     return data
 
 
@@ -198,17 +198,17 @@ def set_float(data: bytearray, rng: random.Random) -> bytearray:
 
 def set_word(data: bytearray, rng: random.Random) -> bytearray:
     """Another word in place of a number, a name or a cell of a text."""
-    found = list(re.finditer(rb"[^\s,=;\[\]{}\"':#]+", bytes(data[:200_000])))
-    if not found:
+    words = list(re.finditer(rb"[^\s,=;\[\]{}\"':#]+", bytes(data[:200_000])))
+    if not words:
         return data
-    word = rng.choice(found[: rng.choice((12, 60, len(found)))])
-    new = rng.choice((*WORDS, bytes(rng.choice(found).group())))
+    word = rng.choice(words[: rng.choice((12, 60, len(words)))])
+    new = rng.choice((*WORDS, bytes(rng.choice(words).group())))
     return data[: word.start()] + new + data[word.end() :]
 
 
 def insert_word(data: bytearray, rng: random.Random) -> bytearray:
-    at = rng.randrange(len(data) + 1)
-    return data[:at] + rng.choice(WORDS) + data[at:]
+    place = rng.randrange(len(data) + 1)
+    return data[:place] + rng.choice(WORDS) + data[place:]
 
 
 def move_line(data: bytearray, rng: random.Random) -> bytearray:
@@ -252,7 +252,7 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
     """Lie in a field of the header, of a VLR, of the laszip VLR or of the table of chunks."""
     if len(data) < 375:
         return data
-    at, code = rng.choice(
+    offset, code = rng.choice(
         (
             (24, "B"),
             (25, "B"),
@@ -279,7 +279,7 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
         vlrs = _las_vlrs(data)
         if vlrs:
             start = rng.choice(vlrs)
-            at, code = rng.choice(
+            offset, code = rng.choice(
                 (
                     (start + 18, "H"),
                     (start + 20, "H"),
@@ -290,7 +290,7 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
     elif rng.random() < 0.3:
         where = struct.unpack_from("<I", data, 96)[0]
         table = struct.unpack_from("<q", data, where)[0] if where + 8 < len(data) else 0
-        at, code = rng.choice(
+        offset, code = rng.choice(
             (
                 (where, "q"),
                 (max(table, 0), "I"),
@@ -301,12 +301,12 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
             )
         )
     size = struct.calcsize(code)
-    if at + size > len(data):
+    if offset + size > len(data):
         return data
     if code == "d":
-        struct.pack_into("<d", data, at, rng.choice(FLOATS))
+        struct.pack_into("<d", data, offset, rng.choice(FLOATS))
         return data
-    old = struct.unpack_from("<" + code, data, at)[0]
+    old = struct.unpack_from("<" + code, data, offset)[0]
     value = rng.choice(
         (*NUMBERS, old + 1, old - 1, old * 2, len(data), len(data) - 1, rng.randrange(len(data)))
     )
@@ -315,21 +315,21 @@ def las_field(data: bytearray, rng: random.Random) -> bytearray:
     struct.pack_into(
         "<" + code,
         data,
-        at,
+        offset,
         value - (1 << bits) if code == "q" and value >= 1 << (bits - 1) else value,
     )
     return data
 
 
 def _las_vlrs(data: bytearray) -> list[int]:
-    at = struct.unpack_from("<H", data, 94)[0]
-    found = []
+    offset = struct.unpack_from("<H", data, 94)[0]
+    records = []
     for _ in range(min(struct.unpack_from("<I", data, 100)[0], 50)):
-        if at + 54 > len(data):
+        if offset + 54 > len(data):
             break
-        found.append(at)
-        at += 54 + struct.unpack_from("<H", data, at + 20)[0]
-    return found
+        records.append(offset)
+        offset += 54 + struct.unpack_from("<H", data, offset + 20)[0]
+    return records
 
 
 def las_grow_vlr(data: bytearray, rng: random.Random) -> bytearray:
@@ -337,7 +337,8 @@ def las_grow_vlr(data: bytearray, rng: random.Random) -> bytearray:
     if len(data) < 375:
         return data
     size, start, count = (
-        struct.unpack_from(code, data, at)[0] for code, at in (("<H", 94), ("<I", 96), ("<I", 100))
+        struct.unpack_from(code, data, offset)[0]
+        for code, offset in (("<H", 94), ("<I", 96), ("<I", 100))
     )
     content = rng.choice(
         (
@@ -422,14 +423,14 @@ def zip_member(data: bytearray, rng: random.Random) -> bytearray:
         return data
     if not members:
         return data
-    at = rng.randrange(len(members))
-    name, content = members[at]
+    number = rng.randrange(len(members))
+    name, content = members[number]
     how = rng.randrange(6)
     if how <= 2:
         mutation = rng.choice((npy_header, flip_bits, set_number, cut, fill))
-        members[at] = name, bytes(mutation(bytearray(content), rng))
+        members[number] = name, bytes(mutation(bytearray(content), rng))
     elif how == 3:
-        members[at] = (
+        members[number] = (
             rng.choice(
                 (
                     "../../evil.npy",
@@ -446,12 +447,12 @@ def zip_member(data: bytearray, rng: random.Random) -> bytearray:
     elif how == 4:
         n = rng.choice((10**6, 4 * 10**6))
         head = _header(shape=f"({n // 96}, 24)") + "\n"
-        members[at] = (
+        members[number] = (
             name,
             b"\x93NUMPY\x01\0" + struct.pack("<H", len(head)) + head.encode() + bytes(n // 96 * 96),
         )
     else:
-        members.pop(at)
+        members.pop(number)
     out = io.BytesIO()
     import warnings
 
@@ -508,7 +509,9 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
     try:
         start, length = xml_section(bytes(data))
         pages = bytes(data)[start // 1024 * 1024 :]
-        payload = b"".join(pages[at : at + 1020] for at in range(0, len(pages), 1024))
+        payload = b"".join(
+            pages[page_start : page_start + 1020] for page_start in range(0, len(pages), 1024)
+        )
         xml = payload[start % 1024 : start % 1024 + length]
         how = rng.randrange(4)
         if how == 0:
@@ -527,8 +530,8 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
             numbers = list(re.finditer(rb">-?[0-9.e+-]+<|\"-?[0-9.e+-]+\"", xml))
             if not numbers:
                 return data
-            found = rng.choice(numbers)
-            ends = found.group()[:1], found.group()[-1:]
+            number = rng.choice(numbers)
+            ends = number.group()[:1], number.group()[-1:]
             word = rng.choice(
                 (
                     b"%d" % rng.choice(NUMBERS),
@@ -540,7 +543,7 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
                     b"",
                 )
             )
-            new = xml[: found.start()] + ends[0] + word + ends[1] + xml[found.end() :]
+            new = xml[: number.start()] + ends[0] + word + ends[1] + xml[number.end() :]
         else:
             new = bytes(set_word(bytearray(xml), rng))
         return bytearray(replace_xml(bytes(data), xml, new)) if new and new != xml else data
@@ -554,7 +557,7 @@ def head_word(data: bytearray, rng: random.Random) -> bytearray:
     words = list(re.finditer(rb"[^\s]+", bytes(data[:end])))
     if not words:
         return data
-    found = rng.choice(words)
+    chosen = rng.choice(words)
     word = rng.choice(
         (
             b"%d" % rng.choice(NUMBERS),
@@ -566,14 +569,14 @@ def head_word(data: bytearray, rng: random.Random) -> bytearray:
             rng.choice(words).group(),
         )
     )
-    return data[: found.start()] + word + data[found.end() :]
+    return data[: chosen.start()] + word + data[chosen.end() :]
 
 
 def sbet_value(data: bytearray, rng: random.Random) -> bytearray:
     if len(data) < 136:
         return data
-    at = rng.randrange(len(data) // 136) * 136 + 8 * rng.randrange(4)
-    struct.pack_into("<d", data, at, rng.choice((*FLOATS, rng.uniform(-10, 10))))
+    place = rng.randrange(len(data) // 136) * 136 + 8 * rng.randrange(4)
+    struct.pack_into("<d", data, place, rng.choice((*FLOATS, rng.uniform(-10, 10))))
     return data
 
 
@@ -607,7 +610,7 @@ MAX_BYTES = 16 << 20
 def mutate(data: bytes, suffix: str, seed: int) -> bytes:
     """Return a damaged copy, never empty."""
     rng = random.Random(seed)
-    found = bytearray(data)
+    content = bytearray(data)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        found = rng.choice(MUTATIONS.get(suffix, PLAIN))(found or bytearray(b"\0"), rng)
-    return bytes(found[:MAX_BYTES]) or b"\0"
+        content = rng.choice(MUTATIONS.get(suffix, PLAIN))(content or bytearray(b"\0"), rng)
+    return bytes(content[:MAX_BYTES]) or b"\0"

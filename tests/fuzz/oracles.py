@@ -45,7 +45,7 @@ def judge_las(command: str, case: Path, out: Path) -> list[str]:
     faults = []
     before, refusal = read_las(case) if case.suffix in (".las", ".laz") else (None, None)
     for path in (*out.glob("*.las"), *out.glob("*.laz")):
-        found, error = read_las(path)
+        cloud, error = read_las(path)
         if error is not None:
             # headers that it refuses and we do not are copied as they are; records must be sound
             if (
@@ -55,20 +55,20 @@ def judge_las(command: str, case: Path, out: Path) -> list[str]:
             ):
                 faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
         elif before is not None and command in ("classify", "convert"):
-            faults += _differences(before, found)
+            faults += _differences(before, cloud)
     return faults
 
 
-def _differences(before: Any, found: Any) -> list[str]:
-    if len(before.points) != len(found.points):
-        return [f"{len(found.points)} records of {len(before.points)}"]
-    if before.point_format.id != found.point_format.id:
+def _differences(before: Any, after: Any) -> list[str]:
+    if len(before.points) != len(after.points):
+        return [f"{len(after.points)} records of {len(before.points)}"]
+    if before.point_format.id != after.point_format.id:
         return []
     faults = []
-    same = set(before.points.array.dtype.names) & set(found.points.array.dtype.names)
+    same = set(before.points.array.dtype.names) & set(after.points.array.dtype.names)
     for name in sorted(same - {"classification", "raw_classification"}):
         old = before.points.array[name]
-        new = found.points.array[name]
+        new = after.points.array[name]
         if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
             differ = sum(a.tobytes() != b.tobytes() for a, b in zip(old, new, strict=True))
             faults.append(f"{name} differs in {differ} records")
@@ -102,9 +102,9 @@ def judge_labels(
         # a record without a cell
         expected = np.full(written.size, _config().config.classes.unclassified, np.uint8)
         for item in items:
-            for numbers, found in _numbered(item):
+            for numbers, block_labels in _numbered(item):
                 there = (numbers >= 0) & (numbers < written.size)
-                expected[numbers[there]] = codes[found[there]]
+                expected[numbers[there]] = codes[block_labels[there]]
         if not np.array_equal(written.ravel(), expected):
             n = np.count_nonzero(written.ravel() != expected)
             faults.append(
@@ -118,10 +118,10 @@ def judge_labels(
 
 
 def _numbered(item: LabelledBlock) -> list[tuple[Any, Any]]:
-    found = [(np.asarray(item.block.record).ravel(), item.labels.ravel())]
+    numbered = [(np.asarray(item.block.record).ravel(), item.labels.ravel())]
     if len(item.block.extra):
-        found.append((item.block.extra.record, item.extra_labels))
-    return found
+        numbered.append((item.block.extra.record, item.extra_labels))
+    return numbered
 
 
 def _judge_untouched(items: list[LabelledBlock], sound: Path) -> list[str]:
@@ -154,12 +154,12 @@ def _is_same(undamaged: dict[tuple[int, int], tuple[Any, Any]], item: LabelledBl
 def _sound_blocks(sound: str) -> dict[tuple[int, int], tuple[Any, Any]]:
     """Return ranges and labels of every block of an undamaged file, by scanner and line."""
     try:
-        found = _items(Path(sound))
+        blocks = _items(Path(sound))
     except PrcError:  # a seed for other commands
         return {}
     return {
         (item.block.scanner, item.block.first_line): (item.block.range_m, item.labels)
-        for item in found
+        for item in blocks
     }
 
 
@@ -172,21 +172,21 @@ def _judge_read(
     """Let laspy decode everything and write it anew; the labels must be the same."""
     if case.suffix not in (".las", ".laz"):
         return []
-    found, error = read_las(case)
-    if error is not None or len(found.points) != len(written):
+    cloud, error = read_las(case)
+    if error is not None or len(cloud.points) != len(written):
         return []
     again = scratch / "again.las"
     labels = scratch / "again.npy"
     try:
-        found.evlrs = None
-        found.write(again)
+        cloud.evlrs = None
+        cloud.write(again)
     except Exception:  # of a header that can be read and not written
         return []
     try:
         if classify(str(again), str(labels)) not in (0, 4):
             return []
-        other = np.load(labels)
-        n = np.count_nonzero(other != written) if other.shape == written.shape else -1
+        codes = np.load(labels)
+        n = np.count_nonzero(codes != written) if codes.shape == written.shape else -1
         return [f"labels: {n} of {len(written)} differ from those of what laspy read"] if n else []
     finally:
         for path in scratch.glob("again.*"):

@@ -303,11 +303,15 @@ def _recorded(name: str) -> bytes:
         lists = [[[3.0, 5.0 + i], [], [7.0]] for i in range(12)]
         kind = "sensor_msgs/msg/MultiEchoLaserScan"
         many = [
-            made.echoes(made.STORES[2], made.START_NS + i, one, one) for i, one in enumerate(lists)
+            made.echoes(made.STORES[2], made.START_NS + i, echo_list, echo_list)
+            for i, echo_list in enumerate(lists)
         ]
         sent = [
             *clouds,
-            *(made.Sent("/echoes", kind, made.START_NS + i, one) for i, one in enumerate(many)),
+            *(
+                made.Sent("/echoes", kind, made.START_NS + i, echo_list)
+                for i, echo_list in enumerate(many)
+            ),
         ]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -589,9 +593,9 @@ def las_count_offset(data: bytes) -> tuple[int, str]:
 
 def las_vlrs(data: bytes) -> list[int]:
     """First byte of every VLR of a valid LAS file."""
-    at = struct.unpack_from("<H", data, 94)[0]
-    found = []
+    offset = struct.unpack_from("<H", data, 94)[0]
+    records = []
     for _ in range(struct.unpack_from("<I", data, 100)[0]):
-        found.append(at)
-        at += 54 + struct.unpack_from("<H", data, at + 20)[0]
-    return found
+        records.append(offset)
+        offset += 54 + struct.unpack_from("<H", data, offset + 20)[0]
+    return records

@@ -184,14 +184,14 @@ class Target:
 
     seeds: tuple[str, ...]
     commands: tuple[tuple[str, ...], ...]
-    given: str = ""
+    inside: str = ""
     """What commands are given where the seeds are files of a folder."""
 
     @property
     def many(self) -> tuple[str, ...]:
         """Return the seeds that are put beside each other."""
-        top = self.given.split("/")[0] + "/"
-        return tuple(name for name in SEEDS if name.startswith(top)) if self.given else ()
+        top = self.inside.split("/")[0] + "/"
+        return tuple(name for name in SEEDS if name.startswith(top)) if self.inside else ()
 
 
 TARGETS: dict[str, Target] = {
@@ -205,7 +205,7 @@ TARGETS: dict[str, Target] = {
     "echopulse": Target(
         tuple(name for name in SEEDS if name.startswith("pulses/")),
         (LABELLED, *READ),
-        given="pulses/pulse-uint8-n_echo.bin",
+        inside="pulses/pulse-uint8-n_echo.bin",
     ),
     "state": Target(
         tuple(name for name in SEEDS if name.startswith(f"{STATE}/.prc/")),
@@ -215,7 +215,7 @@ TARGETS: dict[str, Target] = {
             ("batch", "clean", "{case}", "--dry-run"),
             ("batch", "clean", "{case}", "--forget", "{seeds}"),
         ),
-        given=STATE,
+        inside=STATE,
     ),
     "record": Target(
         ("labelled/a.npy.prc.json",),
@@ -224,7 +224,7 @@ TARGETS: dict[str, Target] = {
             ("evaluate", "{case}", "{case}", "--format", "json"),
             ("render", "{seeds}/a.npy", "{out}/o.png", "--labels", "{case}", *_SMALL),
         ),
-        given="labelled/a.npy",
+        inside="labelled/a.npy",
     ),
     "raw": Target(
         ("a.bin", "f4.bin"),
@@ -337,21 +337,21 @@ def lay(
     """
     for old in folder.glob(f"{stem}.*"):
         old.unlink()
-    if not target.given:
+    if not target.inside:
         case = folder / f"{stem}{suffix_of_seed(name)}"
         case.write_bytes(data)
         return case
     shutil.rmtree(folder / name.split("/")[0], ignore_errors=True)
-    for each in target.many:
-        path = folder / each
+    for seed_name in target.many:
+        path = folder / seed_name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data if each == name else seed(each))
-    return folder / target.given
+        path.write_bytes(data if seed_name == name else seed(seed_name))
+    return folder / target.inside
 
 
 def sound_of(seeds: Path, target: Target, name: str) -> Path:
     """Return the undamaged seed as a command would be given it."""
-    return seeds / (target.given or name)
+    return seeds / (target.inside or name)
 
 
 def arguments(

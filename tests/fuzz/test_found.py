@@ -107,7 +107,9 @@ def test_laz_that_is_copied_is_checked_first(
     sound = seed(name)
     start = struct.unpack_from("<I", sound, 96)[0]
     table = struct.unpack_from("<q", sound, start)[0]
-    laszip = next(at for at in las_vlrs(sound) if sound[at + 2 : at + 16] == b"laszip encoded")
+    laszip = next(
+        offset for offset in las_vlrs(sound) if sound[offset + 2 : offset + 16] == b"laszip encoded"
+    )
     many, no_items, no_records = (bytearray(sound) for _ in range(3))
     struct.pack_into(
         "<I", many, table + 4, 168_430_090
@@ -129,8 +131,8 @@ def test_laz_that_is_copied_is_checked_first(
 def zeroed(content: bytes, number: int, n_zeros: int = 64) -> bytes:
     """Some bytes of the body of a LAZ file become zeros, as a bad block of a disk leaves them."""
     start = struct.unpack_from("<I", content, 96)[0] + 8
-    at = int(np.random.default_rng(number).integers(start, len(content) - n_zeros))
-    return content[:at] + bytes(n_zeros) + content[at + n_zeros :]
+    zeros_start = int(np.random.default_rng(number).integers(start, len(content) - n_zeros))
+    return content[:zeros_start] + bytes(n_zeros) + content[zeros_start + n_zeros :]
 
 
 def test_damaged_laz_does_not_come_out_damaged(
@@ -209,9 +211,9 @@ def test_a_journal_with_numbers_without_end(
     """Infinity is no integer: a traceback."""
     (tmp_path / ".prc").mkdir()
     journal = put(tmp_path / ".prc" / "journal.sqlite", seed("state/.prc/journal.sqlite"))
-    with contextlib.closing(sqlite3.connect(journal)) as own:
-        own.execute(statement)
-        own.commit()
+    with contextlib.closing(sqlite3.connect(journal)) as journal_file:
+        journal_file.execute(statement)
+        journal_file.commit()
     for words in (("status",), ("status", "--json"), ("clean", "--dry-run")):
         code, printed = run(capfd, "batch", words[0], tmp_path, *words[1:])
         assert code in (0, 1), printed

@@ -78,7 +78,7 @@ def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], na
 
 
 @pytest.mark.parametrize(
-    ("stem", "table"), [pytest.param(*each, id=each[0]) for each in all_found()]
+    ("stem", "table"), [pytest.param(*case, id=case[0]) for case in all_found()]
 )
 def test_what_a_campaign_found_is_mended(
     worker: tuple[WatchedWorker, Path], stem: str, table: dict[str, object]
@@ -208,25 +208,25 @@ def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> No
     """Up to the cut, and it says so, or it is refused."""
     data = seed(name)
     path = tmp_path / f"a{suffix_of_seed(name)}"
-    found = []
-    told = []
+    lengths = []
+    errors = []
     (tmp_path / "a.json").write_bytes(seed("ouster.json"))
     for edge in (*range(len(data) // 9, len(data), len(data) // 9), len(data) - 1, len(data)):
         path.write_bytes(data[:edge])
         try:
             stream = open_images(path, InputConfig())
             n_lines = sum(block.n_lines for block in stream.blocks())
-            found.append(
+            lengths.append(
                 (n_lines, any("read up to there" in note for note in stream.info.facts.notes))
             )
         except PrcError as error:
-            told.append(error.where)
-    whole = found[-1][0]
-    assert all(where.startswith(str(path)) for where in told)
-    assert found == sorted(found, key=lambda one: one[0])
-    assert all(is_told for n_lines, is_told in found if n_lines < whole)
+            errors.append(error.where)
+    whole = lengths[-1][0]
+    assert all(where.startswith(str(path)) for where in errors)
+    assert lengths == sorted(lengths, key=lambda pair: pair[0])
+    assert all(is_told for n_lines, is_told in lengths if n_lines < whole)
     # bags without their index are refused
-    assert name.endswith(("bag", "mcap", "db3")) or len(found) > 3
+    assert name.endswith(("bag", "mcap", "db3")) or len(lengths) > 3
 
 
 @settings(max_examples=60)

@@ -59,14 +59,14 @@ class WatchedWorker:
         """Run a command as the user does, under the guard."""
         ended, left = self._end_of(command, case)
         faults = []
-        told = ended.stderr.decode("utf-8", "replace")
+        printed = ended.stderr.decode("utf-8", "replace")
         if ended.returncode not in (0, 1, 2, 4):
-            faults.append(f"guard: exit code {ended.returncode}, printed {told[-300:]!r}")
+            faults.append(f"guard: exit code {ended.returncode}, printed {printed[-300:]!r}")
         if ended.returncode in (1, 2) and (
-            left or told.count("error: ") != 1 or "Traceback" in told
+            left or printed.count("error: ") != 1 or "Traceback" in printed
         ):
             faults.append(
-                f"guard: exit code {ended.returncode}, left {left}, printed {told[-300:]!r}"
+                f"guard: exit code {ended.returncode}, left {left}, printed {printed[-300:]!r}"
             )
         return {"code": ended.returncode, "seconds": 0.0, "grown": 0, "faults": faults}
 

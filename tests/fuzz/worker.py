@@ -63,10 +63,10 @@ class Worker:
     """
 
     def __init__(self, folder: Path) -> None:
-        own = f"of-{os.getppid()}"
+        folder_name = f"of-{os.getppid()}"
         self._seeds = folder / "seeds"
-        self._out = folder / f"out-{own}"
-        self._scratch = folder / f"tmp-{own}"
+        self._out = folder / f"out-{folder_name}"
+        self._scratch = folder / f"tmp-{folder_name}"
         for made in (self._out, self._scratch):
             shutil.rmtree(made, ignore_errors=True)  # of one that died
             made.mkdir()
@@ -76,7 +76,7 @@ class Worker:
         caches = () if compiled is None else (compiled,)
         self._guard = Guard((self._out, self._scratch, folder / STATE, cache_folder(), *caches))
         self._tracer = Tracer()
-        self._printed = (folder / f"printed-{own}").open("w+b")
+        self._printed = (folder / f"printed-{folder_name}").open("w+b")
         for descriptor in (1, 2):
             os.dup2(self._printed.fileno(), descriptor)
 
@@ -103,9 +103,9 @@ class Worker:
                 )
         seconds = time.process_time() - start
         faults += [
-            f"warning: {one.message}\nFile {one.filename} line {one.lineno}"
-            for one in warned
-            if "prc_cli" in one.filename or issubclass(one.category, RuntimeWarning)
+            f"warning: {warning.message}\nFile {warning.filename} line {warning.lineno}"
+            for warning in warned
+            if "prc_cli" in warning.filename or issubclass(warning.category, RuntimeWarning)
         ]
         faults += [f"guard: {event}" for event in seen[:3]]
         grown = _peak() - before
@@ -114,9 +114,9 @@ class Worker:
         panicked = False
         said = ""
         if "command" in job:
-            found, said = self._judge_output(job, code)
+            verdict, said = self._judge_output(job, code)
             panicked = "panicked at" in said
-            faults += found
+            faults += verdict
         return {
             "code": code,
             "seconds": seconds,
@@ -142,10 +142,10 @@ class Worker:
     def _command(self, job: dict[str, Any]) -> Any:
         from prc_cli.cli import _run
 
-        given = arguments(tuple(job["command"]), job["case"], str(self._out), str(self._seeds))
+        words = arguments(tuple(job["command"]), job["case"], str(self._out), str(self._seeds))
         with self._streams(job):
             try:
-                return _run(given, debug=False)
+                return _run(words, debug=False)
             except SystemExit as left:
                 return left.code
 
@@ -182,12 +182,12 @@ class Worker:
         self._printed.seek(0)
         text = self._printed.read(4 << 20).decode("utf-8", "surrogateescape")
         if bad := unprintable(text):
-            at = min(text.index(character) for character in bad)
-            faults.append(f"printed {bad!r}: {text[max(0, at - 60) : at + 40]!r}")
+            place = min(text.index(character) for character in bad)
+            faults.append(f"printed {bad!r}: {text[max(0, place - 60) : place + 40]!r}")
         if "Traceback (most recent" in text:
             faults.append("printed " + text[:500])
-        told = '"doubts": [' in text and '"doubts": []' not in text  # by --json
-        if code == LOOK and "warning: " not in text and not told:
+        has_doubts = '"doubts": [' in text and '"doubts": []' not in text  # by --json
+        if code == LOOK and "warning: " not in text and not has_doubts:
             faults.append(f"exit code {code} without a warning: {text[-200:]!r}")
         if code in (1, 2, 5) and "error: " not in text:
             faults.append(f"exit code {code} without a message: {text[-200:]!r}")

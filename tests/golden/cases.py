@@ -183,10 +183,10 @@ def _damaged() -> Iterator[tuple[str, str]]:
         m = "-M 361" if suffix in ("bin", "npy") else ""
         if suffix == "parquet":  # labels alone
             m = "; evaluate d.parquet ../sim-sick/ref.npy"
-        other = "csv" if suffix == "npz" else "npz"
+        another = "csv" if suffix == "npz" else "npz"
         last = (
             f"info d.{suffix} {m} ; classify d.{suffix} o.npy {m} ; convert d.{suffix} "
-            f"o.{other} {m}"
+            f"o.{another} {m}"
         )
         copy = f"@cp {source} d.{suffix}"
         yield f"damaged-{suffix}-empty", f"@write d.{suffix} '' ; {last}"

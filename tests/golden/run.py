@@ -173,12 +173,14 @@ def run_step(words: list[str], folder: Path) -> tuple[int, str, str]:
             for number in range(3):
                 os.dup2(null.fileno(), number)
         sys.stdin, sys.stdout, sys.stderr = streams
-        found = [name.read_bytes() for name in names]
+        contents = [name.read_bytes() for name in names]
     out_text = (
-        f"<{len(found[0])} bytes {digest(found[0])}>" if words[0] == "stream" else found[0].decode()
+        f"<{len(contents[0])} bytes {digest(contents[0])}>"
+        if words[0] == "stream"
+        else contents[0].decode()
     )
     shown = code if isinstance(code, (int, str)) else int(code is not None)
-    return shown, plain(out_text, folder), plain(found[1].decode(), folder)  # type: ignore[return-value]
+    return shown, plain(out_text, folder), plain(contents[1].decode(), folder)  # type: ignore[return-value]
 
 
 def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]:
@@ -210,11 +212,13 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
             for path in place.rglob("*")
             if path.is_file() and not path.name.endswith(("-wal", "-shm"))
         )
-        found = {
+        kept_files = {
             path.relative_to(place).as_posix(): digest_of_file(path, Path(folder)) for path in files
         }
         result["files"] = (
-            found if len(found) <= ONE_LINE_A_FILE else {f"{len(found)} files": digest(repr(found))}
+            kept_files
+            if len(kept_files) <= ONE_LINE_A_FILE
+            else {f"{len(kept_files)} files": digest(repr(kept_files))}
         )
     return name, result, time.monotonic() - begun
 
@@ -226,9 +230,7 @@ def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
 
     def visit(name: str) -> int:
         if name not in depth:
-            others = {
-                other for other in re.findall(r"\.\./([\w.-]+)/", cases[name]) if other != name
-            }
+            others = {case for case in re.findall(r"\.\./([\w.-]+)/", cases[name]) if case != name}
             depth[name] = 1 + max(map(visit, others), default=-1)
         return depth[name]
 
@@ -255,7 +257,7 @@ def run(
     skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
     depth = needed(cases, [name for name in chosen if name not in skipped])
     place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))
-    found: dict[str, Result] = {}
+    results: dict[str, Result] = {}
     slow = []
     # the same short names wherever the checkout lies: tables are as wide as the names in them
     place.mkdir(exist_ok=True)
@@ -271,26 +273,26 @@ def run(
                 futures = [pool.submit(run_case, name, cases[name], str(place)) for name in names]
                 for future in futures:
                     name, result, seconds = future.result()
-                    found[name] = result
+                    results[name] = result
                     slow.append((seconds, name))
     finally:
         if folder is None:
             shutil.rmtree(place, ignore_errors=True)
     slow.sort(reverse=True)
     print("slowest: " + ", ".join(f"{name} {seconds:.1f} s" for seconds, name in slow[:8]))
-    return {name: found[name] for name in chosen if name in found}, skipped
+    return {name: results[name] for name in chosen if name in results}, skipped
 
 
-def differences(kept: dict[str, Result], found: dict[str, Result]) -> list[str]:
+def differences(kept: dict[str, Result], results: dict[str, Result]) -> list[str]:
     """Return a line for everything that is not as it was kept."""
     lines = []
-    for name in sorted(found):
+    for name in sorted(results):
         if name not in kept:
             lines.append(f"{name}: not kept")
             continue
         old, new = (
             {**item, **{f"file {k}": v for k, v in item.get("files", {}).items()}}
-            for item in (kept[name], found[name])
+            for item in (kept[name], results[name])
         )
         for key in sorted((old.keys() | new.keys()) - {"files"}):
             if old.get(key) != new.get(key):
@@ -318,21 +320,21 @@ def main() -> int:
         options.folder.mkdir(parents=True)
         options.folder = options.folder.absolute()
     begun = time.monotonic()
-    found, skipped = run(options.only or ("",), options.jobs, options.folder)
+    results, skipped = run(options.only or ("",), options.jobs, options.folder)
     kept = json.loads(GOLDEN.read_text(encoding="utf-8")) if GOLDEN.exists() else {}
-    lines = differences(kept, found)
+    lines = differences(kept, results)
     if not options.only:
         lines += [
             f"{name}: kept, but no case any more"
-            for name in sorted(kept.keys() - found.keys() - set(skipped))
+            for name in sorted(kept.keys() - results.keys() - set(skipped))
         ]
     print("\n".join(lines))
     if skipped:
         print(f"skipped: {len(skipped)} cases on real scans, no folder {data_folder()}")
     n_other = len({line.split(":")[0] for line in lines if line[0] != " "})
-    print(f"{len(found)} cases in {time.monotonic() - begun:.0f} s, {n_other} differ")
+    print(f"{len(results)} cases in {time.monotonic() - begun:.0f} s, {n_other} differ")
     if options.what == "make":
-        kept = {name: kept[name] for name in all_cases() if name in kept} | found
+        kept = {name: kept[name] for name in all_cases() if name in kept} | results
         text = json.dumps(kept, indent=1, sort_keys=True, ensure_ascii=False)
         GOLDEN.write_text(text + "\n", encoding="utf-8")
         return 0

@@ -17,7 +17,7 @@ SHARED = ("made", "sim-street", "sim-sick", "sim-forest", "sim-scan", "sim-stree
 
 def half(name: str, commands: str) -> int:
     read = [
-        other for other in re.findall(r"\.\./([\w.-]+)/", commands) if other not in (*SHARED, name)
+        case for case in re.findall(r"\.\./([\w.-]+)/", commands) if case not in (*SHARED, name)
     ]
     return zlib.crc32((read or [name])[0].encode()) % 2
 
@@ -25,9 +25,9 @@ def half(name: str, commands: str) -> int:
 @pytest.mark.parametrize("number", [0, 1])
 def test_all_cases_are_as_they_were(number: int) -> None:
     chosen = [name for name, commands in all_cases().items() if half(name, commands) == number]
-    found, _ = run(chosen, 1, exact=True)
-    assert differences(json.loads(GOLDEN.read_text(encoding="utf-8")), found) == []
-    assert len(found) > 100
+    results, _ = run(chosen, 1, exact=True)
+    assert differences(json.loads(GOLDEN.read_text(encoding="utf-8")), results) == []
+    assert len(results) > 100
 
 
 def test_one_bit_is_seen() -> None:
