@@ -30,14 +30,14 @@ def scan_file(path: Path) -> Path:
         return path
     from prc_cli.formats.echopulse import count_file
 
-    found = count_file(path)
+    scan = count_file(path)
     parts = parts_of(path / METADATA)
     bags = _files_with(path, _BAG_PARTS)
-    if found is None and len(parts) > 1 and set(parts) <= set(bags):  # some may be missing here
-        found = path / METADATA
-    elif found is None and len(parts) == len(bags) == 1 and (path / METADATA).is_file():
-        found = bags[0]
-    return path if found is None else found
+    if scan is None and len(parts) > 1 and set(parts) <= set(bags):  # some may be missing here
+        scan = path / METADATA
+    elif scan is None and len(parts) == len(bags) == 1 and (path / METADATA).is_file():
+        scan = bags[0]
+    return path if scan is None else scan
 
 
 def check_input(path: Path) -> str:
@@ -57,9 +57,9 @@ def check_input(path: Path) -> str:
         problem = "not a regular file, expected an archive file (it is read more than once)"
         raise InputError(str(path), problem, "write the stream to a file first")
     if suffix not in known:
-        found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
+        what_suffix = f"unknown suffix {suffix!r}" if suffix else "no suffix"
         raise InputError(
-            str(path), f"{found}, expected one of: {' '.join(known)}", _not_a_scan(path)
+            str(path), f"{what_suffix}, expected one of: {' '.join(known)}", _not_a_scan(path)
         )
     if not path.exists():
         raise InputError(str(path), "no such file", "check the name and that the disk is mounted")
@@ -95,9 +95,8 @@ def _is_hollow(path: Path) -> bool:
 
 
 def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
-    """Return which file of a folder to name."""
-    if (own := scan_file(path)) != path:
-        return f"name the file in it: {own}"
+    if (scan := scan_file(path)) != path:
+        return f"name the file in it: {scan}"
     bags = _files_with(path, _BAG_PARTS)
     if bags and (path / METADATA).is_file():
         more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
@@ -111,12 +110,11 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
 
 
 def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    """Return the files of a folder with such suffixes, by name; none where it cannot be read."""
     try:
         return [
-            each
-            for each in sorted(folder.iterdir())
-            if suffix_of(each) in suffixes and each.is_file()
+            path
+            for path in sorted(folder.iterdir())
+            if suffix_of(path) in suffixes and path.is_file()
         ]
     except OSError:
         return []
@@ -141,8 +139,8 @@ def _not_a_scan(path: Path) -> str:
 
 def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:
     """Open an input as a list of records; None for range images and organised scans."""
-    found = by_suffix("scans")[check_input(path)]
-    return found.open_records(path, layout) if found.records else None
+    form = by_suffix("scans")[check_input(path)]
+    return form.open_records(path, layout) if form.records else None
 
 
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:

@@ -45,9 +45,9 @@ class BinaryBody:
                 wanted = min(n_at_once, self.n_records - first)
                 records = read_numbers(self.path, handle, self.dtype, wanted, first)
                 if len(records) < wanted:
-                    found = first + len(records)
-                    at = self.start + found * self.dtype.itemsize
-                    problem = f"byte {at} (record {found}): the file ends, expected {self.n_records} records"
+                    n_read = first + len(records)
+                    end_byte = self.start + n_read * self.dtype.itemsize
+                    problem = f"byte {end_byte} (record {n_read}): the file ends, expected {self.n_records} records"
                     hint = "it was cut while being read; wait until its writer is done"
                     raise InputError(str(self.path), f"{problem} as when opened", hint)
                 yield first, records, wanted

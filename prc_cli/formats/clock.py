@@ -65,13 +65,11 @@ def unit_of_positions(time: F64) -> str:
 
 
 def _mean_step(time: F64) -> float:
-    """Return the usual mean step over some records."""
     n = min(_STEPS, len(time) - 1)
     return float(np.median(np.abs(time[n:] - time[:-n]))) / n
 
 
 def _is_whole(time: F64) -> bool:
-    """Whether times are whole numbers, as counts of a small unit are."""
     return bool((time == np.rint(time)).all())
 
 
@@ -100,8 +98,8 @@ class Unwrapped:
         if len(time_s):
             self._last = float(time_s[-1])
         turns: F64 = np.zeros(len(time_s))
-        for at in jumps:
-            turns[at] = self._turn(float(before[at]), float(time_s[at]))
+        for jump in jumps:
+            turns[jump] = self._turn(float(before[jump]), float(time_s[jump]))
         if not self.added_s and not turns.any():
             return time_s
         added = self.added_s + np.cumsum(turns)
@@ -142,7 +140,7 @@ class ClockSource(DerivedSource):
         notes = []
         if self.unit != "s":
             notes.append(f"the times are in {self.unit} (input.time_unit)")
-        if any(one.n for one in self._seen):
+        if any(clock.n for clock in self._seen):
             name = self._seen[0].name
             notes.append(f"the clock begins anew at the end of the {name}: later times count on")
         return replace(facts, notes=(*facts.notes, *notes)) if notes else facts

@@ -55,7 +55,6 @@ class _Array:
 
     @classmethod
     def of(cls, path: Path) -> _Array | None:
-        """Return the array of a file; None if its name is not one."""
         match = _NAME.fullmatch(path.name)
         if match is None:
             return None
@@ -63,13 +62,11 @@ class _Array:
 
     @property
     def name(self) -> str:
-        """Name of the dimension."""
-        own = self.path.stem.split("-", 2)[2]
-        return _STANDARD.get(own, own)
+        name = self.path.stem.split("-", 2)[2]
+        return _STANDARD.get(name, name)
 
     @property
     def n(self) -> int:
-        """Number of values."""
         size = self.path.stat().st_size
         if size % self.dtype.itemsize:
             problem = f"{size} bytes are no multiple of {self.dtype.itemsize}, as the name says"
@@ -77,16 +74,15 @@ class _Array:
         return size // self.dtype.itemsize
 
     def read(self, handle: IO[bytes], n: int) -> NDArray[Any]:
-        """Return the next values."""
-        found = read_numbers(self.path, handle, self.dtype, n, 0)
-        if len(found) < n:
-            problem = f"the file ends {n - len(found)} values too early"
+        values = read_numbers(self.path, handle, self.dtype, n, 0)
+        if len(values) < n:
+            problem = f"the file ends {n - len(values)} values too early"
             raise InputError(
                 str(self.path),
                 problem,
                 "it was cut while being read; wait until its writer is done",
             )
-        return found
+        return values
 
 
 def count_file(path: Path) -> Path | None:
@@ -95,7 +91,7 @@ def count_file(path: Path) -> Path | None:
     None if it is no such folder.
     """
     files = sorted(path.glob(f"pulse-*-{COUNT}.bin")) if path.is_dir() else [path]
-    return next((each for each in files if is_count_file(each)), None)
+    return next((file for file in files if is_count_file(file)), None)
 
 
 def is_count_file(path: Path) -> bool:
@@ -120,7 +116,9 @@ class EchoPulseSource(FieldSource):
         self._count = count
         folder = path.parent
         self._arrays = {
-            each.name: each for each in map(_Array.of, sorted(folder.iterdir())) if each is not None
+            member.name: member
+            for member in map(_Array.of, sorted(folder.iterdir()))
+            if member is not None
         }
         self._n_pulses = count.n
         self._time = _read_time(folder / "time.txt", self._n_pulses)
@@ -183,14 +181,15 @@ class EchoPulseSource(FieldSource):
                         self._time[0] + self._time[1] * (first + np.arange(len(count)))
                     )[shot]
                 for key, array in arrays.items():
-                    found = array.read(handles[key], n_echoes if array.is_echo else len(count))
-                    values[key] = _spread(found, count[shot] > 0) if array.is_echo else found[shot]
+                    column = array.read(handles[key], n_echoes if array.is_echo else len(count))
+                    values[key] = (
+                        _spread(column, count[shot] > 0) if array.is_echo else column[shot]
+                    )
                 yield first_record, values, len(shot)
                 first_record = first_record + len(shot)
                 first = first + len(count)
 
     def _counts(self) -> Iterator[I64]:
-        """Yield the number of returns of consecutive shots."""
         with open_to_read(self._count.path) as handle:
             for first in range(0, self._n_pulses, CHUNK_PULSES):
                 count = self._count.read(handle, min(CHUNK_PULSES, self._n_pulses - first))

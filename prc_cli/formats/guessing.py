@@ -88,7 +88,6 @@ def frame_fields(path: Path) -> tuple[str, ...] | None:
 
 
 def _are_points(rows: F64) -> bool:
-    """Tell whether numbers are points of a frame."""
     is_known = np.isfinite(rows).all(axis=1)
     if np.mean(is_known) < LEAST_KNOWN:
         return False
@@ -116,7 +115,6 @@ def _are_points(rows: F64) -> bool:
 
 
 def _are_rings(numbers: F64) -> bool:
-    """Tell whether numbers are those of rings."""
     n = len(np.unique(numbers))
     return bool(
         LEAST_RINGS <= n <= MAX_RINGS
@@ -160,14 +158,16 @@ def guess_records(path: Path) -> Layout | None:
         return None
     # records end with the file, so a header does not move them
     rows = tail[len(tail) % period :].reshape(-1, period)
-    found = [(endian, _fields(rows, endian)) for endian in ("little", "big")]
-    endian, kinds = max(found, key=lambda one: _merit(rows, one[1], one[0]))
-    columns = {str(at): _column(rows, at, kind, endian) for at, kind in kinds}
+    readings = [(endian, _fields(rows, endian)) for endian in ("little", "big")]
+    endian, kinds = max(readings, key=lambda reading: _merit(rows, reading[1], reading[0]))
+    columns = {
+        str(first_byte): _column(rows, first_byte, kind, endian) for first_byte, kind in kinds
+    }
     named = guess_names(columns)
     fields = []
-    for at, kind in kinds:
-        name = named.get(str(at), f"field_{at}")
-        scale, missing = range_scale(columns[str(at)]) if name == "range" else (1.0, None)
+    for first_byte, kind in kinds:
+        name = named.get(str(first_byte), f"field_{first_byte}")
+        scale, missing = range_scale(columns[str(first_byte)]) if name == "range" else (1.0, None)
         fields.append({"name": name, "type": kind, "scale": scale, "missing": missing})
     header_bytes = _header_bytes(head, size, period, rows)
     return Layout.model_validate(
@@ -195,18 +195,18 @@ def byte_period(data: U8) -> int | None:
 
 def _column(
     rows: U8,
-    at: int,
+    first_byte: int,
     kind: str,
     endian: str,
 ) -> NDArray[Any]:
     dtype = np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
-    return np.ascontiguousarray(rows[:, at : at + dtype.itemsize]).view(dtype)[:, 0]
+    return np.ascontiguousarray(rows[:, first_byte : first_byte + dtype.itemsize]).view(dtype)[:, 0]
 
 
 def _float(values: NDArray[Any]) -> F64:
     with np.errstate(invalid="ignore"):  # misread bytes may be signalling NaN
-        found: F64 = values.astype(np.float64)
-    return found
+        number: F64 = values.astype(np.float64)
+    return number
 
 
 def _fields(rows: U8, endian: str) -> list[tuple[int, str]]:
@@ -214,14 +214,14 @@ def _fields(rows: U8, endian: str) -> list[tuple[int, str]]:
     width = rows.shape[1]
     # best merit, and the fields, of what is left behind every byte
     best: list[tuple[float, list[tuple[int, str]]]] = [(0.0, [])] * (width + 1)
-    for at in range(width - 1, -1, -1):
+    for first_byte in range(width - 1, -1, -1):
         ways = []
         for kind in _TRIED:
-            stop = at + np.dtype(kind).itemsize
-            if stop <= width and _makes_sense(_column(rows, at, kind, endian)):
-                merit = _merit(rows, [(at, kind)], endian) + best[stop][0]
-                ways.append((merit, [(at, kind), *best[stop][1]]))
-        best[at] = max(ways, key=lambda way: way[0])
+            stop = first_byte + np.dtype(kind).itemsize
+            if stop <= width and _makes_sense(_column(rows, first_byte, kind, endian)):
+                merit = _merit(rows, [(first_byte, kind)], endian) + best[stop][0]
+                ways.append((merit, [(first_byte, kind), *best[stop][1]]))
+        best[first_byte] = max(ways, key=lambda way: way[0])
     return best[0][1]
 
 
@@ -235,8 +235,8 @@ def _makes_sense(values: NDArray[Any]) -> bool:
             usual = (size == 0) | (
                 (size > 1e-4) & (size < 1e10 if values.dtype.itemsize == 8 else size < 1e6)
             )
-        some = np.isfinite(number) & (number != 0)
-        return bool(np.mean(usual | np.isnan(number)) >= _MAJORITY and some.mean() > 0.02)
+        is_set = np.isfinite(number) & (number != 0)
+        return bool(np.mean(usual | np.isnan(number)) >= _MAJORITY and is_set.mean() > 0.02)
     # whole numbers of 2 or 4 bytes use their upper half little, and change it seldom
     upper = np.abs(number) / 2.0 ** (
         8 * values.dtype.itemsize - (6 if values.dtype.itemsize == 4 else 0)
@@ -248,8 +248,8 @@ def _makes_sense(values: NDArray[Any]) -> bool:
 def _merit(rows: U8, fields: list[tuple[int, str]], endian: str) -> float:
     """Return how well fields explain the bytes: long types, and neighbours that are alike."""
     merit = 0.0
-    for at, kind in fields:
-        values = _float(_column(rows, at, kind, endian))
+    for first_byte, kind in fields:
+        values = _float(_column(rows, first_byte, kind, endian))
         merit += np.dtype(kind).itemsize ** 1.5 * (1.5 - min(_likeness(values), 1.5))
     return merit
 
@@ -262,8 +262,8 @@ def _likeness(values: F64) -> float:
     known = values[np.isfinite(values)]
     if len(known) < LEAST_RECORDS:
         return 1.0
-    other = np.random.default_rng(0).permutation(known)
-    random = float(np.median(np.abs(other - known)))
+    shuffled = np.random.default_rng(0).permutation(known)
+    random = float(np.median(np.abs(shuffled - known)))
     return float(np.median(np.abs(np.diff(known)))) / random if random > 0 else 1.0
 
 
@@ -281,11 +281,11 @@ def _header_bytes(
     if not tells.any():
         return first
     last = first
-    for at in range(first, min(len(head) - period, MOST_HEADER_BYTES), period):
-        record = head[at : at + period]
+    for first_byte in range(first, min(len(head) - period, MOST_HEADER_BYTES), period):
+        record = head[first_byte : first_byte + period]
         if np.mean((record[tells] >= low[tells]) & (record[tells] <= high[tells])) >= 0.5:
             return last
-        last = at + period
+        last = first_byte + period
     return first
 
 
@@ -298,8 +298,12 @@ def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:
     number = _float(values)
     number = number[np.isfinite(number)]
     value, count = np.unique(number, return_counts=True)
-    ends = [at for at in (0, len(value) - 1) if len(value) > 1 and count[at] > 0.005 * len(number)]
-    common = max(ends, key=lambda at: count[at]) if ends else None
+    ends = [
+        index
+        for index in (0, len(value) - 1)
+        if len(value) > 1 and count[index] > 0.005 * len(number)
+    ]
+    common = max(ends, key=lambda index: count[index]) if ends else None
     # ranges from 0 down, and the largest number of a type, are missing by themselves or by this
     missing = None if common is None else float(value[common])
     real = number[number > 0] if missing is None else number[(number > 0) & (number != missing)]
@@ -323,23 +327,23 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
     >>> guess_names({"a": shot * 1e-5, "b": shot // 100, "c": shot % 100, "d": range_m})
     {'a': 'time', 'b': 'scan_line', 'c': 'column', 'd': 'range'}
     """
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     ranges: list[tuple[float, str]] = []
     others: list[tuple[int, str, F64]] = []
-    for at, (key, stored) in enumerate(columns.items()):
+    for position, (key, stored) in enumerate(columns.items()):
         values = _float(stored)
         known = values[np.isfinite(values)]
         if len(known) < LEAST_RECORDS or float(np.ptp(known)) <= 0:
             continue
         name = _even_name(known, np.diff(known))
         if name is not None:
-            if name not in found.values():
-                found[key] = name
+            if name not in names.values():
+                names[key] = name
         else:
-            others.append((at, key, known))
-    found |= dict(zip(_coordinates(others), "xyz", strict=False))
+            others.append((position, key, known))
+    names |= dict(zip(_coordinates(others), "xyz", strict=False))
     for _, key, known in others:
-        if key in found or _is_large(known):
+        if key in names or _is_large(known):
             continue
         alike = _likeness(known[known > 0]) if np.mean(known > 0) > 0.2 else 1.0
         middle = float(np.median(known[known > 0])) if (known > 0).any() else 0.0
@@ -351,8 +355,8 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
         ):
             ranges.append((alike, key))
     if ranges:
-        found[min(ranges)[1]] = "range"
-    return {key: found[key] for key in columns if key in found}
+        names[min(ranges)[1]] = "range"
+    return {key: names[key] for key in columns if key in names}
 
 
 def _is_large(known: F64) -> bool:
@@ -373,9 +377,9 @@ def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
     for i in range(len(others) - 2):
         three = others[i : i + 3]
         is_row = three[2][0] == three[0][0] + 2 and not any(
-            np.all(one == np.floor(one)) for _, _, one in three
+            np.all(known == np.floor(known)) for _, _, known in three
         )
-        if is_row and any(_is_large(one) or np.mean(one < -1) > 0.01 for _, _, one in three):
+        if is_row and any(_is_large(known) or np.mean(known < -1) > 0.01 for _, _, known in three):
             return [key for _, key, _ in three]
     return []
 

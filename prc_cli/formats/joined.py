@@ -199,11 +199,12 @@ def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
 
 
 def _why_apart(before: RecordSource, after: RecordSource) -> str:
-    """Say why a file does not go on where the one before ended; empty if it does."""
     m = before.facts.points_per_line, after.facts.points_per_line
     if m[0] != m[1]:
         return f"it has {m[1]} shots a line, the file before {m[0]}"
-    name = next((one for one in ("time", "scan_line") if one in before.dimensions), "")
+    name = next(
+        (dimension for dimension in ("time", "scan_line") if dimension in before.dimensions), ""
+    )
     if not name:
         return ""
     last = np.nan

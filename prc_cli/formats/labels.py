@@ -50,10 +50,10 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     suffix = suffix_of(path)
     known = by_suffix("codes")
     if suffix not in known:
-        found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
+        problem = f"unknown suffix {suffix!r}" if suffix else "no suffix"
         raise InputError(
             str(path),
-            f"{found}, expected one of: {' '.join(known)}",
+            f"{problem}, expected one of: {' '.join(known)}",
             "rename the file or convert it",
         )
     if not path.is_file():
@@ -132,8 +132,8 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
                 first = chunk.first_record
                 record = np.asarray(chunk.values["record"], np.float64)
                 if (wrong := record != np.arange(first, first + len(record))).any():
-                    at = int(np.argmax(wrong))
-                    problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}"
+                    moved = int(np.argmax(wrong))
+                    problem = f"row {first + moved} holds record {record[moved]:g}, expected {first + moved}"
                     problem += ": rows were moved or left out"
                     raise InputError(str(path), problem, "sort the rows by record, all of them")
             yield chunk.values[name]
@@ -289,7 +289,6 @@ def _texts(values: Values) -> list[Any]:
 
 
 def _cell(text: str) -> str:
-    """Quote a CSV cell where it needs quotes."""
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow([text])
     return line.getvalue()

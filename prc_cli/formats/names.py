@@ -102,8 +102,8 @@ def split_unit(name: str) -> tuple[str, str]:
     (('range', 'm'), ('angle', 'deg'), ('line', ''))
     """
     plain = _lowered(name)
-    found = _UNIT.fullmatch(plain)
-    return (plain, "") if found is None else (found["name"], UNIT_WORDS[found["unit"]])
+    match = _UNIT.fullmatch(plain)
+    return (plain, "") if match is None else (match["name"], UNIT_WORDS[match["unit"]])
 
 
 def _lowered(name: str) -> str:
@@ -138,23 +138,23 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
     """
     lowered = [_lowered(name) for name in names]
     plain = [split_unit(name)[0] for name in names]
-    found: dict[str, Usual] = {}
+    usual: dict[str, Usual] = {}
     for standard in (*STANDARD_NAMES, "ring"):
         aliases = NAMES.get(standard, (standard,))
-        if standard == "angle" and "range" in found:
+        if standard == "angle" and "range" in usual:
             # of two directions the vertical one turns within a line
             aliases = (*aliases[:5], *_vertical_names(plain), *aliases[5:])
         for alias in aliases:
-            if (alias in _BESIDE_RANGE and "range" not in found) or (
+            if (alias in _BESIDE_RANGE and "range" not in usual) or (
                 alias == "r" and {"g", "b"} <= set(lowered)
             ):
                 continue
             known = lowered if alias in lowered or standard not in UNITS else plain
             if alias in known:
                 index = known.index(alias)
-                found[standard] = Usual(names[index], index, unit_of(standard, names[index]))
+                usual[standard] = Usual(names[index], index, unit_of(standard, names[index]))
                 break
-    return found
+    return usual
 
 
 def _vertical_names(plain: Sequence[str]) -> tuple[str, ...]:
@@ -184,25 +184,25 @@ def find_columns(
     default as the file does.
     """
     keys = keys or names
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     if layout is not None and layout.fields:
         check_fields(layout)
         for position, item in enumerate(layout.fields):
             index = _find_source(where, names, item, position, hint)
             unit = "" if item.unit or item.scale != 1.0 else unit_of(item.name, names[index])
-            given = item.model_copy(update={"unit": unit}) if unit else item
-            found[item.name] = Column(keys[index], names[index], given)
+            item_with_unit = item.model_copy(update={"unit": unit}) if unit else item
+            columns[item.name] = Column(keys[index], names[index], item_with_unit)
     else:
-        for standard, one in usual_names(names).items():
-            _check_once(where, names, one.name)
-            item = LayoutField.model_validate({"name": standard, "unit": one.unit})
-            found[standard] = Column(keys[one.index], one.name, item)
-    taken = {column.key for column in found.values()}
+        for standard, usual in usual_names(names).items():
+            _check_once(where, names, usual.name)
+            item = LayoutField.model_validate({"name": standard, "unit": usual.unit})
+            columns[standard] = Column(keys[usual.index], usual.name, item)
+    taken = {column.key for column in columns.values()}
     for index, name in enumerate(names):
-        own = name or str(index)
-        if keys[index] not in taken and own not in found:
-            found[own] = Column(keys[index], name, LayoutField(name=own))
-    return found
+        dimension = name or str(index)
+        if keys[index] not in taken and dimension not in columns:
+            columns[dimension] = Column(keys[index], name, LayoutField(name=dimension))
+    return columns
 
 
 def _find_source(
@@ -212,7 +212,6 @@ def _find_source(
     position: int,
     hint: str,
 ) -> int:
-    """Return the number of the column that a field is read from."""
     source = item.source
     if not any(names):
         if isinstance(source, str) and not source.isdecimal():
@@ -225,7 +224,7 @@ def _find_source(
             raise InputError(where, problem, f"the file has {len(names)} columns{hint}")
         return source
     name = item.name if source is None else source
-    plain = [one.lower().removeprefix("scalar_") for one in names]
+    plain = [column.lower().removeprefix("scalar_") for column in names]
     usual = usual_names(names).get(item.name) if source is None else None
     if name in names:
         index = list(names).index(name)
@@ -243,7 +242,7 @@ def _find_source(
 
 
 def _check_once(where: str, names: Sequence[str], name: str) -> None:
-    places = [index for index, other in enumerate(names) if other == name]
+    places = [index for index, column in enumerate(names) if column == name]
     if len(places) > 1:
         problem = f"the name {name!r} stands in columns {places[0]} and {places[1]}, expected once"
         hint = "rename one, or give the column's number from 0 as source in [[layout.fields]]"

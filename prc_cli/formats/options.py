@@ -442,9 +442,9 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
     with np.errstate(over="ignore", invalid="ignore"):
         # a buffer read only for this need not be copied
         kept = item.name == "range" and plain and missing is None
-        own = stored.flags.c_contiguous and (stored.flags.writeable or kept)
+        is_ours = stored.flags.c_contiguous and (stored.flags.writeable or kept)
         values: NDArray[np.floating[Any]] = stored.astype(
-            np.float32 if narrow else np.float64, copy=not own
+            np.float32 if narrow else np.float64, copy=not is_ours
         )
         if not plain:
             values *= item.scale

@@ -81,8 +81,8 @@ def prepare_label_outputs(*paths: Path, overwrite: bool, inputs: tuple[Path, ...
     for path in paths:
         if not path.name:  # "." and "/" have no record
             check_output(path, overwrite=overwrite)
-    members = [each for path in paths for each in (path, record_path(path))]
-    beside = tuple(each for path in paths for each in beside_of(path))
+    members = [member for path in paths for member in (path, record_path(path))]
+    beside = tuple(member for path in paths for member in beside_of(path))
     prepare_outputs(*members, overwrite=overwrite, inputs=inputs, beside=beside)
 
 

@@ -25,14 +25,14 @@ def clean_ranges(
     Counted by reason.
     """
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        given = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
+        stored = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
         low = np.float32(min(max(min_range, 0.0), _LARGEST))
         high = np.float32(_LARGEST if max_range is None else min(max_range, _LARGEST))
     ranges, n_not_finite, n_not_positive, n_beyond = kernels.clean_ranges(
-        given.reshape(-1), low, high
+        stored.reshape(-1), low, high
     )
     tally = ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
-    return ranges.reshape(given.shape), tally
+    return ranges.reshape(stored.shape), tally
 
 
 def scale_told(scale: float) -> tuple[Assumption, ...]:

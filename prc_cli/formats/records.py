@@ -287,10 +287,8 @@ class CodeSource:
                 else np.zeros(len(values), np.bool_)
             )
         if wrong.any():
-            at = int(np.flatnonzero(wrong)[0])
-            problem = (
-                f"record {first + at}: found the class code {values[at]}, expected a whole number"
-            )
+            first_wrong = int(np.flatnonzero(wrong)[0])
+            problem = f"record {first + first_wrong}: found the class code {values[first_wrong]}, expected a whole number"
             raise InputError(self.path, problem, "name the column that holds class codes")
         return wide.astype(np.int64)
 
@@ -385,7 +383,7 @@ def _bounds(values: NDArray[Any]) -> tuple[float, float] | None:
 
 def _count(counter: Counter[int], values: NDArray[Any]) -> None:
     known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
-    found, n = np.unique(known.astype(np.int64, copy=False), return_counts=True)
-    for code, count in zip(found.tolist(), n.tolist(), strict=True):
+    codes, n = np.unique(known.astype(np.int64, copy=False), return_counts=True)
+    for code, count in zip(codes.tolist(), n.tolist(), strict=True):
         if code in counter or len(counter) < MOST_KINDS:
             counter[code] += count

@@ -134,18 +134,20 @@ class Format:
 @lru_cache(maxsize=1)
 def formats() -> tuple[Format, ...]:
     """Return all formats, those of other packages last."""
-    own = [each for room in _ROOMS for each in import_module(f"prc_cli.formats.{room}").FORMATS]
-    return (*own, *(entry.load() for entry in entry_points(group=ENTRY_POINTS)))
+    built_in = [
+        form for room in _ROOMS for form in import_module(f"prc_cli.formats.{room}").FORMATS
+    ]
+    return (*built_in, *(entry.load() for entry in entry_points(group=ENTRY_POINTS)))
 
 
 @lru_cache(maxsize=4)
 def by_suffix(role: Role) -> dict[str, Format]:
     """Return the formats that can do something, by suffix; the first one counts."""
-    found: dict[str, Format] = {}
-    for each in formats():
-        for suffix in getattr(each, role):
-            found.setdefault(suffix, each)
-    return found
+    forms: dict[str, Format] = {}
+    for form in formats():
+        for suffix in getattr(form, role):
+            forms.setdefault(suffix, form)
+    return forms
 
 
 def format_of(path: Path, role: Role = "scans") -> Format | None:
@@ -179,13 +181,13 @@ def is_cloud(path: Path) -> bool:
 
 def keeps_points(source: Path, output: Path) -> bool:
     """Whether a classified output has the very points of its input."""
-    one = format_of(source, "labels")
-    other = format_of(output, "labels")
+    source_form = format_of(source, "labels")
+    output_form = format_of(output, "labels")
     return (
-        one is not None
-        and other is not None
-        and one.keeps_points
-        and one.write_labels == other.write_labels
+        source_form is not None
+        and output_form is not None
+        and source_form.keeps_points
+        and source_form.write_labels == output_form.write_labels
     )
 
 

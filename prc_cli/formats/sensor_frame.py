@@ -148,8 +148,8 @@ def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
     apex = fit.apex_m * np.array([off_m[0] >= LEAST_OFF_M] * 2 + [off_m[1] >= LEAST_OFF_M])
     if turn is not fit.turn and not apex.any():
         return None
-    rows = tuple(tuple(round(float(one), DECIMALS_RAD) for one in row) for row in turn)
-    place = tuple(round(float(one), DECIMALS_M) for one in apex)
+    rows = tuple(tuple(round(float(value), DECIMALS_RAD) for value in row) for row in turn)
+    place = tuple(round(float(value), DECIMALS_M) for value in apex)
     return SensorFrame(rows, place, (math.degrees(before), math.degrees(after)))  # type: ignore[arg-type]
 
 
@@ -162,9 +162,8 @@ def spread_of_cones(xyz_m: F32, ring: I64, *, is_fitted: bool) -> float:
 
 
 def _some(xyz_m: F32, ring: I64, most: int) -> tuple[F64, I64]:
-    """Return shots, evenly spread over all."""
-    some = np.linspace(0, len(ring) - 1, min(len(ring), most)).astype(np.int64)
-    return xyz_m[some].astype(np.float64), ring[some]
+    shots = np.linspace(0, len(ring) - 1, min(len(ring), most)).astype(np.int64)
+    return xyz_m[shots].astype(np.float64), ring[shots]
 
 
 def _gap(xyz_m: F64) -> float:
@@ -199,18 +198,16 @@ class _Fit:
         return moved < LEAST_OFF_M / 10
 
     def spread(self) -> float:
-        """Return the spread of elevation within rings [rad]."""
         off = self._off(self._places()[1])
         return float(np.percentile(np.abs(off), MOST))
 
     def _places(self) -> tuple[F64, F64, F64]:
-        """Return distance, elevation and azimuth of the shots."""
-        own = (self.xyz_m - self.apex_m) @ self.turn.T
-        flat = np.hypot(own[:, 0], own[:, 1])
+        xyz = (self.xyz_m - self.apex_m) @ self.turn.T
+        flat = np.hypot(xyz[:, 0], xyz[:, 1])
         return (
-            np.hypot(flat, own[:, 2]).clip(0.1),
-            np.arctan2(own[:, 2], flat),
-            np.arctan2(own[:, 1], own[:, 0]),
+            np.hypot(flat, xyz[:, 2]).clip(0.1),
+            np.arctan2(xyz[:, 2], flat),
+            np.arctan2(xyz[:, 1], xyz[:, 0]),
         )
 
     def _off(self, elevation: F64) -> F64:
@@ -249,7 +246,7 @@ class _Fit:
             apart: F64 = values - middle[self.ring]
             return apart
 
-        matrix = np.stack([centred(one) for one in slopes], axis=1)
+        matrix = np.stack([centred(slope) for slope in slopes], axis=1)
         missing = centred(elevation)
         weighted = matrix * weight[:, None]
         normal = weighted.T @ matrix + 1e-9 * len(off) * np.eye(len(slopes))

@@ -43,7 +43,6 @@ class _SortedSource(DerivedSource):
     merge_records: int
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode, sort and deliver; see :func:`sorted_by_time`."""
         with scratch_file("sorting") as handle:
             runs: list[_Run] = []
             position = 0
@@ -69,7 +68,6 @@ class _SortedSource(DerivedSource):
                     first += len(part)
 
     def _runs(self, names: tuple[str, ...]) -> Iterator[NDArray[np.void]]:
-        """Yield sorted runs as structured arrays."""
         parts: list[NDArray[np.void]] = []
         held = 0
         for chunk in self.source.chunks(tuple(dict.fromkeys((*names, "time")))):
@@ -129,7 +127,6 @@ class _Run:
 
     @property
     def is_all_here(self) -> bool:
-        """Whether nothing is left on disk."""
         return self._n_on_disk == 0
 
     def fill(self, n_records: int) -> None:

@@ -164,15 +164,13 @@ class _InMetres(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        """Metadata of the source, with a note on the conversion."""
         facts = self.source.facts
         units = self.units
         heights = "" if units.z_m == units.xy_m else f", heights of {units.z_m:g} m"
-        told = f"x, y, z are in {units.unit} of {units.xy_m:.6g} m{heights} ({units.name}): converted to metres"
-        return replace(facts, notes=(*facts.notes, told))
+        note = f"x, y, z are in {units.unit} of {units.xy_m:.6g} m{heights} ({units.name}): converted to metres"
+        return replace(facts, notes=(*facts.notes, note))
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions, coordinates in metres."""
         scales = dict(zip(AXES, (self.units.xy_m, self.units.xy_m, self.units.z_m), strict=True))
         for chunk in self.source.chunks(names):
             scaled = {name: chunk.values[name] * scales[name] for name in AXES if name in names}

@@ -41,9 +41,9 @@ def check_reads(
     if not form.records:
         first, again = (list(_images(form, sample, config or InputConfig())) for _ in range(2))
         assert first, "no blocks"
-        for one, other in zip(first, again, strict=True):
-            assert one.tobytes() == other.tobytes(), "a block differs when the file is read again"
-        return sum(one.size for one in first)
+        for block, same in zip(first, again, strict=True):
+            assert block.tobytes() == same.tobytes(), "a block differs when the file is read again"
+        return sum(block.size for block in first)
     source = form.open_records(sample, layout)
     names = source.dimensions
     assert names, "no dimensions"
@@ -106,7 +106,6 @@ def _read_damaged(
     cases: tuple[int, int, int],
     sender: Connection,
 ) -> None:
-    """Send number, fault and whether it was refused, of every case."""
     seed, first, stop = cases
     for case in range(first, stop):
         path = folder / f"damaged{suffix_of(sample)}"
@@ -154,11 +153,11 @@ def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
         return
     expected = item.block.range_m[~np.isnan(item.block.range_m)]
     if form.records:
-        found = _records(form, path, None, ("range",))["range"]
+        ranges = _records(form, path, None, ("range",))["range"]
     else:
-        found = np.concatenate([block.ravel() for block in _images(form, path, InputConfig())])
-    found = found[~np.isnan(found)].astype(np.float32)
-    assert found.tobytes() == expected.tobytes(), "ranges came back with other bits"
+        ranges = np.concatenate([block.ravel() for block in _images(form, path, InputConfig())])
+    ranges = ranges[~np.isnan(ranges)].astype(np.float32)
+    assert ranges.tobytes() == expected.tobytes(), "ranges came back with other bits"
 
 
 def example(
@@ -203,19 +202,21 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     """Return a damaged copy: cut, bits flipped, a piece overwritten, left out or twice, most often near the start."""
     out = bytearray(data)
     near = len(data) if rng.random() < 0.5 else min(len(data), 400)
-    at = int(rng.integers(near))
+    position = int(rng.integers(near))
     n = int(rng.choice((1, 4, 30, 300)))
     way = int(rng.integers(5))
     if way == 0:
-        return bytes(out[: at + 1])
+        return bytes(out[: position + 1])
     if way == 1:
-        out[at] ^= 1 << int(rng.integers(8))
+        out[position] ^= 1 << int(rng.integers(8))
     elif way == 2:
-        out[at : at + n] = bytes([int(rng.choice((0, 0x20, 0x39, 0xFF)))]) * min(n, len(out) - at)
+        out[position : position + n] = bytes([int(rng.choice((0, 0x20, 0x39, 0xFF)))]) * min(
+            n, len(out) - position
+        )
     elif way == 3:
-        del out[at : at + n]
+        del out[position : position + n]
     else:
-        out[at:at] = out[at : at + n]
+        out[position:position] = out[position : position + n]
     return bytes(out) or b"\0"
 
 
@@ -225,8 +226,7 @@ def _records(
     layout: Layout | None,
     names: tuple[str, ...],
 ) -> dict[str, NDArray[Any]]:
-    """Return all values of some dimensions."""
-    found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+    parts_of: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
     n = 0
     for chunk in form.open_records(path, layout).chunks(names):
         assert set(chunk.values) == set(names), f"asked for {names}, got {tuple(chunk.values)}"
@@ -235,12 +235,13 @@ def _records(
         )
         for name, values in chunk.values.items():
             assert values.shape == (chunk.n,), f"{name}: {values.shape}, expected ({chunk.n},)"
-            found[name].append(values)
+            parts_of[name].append(values)
         n += chunk.n
-    return {name: np.concatenate(parts) if parts else np.empty(0) for name, parts in found.items()}
+    return {
+        name: np.concatenate(parts) if parts else np.empty(0) for name, parts in parts_of.items()
+    }
 
 
 def _images(form: Format, path: Path, config: InputConfig) -> Iterator[NDArray[Any]]:
-    """Yield the ranges of all blocks."""
     for block in form.open_images(path, config, 1).blocks():
         yield block.range_m

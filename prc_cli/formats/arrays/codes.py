@@ -33,10 +33,10 @@ def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
     row = shape[1] if len(shape) == 2 else 1
 
     def read() -> Iterator[NDArray[Any]]:
-        each = max(1, CODES_AT_ONCE // row)
+        n_lines = max(1, CODES_AT_ONCE // row)
         with file.open(name) as (rows,):
-            for first in range(0, shape[0], each):
-                yield rows.read(min(each, shape[0] - first)).ravel()
+            for first in range(0, shape[0], n_lines):
+                yield rows.read(min(n_lines, shape[0] - first)).ravel()
             rows.finish()
 
     return CodeSource(path, shape[0] * row, read, name=name)

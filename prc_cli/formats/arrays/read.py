@@ -124,7 +124,6 @@ class ArrayStream:
         """What is known before reading."""
 
     def _refused(self, header: Any) -> frozenset[str]:
-        """Return the keys that the arrays say themselves."""
         refused = {
             "lines",
             "columns",
@@ -182,8 +181,8 @@ class ArrayStream:
         headers = self._file.headers.items()
         names = [
             name
-            for name, one in headers
-            if one.shape == (self._m,) or split_unit(name)[0] in ("angle", ZENITH)
+            for name, candidate in headers
+            if candidate.shape == (self._m,) or split_unit(name)[0] in ("angle", ZENITH)
         ]
         usual = usual_names((RANGE, *names)).get("angle")
         if usual is None:
@@ -196,18 +195,18 @@ class ArrayStream:
             problem = f"found shape {header.shape}, expected ({self._m},), one angle a column"
             raise InputError(header.where, problem, "give one angle for every column of the ranges")
         with self._file.open(name) as (rows,):
-            given = rows.read(self._m).astype(np.float64)
+            degrees = rows.read(self._m).astype(np.float64)
             rows.finish()
         word = {"deg": "degrees", "rad": "radians"}.get(unit, unit)
-        if not np.isfinite(given).all():
-            column = int(np.flatnonzero(~np.isfinite(given))[0])
-            problem = f"column {column}: found {given[column]}, expected an angle in {word}"
+        if not np.isfinite(degrees).all():
+            column = int(np.flatnonzero(~np.isfinite(degrees))[0])
+            problem = f"column {column}: found {degrees[column]}, expected an angle in {word}"
             raise InputError(
                 header.where, problem, "give every column its angle or leave the array out"
             )
         why = f"the array {name!r} is in the file, in {word}"
         # degrees as numpy converts them, bit for bit
-        angle_rad: F64 = np.deg2rad(given) if unit == "deg" else given * FACTORS[unit]
+        angle_rad: F64 = np.deg2rad(degrees) if unit == "deg" else degrees * FACTORS[unit]
         assumed.append(Assumption("input.angle_start", f"{np.rad2deg(angle_rad[0]):g} deg", why))
         return name, angle_rad
 
@@ -232,8 +231,8 @@ class ArrayStream:
             opened = dict(zip(names, rows, strict=True))
             for first in range(0, self._n_lines, self._chunk_lines):
                 yield self._block(opened, first, min(self._chunk_lines, self._n_lines - first))
-            for each in rows:
-                each.finish()
+            for reader in rows:
+                reader.finish()
 
     def _block(self, rows: dict[str, Rows], first: int, n: int) -> ScanBlock:
         xyz = to_float32(rows[XYZ].read(n)) if XYZ in rows else None
@@ -276,7 +275,6 @@ class ArrayStream:
 
 
 def _check_rules(path: Path, config: InputConfig) -> None:
-    """Refuse options that do not apply to a range image, which holds its lines, columns and ranges."""
     refuse_rules(
         path,
         config,
@@ -293,7 +291,6 @@ def _check_rules(path: Path, config: InputConfig) -> None:
 
 
 def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
-    """Return the name of the array that holds the ranges, and why it was chosen."""
     if not file.is_archive:
         return "", "it is the only array in the file"
     shown = (
@@ -340,8 +337,8 @@ def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
     if config.points_per_line == n_rows:
         return f"points_per_line is {n_rows}, the number of rows"
     shapes = [
-        one.shape
-        for label, one in file.headers.items()
+        candidate.shape
+        for label, candidate in file.headers.items()
         if split_unit(label)[0] in ("angle", ZENITH, "elevation")
     ]
     if (n_rows,) in shapes and (n_columns,) not in shapes:

@@ -77,9 +77,9 @@ class NpyHeader:
         """Refuse arrays of anything but numbers."""
         if self.dtype.kind not in "iuf":
             names = self.dtype.names
-            found = _KINDS.get(self.dtype.kind, f"type {self.dtype.name}")
-            found = found if names is None else f"records with the fields {', '.join(names[:8])}"
-            problem = f"found an array of {found}, expected {expected}"
+            kind = _KINDS.get(self.dtype.kind, f"type {self.dtype.name}")
+            kind = kind if names is None else f"records with the fields {', '.join(names[:8])}"
+            problem = f"found an array of {kind}, expected {expected}"
             raise InputError(
                 self.where, problem, "save it as numbers, for example array.astype('f4')"
             )
@@ -178,8 +178,8 @@ class ArrayFile:
             rows = []
             for name in names:
                 header = self.headers[name]
-                found, handle = stack.enter_context(self._member(archive, name))
-                if replace(found, turned=header.turned) != header:
+                stored, handle = stack.enter_context(self._member(archive, name))
+                if replace(stored, turned=header.turned) != header:
                     raise InputError(
                         header.where, "the array has changed since the file was opened", "try again"
                     )
@@ -206,7 +206,6 @@ class ArrayFile:
     def _member(
         self, archive: zipfile.ZipFile | None, name: str
     ) -> Iterator[tuple[NpyHeader, IO[bytes]]]:
-        """Open an array behind its header."""
         if archive is None:
             with open_to_read(self.path) as handle:
                 size = handle.seek(0, 2)
@@ -219,12 +218,12 @@ class ArrayFile:
             zipfile.ZIP_STORED,
             zipfile.ZIP_DEFLATED,
         ):
-            found = (
+            method = (
                 "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
             )
             raise InputError(
                 where,
-                f"found {found}, expected deflate or none",
+                f"found {method}, expected deflate or none",
                 "write it with numpy.savez_compressed",
             )
         with _damage(where, "the array cannot be read"):
@@ -235,7 +234,6 @@ class ArrayFile:
 
 @contextmanager
 def _damage(where: str, problem: str, hint: str = _COPY) -> Iterator[None]:
-    """Say in a line what the system or zipfile finds."""
     try:
         yield
     except _DAMAGED as error:

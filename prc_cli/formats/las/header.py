@@ -559,7 +559,6 @@ def _check_count(
 
 
 def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], int]:
-    """Read the VLRs; return where the last one ends, too."""
     start, end, count = (fields.get(name) for name in ("header_size", "point_offset", "n_vlrs"))
     most = (end - start) // _VLR_HEAD.size
     if count > most:

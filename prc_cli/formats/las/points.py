@@ -246,7 +246,6 @@ def _unit_said(description: str) -> str:
 
 
 def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
-    """Yield the descriptors of Extra Bytes VLRs in order, checked."""
     from laspy.vlrs.known import ExtraBytesStruct
 
     for data in contents:

@@ -212,7 +212,6 @@ class LasSource:
             )
 
     def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, U8]]:
-        """Yield the index of the first record and the raw records."""
         asked = [self._layout.fields[name] for name in names]
         layers = layers_of(asked)
         several = None

@@ -246,7 +246,6 @@ class _Points:
         self._high = np.full(3, np.iinfo(np.int64).min)
 
     def write(self, sink: PointSink, batches: Iterable[U8]) -> None:
-        """Write all records of batches, (n, bytes) uint8."""
         for records in batches:
             if not len(records):
                 continue
@@ -353,10 +352,6 @@ def _copy_bytes(
 
 
 def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
-    """Return the header with the changes of the plan.
-
-    The offsets behind the points are set later.
-    """
     las = plan.las
     fields = plan.las.fields()
     if plan.upgrades:
@@ -436,7 +431,6 @@ def plan_tail(
 
 
 def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
-    """Set the header fields that point behind the points."""
     before = las.fields()
     if fields.has("waveform_start") and before.get("waveform_start"):
         fields.set("waveform_start", tail.moved(before.get("waveform_start")))

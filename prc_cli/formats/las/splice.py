@@ -201,7 +201,6 @@ def _entries(source: Source, at: int, size: int) -> Iterator[tuple[int, ...]]:
 
 
 def _names_chunks(source: Source, pages: Iterable[tuple[int, int]], chunks: LazRecords) -> bool:
-    """Whether the nodes with points are the chunks, each once."""
     places = zip(chunks.table.first_byte.tolist(), chunks.sizes().tolist(), strict=False)
     wanted = sorted((first, length, n) for first, (n, length) in places)
     nodes = (entry[4:] for at, size in pages for entry in _entries(source, at, size))

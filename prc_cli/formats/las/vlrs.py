@@ -136,7 +136,6 @@ def find_crs(header: LasHeader) -> str | None:
 
 
 def _geo_keys(data: bytes) -> dict[int, int]:
-    """Return the GeoTIFF keys with a value in the key directory itself."""
     from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeysHeaderStructs
 
     if len(data) < GeoKeysHeaderStructs.size():

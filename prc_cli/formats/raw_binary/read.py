@@ -54,22 +54,22 @@ class RawBinarySource(FieldSource):
         }
 
 
-def _count(path: Path, header: int, each: int) -> int:
+def _count(path: Path, header: int, record_bytes: int) -> int:
     """Return the number of records behind the header; a partial record is an error."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
     if size <= header:
-        problem = f"nothing follows the header of {header} bytes, expected records of {each} bytes"
+        problem = f"nothing follows the header of {header} bytes, expected records of {record_bytes} bytes"
         hint = ""
         if not size:
-            problem = f"the file is empty (0 bytes), expected records of {each} bytes"
+            problem = f"the file is empty (0 bytes), expected records of {record_bytes} bytes"
             hint = "copy it again"
         elif size < header:
             problem = f"found {size} bytes, fewer than the header of {header} bytes"
         raise InputError(str(path), problem, hint or "check layout.header_bytes")
-    n_records, rest = divmod(size - header, each)
+    n_records, rest = divmod(size - header, record_bytes)
     if rest:
-        problem = f"byte {size - rest} (record {n_records}): found {rest} bytes, expected a record of {each} bytes"
+        problem = f"byte {size - rest} (record {n_records}): found {rest} bytes, expected a record of {record_bytes} bytes"
         hint = (
             "copy it from the archive again, or check layout.header_bytes, fields and record_bytes"
         )

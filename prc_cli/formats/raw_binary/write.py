@@ -52,17 +52,17 @@ class FrameStream(StreamWriter):
     def _add(self, item: StreamItem) -> None:
         block = item.block
         extra = item.block.extra
-        seen = ~np.isnan(block.range_m)
-        own, further = coordinates(block, None)[0]
+        has_return = ~np.isnan(block.range_m)
+        xyz, extra_xyz = coordinates(block, None)[0]
         if item.extra_registered_m is not None:
-            further = item.extra_registered_m
-        points = np.zeros((int(seen.sum()) + len(extra), 4), "<f4")
-        points[:, :3] = np.concatenate([own[seen], further])
+            extra_xyz = item.extra_registered_m
+        points = np.zeros((int(has_return.sum()) + len(extra), 4), "<f4")
+        points[:, :3] = np.concatenate([xyz[has_return], extra_xyz])
         if block.intensity is not None:
-            points[: int(seen.sum()), 3] = np.nan_to_num(block.intensity[seen])
+            points[: int(has_return.sum()), 3] = np.nan_to_num(block.intensity[has_return])
         if extra.intensity is not None:
-            points[int(seen.sum()) :, 3] = np.nan_to_num(extra.intensity)
-        self._records.append(np.concatenate([block.records()[seen], extra.record]))
+            points[int(has_return.sum()) :, 3] = np.nan_to_num(extra.intensity)
+        self._records.append(np.concatenate([block.records()[has_return], extra.record]))
         self._handle.write(points.data)
 
     def _close(self) -> None:
@@ -102,7 +102,6 @@ class RawStream(StreamWriter):
         self._even: tuple[float, float] | None = None
 
     def _open(self, item: StreamItem) -> np.dtype[np.void]:
-        """Choose the fields of the record from the first block."""
         shape = self.shape
         self._m = item.block.points_per_line
         angle_rad = item.block.angle_rad
@@ -168,7 +167,6 @@ class RawStream(StreamWriter):
 
 
 def _layout(dtype: np.dtype[np.void], *more: str) -> list[str]:
-    """Return the lines of a layout that reads records."""
     lines = ["[layout]", 'endian = "little"', *more, "fields = ["]
     for name in dtype.names or ():
         unit = ', unit = "rad"' if name == "angle" else ""
@@ -219,7 +217,7 @@ class FrameFolder:
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
-        at: TracebackType | None,
+        trace: TracebackType | None,
     ) -> None:
         discard(self._temporary)
 

@@ -61,7 +61,6 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
 
 
 def _named_codes(path: Path, name: str) -> Iterator[I64]:
-    """Yield the codes of a Parquet column of class names."""
     import pyarrow as pa
 
     for batch in read_batches(path, [name]):

@@ -33,8 +33,8 @@ XYZ = "xyz"
 def open_table(path: Path) -> RecordSource | None:
     """Open a file of columns; None for files of class codes alone."""
     suffix = suffix_of(path)
-    found = by_suffix("scans").get(suffix) or by_suffix("codes").get(suffix)
-    return None if found is None else found.column_source(path)
+    form = by_suffix("scans").get(suffix) or by_suffix("codes").get(suffix)
+    return None if form is None else form.column_source(path)
 
 
 class ArrayTable:
@@ -91,13 +91,13 @@ class ArrayTable:
         """Read from the start, in bounded memory."""
         _check_names(self, names)
         row = self._image[1] if len(self._image) == 2 else 1
-        each = max(1, CHUNK_RECORDS // row)
+        n_lines = max(1, CHUNK_RECORDS // row)
         arrays = tuple(
             dict.fromkeys(self._columns[name][0] for name in names if name in self._columns)
         )
         with self._file.open(*arrays) as readers:
-            for first in range(0, self._image[0], each):
-                n = min(each, self._image[0] - first)
+            for first in range(0, self._image[0], n_lines):
+                n = min(n_lines, self._image[0] - first)
                 read = {name: rows.read(n) for name, rows in zip(arrays, readers, strict=True)}
                 values: dict[str, NDArray[Any]] = {}
                 for name in names:
@@ -109,13 +109,13 @@ class ArrayTable:
                         )
                         continue
                     array, axis = self._columns[name]
-                    found = read[array]
-                    found = (
-                        found.reshape(n * row, 3)[:, axis]
-                        if found.size == 3 * n * row
-                        else found.ravel()
+                    stored = read[array]
+                    stored = (
+                        stored.reshape(n * row, 3)[:, axis]
+                        if stored.size == 3 * n * row
+                        else stored.ravel()
                     )
-                    values[name] = _decoded(found, self._units.get(name))
+                    values[name] = _decoded(stored, self._units.get(name))
                 yield RecordChunk(first * row, values, n * row)
             for rows in readers:
                 rows.finish()
@@ -177,7 +177,6 @@ class ParquetTable:
             raise _damaged(self._path, error, self.format) from error
 
     def _measure(self) -> tuple[pa.Schema, int]:
-        """Return the columns and the number of rows."""
         from pyarrow import parquet
 
         with parquet.ParquetFile(self._path) as file:
@@ -227,11 +226,11 @@ _Place = TypeVar("_Place")
 def _by_standard(columns: dict[str, _Place]) -> tuple[dict[str, _Place], dict[str, LayoutField]]:
     """Return columns by standard names where their own are usual ones, and how those in other units are decoded."""
     usual = usual_names(list(columns))
-    standard = {one.name: name for name, one in usual.items()}
+    standard = {dimension.name: name for name, dimension in usual.items()}
     units = {
-        name: LayoutField.model_validate({"name": name, "unit": one.unit})
-        for name, one in usual.items()
-        if one.unit or name == "angle"
+        name: LayoutField.model_validate({"name": name, "unit": dimension.unit})
+        for name, dimension in usual.items()
+        if dimension.unit or name == "angle"
     }
     return {standard.get(name, name): place for name, place in columns.items()}, units
 

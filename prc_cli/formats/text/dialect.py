@@ -71,12 +71,12 @@ class TextFormat:
 
 def find_format(path: Path, layout: Layout | None) -> TextFormat:
     """Detect the dialect from the first rows of a text file."""
-    given = layout if layout is not None else Layout()
-    if not given.delimiter.isascii() or given.delimiter in '"\r\n':
+    options = layout if layout is not None else Layout()
+    if not options.delimiter.isascii() or options.delimiter in '"\r\n':
         raise ConfigError(
-            "layout.delimiter", f"found {given.delimiter!r}, expected , ; a tab or a space"
+            "layout.delimiter", f"found {options.delimiter!r}, expected , ; a tab or a space"
         )
-    draft = TextFormat(given.delimiter, given.comment.encode(), None, 0, (), layout is None)
+    draft = TextFormat(options.delimiter, options.comment.encode(), None, 0, (), layout is None)
     rows = _first_rows(path, draft)
     if not rows:
         is_empty = next(iter_lines(path, HEAD_BYTES), None) is None
@@ -93,9 +93,9 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
     # a line with the number of rows has no delimiter
     texts = [text for text in texts if not text.strip().isdecimal()] or texts
     delimiter = (
-        (separator or _find_delimiter(texts, given.decimal)) if is_found else given.delimiter
+        (separator or _find_delimiter(texts, options.decimal)) if is_found else options.delimiter
     )
-    decimal = given.decimal or _find_decimal(texts, delimiter)
+    decimal = options.decimal or _find_decimal(texts, delimiter)
     if decimal == delimiter:
         problem = "found ',' for both the decimals and the cells"
         raise ConfigError(
@@ -103,7 +103,7 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
             problem,
             'if the cells are separated by ;, --set layout.delimiter=";"; else separate them by ;',
         )
-    if given.header is not False and decimal != delimiter:
+    if options.header is not False and decimal != delimiter:
         head = _find_head(_head_lines(path, draft), delimiter, decimal)
         if head is not None:
             names = head.names
@@ -127,8 +127,8 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
             "check the delimiter, or that one record stands in one row",
         )
     has_header = (
-        given.header
-        if given.header is not None
+        options.header
+        if options.header is not None
         else any(not is_number(cell, decimal) for cell in cells)
     )
     if has_header and len(rows) == 1:
@@ -149,19 +149,17 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
 
 
 def _head_lines(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
-    """Return number and text of the first lines, comments too, blank ones left out."""
-    found: list[tuple[int, str]] = []
+    lines: list[tuple[int, str]] = []
     for block in iter_lines(path, HEAD_BYTES):
         for number, line in enumerate(block.data.split(b"\n"), block.first):
             if draft.stripped(line):
-                found.append((number, line.decode("utf-8", errors="replace").rstrip("\r")))
-            if len(found) == SNIFFED_ROWS:
-                return found
-    return found
+                lines.append((number, line.decode("utf-8", errors="replace").rstrip("\r")))
+            if len(lines) == SNIFFED_ROWS:
+                return lines
+    return lines
 
 
 def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> Head | None:
-    """Return what stands before the rows, if it is more than a line of names."""
     rows: list[tuple[int, str, list[str]]] = []
     if lines and separator_of(lines[0][1]) is not None:
         lines = lines[1:]
@@ -191,7 +189,6 @@ def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> He
 
 
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
-    """Return number and text of the first rows, comments and blank lines left out."""
     decoded: list[tuple[int, str]] = []
     blocks = (
         enumerate(block.data.split(b"\n"), block.first) for block in iter_lines(path, HEAD_BYTES)
@@ -224,7 +221,6 @@ def _find_decimal(rows: list[str], delimiter: str) -> str:
 
 
 def _has_inner_comma(cell: str) -> bool:
-    """Whether a cell is a whole number or one with decimals behind a comma."""
     return is_number(cell, ",") and not cell.startswith(",") and not cell.endswith(",")
 
 
@@ -237,12 +233,12 @@ def _find_delimiter(rows: list[str], decimal: str | None) -> str:
         return BLANKS
     # text before the header is of another kind than the rows
     for sample in (rows, rows[-_LAST_ROWS:] if len(rows) > _LAST_ROWS else rows):
-        for delimiter in (one for one in _DELIMITERS if one != decimal):
+        for delimiter in (mark for mark in _DELIMITERS if mark != decimal):
             counts = {row.count(delimiter) for row in sample}
             if counts != {0} and len(counts) == 1:
                 return delimiter
     # where rows differ, take the delimiter of the first row, so that the error names the odd row
-    for delimiter in (one for one in _DELIMITERS if one != decimal):
+    for delimiter in (mark for mark in _DELIMITERS if mark != decimal):
         if delimiter in rows[0]:
             return delimiter
     return BLANKS if all(len(row.split()) > 1 for row in rows) else ","

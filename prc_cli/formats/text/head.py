@@ -41,8 +41,8 @@ def separator_of(text: str) -> str | None:
     >>> separator_of("sep=;"), separator_of("sep=\\t"), separator_of("a;b")
     (';', '\t', None)
     """
-    found = _SEPARATOR.fullmatch(text.strip())
-    return None if found is None else found[1].replace("\\t", "\t")
+    match = _SEPARATOR.fullmatch(text.strip())
+    return None if match is None else match[1].replace("\\t", "\t")
 
 
 def without_mark(text: str) -> str:
@@ -101,18 +101,16 @@ def _has_letters(cell: str) -> bool:
 
 
 def _is_count(cells: list[str]) -> bool:
-    """Whether a line is the number of rows."""
     return len(cells) == 1 and cells[0].strip().isdecimal()
 
 
 def _unit(cell: str) -> str:
-    found = _UNIT.fullmatch(cell.strip())
-    word = cell if found is None else found[1]
+    match = _UNIT.fullmatch(cell.strip())
+    word = cell if match is None else match[1]
     return UNIT_WORDS.get(word.lower(), word.lower())
 
 
 def _are_units(cells: list[str], n_columns: int) -> bool:
-    """Whether a row holds units of the columns."""
     units = [_unit(cell) for cell in cells]
     return (
         len(cells) == n_columns

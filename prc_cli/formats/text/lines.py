@@ -63,20 +63,20 @@ def iter_lines(
         )
         if span is not None:
             handle.seek(span[0])
-        while found := _read(
+        while piece := _read(
             path, handle, block_bytes if span is None else min(block_bytes, span[1] - span[0]), line
         ):
-            n_bytes += len(found)
-            span = None if span is None else (span[0] + len(found), span[1])
+            n_bytes += len(piece)
+            span = None if span is None else (span[0] + len(piece), span[1])
             if most is not None and n_bytes > most:
                 problem = (
                     f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
                 )
                 raise InputError(str(path), problem, "unpack it first if it is what it should be")
             if at_start:
-                found = _without_mark(path, handle, found, block_bytes)
+                piece = _without_mark(path, handle, piece, block_bytes)
                 at_start = False
-            data = rest + found
+            data = rest + piece
             end = data.rfind(b"\n") + 1
             rest = data[end:]
             if len(rest) > MAX_LINE_BYTES:
@@ -140,21 +140,21 @@ def _read(
 def _without_mark(
     path: Path,
     handle: IO[bytes],
-    found: bytes,
+    piece: bytes,
     block_bytes: int,
 ) -> bytes:
     """Drop a byte order mark at the start, and refuse files that are not text."""
-    while len(found) < 4 and (more := _read(path, handle, block_bytes, 1)):
-        found += more
+    while len(piece) < 4 and (more := _read(path, handle, block_bytes, 1)):
+        piece += more
     for magic, (kind, suffix) in _COMPRESSED.items():
-        if found.startswith(magic):
+        if piece.startswith(magic):
             problem = f"the content is {kind}-compressed, expected text"
             raise InputError(str(path), problem, f"rename it to {path.name}{suffix}")
-    if found.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if piece.startswith((b"\xff\xfe", b"\xfe\xff")):
         hint = "convert it: iconv -f UTF-16 -t UTF-8 IN > OUT"
         raise InputError(str(path), "the text is UTF-16, expected UTF-8", hint)
-    head = found[:4096]
+    head = piece[:4096]
     if b"\0" in head:
         problem = f"byte {head.index(0)} is 0, expected a text file in UTF-8"
         raise InputError(str(path), problem, "raw dumps are read from .bin, .raw and .dat files")
-    return found.removeprefix(_UTF8_MARK)
+    return piece.removeprefix(_UTF8_MARK)

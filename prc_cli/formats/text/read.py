@@ -100,7 +100,6 @@ class TextBody:
             )
 
     def _rows(self) -> Iterator[Lines]:
-        """Yield the lines behind the header."""
         header = max(self.text.header_line or 0, self.text.last_head)
         for lines in iter_lines(self._path, self._block_bytes):
             n_skipped = max(0, header + 1 - lines.first)
@@ -127,12 +126,17 @@ class TextBody:
                 yield lines if gap is None else Lines(lines.first, lines.data[: gap.start()])
 
     def _parse(self, lines: Lines, used: list[int]) -> list[F64]:
-        """Return one array of numbers per column."""
         data = self._plain(lines.data)
-        found = parse_fast(data, self.text.n_columns, used, self.text.delimiter, self.text.decimal)
-        if found is not None and b'"' in data and not self._quotes_are_closed(data, len(found[0])):
-            found = None
-        return self._parse_exactly(lines, used) if found is None else found
+        columns = parse_fast(
+            data, self.text.n_columns, used, self.text.delimiter, self.text.decimal
+        )
+        if (
+            columns is not None
+            and b'"' in data
+            and not self._quotes_are_closed(data, len(columns[0]))
+        ):
+            columns = None
+        return self._parse_exactly(lines, used) if columns is None else columns
 
     def _plain(self, data: bytes) -> bytes:
         """Return lines without comments and with single delimiters.
@@ -152,18 +156,18 @@ class TextBody:
     def _parse_exactly(self, lines: Lines, used: list[int]) -> list[F64]:
         """Read the rows cell by cell; raise at the first error."""
         text = self.text
-        found = [array("d") for _ in used]
+        columns = [array("d") for _ in used]
         for number, line in enumerate(lines.data.split(b"\n"), lines.first):
             if not text.is_row(line):
                 continue
             row = line.rstrip(b"\r").decode("utf-8", errors="surrogateescape")
             cells = self._split(number, row)
-            for index, values in zip(used, found, strict=True):
+            for index, values in zip(used, columns, strict=True):
                 value = to_number(with_point(cells[index], text.decimal))
                 if value is None:
                     raise self._not_a_number(number, index, cells[index])
                 values.append(value)
-        return [np.array(values, dtype=np.float64) for values in found]
+        return [np.array(values, dtype=np.float64) for values in columns]
 
     def cells(self, index: int) -> Iterator[list[tuple[int, str]]]:
         """Yield line numbers and texts of one column, some rows at a time."""
@@ -178,7 +182,6 @@ class TextBody:
             yield [(number, self._split(number, row)[index]) for number, row in rows]
 
     def _split(self, number: int, row: str) -> list[str]:
-        """Return the cells of a row, as many as there are columns."""
         text = self.text
         cells = split(self._path, number, row, text.delimiter)
         if len(cells) != text.n_columns:
@@ -191,10 +194,10 @@ class TextBody:
     def _not_a_number(self, number: int, index: int, cell: str) -> InputError:
         name = self.text.names[index]
         is_text = re.search("[\udc80-\udcff]", cell) is None
-        found = repr(shorten(cell.strip(" \t"))) if is_text else "bytes that are not UTF-8"
+        shown = repr(shorten(cell.strip(" \t"))) if is_text else "bytes that are not UTF-8"
         column = repr(shorten(name)) if name else f"{index} (from 0)"
         hint = _hint_of_cell(cell.strip(), name, self.text.delimiter, number)
-        problem = f"column {column}: found {found}, expected a number"
+        problem = f"column {column}: found {shown}, expected a number"
         return InputError(f"{self._path}: line {number}", problem, hint)
 
 
@@ -225,7 +228,6 @@ def _hint_of_cell(
     delimiter: str,
     line: int,
 ) -> str:
-    """Return what to do with a cell that is no number."""
     if name and cell == name:
         return f"the names come again: sed {line}d IN > OUT"
     if re.fullmatch(r"[+-]?\d+,\d+", cell):
@@ -242,7 +244,6 @@ _BLANK = re.compile(rb"^(?:[ \t\r]*+\n|[ \t\r]++\Z)", re.MULTILINE)
 
 
 def _first_rows(blocks: Iterator[Lines], n: int) -> Iterator[Lines]:
-    """Yield the first rows alone."""
     for lines in blocks:
         rows = lines.data.split(b"\n", n)
         if len(rows) > n:
@@ -338,15 +339,17 @@ class TextSource(FieldSource):
         shown = {BLANKS: "blanks", "\t": "tabs"}.get(text.delimiter, repr(text.delimiter))
         axes = "x, y, z and intensity" if "intensity" in columns else "x, y, z"
         renamed = [
-            f"{one.name} as {name}" for name, one in columns.items() if one.name not in ("", name)
+            f"{column.name} as {name}"
+            for name, column in columns.items()
+            if column.name not in ("", name)
         ]
         units = [
-            f"{name} in {one.item.unit}"
-            for name, one in columns.items()
-            if one.item.unit not in ("", "rad")
+            f"{name} in {column.item.unit}"
+            for name, column in columns.items()
+            if column.item.unit not in ("", "rad")
         ]
         angle = columns.get("angle", Column("", "", LayoutField(name="angle")))
-        told = {
+        holds_by_note = {
             f"cells are separated by {shown}, found by looking": text.found_delimiter
             and text.n_columns > 1,
             "decimals stand behind a comma, found by looking": text.decimal == ",",
@@ -364,7 +367,7 @@ class TextSource(FieldSource):
             and "range" in columns
             and text.n_columns == 1,
         }
-        return tuple(note for note, holds in told.items() if holds)
+        return tuple(note for note, holds in holds_by_note.items() if holds)
 
     def describe(self) -> dict[str, Any]:
         """Return the dialect as plain values for JSON, for ``prc info``."""

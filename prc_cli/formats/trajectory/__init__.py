@@ -47,7 +47,6 @@ def read_text(path: Path) -> tuple[F64, F64]:
 
 
 def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
-    """Read the columns of some names, (n, names)."""
     rows = _rows(path, with_head=True)
     with closing(rows):
         number, first = next(rows, (1, ""))
@@ -143,14 +142,12 @@ _LOOKED_AT = 20
 
 
 def _has_decimal_commas(rows: list[str], delimiter: str | None) -> bool:
-    """Whether numbers of the rows have their decimals behind a comma, and none behind a point."""
     cells = [cell for row in rows for cell in _cells(row, delimiter)]
     has_comma = any("," in cell and _number(cell.replace(",", ".")) is not None for cell in cells)
     return has_comma and not any("." in cell and _number(cell) is not None for cell in cells)
 
 
 def _number(cell: str) -> float | None:
-    """Return a finite number; None for anything else."""
     try:
         value = float(cell)
     except ValueError:
@@ -161,19 +158,18 @@ def _number(cell: str) -> float | None:
 def _find_columns(
     where: str, cells: list[str], wanted_names: dict[str, tuple[str, ...]]
 ) -> list[int]:
-    """Return the columns of some names, such as time, x, y and z."""
     # ignore units in brackets: "x [m]", "time(s)"
     names = [cell.lower().partition("[")[0].partition("(")[0].strip() for cell in cells]
     columns = []
     for wanted, known in wanted_names.items():
-        found = [names.index(name) for name in known if name in names]
-        if not found:
+        places = [names.index(name) for name in known if name in names]
+        if not places:
             problem = f"no column for {wanted} (one of {', '.join(known)}), found {', '.join(cells)[:200]!r}"
             example = "time,x,y,z" if wanted in _NAMES else "time,x,y,z,roll,pitch,yaw"
             raise InputError(
                 where, problem, f"name the columns in the first row, for example {example}"
             )
-        columns.append(found[0])
+        columns.append(places[0])
     return columns
 
 
@@ -241,12 +237,12 @@ def read_tum(path: Path) -> tuple[F64, F64, F64]:
     for number, text in _rows(path, with_head=False):
         cells = text.split()
         values = [_number(cell) for cell in cells]
-        found = [value for value in values if value is not None]
-        if len(cells) != _N_CELLS or len(found) != _N_CELLS:
+        numbers = [value for value in values if value is not None]
+        if len(cells) != _N_CELLS or len(numbers) != _N_CELLS:
             problem = f"found {' '.join(cells)[:80]!r}, expected 8 numbers: time x y z qx qy qz qw"
             raise InputError(f"{path}: line {number}", problem, "correct or drop the row")
-        _check_length(f"{path}: line {number}", found[4:])
-        rows.append(found)
+        _check_length(f"{path}: line {number}", numbers[4:])
+        rows.append(numbers)
     return _split(rows)
 
 
@@ -269,13 +265,19 @@ def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
     from prc_cli.formats.bags.containers import Bag
 
     bag = Bag(path)
-    every = [one for one in bag.counts if one.kind in KINDS]
-    chosen = [one for one in every if (bag.counts[one] if topic is None else one.name == topic)]
-    shown = ", ".join(one.name for one in every[:20]) or "none"
+    every = [pose_topic for pose_topic in bag.counts if pose_topic.kind in KINDS]
+    chosen = [
+        pose_topic
+        for pose_topic in every
+        if (bag.counts[pose_topic] if topic is None else pose_topic.name == topic)
+    ]
+    shown = ", ".join(pose_topic.name for pose_topic in every[:20]) or "none"
     if len(chosen) > 1 or (topic is not None and not chosen):
-        found = "several topics with poses" if topic is None else f"no poses on {topic!r}"
+        reason = "several topics with poses" if topic is None else f"no poses on {topic!r}"
         raise ConfigError(
-            "input.trajectory_topic", f"{found} in {path.name}, it has: {shown}", "name one of them"
+            "input.trajectory_topic",
+            f"{reason} in {path.name}, it has: {shown}",
+            "name one of them",
         )
     rows: list[list[float]] = []
     for message in bag.messages(chosen):
@@ -287,7 +289,6 @@ def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
 
 
 def _pose(path: Path, message: Message, number: int) -> list[float]:
-    """Return time, position and quaternion of a message."""
     where = f"{path}: {message.topic.name}: message {number}"
     try:
         cursor = Cursor(message.data, is_cdr=message.topic.is_cdr)
@@ -338,8 +339,8 @@ def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
     )
     if not sane.all():
         i = int(np.argmin(sane))
-        found = ", ".join(f"{value:g}" for value in values[i])
-        problem = f"time, latitude, longitude, altitude are {found}, expected finite numbers, angles in radians"
+        shown = ", ".join(f"{value:g}" for value in values[i])
+        problem = f"time, latitude, longitude, altitude are {shown}, expected finite numbers, angles in radians"
         position = f"{path}: record {i} (byte {i * SBET_BYTES})"
         raise InputError(position, problem, "check that this is an SBET file")
     return values[:, 0].copy(), values[:, [2, 1, 3]]

@@ -254,7 +254,6 @@ class StagedWriter(ABC):
         return self._completed(record)
 
     def _close(self) -> None:
-        """Write the rest and close every temporary file."""
         self._handle.close()
 
     def _output(self, path: Path) -> Path:
@@ -290,7 +289,6 @@ class StagedWriter(ABC):
         self._last_record = int(known[-1])
 
     def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
-        """Class codes of labels, same shape."""
         if labels.size and int(labels.max()) >= len(LABEL_NAMES):
             problem = f"found label {int(labels.max())}, expected 0 to {len(LABEL_NAMES) - 1}"
             raise OutputError(

@@ -320,7 +320,6 @@ def _of_stages(
     text: str,
     path: str,
 ) -> OptionalColumn:
-    """Return a column of ``output.stages``."""
     dimension = ExtraDimension(name, np.dtype(dtype), text)
     fill = np.nan if dimension.dtype.kind == "f" else 0
     needs = "fused, prc or sequential-angle method"
