@@ -22,10 +22,7 @@ _BAG_PARTS = (".db3", ".mcap")
 
 
 def scan_file(path: Path) -> Path:
-    """Return the file that stands for a folder.
-
-    a bag's metadata, or its only file; else the folder itself.
-    """
+    """Return the file to read in a folder: a bag's metadata or only file; else the folder itself."""
     if not path.is_dir():
         return path
     from prc_cli.formats.echopulse import count_file
@@ -43,7 +40,10 @@ def scan_file(path: Path) -> Path:
 def check_input(path: Path) -> str:
     """Return the suffix of an input.
 
-    Refuse what is absent, not a file, empty, or has an unknown suffix.
+    Raises
+    ------
+    InputError
+        If the input is absent, not a file, empty, or has an unknown suffix.
     """
     known = tuple(by_suffix("scans"))
     suffix = suffix_of(path)
@@ -71,8 +71,10 @@ def check_input(path: Path) -> str:
             str(path), f"cannot be read ({error.strerror})", "check its permissions"
         ) from error
     if _is_hollow(path):
-        problem = f"has {path.stat().st_size:,} bytes, of which nearly none are on the disk"
-        raise InputError(str(path), problem, "its copy never ended: copy it from the archive again")
+        problem = f"the disk stores almost none of its {path.stat().st_size:,} bytes"
+        raise InputError(
+            str(path), problem, "the copy did not finish: copy it from the archive again"
+        )
     if empty:
         raise InputError(
             str(path),
@@ -84,7 +86,7 @@ def check_input(path: Path) -> str:
 
 HOLLOW_BYTES = 1 << 32
 HOLLOW_RATIO = 256
-"""A file of so many bytes that takes less than one of so many on the disk was reserved and never written."""
+"""A file of at least ``HOLLOW_BYTES`` that takes less than 1 / ``HOLLOW_RATIO`` of them on the disk is empty space."""
 
 
 def _is_hollow(path: Path) -> bool:
@@ -121,7 +123,7 @@ def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 
 
 def _not_a_scan(path: Path) -> str:
-    """Return what to do with a file of an unknown suffix: its scan may lie beside it."""
+    """Return a hint for a file of an unknown suffix: the scan may be a file beside it."""
     if path.name == METADATA and path.is_file():
         bags = _files_with(path.parent, _BAG_PARTS)
         if bags:
@@ -146,7 +148,7 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
     """Open a range image or organised scans, for which :func:`open_source` returns None.
 
-    Read such lines at once.
+    Blocks have ``lines_at_once`` lines, or a multiple.
     """
     return by_suffix("scans")[suffix_of(parts_of(path)[0])].open_images(path, config, lines_at_once)
 

@@ -48,7 +48,9 @@ class BinaryBody:
                     n_read = first + len(records)
                     end_byte = self.start + n_read * self.dtype.itemsize
                     problem = f"byte {end_byte} (record {n_read}): the file ends, expected {self.n_records} records"
-                    hint = "it was cut while being read; wait until its writer is done"
+                    hint = (
+                        "the file became shorter while prc read it: wait until its writer is done"
+                    )
                     raise InputError(str(self.path), f"{problem} as when opened", hint)
                 yield first, records, wanted
 
@@ -75,9 +77,29 @@ def binary_body(
     n: int,
     hint: str,
 ) -> BinaryBody:
-    """Return records behind a header, after a look at the size of the file."""
-    there = max(path.stat().st_size - start, 0)
-    if n * dtype.itemsize > there:
-        problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
+    """Return the records behind a header.
+
+    Parameters
+    ----------
+    path
+        The file.
+    dtype
+        Type of a record.
+    start
+        First byte behind the header.
+    n
+        Number of records by the header.
+    hint
+        Hint of the error.
+
+    Raises
+    ------
+    InputError
+        If the file has fewer bytes.
+    """
+    n_bytes = max(path.stat().st_size - start, 0)
+    size = dtype.itemsize
+    if n * size > n_bytes:
+        problem = f"the file ends in point {n_bytes // size}, the header says {n} of {size} bytes"
         raise InputError(str(path), problem, hint)
     return BinaryBody(path, dtype, start, n)

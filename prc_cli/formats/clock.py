@@ -1,10 +1,8 @@
-"""Clocks of records and of trajectories.
+"""Clocks of records and of trajectories: times in other units than seconds, and clocks that restart.
 
-Times in other units than seconds, and clocks that begin anew.
-
-GPS receivers count the seconds of the week, some scanners those of the day or of the hour. A drive
-across such a border has times that fall by the whole period, from its end to its beginning; later
-times count on.
+GPS receivers count the seconds of the week, some scanners the seconds of the day or of the hour. In
+a drive across the end of such a period the times fall by the whole period. prc adds the period to
+all later times.
 """
 
 from __future__ import annotations
@@ -20,22 +18,22 @@ from prc_cli.formats.options import FACTORS
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 
 PERIODS_S = {3600.0: "hour", 86400.0: "day", 604800.0: "GPS week"}
-"""Times after which clocks begin anew [s]."""
+"""Times after which clocks restart [s]."""
 NEAR_S = 60.0
-"""The last time before the border and the first after it are this near to it [s]."""
+"""The last time of a period and the first time of the next are this close to its end [s]."""
 LATEST_S = 1e10
-"""No clock counts more seconds: 300 years since any epoch."""
+"""Largest time in seconds: 300 years since any epoch [s]."""
 SLOWEST_SHOT_S = 0.01
-"""Scanners measure more often than every hundredth of a second [s]."""
+"""Longest time between shots of a scanner [s]."""
 LEAST_COUNT = 5.0
-"""Whole numbers that rise by less from record to record may be numbers of records."""
+"""Whole numbers that rise by less from record to record may be record numbers."""
 _STEPS = 1000
 """Records over which the mean step is measured."""
 _UNITS = ("ms", "us", "ns")
 
 
 def unit_of(time: F64) -> str:
-    """Return the unit of times by their size and their steps; ``s`` unless they cannot be seconds.
+    """Return the unit of times by their size and their steps; ``s`` if they can be seconds.
 
     >>> unit_of(np.arange(1.7e18, 1.7e18 + 5e9, 1e6)), unit_of(np.arange(0.0, 2.0, 1e-4))
     ('ns', 's')
@@ -55,7 +53,7 @@ def unit_of(time: F64) -> str:
 
 
 def unit_of_positions(time: F64) -> str:
-    """Return the unit of the times of a trajectory, whose steps tell nothing, by their size.
+    """Return the unit of the times of a trajectory by their size, because its steps have no usual length.
 
     >>> unit_of_positions(np.array([1.7e15, 1.7e15 + 1e4]))
     'us'
@@ -75,18 +73,18 @@ def _is_whole(time: F64) -> bool:
 
 @dataclass(slots=True)
 class Unwrapped:
-    """Counts on where a clock begins anew."""
+    """Adds a period to all times after a restart of the clock."""
 
     added_s: float = 0.0
     """Whole periods since the start [s]."""
     n: int = 0
-    """How often the clock began anew."""
+    """Number of restarts."""
     name: str = ""
     """The period."""
     _last: float = np.nan
 
     def put(self, time_s: F64) -> F64:
-        """Return the next times, counted on, (n,) float64 [s].
+        """Return the next times with all periods added, (n,) float64 [s].
 
         >>> Unwrapped().put(np.array([3599.5, 3599.9, 0.2])).tolist()
         [3599.5, 3599.9, 3600.2]
@@ -108,16 +106,13 @@ class Unwrapped:
         return counted
 
     def _turn(self, before_s: float, after_s: float) -> float:
-        """Return the period that a jump from one border to the other adds or takes back [s].
-
-        0 for any other jump.
-        """
+        """Return the period to add after a jump [s]: negative to take one back, 0 for other jumps."""
         for period_s, name in PERIODS_S.items():
             if period_s - NEAR_S < before_s <= period_s and 0 <= after_s < NEAR_S:
-                self.n = self.n + 1
+                self.n += 1
                 self.name = name
                 return period_s
-            # neighbours that were swapped at the border
+            # neighbours that were swapped at the end of a period
             if self.n and period_s - NEAR_S < after_s <= period_s and 0 <= before_s < NEAR_S:
                 self.n -= 1
                 return -period_s
@@ -126,22 +121,22 @@ class Unwrapped:
 
 @dataclass(frozen=True)
 class ClockSource(DerivedSource):
-    """Records whose times are seconds that count on."""
+    """Records whose times are seconds and do not restart."""
 
     source: RecordSource
     unit: str
-    _seen: list[Unwrapped] = field(default_factory=list)
-    """What the last reading found."""
+    _clocks: list[Unwrapped] = field(default_factory=list)
+    """The clock of the last reading; empty before."""
 
     @property
     def facts(self) -> SourceFacts:
-        """What the file says of itself, and what was done to its times."""
+        """Metadata of the file, and notes on its times."""
         facts = self.source.facts
         notes = []
         if self.unit != "s":
             notes.append(f"the times are in {self.unit} (input.time_unit)")
-        if any(clock.n for clock in self._seen):
-            name = self._seen[0].name
+        if any(clock.n for clock in self._clocks):
+            name = self._clocks[0].name
             notes.append(f"the clock begins anew at the end of the {name}: later times count on")
         return replace(facts, notes=(*facts.notes, *notes)) if notes else facts
 
@@ -151,7 +146,7 @@ class ClockSource(DerivedSource):
             yield from self.source.chunks(names)
             return
         unwrapped = Unwrapped()
-        self._seen[:] = [unwrapped]
+        self._clocks[:] = [unwrapped]
         factor = FACTORS[self.unit]
         for chunk in self.source.chunks(names):
             time_s = np.asarray(chunk.values["time"], np.float64)
@@ -164,7 +159,7 @@ class ClockSource(DerivedSource):
 
 
 def with_clock(source: RecordSource, time_unit: str = "auto") -> RecordSource:
-    """Return a source whose times are seconds and count on; one without times as it is."""
+    """Return a source whose times are seconds and do not restart; without times, the source itself."""
     if "time" not in source.dimensions:
         return source
     unit = time_unit

@@ -86,16 +86,13 @@ class _Array:
 
 
 def count_file(path: Path) -> Path | None:
-    """Return the file that counts the returns, which stands for the folder.
-
-    None if it is no such folder.
-    """
+    """Return the file of a folder that counts the returns; None if there is none."""
     files = sorted(path.glob(f"pulse-*-{COUNT}.bin")) if path.is_dir() else [path]
     return next((file for file in files if is_count_file(file)), None)
 
 
 def is_count_file(path: Path) -> bool:
-    """Tell whether a file counts the returns of such a folder."""
+    """Whether a file counts the returns of a folder of pulses."""
     array = _Array.of(path)
     return (
         array is not None and not array.is_echo and array.name == COUNT and array.dtype.kind in "iu"
@@ -111,7 +108,7 @@ class EchoPulseSource(FieldSource):
             raise InputError(
                 str(path),
                 f"expected a name such as pulse-uint8-{COUNT}.bin",
-                "name the file that counts",
+                "name the file that counts the returns",
             )
         self._count = count
         folder = path.parent
@@ -127,9 +124,10 @@ class EchoPulseSource(FieldSource):
             n_echoes += int(counts.sum())
             n_empty += int(np.count_nonzero(counts == 0))
         for array in self._arrays.values():
-            wanted, what = (n_echoes, "returns") if array.is_echo else (self._n_pulses, "shots")
+            wanted = n_echoes if array.is_echo else self._n_pulses
+            what = "returns" if array.is_echo else "shots"
             if array.n != wanted:
-                problem = f"holds {array.n} values, expected {wanted}, the {what} of {path.name}"
+                problem = f"{array.n} values, expected {wanted}: the {what} of {path.name}"
                 raise InputError(str(array.path), problem, _COPY)
         if "range" not in self._arrays or not self._arrays["range"].is_echo:
             raise InputError(str(folder), "no file echo-TYPE-range.bin", "copy the folder again")
@@ -177,17 +175,17 @@ class EchoPulseSource(FieldSource):
                     "number_of_returns": n_rows[shot],
                 }
                 if self._time is not None:
-                    values["time"] = (
-                        self._time[0] + self._time[1] * (first + np.arange(len(count)))
-                    )[shot]
+                    start_s, step_s = self._time
+                    values["time"] = (start_s + step_s * (first + np.arange(len(count))))[shot]
                 for key, array in arrays.items():
-                    column = array.read(handles[key], n_echoes if array.is_echo else len(count))
-                    values[key] = (
-                        _spread(column, count[shot] > 0) if array.is_echo else column[shot]
-                    )
+                    if array.is_echo:
+                        returns = array.read(handles[key], n_echoes)
+                        values[key] = _spread(returns, count[shot] > 0)
+                    else:
+                        values[key] = array.read(handles[key], len(count))[shot]
                 yield first_record, values, len(shot)
-                first_record = first_record + len(shot)
-                first = first + len(count)
+                first_record += len(shot)
+                first += len(count)
 
     def _counts(self) -> Iterator[I64]:
         with open_to_read(self._count.path) as handle:
@@ -207,25 +205,24 @@ def _read_time(path: Path, n_pulses: int) -> tuple[float, float] | None:
     with open_to_read(path) as handle:
         text = handle.read(_MAX_TIME_BYTES).decode("utf-8", errors="replace")
     match = _TIME.fullmatch(text)
-    start, step = (
-        (None, None) if match is None else (to_number(match["start"]), to_number(match["step"]))
-    )
+    start_s = None if match is None else to_number(match["start"])
+    step_s = None if match is None else to_number(match["step"])
     if (
         match is None
-        or start is None
-        or step is None
-        or not np.isfinite([start, step]).all()
-        or step <= 0
+        or start_s is None
+        or step_s is None
+        or not np.isfinite([start_s, step_s]).all()
+        or step_s <= 0
     ):
         problem = f"found {shorten(text.strip())!r}, expected N entries START + STEP pulse_index"
-        raise InputError(str(path), problem, "correct it, or take it away: then there are no times")
+        raise InputError(str(path), problem, "correct the file, or remove it to read without times")
     if int(match["n"]) != n_pulses:
         raise InputError(str(path), f"{match['n']} entries, but {n_pulses} shots", _COPY)
-    return start, step
+    return start_s, step_s
 
 
 def _spread(values: NDArray[Any], has_return: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return values of returns for all records; NaN for shots without one."""
+    """Return values of returns for all records, (records,); NaN for shots without a return."""
     kind = values.dtype if values.dtype.kind == "f" else np.dtype(np.float64)
     out: NDArray[Any] = np.full(len(has_return), np.nan, kind)
     out[has_return] = values

@@ -1,4 +1,4 @@
-"""Files of other programs that prc does not read: who makes them, and the export that prc reads."""
+"""Files of other programs that prc cannot read: their maker, and an export that prc can read."""
 
 from __future__ import annotations
 
@@ -43,9 +43,7 @@ _ROW = "python -c \"import numpy, scipy.io; numpy.savez({out}, range_m=scipy.io.
 
 
 def hint_of(path: Path) -> str | None:
-    """Return how to make a file that prc reads of a file of another program.
-
-    None if that is not known.
+    """Return a hint how to export a file of another program for prc; None if it is not known.
 
     >>> hint_of(Path("scan.fls"))
     'a scan of FARO: export a structured E57 or PTX with FARO SCENE'

@@ -1,4 +1,4 @@
-"""Guesses the records of an unknown raw dump, and what columns of numbers mean, for a layout to begin with."""
+"""Guesses the records of an unknown raw dump and the names of its columns, for a first layout."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _ALIKE = 0.5
 _EVEN = 0.9
 _MAJORITY = 0.99
 FRAME_BYTES = 1 << 22
-"""Bytes at the start of what may be a frame that are looked at: more than a frame of 128 rings."""
+"""Bytes at the start of a dump that are tested for a frame: more than a frame of 128 rings."""
 LEAST_FRAME = 1000
-"""Fewer records are no frame."""
+"""A frame has at least this many records."""
 STAGGERED_DEG = 10.0
 """Neighbouring azimuths of a frame differ by less.
 
@@ -39,14 +39,14 @@ The rings of Ouster's scanners are staggered by up to 6.4 deg.
 LEAST_KNOWN = 0.5
 """Least share of points that are numbers."""
 LEAST_RINGS = 8
-"""Fewer rings are not looked for."""
+"""A frame has at least this many rings."""
 FLAT_DEG = 0.5
 """Elevations of a ring scatter less."""
 FRAME_REACH_M = 300.0
 """No coordinate of a frame lies beyond [m]."""
 _SOME = 0.05
 LEAST_EASTING_M = 1000.0
-"""Numbers that are larger in the middle, and not whole, are no ranges in metres."""
+"""Numbers with a larger median that are not whole are no ranges in metres."""
 _TRIED = ("f8", "f4", "i4", "u2", "u1")
 
 
@@ -55,10 +55,7 @@ FRAME_FIELDS = ("x", "y", "z", "intensity", "ring", "time")
 
 
 def is_frame(path: Path) -> bool:
-    """Tell whether a dump is a frame of a spinning scanner.
-
-    Points of 4, 5 or 6 numbers, see :data:`FRAME_FIELDS`.
-    """
+    """Whether a dump is a frame of a spinning scanner: points of :data:`FRAME_FIELDS`."""
     return frame_fields(path) is not None
 
 
@@ -124,10 +121,7 @@ def _are_rings(numbers: F64) -> bool:
 
 
 def _are_sweeps(azimuth: F64, step: F64, elevation: F64) -> bool:
-    """Tell whether points of a part of the turn come ring after ring.
-
-    Azimuths begin anew, elevations hardly change.
-    """
+    """Whether points of a sector are in the order of their rings: azimuths restart, elevations hardly change."""
     way = np.sign(np.median(step[step != 0]))
     low, high = np.percentile(azimuth, [5, 95])
     back = np.flatnonzero(-way * step > (high - low) / 2) + 1
@@ -142,10 +136,7 @@ def _mostly(mask: Mask) -> bool:
 
 
 def guess_records(path: Path) -> Layout | None:
-    """Guess header, byte order and fields of a dump from the period of its bytes.
-
-    None where nothing repeats.
-    """
+    """Guess header, byte order and fields of a dump from the period of its bytes; None without a period."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
         # without what may be the header
@@ -210,18 +201,18 @@ def _float(values: NDArray[Any]) -> F64:
 
 
 def _fields(rows: U8, endian: str) -> list[tuple[int, str]]:
-    """Return first byte and type of every field: those that explain the bytes best."""
+    """Return first byte and type of the fields that explain the bytes best."""
     width = rows.shape[1]
-    # best merit, and the fields, of what is left behind every byte
+    # best merit, and the fields, of the bytes from every byte to the end
     best: list[tuple[float, list[tuple[int, str]]]] = [(0.0, [])] * (width + 1)
     for first_byte in range(width - 1, -1, -1):
-        ways = []
+        candidates = []
         for kind in _TRIED:
             stop = first_byte + np.dtype(kind).itemsize
             if stop <= width and _makes_sense(_column(rows, first_byte, kind, endian)):
                 merit = _merit(rows, [(first_byte, kind)], endian) + best[stop][0]
-                ways.append((merit, [(first_byte, kind), *best[stop][1]]))
-        best[first_byte] = max(ways, key=lambda way: way[0])
+                candidates.append((merit, [(first_byte, kind), *best[stop][1]]))
+        best[first_byte] = max(candidates, key=lambda candidate: candidate[0])
     return best[0][1]
 
 
@@ -246,7 +237,7 @@ def _makes_sense(values: NDArray[Any]) -> bool:
 
 
 def _merit(rows: U8, fields: list[tuple[int, str]], endian: str) -> float:
-    """Return how well fields explain the bytes: long types, and neighbours that are alike."""
+    """Return how well fields explain the bytes: long types and like neighbours are better."""
     merit = 0.0
     for first_byte, kind in fields:
         values = _float(_column(rows, first_byte, kind, endian))
@@ -255,10 +246,7 @@ def _merit(rows: U8, fields: list[tuple[int, str]], endian: str) -> float:
 
 
 def _likeness(values: F64) -> float:
-    """Return how much neighbours differ, as a share of what random pairs do.
-
-    1 where nothing varies.
-    """
+    """Return the difference of neighbours as a share of the difference of random pairs; 1 for constants."""
     known = values[np.isfinite(values)]
     if len(known) < LEAST_RECORDS:
         return 1.0
@@ -273,24 +261,24 @@ def _header_bytes(
     period: int,
     rows: U8,
 ) -> int:
-    """Return the bytes before the first record: all before that are unlike the records behind."""
+    """Return the bytes before the first record: they are unlike the bytes of records."""
     low, high = np.percentile(rows, (0.5, 99.5), axis=0)
-    # bytes that take few values tell records from other bytes
-    tells = high - low < 128
+    # bytes of few values distinguish records from other bytes
+    few = high - low < 128
     first = size % period
-    if not tells.any():
+    if not few.any():
         return first
     last = first
     for first_byte in range(first, min(len(head) - period, MOST_HEADER_BYTES), period):
         record = head[first_byte : first_byte + period]
-        if np.mean((record[tells] >= low[tells]) & (record[tells] <= high[tells])) >= 0.5:
+        if np.mean((record[few] >= low[few]) & (record[few] <= high[few])) >= 0.5:
             return last
         last = first_byte + period
     return first
 
 
 def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:
-    """Return the metres of one, and the stored value that means no return, of what seems to be ranges.
+    """Return the scale of supposed ranges [m], and the stored value that means no return.
 
     >>> range_scale(np.array([0, 5200, 5210, 0, 7000] * 50, "i4"))
     (0.001, 0.0)
@@ -304,23 +292,22 @@ def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:
         if len(value) > 1 and count[index] > 0.005 * len(number)
     ]
     common = max(ends, key=lambda index: count[index]) if ends else None
-    # ranges from 0 down, and the largest number of a type, are missing by themselves or by this
     missing = None if common is None else float(value[common])
     real = number[number > 0] if missing is None else number[(number > 0) & (number != missing)]
     middle = float(np.median(real)) if len(real) else 1.0
     if values.dtype.kind == "f":
         return 1.0, missing
-    return (0.001 if middle > 1500 else 0.01 if middle > 150 else 1.0), missing
+    if middle > 1500:
+        return 0.001, missing
+    return 0.01 if middle > 150 else 1.0, missing
 
 
 def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
-    """Return standard names of columns by what their numbers do.
+    """Return standard names of columns, guessed from their numbers; other columns are left out.
 
-    Columns that tell nothing are left out.
-
-    Times never fall and are not whole; lines never fall and repeat; columns and angles rise evenly
-    and begin anew; three columns in a row that are large or go below 0 are coordinates;
-    neighbouring ranges are alike, positive, not even and not as large as an easting.
+    Times never fall and are not whole. Lines never fall and repeat. Columns and angles rise evenly
+    and restart. Three columns in a row that are large or go below 0 are coordinates. Neighbouring
+    ranges are alike, positive, not even and not as large as an easting.
 
     >>> shot = np.arange(2000)
     >>> range_m = 9 + 3 * np.sin(shot % 100 / 9.0)
@@ -360,20 +347,14 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
 
 
 def _is_large(known: F64) -> bool:
-    """Tell whether numbers are coordinates of a map.
-
-    No scanner measures so far, and millimetres are whole.
-    """
+    """Whether numbers are map coordinates: too large for ranges in metres, and not whole as millimetres."""
     return float(np.median(np.abs(known))) > LEAST_EASTING_M and not np.all(
         known == np.floor(known)
     )
 
 
 def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
-    """Return three neighbouring columns, none of them whole, one large or below 0.
-
-    Coordinates; () = none are.
-    """
+    """Return the keys of x, y, z: three neighbouring columns, none whole, one large or below 0."""
     for i in range(len(others) - 2):
         three = others[i : i + 3]
         is_row = three[2][0] == three[0][0] + 2 and not any(

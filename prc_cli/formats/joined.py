@@ -1,6 +1,6 @@
 """Several files of one drive, in order, as one list of records.
 
-a line that is cut by the end of a file is one line.
+A scan line that is cut by the end of a file goes on in the next one.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.registry import by_suffix
 
 GAP_S = 1.0
-"""Longest time between the last record of a file and the first of the next one, where one drive goes on [s]."""
+"""Longest time between the last record of a file and the first one of the next file of a drive [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Break:
-    """Where files that were given together are not one drive."""
+    """A place where files are not one drive."""
 
     part: int
-    """Number of the file that begins anew."""
+    """Number of the file with which another drive starts."""
     why: str
 
 
@@ -65,20 +65,20 @@ class JoinedSource:
 
     @property
     def facts(self) -> SourceFacts:
-        """What the first file says of itself; notes and wishes concern all of them."""
-        every = [part.facts for part in self.parts]
-        notes = tuple(dict.fromkeys(note for facts in every for note in facts.notes))
+        """Metadata of the first file, notes of all files."""
+        facts_of_parts = [part.facts for part in self.parts]
+        notes = tuple(dict.fromkeys(note for facts in facts_of_parts for note in facts.notes))
 
         def skip_intensity() -> None:
-            for facts in every:
+            for facts in facts_of_parts:
                 facts.skip_intensity()
 
         def check_layers() -> None:
-            for facts in every:
+            for facts in facts_of_parts:
                 facts.check_layers()
 
         return replace(
-            every[0],
+            facts_of_parts[0],
             notes=notes,
             laz_contexts=None,
             skip_intensity=skip_intensity,
@@ -114,7 +114,7 @@ class JoinedSource:
 
 
 RECORDINGS = ("bag", "capture")
-"""Formats whose files may be parts of one recording, though they hold whole scans."""
+"""Formats of whole scans whose files may be parts of one recording."""
 
 
 @dataclass(frozen=True)
@@ -161,29 +161,32 @@ def open_recordings(paths: Sequence[Path], config: InputConfig) -> ScanStream:
 def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSource:
     """Open files, in the order of recording, as one list of records.
 
-    Range images and organised scans are none.
+    Raises
+    ------
+    InputError
+        If a file is a range image or an organised scan.
     """
     parts: list[RecordSource] = []
     for path in paths:
         source = open_source(path, layout)
         if source is None:
-            problem = "holds whole scans, expected lists of records, or bags alone, or captures alone, of one drive"
+            problem = (
+                "contains whole scans, expected files of records, or only bags, or only captures"
+            )
             raise InputError(
                 str(path),
                 problem,
-                f"classify it by itself: prc classify {shlex.quote(str(path))} OUT",
+                f"classify it alone: prc classify {shlex.quote(str(path))} OUT",
             )
         parts.append(source)
     return JoinedSource(tuple(parts))
 
 
 def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
-    """Return the first place where the files are not one drive.
+    """Return the first place where the files are not one drive; None if they are.
 
-    Other contents, another M, or a gap of time.
-
-    Tiles of a drive are not in the order of their times (``in_order``): only their contents are
-    compared.
+    Dimensions, M and times are compared. Tiles of a drive are not in the order of their times
+    (``in_order=False``): only their dimensions are compared.
     """
     for number in range(1, len(joined.parts)):
         before = joined.parts[number - 1]
@@ -199,9 +202,10 @@ def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
 
 
 def _why_apart(before: RecordSource, after: RecordSource) -> str:
-    m = before.facts.points_per_line, after.facts.points_per_line
-    if m[0] != m[1]:
-        return f"it has {m[1]} shots a line, the file before {m[0]}"
+    m_before = before.facts.points_per_line
+    m_after = after.facts.points_per_line
+    if m_before != m_after:
+        return f"it has {m_after} shots a line, the file before {m_before}"
     name = next(
         (dimension for dimension in ("time", "scan_line") if dimension in before.dimensions), ""
     )

@@ -1,7 +1,4 @@
-"""Class codes in record order.
-
-Read out of any file that carries them, written as files of their own.
-"""
+"""Class codes in record order: read from any file with codes, and written as label files."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ FORMATS = (
 
 
 NAMES = ("class", "label", "classification", "class_code")
-"""Names that codes have where none is given; the first one present is taken, whatever its case."""
+"""Usual names of class codes, in any case; the first one present is used."""
 CODES_AT_ONCE = 1 << 20
 """Codes read at a time."""
 
@@ -74,7 +71,7 @@ def code_suffix_of(path: Path) -> str:
 
 
 def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> str:
-    """Return the name that holds the codes."""
+    """Return the dimension of class codes: the given one, a usual one, or the only one."""
     shown = ", ".join(names[:40])
     if dimension is not None:
         if dimension not in names:
@@ -83,9 +80,9 @@ def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> s
             )
         return dimension
     lowered = {name.lower(): name for name in reversed(names)}
-    found = next((lowered[name] for name in NAMES if name in lowered), None)
-    if found is not None:
-        return found
+    for name in NAMES:
+        if name in lowered:
+            return lowered[name]
     if len(names) == 1:
         return names[0]
     problem = f"none of {', '.join(NAMES)} in the file, which has: {shown or 'nothing'}"
@@ -95,7 +92,7 @@ def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> s
 CODES_BY_NAME = {
     name: code for names in (ASPRS_NAMES, ClassCodes().names()) for code, name in names.items()
 }
-"""Names of this program, else those of ASPRS."""
+"""Names of this program, else of ASPRS."""
 _NUMBERED = "class "
 """Prefix of the names that this program writes for other codes."""
 
@@ -108,13 +105,15 @@ def code_of_name(where: str, name: str) -> int:
     """
     text = name.strip(' \t"').lower().replace("_", " ")
     number = text.removeprefix(_NUMBERED)
-    code = NO_CODE if not text else int(number) if number.isdecimal() else CODES_BY_NAME.get(text)
-    if code is None:
-        problem = f"found the class name {name.strip()!r}, expected a class code or one of: {', '.join(CODES_BY_NAME)}"
-        raise InputError(
-            where, problem, "write these names, or class codes and a --mapping for them"
-        )
-    return code
+    if not text:
+        return NO_CODE
+    if number.isdecimal():
+        return int(number)
+    if text not in CODES_BY_NAME:
+        known = ", ".join(CODES_BY_NAME)
+        problem = f"found the class name {name.strip()!r}, expected a class code or one of: {known}"
+        raise InputError(where, problem, "write one of these names, or class codes and a --mapping")
+    return CODES_BY_NAME[text]
 
 
 def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
@@ -127,14 +126,14 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         for chunk in source.chunks((name, "record") if numbered else (name,)):
             if numbered:
-                # label files whose rows were sorted or filtered are refused: they are matched by
-                # order
-                first = chunk.first_record
+                # rows are matched by their order: moved or missing ones are refused
+                expected = chunk.first_record + np.arange(chunk.n)
                 record = np.asarray(chunk.values["record"], np.float64)
-                if (wrong := record != np.arange(first, first + len(record))).any():
-                    moved = int(np.argmax(wrong))
-                    problem = f"row {first + moved} holds record {record[moved]:g}, expected {first + moved}"
-                    problem += ": rows were moved or left out"
+                if (record != expected).any():
+                    row = int(np.argmax(record != expected))
+                    problem = (
+                        f"row {expected[row]} is record {record[row]:g}, expected {expected[row]}"
+                    )
                     raise InputError(str(path), problem, "sort the rows by record, all of them")
             yield chunk.values[name]
 
@@ -184,14 +183,16 @@ class LabelFileWriter(ScatterWriter):
     def __init__(self, labels: LabelOutput) -> None:
         self._kind = labels.path.suffix.lower()
         asked = asked_columns(labels.options)
-        held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
-        super().__init__(labels, held, labels.n_records)
+        written = [
+            column for column in asked if column.heading is not None and self._kind != ".npy"
+        ]
+        super().__init__(labels, written, labels.n_records)
         for column in asked:
             if column.heading is None:
                 self._notice(
                     f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz"
                 )
-            elif column not in held:
+            elif column not in written:
                 needs = f"{column.what}s need .csv, .parquet, .las or .laz"
                 self._notice(f"a .npy output holds class codes only; {needs}")
 
@@ -221,17 +222,8 @@ class LabelFileWriter(ScatterWriter):
         # text after the record number, by code, so that the loop only joins strings
         tails = [f"{code},{_cell(self._name(code))}" for code in range(256)]
         with self._temporary.open("w", encoding="utf-8", newline="") as handle:
-            handle.write(
-                ",".join(
-                    [
-                        "record",
-                        "class",
-                        "name",
-                        *(column.heading or column.name for column in self._optional),
-                    ]
-                )
-                + "\n"
-            )
+            headings = [column.heading or column.name for column in self._optional]
+            handle.write(",".join(["record", "class", "name", *headings]) + "\n")
             for item in columns:
                 numbers = item.record.tolist()
                 ends: Any = [tails[code] for code in item.codes.tolist()]
@@ -279,7 +271,7 @@ class LabelFileWriter(ScatterWriter):
 
 
 def _texts(values: Values) -> list[Any]:
-    """Return values as text: whole numbers, or the shortest text that gives the same float32 again."""
+    """Return whole numbers, or the shortest text that gives the same float32 again."""
     if values.dtype.kind != "f":
         return list(values.tolist())
     different, index = np.unique(

@@ -34,12 +34,12 @@ NAMES: dict[str, tuple[str, ...]] = {
     "number_of_returns": ("number_of_returns", "num_returns", "nb_of_echo"),
     "ring": ("ring", "laser_id", "laser_number"),
 }
-"""Names of the standard dimensions, the first one present is used.
+"""Names of the standard dimensions; the first one present is used.
 
-In any case, with or without ``scalar_`` before and
-a unit behind (``range_m``, ``angle_gon``, ``time [us]``)."""
+In any case, with or without ``scalar_`` before and a unit behind (``range_m``, ``time [us]``).
+"""
 _BESIDE_RANGE = ("theta", "zenith", "azimuth")
-"""Directions of a shot where its range is there; else of anything."""
+"""Names of scan angles only if there are ranges too."""
 UNIT_WORDS = {
     **{unit: unit for unit in ("mm", "cm", "m", "ft", "s", "ms", "us", "ns", "rad", "deg", "gon")},
     "metre": "m",
@@ -62,14 +62,14 @@ UNIT_WORDS = {
     "µs": "us",
     "μs": "us",
 }
-"""Units by the words that programs write."""
+"""Units by the words that other programs write."""
 _UNIT = re.compile(
     rf"(?P<name>.+?) ?(?:_|/|\(|\[| in | ) ?(?P<unit>{'|'.join(UNIT_WORDS)}) ?[)\]]?"
 )
-"""A name with a unit behind it.
+"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``, ``range/m``.
 
-``range_mm``, ``angle [gon]``, ``x (ft)``, ``range/m``, ``angle in degrees``; runs of
-blanks are one blank by then, as many of them would take hours."""
+Runs of blanks must be one blank: many of them would take hours.
+"""
 ZENITH = "zenith"
 """Angles from straight up: straight down is 180 degrees."""
 _FROM_UP = (ZENITH, "zenith_angle", "polar", "polar_angle", "colatitude")
@@ -77,20 +77,20 @@ _FROM_UP = (ZENITH, "zenith_angle", "polar", "polar_angle", "colatitude")
 _FROM_LEVEL = ("elevation", "elevation_angle", "altitude", "inclination")
 """Vertical angles from level, upwards: straight down is -90 degrees."""
 _VERTICAL = ("vertical_angle", "vertical", "v")
-"""Vertical angles from up or from level: the ranges tell which."""
+"""Vertical angles from up or from level: the ranges decide."""
 _HORIZONTAL = ("azimuth", "horizontal_angle", "horizontal", "hz", "phi", "az")
 
 
 @dataclass(frozen=True, slots=True)
 class Usual:
-    """A dimension by a usual name."""
+    """A column with a usual name of a standard dimension."""
 
     name: str
-    """As it is called in the file."""
+    """Name in the file."""
     index: int
-    """Its number among the names given."""
+    """Index among the names of the file."""
     unit: str
-    """Empty where it is the usual one."""
+    """Unit; empty for the usual one."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -107,13 +107,13 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def _lowered(name: str) -> str:
-    """Return a name in lower case, without what says that it has no unit."""
+    """Return a name in lower case, without empty brackets of a missing unit."""
     plain = " ".join(name.lower().split()).removeprefix("scalar_")
     return re.sub(r" ?(?:\[-*\]|\(-*\))$", "", plain)
 
 
 def unit_of(standard: str, name: str) -> str:
-    """Return the unit that a name tells of a standard dimension; empty for the usual one.
+    """Return the unit in the name of a standard dimension; empty for the usual one.
 
     >>> unit_of("range", "range_mm"), unit_of("angle", "angle_deg"), unit_of("angle", "theta")
     ('mm', '', 'rad')
@@ -128,12 +128,10 @@ def unit_of(standard: str, name: str) -> str:
 
 
 def usual_names(names: Sequence[str]) -> dict[str, Usual]:
-    """Map standard dimensions to names, as far as these are usual ones.
+    """Map standard dimensions to columns with usual names; the first of equal names is used.
 
-    The first of equal names is used.
-
-    >>> found = usual_names(["theta", "Range [mm]", "line"])
-    >>> [(standard, one.name, one.unit) for standard, one in found.items()]
+    >>> usual = usual_names(["theta", "Range [mm]", "line"])
+    >>> [(standard, column.name, column.unit) for standard, column in usual.items()]
     [('range', 'Range [mm]', 'mm'), ('scan_line', 'line', ''), ('angle', 'theta', 'rad')]
     """
     lowered = [_lowered(name) for name in names]
@@ -158,10 +156,7 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
 
 
 def _vertical_names(plain: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of vertical angles, where a horizontal one is beside them.
-
-    Alone they may be heights.
-    """
+    """Return the names of vertical angles beside a horizontal one; alone they may be heights."""
     by_word = {name.replace(" ", "_"): name for name in plain}
     if not by_word.keys() & set(_HORIZONTAL):
         return ()
@@ -175,13 +170,28 @@ def find_columns(
     keys: Sequence[str] = (),
     hint: str = "",
 ) -> dict[str, Column]:
-    """Return the dimensions of a file.
+    """Return the columns of a file by dimension.
 
-    The fields of a layout decide; without fields, usual names become standard ones.
+    The fields of a layout name the dimensions. Without fields, usual names become standard
+    dimensions. All other columns keep their name, or their number if they have none.
 
-    All other columns keep their name, or their number if they have none. Where no column has a
-    name, fields without a source are the columns in order. The body calls the columns ``keys``, by
-    default as the file does.
+    Parameters
+    ----------
+    where
+        File and line, for messages.
+    names
+        Names of the columns; empty strings without names.
+    layout
+        If no column has a name, fields without a source are the columns in order.
+    keys
+        Names of the columns in the body, by default ``names``.
+    hint
+        End of the hint of errors.
+
+    Raises
+    ------
+    InputError
+        If a field has no column, or several.
     """
     keys = keys or names
     columns: dict[str, Column] = {}
@@ -190,8 +200,8 @@ def find_columns(
         for position, item in enumerate(layout.fields):
             index = _find_source(where, names, item, position, hint)
             unit = "" if item.unit or item.scale != 1.0 else unit_of(item.name, names[index])
-            item_with_unit = item.model_copy(update={"unit": unit}) if unit else item
-            columns[item.name] = Column(keys[index], names[index], item_with_unit)
+            with_unit = item.model_copy(update={"unit": unit}) if unit else item
+            columns[item.name] = Column(keys[index], names[index], with_unit)
     else:
         for standard, usual in usual_names(names).items():
             _check_once(where, names, usual.name)
@@ -244,7 +254,7 @@ def _find_source(
 def _check_once(where: str, names: Sequence[str], name: str) -> None:
     places = [index for index, column in enumerate(names) if column == name]
     if len(places) > 1:
-        problem = f"the name {name!r} stands in columns {places[0]} and {places[1]}, expected once"
+        problem = f"the name {name!r} is in columns {places[0]} and {places[1]}, expected once"
         hint = "rename one, or give the column's number from 0 as source in [[layout.fields]]"
         raise InputError(where, problem, hint)
 
@@ -258,7 +268,7 @@ def ring_rules() -> tuple[KnownRule, ...]:
 
 
 def angle_rules(name: str | None) -> tuple[KnownRule, ...]:
-    """Return what the name of the angles says of straight down.
+    """Return the rule for straight down that the name of the angles implies.
 
     >>> [rule.value for name in ("zenith", "Elevation [deg]", "scan_angle") for rule in angle_rules(name)]
     ['180', '-90']

@@ -1,7 +1,4 @@
-"""How inputs are read (``[input]``), and the layout of raw dumps and text.
-
-Record type, decoding of stored numbers.
-"""
+"""The configuration of inputs (``[input]``), and the layout of raw dumps and text (``[layout]``)."""
 
 from __future__ import annotations
 
@@ -419,34 +416,35 @@ def _check_missing(item: LayoutField, stored: np.dtype[Any]) -> None:
 
 
 def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
-    """Turn stored numbers into values.
+    """Turn stored numbers into values in metres, seconds and radians; NaN where missing.
 
-    ``stored * scale + offset`` in the unit of the field, NaN where missing.
-
-    Values are in metres, seconds and radians.
+    A value is ``stored * scale + offset`` in the unit of the field.
 
     >>> import numpy as np
     >>> decode(np.array([12_345, 0], "<i4"), LayoutField(name="range", type="i4", scale=0.001, missing=0))
     array([12.345,    nan])
     """
     factor = 1.0 if item.unit in ("", "deg") else FACTORS[item.unit]
-    plain = item.scale == 1.0 and item.offset == 0.0 and factor == 1.0
+    is_plain = item.scale == 1.0 and item.offset == 0.0 and factor == 1.0
     missing = (
         None if item.missing is None else stored == np.array(item.missing).astype(stored.dtype)
     )
-    if plain and missing is None and stored.dtype.kind in "iu" and item.name not in UNITS:
+    if is_plain and missing is None and stored.dtype.kind in "iu" and item.name not in UNITS:
         return np.ascontiguousarray(stored, dtype=stored.dtype.newbyteorder("="))
     narrow = (
-        plain and item.name == "range" and stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
+        is_plain
+        and item.name == "range"
+        and stored.dtype.kind == "f"
+        and stored.dtype.itemsize <= 4
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        # a buffer read only for this need not be copied
-        kept = item.name == "range" and plain and missing is None
+        # a buffer that is not changed need not be copied
+        kept = item.name == "range" and is_plain and missing is None
         is_ours = stored.flags.c_contiguous and (stored.flags.writeable or kept)
         values: NDArray[np.floating[Any]] = stored.astype(
             np.float32 if narrow else np.float64, copy=not is_ours
         )
-        if not plain:
+        if not is_plain:
             values *= item.scale
             values += item.offset
             if factor != 1.0:

@@ -14,7 +14,7 @@ from prc_cli.formats.writing.columns import LabelOutput, check_codes
 from prc_cli.formats.writing.record import record_path
 
 BESIDE = {"trajectory": (".csv", *SBET_SUFFIXES), "labels": (".npy",), "stems": (".csv",)}
-"""Suffixes of what a simulated stream may have beside it."""
+"""Suffixes of the files beside a simulated stream."""
 
 
 def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
@@ -32,7 +32,7 @@ def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
 
 
 def stream_suffix(path: Path) -> str:
-    """Return the suffix, which decides the writer."""
+    """Return the suffix of a stream output, which selects the writer."""
     suffix = suffix_of(path)
     known = by_suffix("streams")
     if suffix not in known:
@@ -42,7 +42,7 @@ def stream_suffix(path: Path) -> str:
 
 
 def stream_format(path: Path) -> Format:
-    """Return what is written under such a name."""
+    """Return the format of a stream output."""
     return by_suffix("streams")[stream_suffix(path)]
 
 
@@ -55,10 +55,7 @@ def outputs_of(path: Path) -> tuple[Path, ...]:
 
 
 def beside_of(path: Path) -> tuple[Path, ...]:
-    """Return what an output may add to its folder where there is none yet.
-
-    a database of ROS 2 makes a bag of it.
-    """
+    """Return files that an output adds to its folder if they are absent: metadata of a ROS 2 bag."""
     return (path.with_name(METADATA),) if suffix_of(path) == DATABASE else ()
 
 

@@ -1,4 +1,4 @@
-"""Ranges: invalid ones become missing, and which return of a shot the range image shows."""
+"""Ranges: invalid ones become missing, and one return of a shot is chosen for the range image."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _LARGEST = float(np.finfo(np.float32).max)
 def clean_ranges(
     range_m: NDArray[Any], min_range: float = 0.0, max_range: float | None = None
 ) -> tuple[F32, ReadTally]:
-    """Return float32 ranges, NaN where (once rounded) not finite, positive and within bounds.
+    """Return float32 ranges, NaN where they are not finite, not positive or outside the bounds.
 
-    Counted by reason.
+    Ranges are rounded to float32 before they are compared. The tally counts them by reason.
     """
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         stored = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
@@ -36,7 +36,7 @@ def clean_ranges(
 
 
 def scale_told(scale: float) -> tuple[Assumption, ...]:
-    """Return what is said of a scale of ranges that was given."""
+    """Return the assumption that a given scale of ranges is."""
     return (
         (Assumption(KEY, f"{scale:g}", "metres in one of the stored ranges, as given"),)
         if scale != 1.0
@@ -45,11 +45,11 @@ def scale_told(scale: float) -> tuple[Assumption, ...]:
 
 
 def refuse_scale(config: InputConfig, path: str, why: str) -> None:
-    """Refuse a scale of ranges that would do nothing."""
+    """Refuse a scale of ranges that would change nothing."""
     if config.range_scale != 1.0:
         raise ConfigError(
             KEY,
-            f"found {config.range_scale:g}, which does nothing for {path}: {why}",
+            f"{config.range_scale:g} changes nothing in {path}: {why}",
             "leave it out",
         )
 
@@ -98,7 +98,7 @@ def choose_returns(
 ) -> Mask:
     """Mark the return of every shot that an image shows.
 
-    One with a range if there is one; of ties the earlier.
+    Returns with a range come first. Of equal returns the earlier one is chosen.
     """
     if starts.all():
         return starts

@@ -1,4 +1,4 @@
-"""The interface of readers for lists of records, from which the stream is built, and what their records hold.
+"""Lists of records: the interface of their readers, class codes, and counts of their contents.
 
 A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range of every record, for
 all formats alike.
@@ -97,12 +97,15 @@ class RecordSource(Protocol):
 
     @property
     def facts(self) -> SourceFacts:
-        """What the file says of itself beside its records."""
+        """Metadata of the file."""
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode dimensions in order, in bounded memory.
 
-        An ``InputError`` names the position of damage.
+        Raises
+        ------
+        InputError
+            Names the position of damage.
         """
 
 
@@ -132,7 +135,7 @@ Stored: TypeAlias = Mapping[str, NDArray[Any]] | NDArray[Any]
 
 
 class Body(Protocol):
-    """Where the values of a file are stored."""
+    """Stored values of a file."""
 
     @property
     def n_records(self) -> int | None:
@@ -144,12 +147,12 @@ class Body(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """How the values of a dimension are stored."""
+    """Storage of the values of a dimension."""
 
     key: str
-    """What the body calls it."""
+    """Name in the body."""
     name: str
-    """What the file calls it; empty where it has no names."""
+    """Name in the file; empty if the file has no names."""
     item: LayoutField
     """Scale, offset, missing value and unit."""
 
@@ -176,7 +179,7 @@ class FieldSource:
         self.body = body
         self.n_records = body.n_records
         self.facts = SourceFacts()
-        """What the file says of itself beside its records."""
+        """Metadata of the file; a subclass sets them."""
 
     @property
     def dimensions(self) -> tuple[str, ...]:
@@ -209,7 +212,7 @@ class FieldSource:
 
 @dataclass(frozen=True)
 class DerivedSource:
-    """Base class of sources that change the records of another source in ``chunks``."""
+    """Base class of sources whose ``chunks`` change the records of another source."""
 
     source: RecordSource
 
@@ -235,7 +238,7 @@ class DerivedSource:
 
     @property
     def facts(self) -> SourceFacts:
-        """What the file says of itself beside its records."""
+        """Metadata of the file."""
         return self.source.facts
 
 
@@ -294,12 +297,12 @@ class CodeSource:
 
 
 CLASS_NAMES = ("classification", "class", "label")
-"""Dimensions that hold class codes; the first that is there counts."""
+"""Dimensions of class codes; the first one present is counted."""
 MOST_KINDS = 256
-"""More different codes, returns or sources are not told one by one."""
+"""Further different codes, returns or sources are not counted."""
 REGISTERED_SPAN_M = 300.0
 REGISTERED_FAR_M = 2000.0
-"""Coordinates that span more, or lie farther from zero, are not relative to one scanner."""
+"""Coordinates that span more, or are farther from zero, are not relative to one scanner [m]."""
 
 
 @dataclass(slots=True)
@@ -313,22 +316,25 @@ class Contents:
     classes: Counter[int] = field(default_factory=Counter)
     """Records by class code."""
     class_names: dict[int, str] = field(default_factory=dict)
-    """What the file itself calls its own codes, from 64 on."""
+    """Names of the file for its own codes, from 64 on."""
     returns: Counter[str] = field(default_factory=Counter)
     """Records by return, as ``"2 of 3"``."""
     sources: Counter[int] = field(default_factory=Counter)
     """Records by point source id."""
 
     def see(self, values: dict[str, NDArray[Any]]) -> None:
-        """Take the next records, by dimension."""
+        """Count the next records, by dimension."""
         for axis in (*AXES, "time"):
-            if axis in values and (found := _bounds(values[axis])):
-                old = self.time_s if axis == "time" else self.bounds_m.get(axis)
-                both = found if old is None else (min(old[0], found[0]), max(old[1], found[1]))
-                if axis == "time":
-                    self.time_s = both
-                else:
-                    self.bounds_m[axis] = both
+            bounds = _bounds(values[axis]) if axis in values else None
+            if bounds is None:
+                continue
+            earlier = self.time_s if axis == "time" else self.bounds_m.get(axis)
+            if earlier is not None:
+                bounds = min(earlier[0], bounds[0]), max(earlier[1], bounds[1])
+            if axis == "time":
+                self.time_s = bounds
+            else:
+                self.bounds_m[axis] = bounds
         for name in CLASS_NAMES:
             if name in values:
                 _count(self.classes, values[name])
@@ -354,9 +360,9 @@ class Contents:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
+        """Return the counts as plain values for JSON."""
         return {
-            "bounds_m": {axis: list(both) for axis, both in self.bounds_m.items()},
+            "bounds_m": {axis: list(bounds) for axis, bounds in self.bounds_m.items()},
             "registered": self.is_registered,
             "time_s": None if self.time_s is None else list(self.time_s),
             "classes": {str(code): n for code, n in sorted(self.classes.items())},
@@ -368,10 +374,10 @@ class Contents:
 
 def watched_contents(source: RecordSource, contents: Contents) -> Iterator[RecordChunk]:
     """Read a source once and count its records on the way."""
-    there = set(source.dimensions)
-    classes = next((name for name in CLASS_NAMES if name in there), None)
+    present = set(source.dimensions)
+    classes = next((name for name in CLASS_NAMES if name in present), None)
     counted = (*AXES, "time", "return_number", "number_of_returns", "point_source_id", classes)
-    for chunk in source.chunks(tuple(name for name in counted if name in there)):
+    for chunk in source.chunks(tuple(name for name in counted if name in present)):
         contents.see(chunk.values)
         yield chunk
 

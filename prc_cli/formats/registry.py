@@ -44,9 +44,9 @@ _ROOMS = (
 Held: TypeAlias = Literal[
     "codes", "registered", "relative", "angles", "times", "intensity", "returns"
 ]
-"""What a stream may hold beside ranges.
+"""Values of a stream beside its ranges.
 
-Class codes, coordinates of the input, coordinates relative to the scanner.
+``registered`` are coordinates of the input, ``relative`` ones are relative to the scanner.
 """
 EVERYTHING: frozenset[Held] = frozenset(
     ("codes", "registered", "relative", "angles", "times", "intensity", "returns")
@@ -56,7 +56,7 @@ Role: TypeAlias = Literal["scans", "streams", "labels", "codes"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """What a format reads and writes.
+    """A format: what it reads and writes.
 
     Functions are named ``"module:function"`` and imported when they are needed.
     """
@@ -67,41 +67,35 @@ class Format:
     records: str = ""
     """Opens a scan as a list of records: ``(path, layout) -> RecordSource``."""
     images: str = ""
-    """Opens a scan that holds lines and columns.
-
-    ``(path, input configuration, lines at once) -> ScanStream``.
-    """
+    """Opens a scan of lines and columns: ``(path, input configuration, lines at once) -> ScanStream``."""
     has_layout: bool = False
     """Whether a layout describes the records of its scans."""
     is_dump: bool = False
-    """Whether nothing but a layout describes them."""
+    """Whether only a layout describes them."""
     streams: Mapping[str, str] = field(default_factory=dict)
-    """Suffixes of streams that are written, each with what such a file is."""
+    """Suffixes of streams that can be written, each with a description."""
     write_stream: str = ""
     """Writes a stream: ``(path, shape) -> StagedWriter``."""
     holds: frozenset[Held] = EVERYTHING
-    """What a written stream can hold."""
+    """Values that a written stream can hold."""
     makes_xyz: bool = False
-    """Whether a written stream has coordinates relative to the scanner even where its blocks have none."""
+    """Whether a written stream has coordinates relative to the scanner even if its blocks have none."""
     labels: tuple[str, ...] = ()
     """Suffixes of outputs of ``prc classify``."""
     write_labels: str = ""
     """Writes them: ``(output) -> StagedWriter``."""
     keeps_points: bool = False
-    """Whether they are the points with all that they had, where the input is written by the same function."""
+    """Whether an output has all values of its input, if both are of this format."""
     codes: tuple[str, ...] = ()
-    """Suffixes of files that class codes are read from."""
+    """Suffixes of files of class codes."""
     open_codes: str = ""
     """Opens them: ``(path, dimension) -> CodeSource``."""
     columns: str = ""
-    """Opens the columns of a file that is no list of records: ``(path) -> RecordSource``."""
+    """Opens the columns of a file that is not a list of records: ``(path) -> RecordSource``."""
 
     @property
     def holds_all(self) -> bool:
-        """Whether a written stream loses no value, as tables and clouds.
-
-        Also returns, and scanners as a column.
-        """
+        """Whether a written stream loses no value, as tables and clouds do not."""
         return self.holds == EVERYTHING
 
     def open_records(self, path: Path, layout: Layout | None) -> RecordSource:
@@ -125,7 +119,7 @@ class Format:
         return _call(self.open_codes, path, dimension)  # type: ignore[no-any-return]
 
     def column_source(self, path: Path) -> RecordSource | None:
-        """Open the columns of a file as records; None where it has none."""
+        """Open the columns of a file as records; None if it has none."""
         if self.records:
             return self.open_records(path, None)
         return _call(self.columns, path) if self.columns else None
@@ -142,7 +136,7 @@ def formats() -> tuple[Format, ...]:
 
 @lru_cache(maxsize=4)
 def by_suffix(role: Role) -> dict[str, Format]:
-    """Return the formats that can do something, by suffix; the first one counts."""
+    """Return the formats of a role by suffix; the first format of a suffix is used."""
     forms: dict[str, Format] = {}
     for form in formats():
         for suffix in getattr(form, role):
@@ -151,7 +145,7 @@ def by_suffix(role: Role) -> dict[str, Format]:
 
 
 def format_of(path: Path, role: Role = "scans") -> Format | None:
-    """Return the format of a file that can do something, by its suffix."""
+    """Return the format of a file in a role, by its suffix; None if there is none."""
     return by_suffix(role).get(suffix_of(path))
 
 
@@ -168,19 +162,19 @@ def is_dump(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether such a name is that of a recording of messages, which has no columns."""
+    """Whether a file name is that of a bag, a recording of messages without columns."""
     form = format_of(path, "labels")
     return form is not None and bool(form.images) and not form.columns
 
 
 def is_cloud(path: Path) -> bool:
-    """Whether classes are written into points under such a name, not alone."""
+    """Whether an output of this name contains points with classes, not only classes."""
     form = format_of(path, "labels")
     return form is not None and form.keeps_points
 
 
 def keeps_points(source: Path, output: Path) -> bool:
-    """Whether a classified output has the very points of its input."""
+    """Whether a classified output contains the points of its input."""
     source_form = format_of(source, "labels")
     output_form = format_of(output, "labels")
     return (

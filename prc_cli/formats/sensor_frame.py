@@ -1,11 +1,9 @@
-"""Finds the frame of a spinning scanner from its rings.
-
-Each is a cone around the axis, all with one apex.
+"""Finds the frame of a spinning scanner from its rings: cones around one axis with one apex.
 
 Drivers and data sets give clouds on the axes of a vehicle, levelled, or with z counted from the
-ground. The elevation of a ring then changes with azimuth and range. The axis and the apex are those
-with the least spread of elevation within rings, found by Gauss-Newton steps with weights that leave
-out what fits badly (Tukey).
+ground. The elevation of a ring then changes with azimuth and range. The axis and the apex with the
+least spread of elevation within rings are found by Gauss-Newton steps. Tukey weights leave out shots
+that fit badly.
 """
 
 from __future__ import annotations
@@ -20,18 +18,15 @@ from prc_cli.core.types import F32, F64, I64
 
 MOST_SHOTS = 12_000
 FEW_SHOTS = 3_000
-"""Shots that are fitted, and that are fitted to compare ways to cut a frame into rings."""
+"""Shots of a fit, and of a fit that only compares two cuts of a frame into rings."""
 FEWEST_SHOTS = 500
 FEWEST_RINGS = 4
 WIDEST_GAP = 0.75
-"""Share of a turn: a sector that is narrower than the rest of it does not tell an axis from an apex."""
+"""Widest sector without shots, as a share of a turn: a narrow view cannot separate axis and apex."""
 NARROW_RAD = math.radians(0.1)
-"""Rings that spread less are cones.
-
-Scanners' own angles, and those of frames, spread up to 0.15 deg [rad].
-"""
+"""Rings that spread less are cones [rad]; angles of scanners and frames spread up to 0.15 deg."""
 BETTER = 0.6
-"""The spread that is left is less than this share of what it was."""
+"""The spread after a fit is less than this share of the spread before."""
 LEAST_LEAN_RAD = math.radians(0.3)
 """Axes that lean less are upright: 0.1 deg in frames of KITTI and of Argoverse [rad]."""
 LEAST_OFF_M = 0.25
@@ -40,62 +35,58 @@ LEAST_OFF_M = 0.25
 Lasers of one scanner lie up to 0.2 m apart [m].
 """
 MOST_LEAN_RAD = math.radians(60.0)
-"""Axes that lean more are not told apart from other surfaces [rad]."""
+"""Axes that lean more may be fitted to other surfaces [rad]."""
 FARTHEST_M = 5.0
-"""A scanner is not farther from the point that coordinates are counted from, unless they are those of a map [m]."""
+"""A scanner is not farther from the origin of coordinates, unless they are map coordinates [m]."""
 ROUNDS = 30
 CLOSE = 3e-5
 """Most steps of a fit; smaller ones end it [rad, m]."""
 UPRIGHT_ROUNDS = 3
 MILD_ROUNDS = 9
-"""The first steps turn the axis alone, and those up to here leave out little."""
+"""The first steps only turn the axis; steps before this one leave out few shots."""
 TUKEY = 3.0
-"""What is off by so many times the spread has no weight."""
+"""Shots that deviate by more spreads have no weight."""
 MOST = 80.0
-"""Per cent of the shots that a spread is of.
-
-Most shots may see level ground, all around at one range.
-"""
+"""Percentile of deviations that is the spread: most shots may see level ground at one range."""
 DEVIATION = 1.4826
-"""Standard deviation in median absolute deviations."""
+"""Standard deviations in one median absolute deviation."""
 DECIMALS_RAD = 6
 DECIMALS_M = 3
 """Decimals of a frame: the last bits of a fit differ between machines."""
 MOST_IN_ORDER = 0.9
-"""Share of the rings that lie above the one before."""
+"""Least share of the rings above the ring before."""
 NEAR_RING = 0.4
-"""Shots are nearer to their ring than this share of the distance to the next."""
+"""Shots are nearer to their ring than this share of the distance to the next ring."""
 _SPIN_RAD = math.radians(45.0)
-"""The shots of a line of a spinning scanner lie within this of its azimuth [rad] ..."""
+"""Shots of a line of a spinning scanner deviate less from its azimuth [rad]."""
 _TURNED_RAD = math.radians(2.0)
-"""... and its lines turn by more than this [rad]."""
+"""Lines of a spinning scanner turn by more [rad]."""
 
 
 def is_spinning(xyz_m: F32) -> bool:
-    """Return whether lines, (lines, M, 3) float32 [m], turn as those of a spinning scanner do.
+    """Whether lines, (lines, M, 3) float32 [m], turn like the lines of a spinning scanner.
 
     >>> azimuth = np.linspace(0, 1, 50)[:, None] + np.zeros(8)
     >>> is_spinning(np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=-1).astype(np.float32))
     True
     """
-    along = np.nansum(xyz_m[..., :2].astype(np.float64), axis=1)
-    azimuth = np.arctan2(along[:, 1], along[:, 0])
-    there = np.isfinite(xyz_m[..., 0])
-    enough = there.sum(axis=1) >= FEWEST_RINGS - 1
+    direction = np.nansum(xyz_m[..., :2].astype(np.float64), axis=1)
+    azimuth = np.arctan2(direction[:, 1], direction[:, 0])
+    is_finite = np.isfinite(xyz_m[..., 0])
+    enough = is_finite.sum(axis=1) >= FEWEST_RINGS - 1
     if np.count_nonzero(enough) < 2:
         return False
     with np.errstate(invalid="ignore"):
         off = _wrap(np.arctan2(xyz_m[..., 1], xyz_m[..., 0]).astype(np.float64) - azimuth[:, None])
-    one_way = np.mean(np.abs(off[enough][there[enough]]) < _SPIN_RAD)
+    one_way = np.mean(np.abs(off[enough][is_finite[enough]]) < _SPIN_RAD)
     turned = np.ptp(np.unwrap(azimuth[enough]))
     return bool(one_way > 0.9 and turned > _TURNED_RAD)
 
 
 def are_rings(xyz_m: F32) -> bool:
-    """Return whether columns of lines that turn, (lines, M, 3) float32 [m], are rings, each at its elevation.
+    """Whether columns of lines that turn, (lines, M, 3) float32 [m], are rings of constant elevation.
 
-    With a wrong number of shots in a line elevations come again in a line, or change from line to
-    line.
+    With a wrong number of shots in a line, elevations repeat in a line or change from line to line.
     """
     with np.errstate(invalid="ignore"):
         elevation = np.arctan2(xyz_m[..., 2], np.hypot(xyz_m[..., 0], xyz_m[..., 1])).astype(
@@ -130,7 +121,7 @@ def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
         None where the coordinates are in the frame of the scanner, or no other frame explains them
         better.
     """
-    xyz_m, ring = _some(xyz, rings, MOST_SHOTS)
+    xyz_m, ring = _sample(xyz, rings, MOST_SHOTS)
     n_rings = len(np.unique(ring))
     if len(ring) < FEWEST_SHOTS or n_rings < FEWEST_RINGS or _gap(xyz_m) > WIDEST_GAP:
         return None
@@ -139,13 +130,14 @@ def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
     if before < NARROW_RAD or not fit.run():
         return None
     lean = math.acos(min(max(float(fit.turn[2, 2]), -1.0), 1.0))
-    off_m = float(np.hypot(fit.apex_m[0], fit.apex_m[1])), abs(float(fit.apex_m[2]))
+    aside_m = float(np.hypot(fit.apex_m[0], fit.apex_m[1]))
+    above_m = abs(float(fit.apex_m[2]))
     after = fit.spread()
-    if after > BETTER * before or lean > MOST_LEAN_RAD or max(off_m) > FARTHEST_M:
+    if after > BETTER * before or lean > MOST_LEAN_RAD or max(aside_m, above_m) > FARTHEST_M:
         return None
-    # what is small is a matter of the scanner's own angles
+    # small leans and offsets are errors of the scanner's own angles
     turn = fit.turn if lean >= LEAST_LEAN_RAD else np.eye(3)
-    apex = fit.apex_m * np.array([off_m[0] >= LEAST_OFF_M] * 2 + [off_m[1] >= LEAST_OFF_M])
+    apex = fit.apex_m * np.array([aside_m >= LEAST_OFF_M] * 2 + [above_m >= LEAST_OFF_M])
     if turn is not fit.turn and not apex.any():
         return None
     rows = tuple(tuple(round(float(value), DECIMALS_RAD) for value in row) for row in turn)
@@ -154,14 +146,14 @@ def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
 
 
 def spread_of_cones(xyz_m: F32, ring: I64, *, is_fitted: bool) -> float:
-    """Return the spread of elevation within rings [rad], in the frame that suits them best where it is fitted."""
-    fit = _Fit(*_some(xyz_m, ring, FEW_SHOTS))
+    """Return the spread of elevation within rings [rad], in the best frame if ``is_fitted``."""
+    fit = _Fit(*_sample(xyz_m, ring, FEW_SHOTS))
     if is_fitted:
         fit.run()
     return fit.spread()
 
 
-def _some(xyz_m: F32, ring: I64, most: int) -> tuple[F64, I64]:
+def _sample(xyz_m: F32, ring: I64, most: int) -> tuple[F64, I64]:
     shots = np.linspace(0, len(ring) - 1, min(len(ring), most)).astype(np.int64)
     return xyz_m[shots].astype(np.float64), ring[shots]
 
@@ -174,7 +166,7 @@ def _gap(xyz_m: F64) -> float:
 
 @dataclass(slots=True)
 class _Fit:
-    """Axis and apex, as far as they are known."""
+    """Axis and apex of the cones, improved step by step."""
 
     xyz_m: F64
     ring: I64
@@ -190,7 +182,7 @@ class _Fit:
         self.apex_m = np.zeros(3)
 
     def run(self) -> bool:
-        """Fit; return whether it came to an end."""
+        """Fit axis and apex; return whether the steps converged."""
         for step in range(ROUNDS):
             moved = self._step(with_apex=step >= UPRIGHT_ROUNDS, is_mild=step < MILD_ROUNDS)
             if step > MILD_ROUNDS and moved < CLOSE:
@@ -211,7 +203,7 @@ class _Fit:
         )
 
     def _off(self, elevation: F64) -> F64:
-        """Return how far shots lie from the middle of their ring [rad]."""
+        """Return the deviation of shots from the median elevation of their ring [rad]."""
         order = np.lexsort((elevation, self.ring))
         n = np.bincount(self.ring, minlength=self.n_rings)
         middle = np.zeros(self.n_rings)

@@ -44,7 +44,7 @@ class _SortedSource(DerivedSource):
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         with scratch_file("sorting") as handle:
-            runs: list[_Run] = []
+            runs: list[_SortedRun] = []
             position = 0
             pending: NDArray[np.void] | None = None
             for records in self._runs(names):
@@ -52,12 +52,12 @@ class _SortedSource(DerivedSource):
                 if pending is not None:
                     with scratch_errors("sorting"):
                         handle.write(pending.view(np.uint8).data)
-                    runs.append(_Run(handle, position, len(pending), pending.dtype))
+                    runs.append(_SortedRun(handle, position, len(pending), pending.dtype))
                     position += pending.nbytes
                 pending = records
             if pending is None:
                 return
-            runs.append(_Run(None, 0, len(pending), pending.dtype, pending))
+            runs.append(_SortedRun(None, 0, len(pending), pending.dtype, pending))
             del records, pending
             first = 0
             for merged in _merge(runs, self.merge_records):
@@ -69,17 +69,17 @@ class _SortedSource(DerivedSource):
 
     def _runs(self, names: tuple[str, ...]) -> Iterator[NDArray[np.void]]:
         parts: list[NDArray[np.void]] = []
-        held = 0
+        n_records = 0
         for chunk in self.source.chunks(tuple(dict.fromkeys((*names, "time")))):
             records = self._pack(chunk, names)
             for start in range(0, len(records), self.run_records):
                 part = records[start : start + self.run_records]
-                if held + len(part) > self.run_records:
+                if n_records + len(part) > self.run_records:
                     yield _sort(parts)
                     parts = []
-                    held = 0
+                    n_records = 0
                 parts.append(part)
-                held += len(part)
+                n_records += len(part)
         if parts:
             yield _sort(parts)
 
@@ -109,8 +109,8 @@ def _sort(parts: list[NDArray[np.void]]) -> NDArray[np.void]:
     return records[np.argsort(records[_TIME], kind="stable")]
 
 
-class _Run:
-    """A sorted run: a window in memory, the rest on disk."""
+class _SortedRun:
+    """Records in order: a window in memory, the following ones on disk."""
 
     def __init__(
         self,
@@ -126,11 +126,11 @@ class _Run:
         self.window: NDArray[np.void] = np.empty(0, dtype) if window is None else window
 
     @property
-    def is_all_here(self) -> bool:
+    def is_in_memory(self) -> bool:
         return self._n_on_disk == 0
 
     def fill(self, n_records: int) -> None:
-        """Bring the window to ``n_records`` if it is half empty."""
+        """Read records into the window, up to ``n_records``, if it is half empty."""
         wanted = min(n_records - len(self.window), self._n_on_disk)
         if self._handle is None or len(self.window) > n_records // 2 or wanted <= 0:
             return
@@ -153,20 +153,20 @@ class _Run:
         return taken
 
 
-def _merge(runs: list[_Run], merge_records: int) -> Iterator[NDArray[np.void]]:
+def _merge(runs: list[_SortedRun], merge_records: int) -> Iterator[NDArray[np.void]]:
     """Yield the records of all runs in order; of equal times, those of earlier runs first."""
     share = max(merge_records // len(runs), 2)
     while runs:
         for run in runs:
             run.fill(share)
-        # the window that ends first limits how far the order is known; earlier runs may give
-        # records of that very time, later runs not yet
-        open_runs = [k for k, run in enumerate(runs) if not run.is_all_here]
+        # the window that ends first limits the times that can be merged; of records with this
+        # very time, only earlier runs may give theirs
+        open_runs = [k for k, run in enumerate(runs) if not run.is_in_memory]
         if open_runs:
-            decides = min(open_runs, key=lambda k: float(runs[k].window[_TIME][-1]))
-            limit = float(runs[decides].window[_TIME][-1])
-            parts = [run.take(limit, with_equal=k <= decides) for k, run in enumerate(runs)]
+            first_to_end = min(open_runs, key=lambda k: float(runs[k].window[_TIME][-1]))
+            limit = float(runs[first_to_end].window[_TIME][-1])
+            parts = [run.take(limit, with_equal=k <= first_to_end) for k, run in enumerate(runs)]
         else:
             parts = [run.take(np.inf, with_equal=True) for run in runs]
-        runs = [run for run in runs if len(run.window) or not run.is_all_here]
+        runs = [run for run in runs if len(run.window) or not run.is_in_memory]
         yield _sort(parts)

@@ -21,11 +21,11 @@ REPROJECT = (
     "--filters.reprojection.out_srs=EPSG:CODE"
 )
 LONGEST_DEG = 0.1
-"""Most degrees that a drive's first points lie apart: 11 km."""
+"""Largest extent of the first points of a drive [deg]: 11 km."""
 UPRIGHT = 50.0
-"""Points whose heights spread so many times more than x and y are no metres on all axes."""
+"""Points whose heights spread this many times more than x and y are not in metres on all axes."""
 LEAST_POINTS = 100
-"""Fewer points do not tell."""
+"""Fewer points are not tested."""
 _UNIT = re.compile(r'\b(?:LENGTH)?UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]+)')
 _VERTICAL = re.compile(r"\bVERT(?:_CS|CRS|ICALCRS)\s*\[")
 _PROJECTED = re.compile(
@@ -39,7 +39,7 @@ class SystemUnits:
     """Units of the axes of a coordinate system."""
 
     name: str
-    """Of the system."""
+    """Name of the system."""
     unit: str
     """Name of the unit of x and y."""
     xy_m: float
@@ -71,11 +71,10 @@ def units_of_system(crs: str | None) -> SystemUnits | None:
     if not crs:
         return None
     wkt = crs if "[" in crs else _wkt_of(crs)
-    shown = (
-        crs
-        if "[" not in crs
-        else (re.search(r'"([^"]*)"', crs) or ["", "its coordinate system"])[1]
-    )
+    shown = crs
+    if "[" in crs:
+        quoted = re.search(r'"([^"]*)"', crs)
+        shown = "its coordinate system" if quoted is None else quoted[1]
     wkt = re.split(r"\bTARGETCRS\s*\[", wkt)[0]
     horizontal, *vertical = _VERTICAL.split(wkt, maxsplit=1)
     if not _PROJECTED.search(horizontal):
@@ -103,7 +102,7 @@ def _wkt_of(crs: str) -> str:
 
 
 def looks_geographic(xyz: F64) -> bool:
-    """Tell whether x and y of points, (n, 3) float64, can only be degrees beside z in metres.
+    """Whether x and y of points, (n, 3) float64, must be degrees, with z in metres.
 
     >>> line = np.linspace(0, 1, 500)
     >>> looks_geographic(np.stack([25 + line * 1e-4, 60 + line * 1e-4, 9 * line], axis=1))
@@ -122,7 +121,7 @@ def looks_geographic(xyz: F64) -> bool:
 
 
 def refuse_degrees(source: RecordSource) -> None:
-    """Refuse to compute ranges from coordinates in degrees."""
+    """Raise an error if the coordinates are degrees, because ranges are computed from metres."""
     if not set(AXES) <= set(source.dimensions):
         return
     units = units_of_system(source.facts.crs_wkt)
@@ -135,7 +134,7 @@ def refuse_degrees(source: RecordSource) -> None:
 
 
 def first_look_geographic(source: RecordSource) -> bool:
-    """Tell whether the first points of a source are in degrees by their size."""
+    """Whether the first points of a source are in degrees by their size."""
     first = next(iter(source.chunks(AXES)), None)
     return first is not None and looks_geographic(points_of(first.values))
 

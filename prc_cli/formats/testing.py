@@ -1,8 +1,8 @@
-"""What every format keeps, for the tests of a format here or in another package.
+"""Tests that every format must pass, for formats here or in another package.
 
-A test names a :class:`~prc_cli.formats.registry.Format` and a small sample: :func:`check_reads`,
-:func:`check_damage` and, if it is written, :func:`check_round_trip`. Each raises ``AssertionError``
-with what was found.
+A test calls :func:`check_reads`, :func:`check_damage` and, if the format is written,
+:func:`check_round_trip` with a :class:`~prc_cli.formats.registry.Format` and a small sample. Each
+raises ``AssertionError`` with the difference.
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ def check_reads(
     layout: Layout | None = None,
     config: InputConfig | None = None,
 ) -> int:
-    """Read a sample twice, and every dimension alone.
-
-    Return the number of its records, or shots of scan lines.
-    """
+    """Read a sample twice, and every dimension alone; return the number of records or shots."""
     if not form.records:
         first, again = (list(_images(form, sample, config or InputConfig())) for _ in range(2))
         assert first, "no blocks"
@@ -48,11 +45,11 @@ def check_reads(
     names = source.dimensions
     assert names, "no dimensions"
     standard = [name for name in names if name in STANDARD_NAMES]
-    assert list(names[: len(standard)]) == standard, f"standard names stand first: {names}"
+    assert list(names[: len(standard)]) == standard, f"expected standard names first: {names}"
     assert source.facts is not None
     whole = _records(form, sample, layout, names)
     n = len(whole[names[0]])
-    assert source.n_records in (None, n), f"{source.n_records} records were told, {n} read"
+    assert source.n_records in (None, n), f"{source.n_records} records were announced, {n} read"
     for name in names:
         alone = _records(form, sample, layout, (name,))[name]
         assert alone.tobytes() == whole[name].tobytes(), f"{name} differs when it is read alone"
@@ -67,9 +64,9 @@ def check_damage(
     n_cases: int = 60,
     seed: int = 0,
 ) -> int:
-    """Read damaged copies in another process.
+    """Read damaged copies in another process; return how many were refused.
 
-    Each is read, or refused in one line; return how many were.
+    A copy must be read, or refused with a message of one line.
     """
     context = get_context("spawn")
     first = 0
@@ -87,14 +84,14 @@ def check_damage(
                 case, fault, is_refused = receiver.recv()
                 assert not fault, f"case {case} of seed {seed}: {fault}"
                 first = case + 1
-                n_refused = n_refused + is_refused
+                n_refused += is_refused
         child.join()
         if first < n_cases:
             assert (child.exitcode or 0) < 0, (
                 f"case {first} of seed {seed}: exit code {child.exitcode}"
             )
-            first = first + 1
-            n_refused = n_refused + 1
+            first += 1
+            n_refused += 1
     return n_refused
 
 
@@ -127,10 +124,7 @@ def _read_damaged(
 
 
 def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
-    """Write a stream twice and read its ranges again.
-
-    The same bytes, the same bits; abandoned, it leaves nothing.
-    """
+    """Write a stream twice and read it again: equal bytes, equal ranges, and no file if abandoned."""
     item, shape = example(form)
     hashes = set()
     for attempt in range(2):
@@ -163,7 +157,7 @@ def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
 def example(
     form: Format, n_lines: int = 5, points_per_line: int = 12
 ) -> tuple[StreamItem, StreamShape]:
-    """Return a small stream with all that a format holds: a corridor, some shots without return."""
+    """Return a small stream with all values that a format can hold: a corridor with missing shots."""
     angle = np.linspace(-2.0, 2.0, points_per_line)
     line, column = np.indices((n_lines, points_per_line))
     range_m = (2.5 / np.maximum(np.abs(np.cos(angle)), 0.3) + 0.01 * line).astype(np.float32)
@@ -199,7 +193,7 @@ def example(
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """Return a damaged copy: cut, bits flipped, a piece overwritten, left out or twice, most often near the start."""
+    """Return a damaged copy: cut, a bit flipped, or a piece overwritten, left out or repeated."""
     out = bytearray(data)
     near = len(data) if rng.random() < 0.5 else min(len(data), 400)
     position = int(rng.integers(near))

@@ -108,7 +108,7 @@ def test_other_columns_begin_a_stream_of_their_own(tmp_path: Path) -> None:
 def test_what_is_refused(tmp_path: Path) -> None:
     _, parts = cut_raw(tmp_path)
     image = write_npz(tmp_path / "image.npz", street())
-    with pytest.raises(InputError, match="image.npz: holds whole scans"):
+    with pytest.raises(InputError, match="image.npz: contains whole scans"):
         list(classify_drive([image, *parts], tmp_path / "out", WITH_M))
     with pytest.raises(ConfigError, match="two inputs would write this output"):
         list(classify_drive([parts[0], parts[0]], tmp_path / "out", WITH_M))

@@ -106,7 +106,10 @@ def read_turns(path: Path, target: str | None) -> F64:
 
 
 def convergence(place: F64, target: str | None) -> F64:
-    """Return the angle from true north to grid north at (latitude, longitude) (n, 2) [rad], in degrees (n,)."""
+    """Return the angle from true north to grid north, (n,) [deg].
+
+    ``place`` is latitude and longitude, (n, 2) [rad].
+    """
     import pyproj
 
     earth = pyproj.Proj(pyproj.CRS.from_user_input(target))
@@ -115,10 +118,7 @@ def convergence(place: F64, target: str | None) -> F64:
 
 
 def _rows(path: Path, *, with_head: bool) -> Generator[tuple[int, str], None, None]:
-    """Yield number and text of every row that is neither blank nor a comment.
-
-    a head may begin with #.
-    """
+    """Yield number and text of every row but blank ones and comments; a header may start with #."""
     with path.open("r", encoding="utf-8-sig", errors="replace", newline=None) as handle:
         number = 0
         while row := handle.readline(_MAX_ROW + 1):
@@ -138,7 +138,7 @@ def _cells(row: str, delimiter: str | None) -> list[str]:
 
 
 _LOOKED_AT = 20
-"""Rows that tell whether decimals stand behind a comma."""
+"""Rows that are tested for decimal commas."""
 
 
 def _has_decimal_commas(rows: list[str], delimiter: str | None) -> bool:
@@ -214,10 +214,7 @@ def _parse_row(where: str, cells: list[str], columns: list[int]) -> list[float]:
 
 ODOMETRY = "nav_msgs/Odometry"
 KINDS = (ODOMETRY, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped")
-"""Types of messages with a pose behind their header.
-
-Odometry has the name of a frame in between.
-"""
+"""Types of messages with a pose behind their header; odometry has the name of a frame in between."""
 _N_CELLS = 8
 _LENGTH = 0.01
 """Tolerance for the length of a quaternion."""
@@ -265,20 +262,16 @@ def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
     from prc_cli.formats.bags.containers import Bag
 
     bag = Bag(path)
-    every = [pose_topic for pose_topic in bag.counts if pose_topic.kind in KINDS]
-    chosen = [
-        pose_topic
-        for pose_topic in every
-        if (bag.counts[pose_topic] if topic is None else pose_topic.name == topic)
-    ]
-    shown = ", ".join(pose_topic.name for pose_topic in every[:20]) or "none"
+    pose_topics = [candidate for candidate in bag.counts if candidate.kind in KINDS]
+    if topic is None:
+        chosen = [candidate for candidate in pose_topics if bag.counts[candidate]]
+    else:
+        chosen = [candidate for candidate in pose_topics if candidate.name == topic]
     if len(chosen) > 1 or (topic is not None and not chosen):
+        shown = ", ".join(candidate.name for candidate in pose_topics[:20]) or "none"
         reason = "several topics with poses" if topic is None else f"no poses on {topic!r}"
-        raise ConfigError(
-            "input.trajectory_topic",
-            f"{reason} in {path.name}, it has: {shown}",
-            "name one of them",
-        )
+        problem = f"{reason} in {path.name}, it has: {shown}"
+        raise ConfigError("input.trajectory_topic", problem, "name one of them")
     rows: list[list[float]] = []
     for message in bag.messages(chosen):
         rows.append(_pose(path, message, len(rows)))
@@ -353,7 +346,7 @@ def _sbet_records(path: Path, size: int) -> F64:
         raise InputError(
             str(path),
             problem,
-            "the SBET is cut short, or it is no SBET: give a text file another suffix",
+            "copy the SBET again; if it is text, give it another suffix",
         )
     parts = []
     with path.open("rb") as handle:
@@ -406,7 +399,9 @@ class _System:
 
 def _projected_system(path: Path, target: str | None) -> _System:
     if target is None:
-        problem = "an SBET trajectory is in latitude and longitude, and the points' coordinate system is not known"
+        problem = (
+            "an SBET has latitude and longitude, but the points' coordinate system is not known"
+        )
         raise ConfigError(str(path), problem, "set trajectory_crs, for example EPSG:32635")
     try:
         import pyproj
@@ -443,11 +438,10 @@ def _refuse_heights(path: Path, crs: pyproj.CRS, shown: str) -> None:
     alone = ":".join(code) if code is not None else "its horizontal part"
     heights = f" ({names[-1][:40]!r})" if names else ""
     problem = (
-        f"coordinate system {shown!r} has heights of its own{heights}, expected a horizontal one: the altitudes of an "
-        "SBET are above the ellipsoid and are not converted"
+        f"{shown!r} has heights of its own{heights}, but heights of an SBET are above the ellipsoid"
     )
-    remedy = (
-        f"set trajectory_crs = {alone} if the points' heights are above the ellipsoid too; if not, give the trajectory "
-        "as CSV in the points' system"
+    hint = (
+        f"set trajectory_crs = {alone} if the points' heights are above the ellipsoid too; "
+        "if not, give the trajectory as CSV"
     )
-    raise ConfigError(str(path), problem, remedy)
+    raise ConfigError(str(path), problem, hint)

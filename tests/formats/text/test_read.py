@@ -180,7 +180,7 @@ def test_values_do_not_depend_on_blocks(
         ("range\n1\n# c\n  \n2\n", "line 4: a blank line between the rows of one column"),
         (
             "range,range,x\n1,2,3\n",
-            "line 1: the name 'range' stands in columns 0 and 1, expected once",
+            "line 1: the name 'range' is in columns 0 and 1, expected once",
         ),
     ],
 )
