@@ -162,9 +162,8 @@ def test_heights_of_another_kind_never_pass_in_silence(
     for keys in ({"crs": given}, {"wkt": given}):
         with pytest.raises(ConfigError) as caught:
             load(path, **keys)
-        assert (
-            f"has heights of its own ({heights!r}), expected a horizontal one: the altitudes"
-            in str(caught.value)
+        assert f"has heights of its own ({heights!r}), but heights of an SBET are" in str(
+            caught.value
         )
         assert (
             f"set trajectory_crs = {alone} if the points' heights are above the ellipsoid too"

@@ -1,9 +1,8 @@
 """Writers of new LAS or LAZ files from other formats.
 
-LAS 1.4, point format 6, one record per return, chronological.
-
-Coordinates are those of the input, or of its scan planes one behind the other; the range itself is
-kept bit for bit in extra bytes, with scan line and column.
+The files are LAS 1.4, point format 6, one record per return, chronological. Coordinates are those of
+the input, or of its scan planes one behind the other. Extra bytes contain the range bit for bit, scan
+line and column.
 """
 
 from __future__ import annotations
@@ -48,10 +47,7 @@ COLUMN = ExtraDimension("column", np.dtype("<u4"), "shot in the scan line")
 SCALE_M = 0.001
 """Coordinate step of built files [m]."""
 SCALE_DEG = 1e-8
-"""The same of longitude and latitude [deg].
-
-About 1 mm, and 21 deg to either side fit into a file.
-"""
+"""Step of longitude and latitude in built files [deg]: 1 mm; 21 deg to either side fit."""
 
 MOST_FAR = 0.01
 """Largest share of coordinates that are damaged; more are of another unit."""
@@ -59,15 +55,12 @@ INTENSITY_STEPS = 65535.0
 """Full scale of intensities."""
 
 OFFSET_STEP_M = 1000.0
-"""Registered coordinates are kept relative to a whole multiple of this [m]."""
+"""Registered coordinates are stored relative to a whole multiple of this [m]."""
 _POINT_FORMAT = 6
 
 
 class LasBuilder(StagedWriter):
-    """Writer of a new LAS or LAZ file.
-
-    Of several returns the chosen one comes first, so readers choose it again.
-    """
+    """Writer of a new LAS or LAZ file; the chosen return of a shot comes first, so readers choose it."""
 
     def __init__(
         self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None
@@ -153,27 +146,24 @@ class LasBuilder(StagedWriter):
         for first in range(0, scan.n_lines, lines):
             shots = gather_returns(scan, slice(first, first + lines), chosen_first=block is None)
             points = np.zeros(len(shots.line), self._dtype)
-            own = shots.extra < 0
+            is_chosen = shots.extra < 0
             points["classification"] = np.where(
-                own,
+                is_chosen,
                 codes[shots.line, shots.column],
                 extra_codes[shots.extra] if len(scan.extra) else 0,
             )
             for column in self._optional:
                 values = cells[column.name][shots.line, shots.column]
-                points[column.name] = np.where(own, values, column.dtype.type(column.fill))
+                points[column.name] = np.where(is_chosen, values, column.dtype.type(column.fill))
             self._fill(points, scan, shots)
             if block is None:
                 # a stream has the intensity of the chosen return of a shot only
-                points["intensity"][~own] = 0
+                points["intensity"][~is_chosen] = 0
             self._count(points["classification"])
             self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
     def _codes_of(self, codes: NDArray[Any] | None, shape: tuple[int, ...]) -> U8:
-        """Return class codes as stored.
-
-        Unknown ones and those that do not fit into a byte become unclassified.
-        """
+        """Return class codes as bytes; unknown codes and codes above 255 become unclassified."""
         unknown = self._codes.unclassified
         if codes is None:
             return np.full(shape, unknown, np.uint8)
@@ -184,7 +174,7 @@ class LasBuilder(StagedWriter):
         return np.where(wrong, unknown, codes).astype(np.uint8)
 
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
-        """Set all fields except class and optional columns, and add to counts and bounds of the header."""
+        """Set all fields but class and optional columns; update counts and bounds of the header."""
         steps = self._steps(scan, shots)
         for axis, name in enumerate("XYZ"):
             points[name] = steps[:, axis]
@@ -216,10 +206,7 @@ class LasBuilder(StagedWriter):
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
     def _scaled(self, intensity: F32) -> F64:
-        """Return intensities in whole numbers.
-
-        Where the first are 0 to 1 and not whole, scaled to 0 to 65535.
-        """
+        """Return intensities scaled to 0 to 65535 if the first ones are fractions, else unchanged."""
         value = np.nan_to_num(intensity.astype(np.float64), nan=0.0, posinf=65536.0, neginf=-1.0)
         if self._intensity_scale is None and len(value):
             is_share = bool(value.min() >= 0 and value.max() <= 1 and (value % 1 != 0).any())
@@ -229,14 +216,11 @@ class LasBuilder(StagedWriter):
         return value * (self._intensity_scale or 1.0)
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
-        """Coordinates in steps of the file, (n, 3) int64.
-
-        Those outside the range of the file are refused.
-        """
-        own, extra = self._placed
-        xyz = own[shots.line, shots.column]
-        other = shots.extra >= 0
-        xyz[other] = extra[shots.extra[other]]
+        """Return coordinates in steps of the file, (n, 3) int64; raise an error if many do not fit."""
+        chosen_xyz, extra_xyz = self._placed
+        xyz = chosen_xyz[shots.line, shots.column]
+        is_extra = shots.extra >= 0
+        xyz[is_extra] = extra_xyz[shots.extra[is_extra]]
         steps: F64 = np.rint((xyz - self._offset_m) / self._scale)
         is_far = ~np.all(np.abs(steps) <= 2**31 - 1, axis=1)  # also NaN
         if is_far.any() and np.count_nonzero(is_far) <= max(MOST_FAR * len(steps), 1):
@@ -247,8 +231,12 @@ class LasBuilder(StagedWriter):
             steps[is_far & (good == 0)] = steps[~is_far][:1] if not is_far.all() else 0.0
         elif is_far.any():
             bad = int(np.argmax(is_far))
-            where = f"scan line {scan.first_line + int(shots.line[bad])}, column {int(shots.column[bad])}"
-            problem = f"{where}: found coordinates {xyz[bad].tolist()} m, expected finite ones within ±2147483 m"
+            line = scan.first_line + int(shots.line[bad])
+            where = f"scan line {line}, column {int(shots.column[bad])}"
+            problem = (
+                f"{where}: found coordinates {xyz[bad].tolist()} m, "
+                "expected finite ones within ±2147483 m"
+            )
             raise OutputError(
                 str(self.path), problem, "check the ranges' unit, or set [input] max_range"
             )
@@ -313,24 +301,21 @@ class Returns(NamedTuple):
 
 
 def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) -> Returns:
-    """Gather the returns of some lines in record order.
-
-    a shot without range that lost its cell is none.
-    """
+    """Gather the returns of some lines in record order, without shots that have no range."""
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
-    one = np.ones(len(line), np.uint8)
-    found = Returns(
-        line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64), one, one
+    single = np.ones(len(line), np.uint8)
+    returns = Returns(
+        line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64), single, single
     )
     of_lines = (scan.extra.line >= rows.start) & (scan.extra.line < rows.stop)
     chosen = np.flatnonzero(of_lines & ~np.isnan(scan.extra.range_m))
     if not len(chosen):
-        return found
+        return returns
     line = np.concatenate([line, scan.extra.line[chosen]])
     column = np.concatenate([column, scan.extra.column[chosen]])
-    range_m = np.concatenate([found.range_m, scan.extra.range_m[chosen]])
-    extra = np.concatenate([found.extra, chosen])
+    range_m = np.concatenate([returns.range_m, scan.extra.range_m[chosen]])
+    extra = np.concatenate([returns.extra, chosen])
     order = np.lexsort((extra, range_m, column, line))
     shot: I64 = (line * scan.points_per_line + column)[order]
     first = np.flatnonzero(np.diff(shot, prepend=-1))
@@ -339,11 +324,11 @@ def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) 
     # four bits each; more than 15 returns of a shot share the last number
     number = np.minimum(rank + 1, 15).astype(np.uint8)
     count = np.minimum(np.repeat(size, size), 15).astype(np.uint8)
-    found = Returns(line[order], column[order], range_m[order], extra[order], number, count)
+    returns = Returns(line[order], column[order], range_m[order], extra[order], number, count)
     if not chosen_first:
-        return found
-    order = np.lexsort((number, found.extra >= 0, shot))
-    return Returns._make(values[order] for values in found)
+        return returns
+    order = np.lexsort((number, returns.extra >= 0, shot))
+    return Returns._make(values[order] for values in returns)
 
 
 def _fits(

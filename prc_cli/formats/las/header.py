@@ -1,9 +1,9 @@
 """Reads header, VLRs and extended VLRs of a LAS file, with the position of every part.
 
 Every count and length is compared with the size of the file first, so that a damaged or hostile
-file costs neither memory nor time. Records keep their bytes, because a rewritten file must not lose
-any. What the fields mean follows the LAS specification 1.4 R15; LASzip sets the highest bit of the
-format byte in LAZ files.
+file costs neither memory nor time. VLRs keep their bytes, because a rewritten file must not lose any.
+The fields follow the LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in
+LAZ files.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from functools import cache
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import file_state
@@ -31,7 +31,7 @@ MOST_MINOR = 10
 """Versions from here on are damage, not newer ones."""
 N_POINT_FORMATS = 11
 MAX_HEAD_BYTES = 64 << 20
-"""Most bytes before the first record, which are held in memory: more is damage."""
+"""Most bytes before the first record, which stay in memory: more is damage."""
 MAX_EVLRS = 100_000
 """Most extended VLRs: more is damage."""
 MAX_KEPT_EVLR_BYTES = 1 << 20
@@ -42,11 +42,19 @@ COMPRESSED = 0x80
 WKT_BIT = 16
 """Global encoding: the coordinate system is WKT."""
 
-LASZIP_KEY = ("laszip encoded", 22204)
-RECORD_KEY = ("prc-cli", 1)
-EXTRA_BYTES_KEY = ("LASF_Spec", 4)
-WKT_KEY = ("LASF_Projection", 2112)
-GEO_KEYS_KEY = ("LASF_Projection", 34735)
+
+class VlrKey(NamedTuple):
+    """The kind of a VLR."""
+
+    user_id: str
+    record_id: int
+
+
+LASZIP_KEY = VlrKey("laszip encoded", 22204)
+RECORD_KEY = VlrKey("prc-cli", 1)
+EXTRA_BYTES_KEY = VlrKey("LASF_Spec", 4)
+WKT_KEY = VlrKey("LASF_Projection", 2112)
+GEO_KEYS_KEY = VlrKey("LASF_Projection", 34735)
 
 _VLR_HEAD = struct.Struct("<H16sHH32s")
 _EVLR_HEAD = struct.Struct("<H16sHQ32s")
@@ -74,9 +82,7 @@ _FIELDS = {
 
 
 class HeaderFields:
-    """Header bytes with named fields, to be changed.
-
-    Fields that the version does not have cannot be set.
+    """Header bytes with named fields that can be changed.
 
     >>> fields = HeaderFields(bytes(227))
     >>> fields.set("n_vlrs", 3)
@@ -93,7 +99,7 @@ class HeaderFields:
         return offset + struct.calcsize(form) <= STANDARD_HEADER.get(self.data[25], 227)
 
     def get(self, name: str) -> int:
-        """Return a field that holds one integer; 0 where the version has no such field."""
+        """Return a field of one integer; 0 if the version has no such field."""
         return int(self.values(name)[0]) if self.has(name) else 0
 
     def values(self, name: str) -> tuple[Any, ...]:
@@ -125,7 +131,7 @@ class Vlr:
 
     @property
     def user_id(self) -> str:
-        """Who defined it."""
+        """Name of the program or organisation that defined it."""
         return text_of(self.head[2:18])
 
     @property
@@ -134,16 +140,16 @@ class Vlr:
         return int.from_bytes(self.head[18:20], "little")
 
     @property
-    def key(self) -> tuple[str, int]:
+    def key(self) -> VlrKey:
         """User id and record id."""
-        return self.user_id, self.record_id
+        return VlrKey(self.user_id, self.record_id)
 
-    def has(self, key: tuple[str, int]) -> bool:
+    def has(self, key: VlrKey) -> bool:
         """Whether it has this user id and record id.
 
         Fast, because damaged files may have a million VLRs.
         """
-        return self.record_id == key[1] and self.user_id == key[0]
+        return self.record_id == key.record_id and self.user_id == key.user_id
 
     @property
     def description(self) -> str:
@@ -171,29 +177,28 @@ class Vlr:
 
 
 _TEXTS = {
-    ("LASF_Projection", 34737): "ascii",
-    ("LASF_Projection", 2111): "utf-8",
-    ("LASF_Projection", 2112): "utf-8",
+    VlrKey("LASF_Projection", 34737): "ascii",
+    VlrKey("LASF_Projection", 2111): "utf-8",
+    WKT_KEY: "utf-8",
 }
 """Records whose content is text, with its encoding."""
-_DESCRIPTORS = ("LASF_Spec", 4)
 _DESCRIPTOR_BYTES = 192
 _DESCRIPTOR_TEXTS = ((4, 36), (160, 192))
-"""Length of a descriptor of extra bytes; where its name and its description lie."""
+"""Bytes of the name and of the description in a descriptor of extra bytes."""
 
 
 def readable(vlr: Vlr) -> Vlr:
-    """Return a record whose texts are text: other programs open no file where they are not.
+    """Return a record with valid texts, because other programs refuse files with invalid ones.
 
-    These are the name of its user, coordinate systems and descriptors of extra bytes. Bytes that
-    are no text become ``?``, so that nothing moves.
+    Texts are the user id, coordinate systems and descriptors of extra bytes. Invalid bytes become
+    ``?``, so that no other byte moves.
     """
-    name, mark, rest = vlr.head[2:18].partition(b"\0")
-    head = vlr.head[:2] + _as_text(name) + mark + rest + vlr.head[18:]
+    name, zero, padding = vlr.head[2:18].partition(b"\0")
+    head = vlr.head[:2] + _as_text(name) + zero + padding + vlr.head[18:]
     data = vlr.data
     if data and vlr.key in _TEXTS:
         data = _as_text(data, _TEXTS[vlr.key])
-    elif data and vlr.has(_DESCRIPTORS):
+    elif data and vlr.has(EXTRA_BYTES_KEY):
         described = bytearray(data)
         for first in range(0, len(data) - _DESCRIPTOR_BYTES + 1, _DESCRIPTOR_BYTES):
             for begin, end in _DESCRIPTOR_TEXTS:
@@ -211,7 +216,7 @@ def _as_text(raw: bytes, codec: str = "utf-8") -> bytes:
 
 
 def make_vlr(
-    key: tuple[str, int],
+    key: VlrKey,
     data: bytes,
     description: str,
     *,
@@ -220,15 +225,15 @@ def make_vlr(
     """Return a VLR; a plain one has at most 65535 bytes."""
     head = _EVLR_HEAD if extended else _VLR_HEAD
     return Vlr(
-        head.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data
+        head.pack(
+            0, key.user_id.encode("ascii"), key.record_id, len(data), description.encode("ascii")
+        ),
+        data,
     )
 
 
 def new_header() -> HeaderFields:
-    """Return the header of a new LAS 1.4 file with its coordinate system as WKT.
-
-    No date, so that bytes are equal.
-    """
+    """Return the header of a new LAS 1.4 file, without a date: equal runs give equal bytes."""
     fields = HeaderFields(bytes(STANDARD_HEADER[4]))
     fields.data[:4] = b"LASF"
     fields.data[25] = 4
@@ -271,10 +276,7 @@ class LasHeader:
 
     @property
     def n_unread_bytes(self) -> int:
-        """LAS: bytes between the last record and the extended VLRs or the end of the file.
-
-        0 for LAZ.
-        """
+        """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
         stop = self.evlrs[0].start if self.evlrs else self.file_bytes
         return (
             0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
@@ -282,10 +284,7 @@ class LasHeader:
 
     @property
     def n_unread_records(self) -> int:
-        """LAS: whole records that follow the last one that the header counts.
-
-        0 where they are zeros or waveforms.
-        """
+        """LAS: whole records behind those that the header counts; 0 if they are zeros or waveforms."""
         n = self.n_unread_bytes // self.record_bytes
         if n < 1 or self.fields().get("waveform_start"):
             return 0
@@ -295,33 +294,30 @@ class LasHeader:
 
     @property
     def mins(self) -> tuple[float, ...]:
-        """Least x, y, z as the header has them."""
+        """Least x, y, z in the header."""
         return self.fields().values("bounds")[1::2]
 
     @property
     def maxs(self) -> tuple[float, ...]:
-        """Largest x, y, z as the header has them."""
+        """Largest x, y, z in the header."""
         return self.fields().values("bounds")[::2]
 
     def fields(self) -> HeaderFields:
         """Return a copy of the header's bytes, to be changed."""
         return HeaderFields(self.raw)
 
-    def vlr(self, key: tuple[str, int]) -> Vlr | None:
+    def vlr(self, key: VlrKey) -> Vlr | None:
         """Return the first plain VLR of a user id and record id."""
         return next((vlr for vlr in self.vlrs if vlr.has(key)), None)
 
-    def find(self, key: tuple[str, int]) -> list[bytes]:
+    def find(self, key: VlrKey) -> list[bytes]:
         """Return the contents of all VLRs of a user id and record id, extended ones last."""
-        every = chain(self.vlrs, self.evlrs)
-        return [vlr.data for vlr in every if vlr.data is not None and vlr.has(key)]
+        vlrs = chain(self.vlrs, self.evlrs)
+        return [vlr.data for vlr in vlrs if vlr.data is not None and vlr.has(key)]
 
 
 class Source:
-    """An input opened for reading, also by lazrs.
-
-    Its failures become input errors, not output errors.
-    """
+    """An input opened for reading, also by lazrs; its failures become input errors."""
 
     def __init__(self, path: Path, handle: BinaryIO) -> None:
         self.path = path
@@ -332,7 +328,7 @@ class Source:
         self._handle = handle
 
     def state(self) -> tuple[int, int, int, int]:
-        """Return what changes when the file does (:func:`prc_cli.core.files.file_state`)."""
+        """Return size, times and number of the file (:func:`prc_cli.core.files.file_state`)."""
         return file_state(self._handle.fileno())
 
     def read(self, n: int = -1) -> bytes:
@@ -362,6 +358,15 @@ class Source:
         except OSError as error:
             self.error = damaged(self.path, self.tell(), f"cannot be read ({error.strerror})")
             raise self.error from error
+
+
+class Span(NamedTuple):
+    """A part of a file."""
+
+    start: int
+    """First byte."""
+    stop: int
+    """First byte behind it."""
 
 
 @contextlib.contextmanager
@@ -439,7 +444,7 @@ def read_header(path: Path) -> LasHeader:
 
 
 def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
-    """Read the header, user bytes at its end included, and compare its sizes with each other and with the file."""
+    """Read the header with its user bytes; compare its sizes with each other and with the file."""
     path = source.path
     where = str(source.path)
     if file_bytes == 0:
@@ -470,8 +475,8 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
     if size < least:
         raise damaged(path, 94, f"header size {size}, expected at least {least}")
     if not size <= start <= file_bytes:
-        problem = f"records begin at byte {start}, expected between the header's end ({size}) and the file's"
-        raise damaged(path, 96, f"{problem} ({file_bytes}): the file is cut short or damaged")
+        problem = f"records begin at byte {start}, expected byte {size} to {file_bytes}"
+        raise damaged(path, 96, f"{problem}: the file is cut short or damaged")
     if start > MAX_HEAD_BYTES:
         raise damaged(
             path, 96, f"{start} bytes before the first record, expected at most {MAX_HEAD_BYTES}"
@@ -499,10 +504,7 @@ def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
 
 
 def check_decodable(header: LasHeader) -> None:
-    """Refuse files that can be copied but not read.
-
-    No records, or scales that are not finite numbers.
-    """
+    """Refuse files without records, or with scales that are no finite numbers: they can only be copied."""
     for i, axis in enumerate("xyz"):
         scale = header.scales[i]
         offset = header.offsets[i]
@@ -519,7 +521,10 @@ def check_decodable(header: LasHeader) -> None:
 
 
 def refused_by_laspy(header: LasHeader) -> str:
-    """Return why laspy refuses a header or VLRs (without waveforms, which it reads whole), empty if not."""
+    """Return the reason if laspy refuses the header or the VLRs; else an empty text.
+
+    Long waveforms are left out, because laspy reads them whole.
+    """
     laspy = load_laspy()
     logging.getLogger("laspy").addHandler(logging.NullHandler())  # else its warnings are printed
     try:
@@ -539,27 +544,29 @@ def _check_count(
     fields: HeaderFields,
     file_bytes: int,
 ) -> None:
-    """Compare the count of uncompressed records with the bytes there are."""
-    start, size, evlr_start = (
-        fields.get(name) for name in ("point_offset", "record_length", "evlr_start")
-    )
+    """Compare the number of uncompressed records with the size of the file."""
+    start = fields.get("point_offset")
+    size = fields.get("record_length")
+    evlr_start = fields.get("evlr_start")
     needed = start + n_records * size
     if needed > file_bytes:
         problem = (
-            f"the header promises {n_records} records, {needed} bytes in all; found {file_bytes} bytes, "
-            f"room for {(file_bytes - start) // size} records"
+            f"the header promises {n_records} records, {needed} bytes in all; "
+            f"found {file_bytes} bytes, room for {(file_bytes - start) // size} records"
         )
         raise InputError(str(path), problem, "the file is cut short or its header lies; " + DAMAGED)
     if fields.get("n_evlrs") and start <= evlr_start < needed:
         problem = (
-            f"the header promises {n_records} records up to byte {needed}, but extended VLRs begin at byte "
-            f"{evlr_start}, expected after the records"
+            f"the header promises {n_records} records up to byte {needed}, "
+            f"but extended VLRs begin at byte {evlr_start}"
         )
         raise InputError(str(path), problem, DAMAGED)
 
 
 def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], int]:
-    start, end, count = (fields.get(name) for name in ("header_size", "point_offset", "n_vlrs"))
+    start = fields.get("header_size")
+    end = fields.get("point_offset")
+    count = fields.get("n_vlrs")
     most = (end - start) // _VLR_HEAD.size
     if count > most:
         problem = f"{count} VLRs in {end - start} bytes before the records, expected at most {most}"
@@ -576,7 +583,8 @@ def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], i
             raise damaged(source.path, start + position, problem)
         vlr = Vlr(data[position:content], None)
         if vlr.n_bytes > len(data) - content:
-            problem = f"{what} claims {vlr.n_bytes} bytes, {len(data) - content} are left before the records"
+            n_left = len(data) - content
+            problem = f"{what} claims {vlr.n_bytes} bytes, {n_left} are left before the records"
             raise damaged(source.path, start + position, problem)
         position = content + vlr.n_bytes
         vlrs.append(Vlr(vlr.head, data[content:position]))
@@ -584,12 +592,12 @@ def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], i
 
 
 def _read_evlrs(source: Source, fields: HeaderFields, file_bytes: int) -> tuple[Vlr, ...]:
-    position, first, count = (
-        fields.get(name) for name in ("evlr_start", "point_offset", "n_evlrs")
-    )
+    position = fields.get("evlr_start")
+    first = fields.get("point_offset")
+    count = fields.get("n_evlrs")
     hint = "the file is cut short; " + DAMAGED
     if not first <= position <= file_bytes:
-        problem = f"extended VLRs begin at byte {position}, expected between {first} and the file's end {file_bytes}"
+        problem = f"extended VLRs begin at byte {position}, expected byte {first} to {file_bytes}"
         raise damaged(source.path, 235, problem, hint)
     most = min((file_bytes - position) // _EVLR_HEAD.size, MAX_EVLRS)
     if count > most:
@@ -600,8 +608,9 @@ def _read_evlrs(source: Source, fields: HeaderFields, file_bytes: int) -> tuple[
         vlr = Vlr(source.read(_EVLR_HEAD.size).ljust(_EVLR_HEAD.size, b"\0"), None, position)
         left = file_bytes - position - _EVLR_HEAD.size
         if vlr.n_bytes > left:
-            problem = f"extended VLR {index + 1} of {count} claims {vlr.n_bytes} bytes, {max(left, 0)} are left"
-            raise damaged(source.path, position, f"{problem} in the file", hint)
+            what = f"extended VLR {index + 1} of {count}"
+            problem = f"{what} claims {vlr.n_bytes} bytes, {max(left, 0)} are left in the file"
+            raise damaged(source.path, position, problem, hint)
         content = source.read(vlr.n_bytes) if vlr.n_bytes <= MAX_KEPT_EVLR_BYTES else None
         vlrs.append(Vlr(vlr.head, content, position))
         position = vlr.stop
@@ -615,7 +624,7 @@ def text_of(raw: bytes | str) -> str:
 
 
 def find_dropped(header: LasHeader) -> str:
-    """Return what the run record in the file says of shots that were left out; empty = nothing."""
+    """Return the note of the run record on shots that were left out; empty = none were."""
     return next(filter(None, map(dropped_of, _run_records(header))), "")
 
 

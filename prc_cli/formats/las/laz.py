@@ -27,6 +27,7 @@ from prc_cli.formats.las.header import (
     LASZIP_KEY,
     LasHeader,
     Source,
+    Span,
     Vlr,
     damaged,
     make_vlr,
@@ -117,7 +118,7 @@ class Target:
 def _coding(
     stream: Source | Target, refusal: Callable[[BaseException], PrcError]
 ) -> Iterator[None]:
-    """Raise the error of the system that lazrs hides, else turn what lazrs raises into one of ours."""
+    """Raise the error of the system that lazrs hides; else an error of ours for one of lazrs."""
     try:
         yield
     except BaseException as error:
@@ -151,11 +152,11 @@ def new_laszip(where: str, point_format: int, n_extra_bytes: int) -> bytes:
     except lazrs.LazrsError as error:
         problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
         raise OutputError(where, problem, "write .las instead of .laz") from error
-    for at in range(_ITEMS_AT + 2, len(content) - 5, 6):
+    for item_start in range(_ITEMS_AT + 2, len(content) - 5, 6):
         # lazrs writes 2 as the version of waveform packets in formats 4 and 5; LASzip accepts only
         # 1, and the bytes are the same
-        if struct.unpack_from("<H", content, at)[0] == _WAVEPACKET13:
-            struct.pack_into("<H", content, at + 4, 1)
+        if struct.unpack_from("<H", content, item_start)[0] == _WAVEPACKET13:
+            struct.pack_into("<H", content, item_start + 4, 1)
     return bytes(content)
 
 
@@ -166,10 +167,7 @@ def laszip_vlr(
     *,
     keep: bool,
 ) -> Vlr:
-    """Return the laszip VLR of an output.
-
-    That of the input where records and items stay the same (``keep``).
-    """
+    """Return the laszip VLR of an output; the one of the input if its records stay the same (``keep``)."""
     old = header.vlr(LASZIP_KEY)
     new = new_laszip(str(header.path), point_format, n_extra_bytes)
     if old is None or old.data is None:
@@ -199,18 +197,16 @@ def has_variable_chunks(laszip: bytes) -> bool:
 
 
 def _items(laszip: bytes) -> list[tuple[int, int]]:
-    """Return type and bytes of the items of a record, as far as the VLR holds them."""
+    """Return type and bytes of the items of a record, as far as they are in the VLR."""
     n_items = struct.unpack_from("<H", laszip, _ITEMS_AT)[0]
     return [
-        struct.unpack_from("<HH", laszip, at)
-        for at in range(_ITEMS_AT + 2, min(_ITEMS_AT + 2 + 6 * n_items, len(laszip) - 5), 6)
+        struct.unpack_from("<HH", laszip, item_start)
+        for item_start in range(_ITEMS_AT + 2, min(_ITEMS_AT + 2 + 6 * n_items, len(laszip) - 5), 6)
     ]
 
 
 def chunk_head(point_format: int, n_extra_bytes: int) -> struct.Struct:
-    """Return the format of the head behind the first record of a chunk.
-
-    Record count, bytes per layer.
+    """Return the format of the head behind the first record of a chunk: record count, bytes per layer.
 
     >>> chunk_head(6, 4).format
     '<14I'
@@ -220,14 +216,14 @@ def chunk_head(point_format: int, n_extra_bytes: int) -> struct.Struct:
 
 @dataclass(frozen=True, slots=True)
 class ChunkTable:
-    """Where the compressed chunks lie."""
+    """Positions of the compressed chunks."""
 
     first_record: I64
     """(n + 1,) int64, index of the first record of every chunk, then the number of records."""
     first_byte: I64
     """(n + 1,) int64, position in the file of every chunk, then the end of the last."""
     n_unread: int
-    """Chunks entirely beyond the record count of the header; they are not read."""
+    """Chunks beyond the record count of the header; they are not read."""
     start: int
     """First byte of the chunk table."""
     stop: int
@@ -242,22 +238,19 @@ class LazRecords:
         self._source = source
         self.header = header
         """Of the file."""
-        found = header.vlr(LASZIP_KEY)
-        if found is None or found.data is None:
+        laszip = header.vlr(LASZIP_KEY)
+        if laszip is None or laszip.data is None:
             raise InputError(
                 self._where, "the records are compressed but the laszip VLR is missing", DAMAGED
             )
-        self._laszip = found.data
+        self._laszip = laszip.data
         self._check_laszip()
         with decoding(source, "the laszip VLR cannot be read"):
             self.vlr = lazrs.LazVlr(self._laszip)
         self.table = self._read_table()
 
     def _check_laszip(self) -> None:
-        """Refuse items that are not those of the point format.
-
-        Others make a decoder take a gigabyte.
-        """
+        """Refuse items that do not belong to the point format: a decoder would take a gigabyte."""
         data = self._laszip
         where = f"{self._where}: laszip VLR"
         las = self.header
@@ -277,9 +270,10 @@ class LazRecords:
                 DAMAGED,
             )
         if items != usual:
-            found, expected = (", ".join(map(str, each)) for each in (items, usual))
-            problem = f"items (type, bytes) {found}, expected {expected} for point format {las.point_format}"
-            raise InputError(where, problem, DAMAGED)
+            shown = ", ".join(map(str, items))
+            expected = ", ".join(map(str, usual))
+            problem = f"items (type, bytes) {shown}, expected {expected}"
+            raise InputError(where, f"{problem} for point format {las.point_format}", DAMAGED)
         if _chunk_size(data) == 0:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
 
@@ -302,8 +296,8 @@ class LazRecords:
             least = 0
             most = max(most, 1)
         if not least <= n_chunks <= most:
-            problem = f"chunk table of {n_chunks} chunks, expected {least} to {most} in {position - start} bytes"
-            raise damaged(path, position + 4, problem)
+            problem = f"chunk table of {n_chunks} chunks, expected {least} to {most}"
+            raise damaged(path, position + 4, f"{problem} in {position - start} bytes")
         with decoding(self._source, f"the chunk table at byte {position} cannot be read"):
             self._source.seek(header.data_offset)
             pairs = lazrs.read_chunk_table(self._source, self.vlr)
@@ -321,22 +315,22 @@ class LazRecords:
         ):
             problem = f"chunk table of {n_bytes} bytes in {len(table)} chunks"
             raise damaged(path, position, f"{problem}, expected {position - start} bytes")
-        held = np.cumsum(table[:, 0])
-        if held[-1] < header.n_records:
-            found = f"the {len(table)} LAZ chunks hold at most {held[-1]}"
-            problem = f"the header promises {header.n_records} records, {found}"
+        n_until = np.cumsum(table[:, 0])
+        if n_until[-1] < header.n_records:
+            contents = f"the {len(table)} LAZ chunks hold at most {n_until[-1]}"
+            problem = f"the header promises {header.n_records} records, {contents}"
             raise InputError(
                 self._where, problem, "the header lies or records are lost; write the file anew"
             )
-        n_used = int(np.searchsorted(held, header.n_records)) + 1
-        first_record = np.concatenate(([0], held[: n_used - 1], [header.n_records])).astype(
+        n_used = int(np.searchsorted(n_until, header.n_records)) + 1
+        first_record = np.concatenate(([0], n_until[: n_used - 1], [header.n_records])).astype(
             np.int64
         )
         first_byte = start + np.concatenate(([0], np.cumsum(table[:n_used, 1]))).astype(np.int64)
         return ChunkTable(first_record, first_byte, len(table) - n_used, position, stop)
 
     def _table_bounds(self) -> tuple[int, int]:
-        """Return the byte where the chunk table begins, and the end of the bytes that may follow it."""
+        """Return the first byte of the chunk table, and the end of the bytes that may follow it."""
         header = self.header
         stop = header.file_bytes
         self._source.seek(header.data_offset)
@@ -350,11 +344,12 @@ class LazRecords:
                 "<q", self._source.exact(8, "the position of the chunk table")
             )[0]
         if not header.data_offset + 8 <= position <= stop - 8:
-            problem = (
-                f"the LAZ chunk table should begin at byte {position}, found the file's end at byte {stop}"
-                if position > 0
-                else "the LAZ chunk table was never written (an unfinished file)"
-            )
+            problem = "the LAZ chunk table was never written (an unfinished file)"
+            if position > 0:
+                problem = (
+                    f"the LAZ chunk table should begin at byte {position}, "
+                    f"found the file's end at byte {stop}"
+                )
             raise InputError(
                 self._where, f"{problem}; expected it after the {header.n_records} records", DAMAGED
             )
@@ -362,23 +357,23 @@ class LazRecords:
 
     @property
     def n_chunks(self) -> int:
-        """Chunks that hold records which the header counts."""
+        """Chunks of records that the header counts."""
         return len(self.table.first_byte) - 1
 
     @property
     def largest(self) -> int:
-        """Records that a decoder makes room for.
-
-        Those of the declared chunk size, whether full or not.
-        """
-        found = int(np.diff(self.table.first_record).max())
-        return found if self.vlr.uses_variable_size_chunks() else max(found, self.vlr.chunk_size())
+        """Records for which a decoder allocates memory: the declared chunk size, full or not."""
+        largest = int(np.diff(self.table.first_record).max())
+        return (
+            largest if self.vlr.uses_variable_size_chunks() else max(largest, self.vlr.chunk_size())
+        )
 
     def sizes(self, first: int = 0, end: int | None = None) -> I64:
         """Return the numbers of records and of bytes of some chunks, (n, 2) int64."""
-        some = slice(first, None if end is None else end + 1)
+        chosen = slice(first, None if end is None else end + 1)
         return np.stack(
-            [np.diff(self.table.first_record[some]), np.diff(self.table.first_byte[some])], axis=1
+            [np.diff(self.table.first_record[chosen]), np.diff(self.table.first_byte[chosen])],
+            axis=1,
         )
 
     def is_usual(self) -> bool:
@@ -389,15 +384,23 @@ class LazRecords:
     def batches(
         self,
         n_max: int,
-        selection: int,
-        several: int | None = None,
+        layers: int,
+        layers_of_several: int | None = None,
         *,
         reuse: bool = False,
     ) -> Iterator[tuple[int, U8]]:
-        """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8.
+        """Yield the index of the first record and at most ``n_max`` raw records, (n, bytes) uint8.
 
-        ``several`` is the selection from the first shot of several returns on; with ``reuse``,
-        records are valid until the next ones: memory that is new takes a tenth of the time.
+        Parameters
+        ----------
+        n_max
+            Most records of a batch.
+        layers
+            Layers to decode, for lazrs.
+        layers_of_several
+            Layers to decode from the first shot of several returns on; None = the same.
+        reuse
+            Whether records are only valid until the next ones: new memory takes a tenth of the time.
         """
         if not self.header.n_records:
             return
@@ -405,10 +408,12 @@ class LazRecords:
         bounds = self.table.first_record
         whole = self.largest * size <= LARGE_CHUNK_BYTES
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
-        if several is not None and not (whole and self.header.point_format >= LAYERED_FORMATS):
-            selection = several
-            several = None
-        decoder = self.open(self._source, kind, selection)
+        if layers_of_several is not None and not (
+            whole and self.header.point_format >= LAYERED_FORMATS
+        ):
+            layers = layers_of_several
+            layers_of_several = None
+        decoder = self.open(self._source, kind, layers)
         # one chunk per core
         n_together = max(
             n_max, min(default_threads() * int(np.diff(bounds).max()), _TOGETHER_BYTES // size)
@@ -429,9 +434,9 @@ class LazRecords:
                 room = room if reuse and n <= len(room) else np.empty((n, size), np.uint8)
                 raw: U8 = room[:n]
                 self._decode(decoder, raw, chunk, end)
-                if several is not None and raw[:, 14].max(initial=0) > _ONE_RETURN:
-                    decoder = self.open(self._source, kind, several, begin)
-                    several = None
+                if layers_of_several is not None and raw[:, 14].max(initial=0) > _ONE_RETURN:
+                    decoder = self.open(self._source, kind, layers_of_several, begin)
+                    layers_of_several = None
                     self._decode(decoder, raw, chunk, end)
                 for start in range(0, len(raw), n_max):
                     yield begin + start, raw[start : start + n_max]
@@ -441,13 +446,13 @@ class LazRecords:
         self,
         source: Source,
         kind: Any,
-        selection: int,
+        layers: int,
         first: int = 0,
     ) -> Any:
         """Return a decoder of some layers, at a record of a source."""
         source.seek(self.header.data_offset)
         with decoding(source, "the compressed records cannot be opened"):
-            decoder = kind(source, self._laszip, lazrs.DecompressionSelection(selection))
+            decoder = kind(source, self._laszip, lazrs.DecompressionSelection(layers))
             if first:
                 decoder.seek(first)
         return decoder
@@ -479,9 +484,9 @@ class LazRecords:
                 )
                 chunk += 1
         problem = (
-            f"records {bounds[chunk]} to {bounds[chunk + 1] - 1} cannot be decompressed (LAZ chunk {chunk} at byte "
-            f"{first_byte[chunk]}): its {first_byte[chunk + 1] - first_byte[chunk]} bytes do not hold the "
-            f"{bounds[chunk + 1] - bounds[chunk]} records expected"
+            f"records {bounds[chunk]} to {bounds[chunk + 1] - 1} cannot be decompressed: "
+            f"LAZ chunk {chunk} at byte {first_byte[chunk]}, "
+            f"expected {bounds[chunk + 1] - bounds[chunk]} records"
         )
         raise InputError(self._where, problem, DAMAGED)
 
@@ -500,8 +505,8 @@ class LazRecords:
             return
         path = self.header.path
         table = self.table
-        found = zip(self.heads(source, first, end), self.sizes(first, end).tolist(), strict=True)
-        for chunk, ((held, claimed), (n_records, n_bytes)) in enumerate(found, start=first):
+        chunks = zip(self.heads(source, first, end), self.sizes(first, end).tolist(), strict=True)
+        for chunk, ((held, claimed), (n_records, n_bytes)) in enumerate(chunks, start=first):
             begin = int(table.first_byte[chunk])
             what = f"LAZ chunk {chunk} (from record {table.first_record[chunk]})"
             if held < n_records or (held > n_records and chunk < self.n_chunks - 1):
@@ -515,20 +520,24 @@ def read_batches(
     source: Source,
     header: LasHeader,
     n_max: int,
-    layers: tuple[int, int | None] = (lazrs.SELECTIVE_DECOMPRESS_ALL, None),
+    layers: int = lazrs.SELECTIVE_DECOMPRESS_ALL,
+    layers_of_several: int | None = None,
     *,
     reuse: bool = False,
 ) -> Iterator[tuple[int, U8]]:
-    """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8, compressed or not."""
+    """Yield the index of the first record and at most ``n_max`` raw records, (n, bytes) uint8.
+
+    See :meth:`LazRecords.batches` for the layers of compressed records.
+    """
     if header.compressed:
-        yield from LazRecords(source, header).batches(n_max, *layers, reuse=reuse)
+        yield from LazRecords(source, header).batches(n_max, layers, layers_of_several, reuse=reuse)
         return
     source.seek(header.data_offset)
     for first in range(0, header.n_records, n_max):
         raw: U8 = np.empty((min(n_max, header.n_records - first), header.record_bytes), np.uint8)
-        found = source.into(raw.reshape(-1).data)
-        if found < raw.size:
-            record = first + found // header.record_bytes
+        n_read = source.into(raw.reshape(-1).data)
+        if n_read < raw.size:
+            record = first + n_read // header.record_bytes
             problem = f"the file ends at record {record}, expected {header.n_records}: it changed while read"
             raise InputError(str(header.path), problem, DAMAGED)
         yield first, raw
@@ -552,29 +561,27 @@ def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
     >>> [part.tolist() for part in recut([np.arange(3), np.arange(2), np.arange(1)], [1, 3, 4])]
     [[0], [1, 2, 0], [1, 0]]
     """
-    held = None
-    left = iter(parts)
+    remainder: U8 | None = None
+    remaining = iter(parts)
     for size in sizes:
-        pieces, n_held = ([], 0) if held is None else ([held], len(held))
-        while n_held < size and (part := next(left, None)) is not None:
+        pieces = [] if remainder is None else [remainder]
+        n_records = sum(len(piece) for piece in pieces)
+        while n_records < size and (part := next(remaining, None)) is not None:
             pieces.append(part)
-            n_held += len(part)
-        if not n_held:
+            n_records += len(part)
+        if not n_records:
             return
-        whole = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-        yield whole[:size]
-        held = whole[size:] if n_held > size else None
+        joined = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        yield joined[:size]
+        remainder = joined[size:] if n_records > size else None
 
 
-def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
-    """Return begin and end of what follows the points, or their chunk table.
-
-    EVLRs, waveforms, unknown bytes.
-    """
+def tail_bounds(source: Source, header: LasHeader) -> Span:
+    """Return the part behind the points or their chunk table: EVLRs, waveforms, unknown bytes."""
     if not header.compressed:
-        return header.data_offset + header.n_records * header.record_bytes, header.file_bytes
+        return Span(header.data_offset + header.n_records * header.record_bytes, header.file_bytes)
     if header.file_bytes < header.data_offset + 8:
-        return header.data_offset, header.file_bytes
+        return Span(header.data_offset, header.file_bytes)
     records = LazRecords(source, header)
     table_at = records.table.start
     stop = records.table.stop
@@ -585,9 +592,9 @@ def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
         lazrs.write_chunk_table(again, table, records.vlr)
     source.seek(table_at)
     if source.read(len(again.getvalue())) == again.getvalue():
-        return table_at + len(again.getvalue()), stop
-    # a table of another encoder: only the offset of the EVLRs tells where the rest begins
-    return (header.evlrs[0].start if header.evlrs else stop), stop
+        return Span(table_at + len(again.getvalue()), stop)
+    # a table of another encoder: only the offset of the EVLRs shows its end
+    return Span(header.evlrs[0].start if header.evlrs else stop, stop)
 
 
 class LasSink:
@@ -605,10 +612,7 @@ class LasSink:
 
 
 class LazSink:
-    """Records compressed by laszip.
-
-    The same bytes whatever the batches and the number of threads.
-    """
+    """Records compressed by laszip; batches and threads do not change the bytes."""
 
     def __init__(self, target: Target, laszip: bytes) -> None:
         self._target = target
@@ -636,10 +640,7 @@ PointSink: TypeAlias = LasSink | LazSink
 
 
 def batch_size(record_bytes: int, *, compressed: bool) -> int:
-    """Return the records per batch.
-
-    Chunks for every core, or a buffer that fits the processor's cache.
-    """
+    """Return the records per batch: chunks for every core, or a buffer in the processor's cache."""
     return max(
         1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes)
     )
@@ -654,10 +655,7 @@ def batch_records(header: LasHeader, *, compressed: bool) -> int:
 
 
 def check_laz() -> str:
-    """Compress records of every coder of laszip and decompress them again.
-
-    Return their point formats.
-    """
+    """Compress and decompress records with every coder of laszip; return their point formats."""
     for point_format, n_bytes in ((1, 28), (6, 30), (10, 67)):
         where = f"LAZ round trip of point format {point_format}"
         laszip = new_laszip(where, point_format, 0)

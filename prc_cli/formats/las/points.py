@@ -35,10 +35,7 @@ from prc_cli.formats.options import FACTORS
 from prc_cli.formats.writing.columns import ExtraDimension
 
 FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
-"""For formats with five-bit classes.
-
-The format with eight-bit classes that holds all their fields.
-"""
+"""By format with five-bit classes: the format with eight-bit classes and all its fields."""
 SCAN_ANGLE_STEP_DEG = 0.006
 """Unit of the scan angle in formats 6-10 [deg]."""
 _EXTRA_TEXT = "Extra Bytes Record"
@@ -49,7 +46,7 @@ _RENAMED = {"gps_time": "time", "scan_angle": "angle", "scan_angle_rank": "angle
 _ANGLE_RAD = {"scan_angle": math.radians(SCAN_ANGLE_STEP_DEG), "scan_angle_rank": math.radians(1.0)}
 _AS_FLOAT = frozenset(("range", "time", "angle"))
 _TAKEN = ("range", "scan_line", "column", "angle")
-"""Standard dimensions that extra bytes hold under their usual names."""
+"""Standard dimensions that may be extra bytes with a usual name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +63,7 @@ class Field:
     as_float: bool = False
     """Whether values are float64 whatever the stored type."""
     layer: str = "extra"
-    """Dimension whose compressed layer holds it (point formats 6-10)."""
+    """Dimension of the compressed layer that contains it (point formats 6-10)."""
 
     def decode(self, records: NDArray[Any]) -> NDArray[Any]:
         """Return the dimension as a new array, so that the raw records can be released."""
@@ -100,7 +97,7 @@ class ExtraBytes:
     """Type of one element; undocumented raw bytes have one element per byte."""
     n_values: int
     scale: float | None = None
-    """None = stored as it is."""
+    """None = not scaled."""
     offset: float = 0.0
     no_data: float | int | None = None
     place: int = 0
@@ -113,14 +110,14 @@ class ExtraBytes:
 
     @property
     def type_name(self) -> str:
-        """Type of a record, for people."""
+        """Type of its values in a record, for messages."""
         kind = f"V{self.n_bytes}" if self.data_type == 0 else self.dtype.str[1:]
         return kind if self.n_values == 1 else f"{self.n_values}{kind}"
 
 
 @dataclass(frozen=True, slots=True)
 class RecordLayout:
-    """The record of a file."""
+    """Fields of the records of a file."""
 
     dtype: np.dtype[Any]
     """Structured type of a stored record."""
@@ -131,9 +128,9 @@ class RecordLayout:
     notes: tuple[str, ...]
     """Notices about extra bytes."""
     angle_name: str | None = None
-    """Extra dimension that holds the scan angles; None = a field of the point format, if any."""
+    """Extra dimension of the scan angles; None = a field of the point format, if any."""
     range_name: str = "range"
-    """Extra dimension that holds the slant range."""
+    """Extra dimension of the slant range."""
 
 
 @cache
@@ -165,7 +162,7 @@ def read_layout(header: LasHeader) -> RecordLayout:
             fields[name] = Field(
                 column, scale=_ANGLE_RAD.get(column), as_float=name in _AS_FLOAT, layer=column
             )
-    found: list[ExtraBytes] = []
+    dimensions: list[ExtraBytes] = []
     described: dict[str, ExtraBytes] = {}
     notes: list[str] = []
     left = header.n_extra_bytes
@@ -179,25 +176,29 @@ def read_layout(header: LasHeader) -> RecordLayout:
         while name in fields or name in {"X", "Y", "Z"}:
             name = f"extra_{name}"
         if name != extra.name and any(
-            extra.name in (one.name, one.name.removeprefix("extra_")) for one in found
+            extra.name in (earlier.name, earlier.name.removeprefix("extra_"))
+            for earlier in dimensions
         ):
             notes.append(
-                f"several extra dimensions are named {extra.name!r}: another one is read as {name!r}"
+                f"several extra dimensions are named {extra.name!r}: "
+                f"another one is read as {name!r}"
             )
         column = f"{name} {len(columns)}"  # a blank: no clash with a field of the point format
         kind = f"V{extra.n_bytes}" if extra.data_type == 0 else extra.dtype.str
-        one = extra.n_values == 1 or extra.data_type == 0
-        columns.append((column, kind) if one else (column, kind, (extra.n_values,)))
-        found.append(replace(extra, name=name, place=header.record_bytes - left))
+        is_scalar = extra.n_values == 1 or extra.data_type == 0
+        columns.append((column, kind) if is_scalar else (column, kind, (extra.n_values,)))
+        dimensions.append(replace(extra, name=name, place=header.record_bytes - left))
         left -= extra.n_bytes
-        if extra.data_type and one:  # raw bytes and vectors are not one number per record
+        if extra.data_type and is_scalar:  # raw bytes and vectors are not one number per record
             as_float = name in _AS_FLOAT
             fields[name] = Field(
                 column, None, extra.scale, extra.offset, extra.no_data, as_float=as_float
             )
             described[name] = extra
     taken = _take_usual(fields, described)
-    if renamed := [f"{own} as {name}" for name, own in taken.items() if own != name]:
+    if renamed := [
+        f"{name_in_file} as {name}" for name, name_in_file in taken.items() if name_in_file != name
+    ]:
         notes.append(f"extra dimensions taken under another name: {', '.join(renamed)}")
     if left:
         columns.append(("undescribed bytes", f"V{left}"))
@@ -205,26 +206,23 @@ def read_layout(header: LasHeader) -> RecordLayout:
     angle_name = taken.get("angle")
     range_name = taken.get("range", "range")
     return RecordLayout(
-        np.dtype(columns), fields, tuple(found), tuple(notes), angle_name, range_name
+        np.dtype(columns), fields, tuple(dimensions), tuple(notes), angle_name, range_name
     )
 
 
 def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> dict[str, str]:
-    """Give extra dimensions of usual names their standard one and its unit.
-
-    Return what was taken by that name.
-    """
+    """Rename extra dimensions with usual names to standard ones; return their old names by new one."""
     usual = usual_names([extra.name for extra in described.values()])
     names = list(described)
     taken: dict[str, str] = {}
     for standard in _TAKEN:
-        found = usual.get(standard)
-        if found is None or (standard in fields and standard not in ("angle", found.name)):
+        column = usual.get(standard)
+        if column is None or (standard in fields and standard not in ("angle", column.name)):
             continue
-        field = fields.pop(names[found.index])
-        unit = found.unit
+        field = fields.pop(names[column.index])
+        unit = column.unit
         if standard == "angle":
-            unit = unit or _unit_said(described[names[found.index]].description) or "deg"
+            unit = unit or _unit_said(described[names[column.index]].description) or "deg"
             if "angle" in fields:
                 fields["scan_angle"] = fields.pop("angle")
         if unit:
@@ -232,17 +230,14 @@ def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> d
             field = replace(field, scale=(1.0 if field.scale is None else field.scale) * factor)
             field = replace(field, offset=field.offset * factor)
         fields[standard] = replace(field, as_float=standard in _AS_FLOAT)
-        taken[standard] = found.name
+        taken[standard] = column.name
     return taken
 
 
 def _unit_said(description: str) -> str:
-    """Return the unit of angles that a description names, as ``scan angle [rad]``.
-
-    Empty where none.
-    """
-    found = re.search(r"\b(rad|deg|gon)(?:ians?|rees?|s)?\b", description.lower())
-    return "" if found is None else found[1]
+    """Return the unit of angles in a description such as ``scan angle [rad]``; empty without one."""
+    match = re.search(r"\b(rad|deg|gon)(?:ians?|rees?|s)?\b", description.lower())
+    return "" if match is None else match[1]
 
 
 def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
@@ -255,17 +250,17 @@ def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
             )
 
 
-def _extra_bytes(where: str, said: Any) -> ExtraBytes:
-    name = text_of(said.name) or "unnamed"
-    if said.data_type > _LAST_DATA_TYPE:
-        problem = f"{name!r} has data type {said.data_type}, expected 0 to {_LAST_DATA_TYPE}"
+def _extra_bytes(where: str, entry: Any) -> ExtraBytes:
+    name = text_of(entry.name) or "unnamed"
+    if entry.data_type > _LAST_DATA_TYPE:
+        problem = f"{name!r} has data type {entry.data_type}, expected 0 to {_LAST_DATA_TYPE}"
         raise InputError(where, problem, DAMAGED)
-    if said.data_type == 0:
-        return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options)
-    number = said.dtype().base
-    n_values = said.num_elements()
+    if entry.data_type == 0:
+        return ExtraBytes(name, 0, text_of(entry.description), np.dtype("u1"), entry.options)
+    number = entry.dtype().base
+    n_values = entry.num_elements()
     scale, offset = (
-        None if found is None else float(found[0]) for found in (said.scale, said.offset)
+        None if value is None else float(value[0]) for value in (entry.scale, entry.offset)
     )
     if scale is None and offset is not None:
         scale = 1.0
@@ -279,21 +274,25 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
         raise InputError(
             where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED
         )
-    no_data = _no_data(said, number)
+    no_data = _no_data(entry, number)
     return ExtraBytes(
-        name, said.data_type, text_of(said.description), number, n_values, scale, offset, no_data
+        name,
+        entry.data_type,
+        text_of(entry.description),
+        number,
+        n_values,
+        scale,
+        offset,
+        no_data,
     )
 
 
-def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
-    """Return the stored no-data value.
-
-    Laspy would convert a value out of range to one that can occur.
-    """
-    if not said.options & said.NO_DATA_BIT_MASK:
+def _no_data(entry: Any, number: np.dtype[Any]) -> float | int | None:
+    """Return the stored no-data value; laspy would convert values out of range to possible ones."""
+    if not entry.options & entry.NO_DATA_BIT_MASK:
         return None
     value: float = struct.unpack_from(
-        {"u": "<Q", "i": "<q", "f": "<d"}[number.kind], bytes(said), 40
+        {"u": "<Q", "i": "<q", "f": "<d"}[number.kind], bytes(entry), 40
     )[0]
     if number.kind != "f":
         return value if np.iinfo(number).min <= value <= np.iinfo(number).max else None
@@ -319,14 +318,14 @@ _LAYER = {
     **dict.fromkeys(("red", "green", "blue"), "RGB"),
     "extra": "ALL_EXTRA_BYTES",
 }
-"""Compressed layer of a dimension where it has another name."""
+"""Compressed layers with another name than their dimension."""
 
 
 def layers_of(fields: Iterable[Field]) -> int:
-    """Return which compressed layers hold these fields, as lazrs wants it (point formats 6-10)."""
+    """Return the compressed layers of fields as bits for lazrs (point formats 6-10)."""
     selection = int(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-    for one in fields:
-        name = _LAYER.get(one.layer, one.layer.upper())
+    for field in fields:
+        name = _LAYER.get(field.layer, field.layer.upper())
         # where no layer is known for a dimension, all are decoded
         selection |= int(
             getattr(lazrs, f"SELECTIVE_DECOMPRESS_{name}", lazrs.SELECTIVE_DECOMPRESS_ALL)
@@ -338,11 +337,11 @@ def descriptor(dimension: ExtraDimension) -> bytes:
     """Return the descriptor of a dimension, without minimum and maximum."""
     from laspy.vlrs.known import ExtraBytesStruct
 
-    said = ExtraBytesStruct.from_buffer_copy(bytes(DESCRIPTOR_BYTES))
-    said.data_type = data_type_of(dimension)
-    said.name = dimension.name.encode("ascii")
-    said.description = dimension.description.encode("ascii")
-    return bytes(said)
+    entry = ExtraBytesStruct.from_buffer_copy(bytes(DESCRIPTOR_BYTES))
+    entry.data_type = data_type_of(dimension)
+    entry.name = dimension.name.encode("ascii")
+    entry.description = dimension.description.encode("ascii")
+    return bytes(entry)
 
 
 def data_type_of(dimension: ExtraDimension) -> int:
@@ -363,10 +362,7 @@ def with_extra_dimensions(
     dimensions: Sequence[ExtraDimension],
     hint: str,
 ) -> list[Vlr]:
-    """Return the VLRs with new dimensions behind those present.
-
-    Bytes that none describes get an entry.
-    """
+    """Return the VLRs with descriptors of new dimensions; bytes without a descriptor get one."""
     if not dimensions:
         return vlrs
     where = str(header.path)
@@ -377,12 +373,8 @@ def with_extra_dimensions(
     hidden = header.n_extra_bytes - described
     elsewhere = any(vlr.has(EXTRA_BYTES_KEY) for vlr in header.evlrs)
     if hidden < 0 or elsewhere:
-        found = (
-            "in an EVLR"
-            if elsewhere
-            else f"as {described} bytes for the {header.n_extra_bytes} that records have"
-        )
-        problem = f"found the extra bytes described {found}, expected an Extra Bytes VLR that can be extended"
+        place = "in an EVLR" if elsewhere else f"as {described} of {header.n_extra_bytes} bytes"
+        problem = f"the extra bytes are described {place}, so no new ones can be added"
         raise OutputError(where, problem, hint)
     new = b""
     while hidden > 0:
@@ -398,10 +390,10 @@ def with_extra_dimensions(
     if last.n_bytes + len(new) > VLR_LIMIT:
         problem = f"the Extra Bytes VLR is full ({last.n_bytes} of {VLR_LIMIT} bytes)"
         raise OutputError(where, problem, hint)
-    said = last.data or b""
-    # readers take what is behind the last whole descriptor for one and understand none of them
-    grown = last.with_data(said[: len(said) // DESCRIPTOR_BYTES * DESCRIPTOR_BYTES] + new)
-    return [*vlrs[: places[-1]], grown, *vlrs[places[-1] + 1 :]]
+    old = last.data or b""
+    # readers refuse all descriptors if bytes follow the last whole one
+    extended = last.with_data(old[: len(old) // DESCRIPTOR_BYTES * DESCRIPTOR_BYTES] + new)
+    return [*vlrs[: places[-1]], extended, *vlrs[places[-1] + 1 :]]
 
 
 def set_classes(records: U8, point_format: int, codes: U8) -> None:
@@ -427,11 +419,11 @@ def upgrade(records: U8, point_format: int) -> U8:
     """
     new_format = FORMAT_FOR_CODES[point_format]
     n_extra = records.shape[1] - standard_bytes(point_format)
-    rest = [("extra bytes", f"V{n_extra}")] if n_extra else []
-    old = np.ascontiguousarray(records).view(np.dtype([*standard_columns(point_format), *rest]))[
+    extra = [("extra bytes", f"V{n_extra}")] if n_extra else []
+    old = np.ascontiguousarray(records).view(np.dtype([*standard_columns(point_format), *extra]))[
         :, 0
     ]
-    new = np.zeros(len(records), np.dtype([*standard_columns(new_format), *rest]))
+    new = np.zeros(len(records), np.dtype([*standard_columns(new_format), *extra]))
     for name in set(old.dtype.names or ()) & set(new.dtype.names or ()):
         new[name] = old[name]
     returns = old["bit_fields"]

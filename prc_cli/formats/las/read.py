@@ -1,7 +1,4 @@
-"""Reader of LAS and LAZ files of all point formats.
-
-Decodes only the requested dimensions, in chunks.
-"""
+"""Reader of LAS and LAZ files of all point formats; decodes only the requested dimensions, in chunks."""
 
 from __future__ import annotations
 
@@ -100,7 +97,7 @@ class LasSource:
 
     @cached_property
     def _zero(self) -> tuple[str, ...]:
-        """Which of time and angle are all zero in the first chunk, and therefore not offered."""
+        """Time and angle, if they are all zero in the first chunk: these are no dimensions."""
         names = tuple(name for name in ("time", "angle") if name in self._layout.fields)
         with closing(self._decoded(names)) as chunks:
             first = next(chunks)
@@ -153,25 +150,20 @@ class LasSource:
 
     @property
     def _unread(self) -> str:
-        """Return what follows the records that the header counts, as text.
-
-        Empty if nothing does.
-        """
+        """Return a text on records behind those that the header counts; empty without any."""
         if n := self.header.n_unread_records:
             return f"{n:,} whole records follow the {self.n_records:,} that the header counts"
         if n := self._n_unread_chunks:
-            return f"{n} LAZ chunks of records follow the {self.n_records:,} records that the header counts"
+            follows = f"follow the {self.n_records:,} records that the header counts"
+            return f"{n} LAZ chunks of records {follows}"
         return ""
 
     def skip_intensity(self) -> None:
-        """Decode ``intensity`` only where a shot may have several returns.
-
-        It is a fifth of the time.
-        """
+        """Decode ``intensity`` only for shots of several returns: it takes a fifth of the time."""
         self._spares_intensity = True
 
     def check_layers(self) -> None:
-        """Decode every compressed layer, also those that no dimension asks for, in the same pass."""
+        """Decode every compressed layer in the same pass, also layers of other dimensions."""
         self._checks_layers = self.laz_contexts is not None
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
@@ -214,16 +206,16 @@ class LasSource:
     def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, U8]]:
         asked = [self._layout.fields[name] for name in names]
         layers = layers_of(asked)
-        several = None
+        layers_of_several = None
         if self._spares_intensity and "intensity" in names:
-            several = layers
+            layers_of_several = layers
             layers = layers_of(field for field in asked if field.layer != "intensity")
         if self._checks_layers:
             layers = lazrs.SELECTIVE_DECOMPRESS_ALL
-            several = None
+            layers_of_several = None
         with open_source(self._path) as source:
             yield from read_batches(
-                source, self.header, self._chunk_records, (layers, several), reuse=True
+                source, self.header, self._chunk_records, layers, layers_of_several, reuse=True
             )
 
     def describe(self) -> dict[str, Any]:
@@ -243,12 +235,12 @@ class LasSource:
             "crs": self.crs_wkt,
             "extra_bytes": [
                 {
-                    "name": one.name,
-                    "type": one.type_name,
-                    "description": one.description,
-                    "scaled": one.scale is not None,
+                    "name": extra.name,
+                    "type": extra.type_name,
+                    "description": extra.description,
+                    "scaled": extra.scale is not None,
                 }
-                for one in self._layout.extra
+                for extra in self._layout.extra
             ],
             "vlrs": [
                 {
@@ -265,12 +257,12 @@ class LasSource:
 
 
 def open_las(path: Path, layout: Layout | None) -> LasSource:
-    """Open a LAS or LAZ file, which no layout describes."""
+    """Open a LAS or LAZ file; the layout is not used."""
     return LasSource(path)
 
 
 def classes_by_laspy(path: Path) -> dict[int, int]:
-    """Read a LAS or LAZ file with the reader of laspy, which ours does not use."""
+    """Count the classes of a LAS or LAZ file with laspy, an independent reader."""
     # imported here: costs 20 MiB and a tenth of a second
     import laspy
 

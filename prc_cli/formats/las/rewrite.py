@@ -1,10 +1,8 @@
 """Writes LAS or LAZ files again with other classes, or with some of their records.
 
-All other bytes stay the same.
-
-Header, VLRs, user bytes, points and what follows them are copied in order. Only the points change,
-and with them the offsets in the header; where records are left out, its counts and bounds too; and
-what ``[output]`` asks for.
+Header, VLRs, user bytes, points and all bytes behind them are copied in order. Only the points, the
+offsets in the header and the columns of ``[output]`` change. If records are left out, the counts and
+bounds of the header change too.
 """
 
 from __future__ import annotations
@@ -34,6 +32,7 @@ from prc_cli.formats.las.header import (
     HeaderFields,
     LasHeader,
     Source,
+    Span,
     Vlr,
     damaged,
     open_source,
@@ -77,10 +76,10 @@ from prc_cli.formats.writing.record import RunRecord
 Masks: TypeAlias = Callable[[int], Iterator[Mask]]
 """Called with a batch size; yields a mask of the records to keep for every batch of the input.
 
-Where they end, no
-further record is read."""
+Behind the last mask no record is read.
+"""
 CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
-"""Dimensions of this program that can be written along with the class."""
+"""Dimensions of this program that can be written with the class."""
 _COPY_BYTES = 4 << 20
 
 
@@ -108,10 +107,7 @@ class Plan:
 
     @property
     def is_checked(self) -> bool:
-        """Whether the compressed records are read back and compared.
-
-        Waveform packets are sometimes damaged.
-        """
+        """Whether the compressed records are read back, because waveform packets are sometimes damaged."""
         return self.compress and self.point_format in (9, 10)
 
     @property
@@ -132,7 +128,7 @@ class Plan:
 
 
 def read_las(path: Path) -> LasHeader:
-    """Read header, VLRs and EVLRs of a LAS or LAZ file with their positions, and check its chunk table."""
+    """Read header, VLRs and EVLRs of a LAS or LAZ file, and check its chunk table."""
     las = read_header(path)
     if las.compressed:
         with open_source(path) as source:
@@ -158,25 +154,21 @@ def copy_las(
     masks: Masks | None = None,
     record: RunRecord | None = None,
 ) -> tuple[str, ...]:
-    """Write a LAS or LAZ file again under a temporary name, with the records of the masks.
-
-    Return notices.
-    """
+    """Write a LAS or LAZ file again under a temporary name, with the records of the masks; return notices."""
     plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
     notices: list[str] = []
     vlrs = _planned_vlrs(plan, notices.append)
-    drop = (COPC_USER,) if record is None else (COPC_USER, RECORD_KEY[0])
+    drop = (COPC_USER,) if record is None else (COPC_USER, RECORD_KEY.user_id)
     points = _Points(plan)
 
     def write_points(source: Source, target: Target, sink: Callable[[], PointSink]) -> None:
         with contextlib.closing(read_records(source, las, plan.batch)) as batches:
-            # the masks first: where they end, no further batch is decoded
-            pairs = (
-                ((None, each) for each in batches)
-                if masks is None
-                else zip(masks(plan.batch), batches, strict=False)
-            )
-            points.write(sink(), (batch if mask is None else batch[mask] for mask, batch in pairs))
+            if masks is None:
+                points.write(sink(), batches)
+                return
+            # the masks first: behind the last one no batch is decoded
+            pairs = zip(masks(plan.batch), batches, strict=False)
+            points.write(sink(), (records[mask] for mask, records in pairs))
 
     _write_again(
         plan,
@@ -193,27 +185,29 @@ def copy_las(
 def _planned_vlrs(
     plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False
 ) -> list[Vlr]:
-    """Return the VLRs of an output, still with the old run record, and say what is unusual about them."""
+    """Return the VLRs of an output, still with the old run record; give notices of unusual ones."""
     las = plan.las
     vlrs = list(plan.las.vlrs)
     if any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs)):
         notice(
-            "names or coordinate systems in the header have bytes that are no text; they were written as ?"
+            "names or coordinate systems in the header have bytes that are no text; "
+            "they were written as ?"
         )
     if keeps_index:
         return vlrs
     if any(vlr.user_id == COPC_USER for vlr in vlrs):
         notice(
-            "the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ"
+            "the COPC index does not fit the rewritten chunks and was left out: "
+            "the output is plain LAS/LAZ"
         )
         vlrs = [vlr for vlr in vlrs if vlr.user_id != COPC_USER]
     options = dict.fromkeys(column.option for column in plan.appended)
     hint = "set [output] " + " and ".join(f"{option} = false" for option in options)
     vlrs = with_extra_dimensions(las, vlrs, [column.dimension for column in plan.appended], hint)
     if plan.upgrades:
-        vlrs, told = with_wkt(vlrs, plan.point_format)
-        if told:
-            notice(told)
+        vlrs, crs_notice = with_wkt(vlrs, plan.point_format)
+        if crs_notice:
+            notice(crs_notice)
     fields = las.fields()
     if fields.get("global_encoding") & 4 and fields.has("waveform_start"):
         name = f"{las.path.stem}.wdp"
@@ -263,10 +257,7 @@ class _Points:
         sink.close()
 
     def finish(self, fields: HeaderFields) -> None:
-        """Set counts, and bounds of a part, in a header.
-
-        Legacy counts that are zero in the input stay zero.
-        """
+        """Set counts, and bounds of a part, in a header; legacy counts of zero stay zero."""
         plan = self._plan
         if not plan.is_part and not plan.upgrades:
             return
@@ -283,20 +274,17 @@ class _Points:
             fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
 
     def check(self, written: Path, output: Path) -> None:
-        """Decompress what was written and compare its CRC-32.
-
-        Lazrs 0.8.2 damages packets of several channels.
-        """
+        """Decompress the output and compare its CRC-32: lazrs 0.8.2 damages packets of several channels."""
         if not self._plan.is_checked:
             return
         las = read_header(written)
-        found = 0
+        checksum = 0
         with open_source(written) as source:
             for records in read_records(source, las, self._plan.batch):
-                found = zlib.crc32(np.ascontiguousarray(records).data, found)
-        if found != self._checksum:
+                checksum = zlib.crc32(np.ascontiguousarray(records).data, checksum)
+        if checksum != self._checksum:
             form = self._plan.point_format
-            problem = f"LAZ does not hold the waveform packets of these point format {form} records unchanged"
+            problem = f"LAZ changes the waveform packets of records of point format {form}"
             raise OutputError(str(output), problem, "write .las instead of .laz")
 
 
@@ -308,7 +296,7 @@ def _write_again(
     points: _Points,
     drop: tuple[str, ...],
 ) -> Tail:
-    """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header."""
+    """Copy a file: header, VLRs and user bytes, points, the bytes behind them, and the final header."""
     las = plan.las
     vlrs = [readable(vlr) for vlr in vlrs]
     with open_source(las.path) as source, temporary.open("w+b") as writing:
@@ -347,8 +335,8 @@ def _copy_bytes(
     stop: int,
 ) -> None:
     source.seek(start)
-    for at in range(start, stop, _COPY_BYTES):
-        target.write(source.exact(min(_COPY_BYTES, stop - at), "the file"))
+    for position in range(start, stop, _COPY_BYTES):
+        target.write(source.exact(min(_COPY_BYTES, stop - position), "the file"))
 
 
 def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
@@ -381,10 +369,10 @@ def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """Spans of the input that follow the points of the output."""
+    """Parts of the input that follow the points of the output."""
 
-    spans: tuple[tuple[int, int], ...]
-    """First byte and end of every copied span of the input, in order."""
+    spans: tuple[Span, ...]
+    """Copied parts of the input, in order."""
     start: int
     """First byte behind the points of the output."""
     evlr_start: int
@@ -393,40 +381,42 @@ class Tail:
     """EVLRs of the output."""
 
     def moved(self, position: int) -> int:
-        """Return where a byte of the input lies in the output.
+        """Return the position in the output of a byte of the input; its old one if it is not copied.
 
-        The same number where it is not copied.
-
-        >>> Tail(((100, 120), (150, 160)), 300, 0, 0).moved(155)
+        >>> Tail((Span(100, 120), Span(150, 160)), 300, 0, 0).moved(155)
         325
         """
-        at = self.start
+        target = self.start
         for first, stop in self.spans:
             if first <= position < stop:
-                return at + position - first
-            at += stop - first
+                return target + position - first
+            target += stop - first
         return position
 
 
 def plan_tail(
     las: LasHeader,
-    bounds: tuple[int, int],
+    bounds: Span,
     start: int,
     drop: tuple[str, ...],
 ) -> Tail:
     """Plan the copy of everything behind the points, without the EVLRs of some user ids."""
-    cursor, end = bounds
+    cursor = bounds.start
     if las.evlrs and las.evlrs[0].start < cursor:
-        problem = f"found the first EVLR at byte {las.evlrs[0].start}, expected it behind the points (byte {cursor})"
+        first_byte = las.evlrs[0].start
+        problem = (
+            f"the first EVLR is at byte {first_byte}, expected it behind the points (byte {cursor})"
+        )
         raise damaged(las.path, 235, problem)
-    spans: list[tuple[int, int]] = []
+    spans: list[Span] = []
     kept = [evlr for evlr in las.evlrs if evlr.user_id not in drop]
     for evlr in las.evlrs:
         if evlr.user_id in drop:
-            spans.append((cursor, evlr.start))
+            spans.append(Span(cursor, evlr.start))
             cursor = evlr.stop
-    spans.append((cursor, max(cursor, end)))
-    tail = Tail(tuple((first, stop) for first, stop in spans if first < stop), start, 0, len(kept))
+    spans.append(Span(cursor, max(cursor, bounds.stop)))
+    copied = tuple(span for span in spans if span.start < span.stop)
+    tail = Tail(copied, start, 0, len(kept))
     return replace(tail, evlr_start=tail.moved(kept[0].start) if kept else 0)
 
 
@@ -460,10 +450,6 @@ class LasRewriter(ScatterWriter):
         self._compress = labels.path.suffix.lower() == LAZ
 
     def _source_state(self) -> tuple[int, int, int, int]:
-        """Size, times of the last change and number of the input file.
-
-        If one differs, the file has changed.
-        """
         with open_source(self._source_path) as source:
             return source.state()
 
@@ -507,12 +493,12 @@ class LasRewriter(ScatterWriter):
             with contextlib.closing(read_records(source, las, plan.batch)) as batches:
                 points.write(open_sink(), self._changed(plan, values, batches))
 
-        drop = (RECORD_KEY[0],) if is_copc else (RECORD_KEY[0], COPC_USER)
+        drop = (RECORD_KEY.user_id,) if is_copc else (RECORD_KEY.user_id, COPC_USER)
         tail = _write_again(
             plan, with_record(vlrs, record), self._temporary, write_points, points, drop
         )
         if splice is not None and is_copc:
-            place = {at: tail.moved(at) for at, _ in splice.pages}
+            place = {page.position: tail.moved(page.position) for page in splice.pages}
             move_index(self._temporary, las, splice, moved, place)
         points.check(self._temporary, self.path)
         if self._source_state() != self._state:
@@ -525,8 +511,7 @@ class LasRewriter(ScatterWriter):
     def _changed(
         self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]
     ) -> Iterator[U8]:
-        """Yield the records of the output; of a part, read no farther than to the last of them."""
-        # the columns first: where they end, no further batch is decoded
+        # the columns first: behind the last one no batch is decoded
         for k, (columns, records) in enumerate(zip(values, batches, strict=not plan.is_part)):
             if plan.is_part:
                 records = records[columns.record - k * plan.batch]
@@ -539,30 +524,29 @@ class LasRewriter(ScatterWriter):
         form = las.point_format
         if form < 6 and highest >= FIVE_BIT_LIMIT:
             form = FORMAT_FOR_CODES[las.point_format]
-            lost = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}.get(
-                las.point_format, ""
-            )
+            empty = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}
             self._notice(
-                f"point format {las.point_format} cannot hold code {highest}; upgraded to {form}{lost}"
+                f"point format {las.point_format} cannot hold code {highest}; "
+                f"upgraded to {form}{empty.get(las.point_format, '')}"
             )
         moved = standard_bytes(form) - standard_bytes(las.point_format)
         appended = []
         replaced = []
-        there = {extra.name: extra for extra in read_layout(las).extra} if self._optional else {}
+        present = {extra.name: extra for extra in read_layout(las).extra} if self._optional else {}
         for column in self._optional:
-            found = there.get(column.name)
+            same_name = present.get(column.name)
             data_type = data_type_of(column.dimension)
-            if found is None:
+            if same_name is None:
                 appended.append(column)
-            elif found.data_type != data_type:
-                problem = f"the input has extra bytes named {column.name!r} of type {found.data_type}, expected none"
-                problem += f" or type {data_type}"
+            elif same_name.data_type != data_type:
+                what = f"extra bytes named {column.name!r} of type {same_name.data_type}"
+                problem = f"the input has {what}, expected none or type {data_type}"
                 raise OutputError(str(las.path), problem, f"set [output] {column.option} = false")
             elif column.keep:
                 self._notice(f"the input has {column.name} already; it was kept as it is")
             else:
                 self._notice(f"the input has {column.name} already; its values were replaced")
-                replaced.append((column, found.place + moved))
+                replaced.append((column, same_name.place + moved))
         plan = Plan(las, form, self._compress, self._is_part, tuple(appended), tuple(replaced))
         length = las.record_bytes + moved + plan.n_appended
         if length > 65_535:
@@ -572,22 +556,22 @@ class LasRewriter(ScatterWriter):
 
 
 def changed(records: U8, columns: Columns, plan: Plan) -> U8:
-    """Return records as the output holds them; may change the given ones in place."""
+    """Return the records of the output; may change the given ones in place."""
     if plan.upgrades:
         records = upgrade(records, plan.las.point_format)
     set_classes(records, plan.point_format, columns.codes)
-    for column, at in plan.replaced:
+    for column, first_byte in plan.replaced:
         values = columns.values[column.name].view(np.uint8).reshape(len(records), -1)
-        records[:, at : at + column.dtype.itemsize] = values
+        records[:, first_byte : first_byte + column.dtype.itemsize] = values
     if plan.appended:
         records = append_bytes(records, [columns.values[column.name] for column in plan.appended])
     return records
 
 
 class LasRecoder(LasRewriter):
-    """Writer of a LAS file from another.
+    """Writer of a LAS file from another one.
 
-    In its ``with`` block :meth:`put` every record, then :meth:`finish`.
+    In its ``with`` block, call :meth:`put` for every record, then :meth:`finish`.
     """
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
@@ -615,7 +599,7 @@ class LasRecoder(LasRewriter):
         return self
 
     def name_classes(self, names: Mapping[int, str]) -> None:
-        """Set the names of user codes that the output has to name."""
+        """Set the names of user codes in the output."""
         self._user_names = dict(names)
 
     def put(self, record: I64, codes: U8) -> None:
@@ -631,7 +615,7 @@ class LasRecoder(LasRewriter):
 
 
 def open_label_writer(labels: LabelOutput) -> StagedWriter:
-    """Return the writer that keeps all of a LAS or LAZ input but the class, or makes a new file of another input."""
+    """Return a writer that changes the classes of a LAS or LAZ input, or makes a new file of another input."""
     if labels.source.suffix.lower() in SUFFIXES:
         return LasRewriter(labels)
     return LasBuilder(labels.path, labels=labels)

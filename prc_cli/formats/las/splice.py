@@ -1,17 +1,15 @@
-"""Replaces the classes in LAZ chunks of point formats 6-8 without recompressing other layers.
-
-COPC stays COPC.
+"""Replaces the classes in LAZ chunks of point formats 6-8; other layers are copied, COPC stays COPC.
 
 A layered chunk of LASzip holds its first record uncompressed, the number of records, the size of
 every layer and the layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ
 specification 1.4, sections on POINT14). The layer of classes depends only on the classes, the
 return numbers and the scanner channels (the context), so records that are zero elsewhere give the
 same layer. lazrs compresses such records; their layer replaces the old one, all other bytes are
-copied. So that no damage is copied with them, every layer is decoded once before, by the reader or
-here.
+copied. Every layer is decoded once before, by the reader or here, so that no damage is
+copied.
 
-A COPC file (COPC 1.0: hobu, 2021) is LAZ with a chunk for every node of an octree; the index names
-the first byte and the length of every chunk, which change; nothing else does.
+A COPC file (COPC 1.0: hobu, 2021) is LAZ with a chunk for every node of an octree; its index
+has the first byte and the length of every chunk, and only these change.
 """
 
 from __future__ import annotations
@@ -24,6 +22,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
+from typing import NamedTuple
 
 import lazrs
 import numpy as np
@@ -31,7 +30,14 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
-from prc_cli.formats.las.header import DAMAGED, LasHeader, Source, open_source, standard_bytes
+from prc_cli.formats.las.header import (
+    DAMAGED,
+    LasHeader,
+    Source,
+    VlrKey,
+    open_source,
+    standard_bytes,
+)
 from prc_cli.formats.las.laz import (
     LARGE_CHUNK_BYTES,
     LazRecords,
@@ -51,17 +57,17 @@ _RETURNS_AT = 14
 _CHANNEL_AT = 15
 _CLASS_AT = 16
 _ONLY = 4
-"""Bit of a context: single return; the two bits below hold the channel."""
+"""Bit of a context: single return; the two bits below are the channel."""
 KEPT_BYTES = 32 << 20
 """Memory limit for contexts that differ from record to record."""
 COPC_USER = "copc"
-_COPC_KEY = (COPC_USER, 1)
-_HIERARCHY_KEY = (COPC_USER, 1000)
+_COPC_KEY = VlrKey(COPC_USER, 1)
+_HIERARCHY_KEY = VlrKey(COPC_USER, 1000)
 _INFO_BYTES = 160
 _ROOT_AT = 40
 """Byte of the root page's position and length in the info record."""
 _INFO_OFFSET = 375 + 54
-"""Where the content of the info record must lie."""
+"""First byte of the content of the info record."""
 _ENTRY = struct.Struct("<4iQii")
 """Level and place of a node, position, length, and number of points, -1 = another page."""
 
@@ -76,10 +82,7 @@ def contexts_of(records: U8) -> U8:
 
 
 def records_of(contexts: U8) -> U8:
-    """Return raw records of point format 6 with these contexts, else zero.
-
-    The inverse of :func:`contexts_of`.
-    """
+    """Return raw records of point format 6 with these contexts and zeros, the inverse of :func:`contexts_of`."""
     records = np.zeros((len(contexts), standard_bytes(6)), np.uint8)
     records[:, _RETURNS_AT] = np.where(contexts & _ONLY, 0x11, 0x21)
     records[:, _CHANNEL_AT] = (contexts & 3) << np.uint8(4)
@@ -87,10 +90,7 @@ def records_of(contexts: U8) -> U8:
 
 
 class LazContexts:
-    """Contexts of the first records of a file, kept from reading.
-
-    The writer need not decompress returns again.
-    """
+    """Contexts of the first records of a file, kept while it is read for its writer."""
 
     def __init__(self) -> None:
         self.n_seen = 0
@@ -112,10 +112,7 @@ class LazContexts:
                 self.n_seen += len(contexts)
 
     def check(self, first: int, n: int) -> None:
-        """Note that every layer of ``n`` records could be decoded.
-
-        Only those that follow the last ones count.
-        """
+        """Note that every layer of ``n`` records could be decoded, if they follow the last ones."""
         with self._lock:
             if first == self.n_checked:
                 self.n_checked += n
@@ -125,20 +122,26 @@ class LazContexts:
         yield from recut(self._parts, repeat(n))
 
 
+class Page(NamedTuple):
+    """A page of the hierarchy of a COPC file."""
+
+    position: int
+    """First byte in the file."""
+    size: int
+    """Number of bytes."""
+
+
 @dataclass(frozen=True, slots=True)
 class Splice:
     """A file whose classes can be replaced."""
 
     chunks: LazRecords
-    pages: tuple[tuple[int, int], ...] = ()
-    """COPC: position in the file and length of every page of the hierarchy, the root first."""
+    pages: tuple[Page, ...] = ()
+    """COPC: pages of the hierarchy, the root first."""
 
 
 def find_chunks(source: Source, las: LasHeader) -> Splice | None:
-    """Return the chunks whose classes can be replaced.
-
-    None unless it is usual LAZ of formats 6 to 8.
-    """
+    """Return the chunks whose classes can be replaced; None for other than usual LAZ of formats 6 to 8."""
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
     chunks = LazRecords(source, las)
@@ -153,14 +156,11 @@ def find_chunks(source: Source, las: LasHeader) -> Splice | None:
     if not chunks.vlr.uses_variable_size_chunks():
         return Splice(chunks)
     pages = _find_pages(source, las)
-    return Splice(chunks, pages) if pages and _names_chunks(source, pages, chunks) else None
+    return Splice(chunks, pages) if pages and _index_fits(source, pages, chunks) else None
 
 
-def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
-    """Return all pages of a COPC index.
-
-    None if there is no index, or one lies outside it, is cut, or comes twice.
-    """
+def _find_pages(source: Source, las: LasHeader) -> tuple[Page, ...]:
+    """Return all pages of a COPC index; none if one is outside the index, cut, or repeated."""
     info = las.vlr(_COPC_KEY)
     hierarchy = [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
     if (
@@ -170,40 +170,43 @@ def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
         or las.vlrs[0] is not info
     ):
         return ()
-    at, size = struct.unpack_from("<QQ", info.data, _ROOT_AT)
-    pages = [(int(at), int(size))]
-    seen = {at}
+    root = Page(*struct.unpack_from("<QQ", info.data, _ROOT_AT))
+    pages = [root]
+    positions = {root.position}
     n_bytes = 0
-    for at, size in pages:
-        n_bytes += size
+    for page in pages:
+        n_bytes += page.size
         # pages that share bytes would be more than the records hold
         is_sound = (
-            size > 0
-            and size % _ENTRY.size == 0
+            page.size > 0
+            and page.size % _ENTRY.size == 0
             and n_bytes <= sum(evlr.n_bytes for evlr in hierarchy)
         )
         if not is_sound or not any(
-            evlr.start + len(evlr.head) <= at and at + size <= evlr.stop for evlr in hierarchy
+            evlr.start + len(evlr.head) <= page.position and page.position + page.size <= evlr.stop
+            for evlr in hierarchy
         ):
             return ()
-        more = [(entry[4], entry[5]) for entry in _entries(source, at, size) if entry[6] == -1]
-        for offset, _ in more:
-            if offset in seen:
+        for *_, position, size, count in _entries(source, page):
+            if count != -1:
+                continue
+            if position in positions:
                 return ()
-            seen.add(offset)
-        pages += more
+            positions.add(position)
+            pages.append(Page(position, size))
     return tuple(pages)
 
 
-def _entries(source: Source, at: int, size: int) -> Iterator[tuple[int, ...]]:
-    source.seek(at)
-    yield from _ENTRY.iter_unpack(source.exact(size, "the COPC hierarchy"))
+def _entries(source: Source, page: Page) -> Iterator[tuple[int, ...]]:
+    source.seek(page.position)
+    yield from _ENTRY.iter_unpack(source.exact(page.size, "the COPC hierarchy"))
 
 
-def _names_chunks(source: Source, pages: Iterable[tuple[int, int]], chunks: LazRecords) -> bool:
+def _index_fits(source: Source, pages: Iterable[Page], chunks: LazRecords) -> bool:
+    """Whether the nodes with points are the chunks, each once."""
     places = zip(chunks.table.first_byte.tolist(), chunks.sizes().tolist(), strict=False)
     wanted = sorted((first, length, n) for first, (n, length) in places)
-    nodes = (entry[4:] for at, size in pages for entry in _entries(source, at, size))
+    nodes = (entry[4:] for page in pages for entry in _entries(source, page))
     return sorted(node for node in nodes if node[2] > 0) == wanted
 
 
@@ -214,10 +217,7 @@ def splice_classes(
     codes: Iterator[U8],
     kept: ClassContexts | None = None,
 ) -> dict[int, tuple[int, int]]:
-    """Write all chunks with new classes and their table.
-
-    Return new position and length by old position.
-    """
+    """Write all chunks with new classes and their table; return their new position and length by old position."""
     chunks = splice.chunks
     sizes = chunks.sizes()[:, 0].tolist()
     places = chunks.table.first_byte.tolist()
@@ -237,18 +237,18 @@ def splice_classes(
             for n_records, layer, first in zip(
                 group, layers, range(0, len(new), group[0]), strict=True
             ):
-                at = target.tell()
+                position = target.tell()
                 chunk = len(table)
                 table.append(
                     (n_records, _write_chunk(source, target, chunks, chunk, layer, int(new[first])))
                 )
-                moved[places[chunk]] = (at, table[-1][1])
+                moved[places[chunk]] = (position, table[-1][1])
     return moved
 
 
 @contextlib.contextmanager
 def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
-    """Leave room for the table's position, give the table of records and bytes to fill, write it behind."""
+    """Reserve the table's position, yield the table of records and bytes to fill, then write both."""
     start = target.tell()
     target.write(struct.pack("<q", 0))
     table: list[tuple[int, int]] = []
@@ -263,7 +263,7 @@ def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, 
 
 
 def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
-    """Yield the contexts of the classes, kept or decoded; a damaged layer is refused here."""
+    """Yield the contexts of the classes, kept or decoded; raise an error for a damaged layer."""
     las = chunks.header
     n = batch_records(las, compressed=True)
     is_sound = kept is not None and kept.n_checked == las.n_records
@@ -293,12 +293,12 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
         table = lazrs.read_chunk_table(buffer, vlr)
     view = buffer.getbuffer()
     head = chunk_head(6, 0)
-    at = 8
+    chunk_start = 8
     for _, n_bytes in table:
-        _, *sizes = head.unpack_from(view, at + standard_bytes(6))
-        first = at + standard_bytes(6) + head.size + sum(sizes[:_CLASS_LAYER])
+        _, *sizes = head.unpack_from(view, chunk_start + standard_bytes(6))
+        first = chunk_start + standard_bytes(6) + head.size + sum(sizes[:_CLASS_LAYER])
         yield view[first : first + sizes[_CLASS_LAYER]]
-        at += n_bytes
+        chunk_start += n_bytes
 
 
 def _write_chunk(
@@ -309,10 +309,7 @@ def _write_chunk(
     layer: memoryview,
     code: int,
 ) -> int:
-    """Write a chunk with a new layer of classes and a new class of its first record.
-
-    Return its number of bytes.
-    """
+    """Write a chunk with a new layer of classes and class of its first record; return its bytes."""
     las = chunks.header
     first, stop = chunks.table.first_byte[chunk : chunk + 2].tolist()
     source.seek(first)
@@ -321,7 +318,10 @@ def _write_chunk(
     n_records, *sizes = head.unpack_from(old, las.record_bytes)
     layers_at = las.record_bytes + head.size
     if layers_at + sum(sizes) != len(old):
-        problem = f"found a chunk of {layers_at + sum(sizes)} bytes, expected {len(old)} as at the start of the run"
+        n_bytes = layers_at + sum(sizes)
+        problem = (
+            f"found a chunk of {n_bytes} bytes, expected {len(old)} as at the start of the run"
+        )
         raise InputError(f"{las.path}: LAZ chunks", problem, DAMAGED)
     before = layers_at + sum(sizes[:_CLASS_LAYER])
     behind = before + sizes[_CLASS_LAYER]
@@ -339,21 +339,18 @@ def move_index(
     moved: dict[int, tuple[int, int]],
     place: dict[int, int],
 ) -> None:
-    """Let the index of a COPC output point to its chunks and pages.
-
-    ``place``: where the pages lie now.
-    """
+    """Write the new positions of chunks (``moved``) and pages (``place``) into the index of a COPC output."""
     with open_source(las.path) as source, written.open("r+b") as handle:
-        for at, size in splice.pages:
+        for page in splice.pages:
             entries = []
-            for *key, offset, length, count in _entries(source, at, size):
+            for *key, offset, length, count in _entries(source, page):
                 if count > 0:
                     offset, length = moved[offset]
                 elif count == -1:
                     offset = place[offset]
                 entries.append(_ENTRY.pack(*key, offset, length, count))
-            handle.seek(place[at])
+            handle.seek(place[page.position])
             handle.write(b"".join(entries))
-        root_at, root_bytes = splice.pages[0]
+        root = splice.pages[0]
         handle.seek(_INFO_OFFSET + _ROOT_AT)
-        handle.write(struct.pack("<QQ", place[root_at], root_bytes))
+        handle.write(struct.pack("<QQ", place[root.position], root.size))

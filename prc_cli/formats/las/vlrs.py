@@ -1,7 +1,7 @@
-"""What LAS files say of themselves in VLRs: the run record, names of classes, coordinate systems.
+"""The contents of VLRs: the run record, names of classes, coordinate systems.
 
-laspy's own ``parse_crs`` needs pyproj, an extra of this program, and gives up on what pyproj does
-not understand.
+laspy's own ``parse_crs`` needs pyproj, an extra of this program, and fails on systems that pyproj
+does not know.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from prc_cli.formats.las.header import (
     WKT_KEY,
     LasHeader,
     Vlr,
+    VlrKey,
     make_vlr,
     read_header,
     text_of,
@@ -27,17 +28,17 @@ from prc_cli.formats.writing.record import RunRecord
 VLR_LIMIT = 65_535
 """Largest content of a VLR [bytes]."""
 RECORD_TEXT = "prc run record"
-"""Description of the VLR that holds the run record."""
-LOOKUP_KEY = ("LASF_Spec", 0)
-"""LAS 1.4: entries of 16 bytes, the class number and 15 characters.
+"""Description of the VLR of the run record."""
+LOOKUP_KEY = VlrKey("LASF_Spec", 0)
+"""LAS 1.4: names of classes in entries of 16 bytes, the class code and 15 characters.
 
-The specification names the standard classes; user
-codes, 64 and up, mean what this record says."""
+The specification names the standard classes, this record the user codes, 64 and up.
+"""
 _ENTRY_BYTES = 16
 
 _NAME = re.compile(r'^\s*\w+\s*\[\s*"([^"]*)"')
 _CODE = re.compile(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]\s*$', re.IGNORECASE)
-_LIBLAS_WKT_KEY = ("liblas", 2112)
+_LIBLAS_WKT_KEY = VlrKey("liblas", 2112)
 _USER_DEFINED = 32767
 _GEOGRAPHIC = 2048
 _PROJECTED = 3072
@@ -45,7 +46,7 @@ _VERTICAL = 4096
 
 
 def with_record(vlrs: list[Vlr], record: RunRecord) -> list[Vlr]:
-    """Return the VLRs with a run record, replacing an old one, shortened if it is too long for a VLR."""
+    """Return the VLRs with a run record instead of an old one, shortened to fit into a VLR."""
     new = make_vlr(RECORD_KEY, record.to_json_within(VLR_LIMIT), RECORD_TEXT)
     place = next((index for index, vlr in enumerate(vlrs) if vlr.has(RECORD_KEY)), len(vlrs))
     vlrs = [vlr for vlr in vlrs if not vlr.has(RECORD_KEY)]
@@ -58,30 +59,24 @@ def lookup_vlr(names: Mapping[int, str]) -> Vlr:
     >>> len(lookup_vlr({64: "stem", 65: "car"}).data)
     32
     """
-    return make_vlr(
-        LOOKUP_KEY,
-        b"".join(_entry(*each) for each in sorted(names.items())),
-        "Classification Lookup",
-    )
+    entries = b"".join(_entry(code, name) for code, name in sorted(names.items()))
+    return make_vlr(LOOKUP_KEY, entries, "Classification Lookup")
 
 
 def names_of_file(path: Path) -> dict[int, str]:
-    """Return the names of user codes that a LAS or LAZ file holds."""
-    found: dict[int, str] = {}
+    """Return the names of user codes in a LAS or LAZ file."""
+    names: dict[int, str] = {}
     for data in read_header(path).find(LOOKUP_KEY):
         for code, name in _names(data).items():
             if code >= FIRST_USER_CODE and name:
-                found.setdefault(code, name)
-    return found
+                names.setdefault(code, name)
+    return names
 
 
 def with_lookup(
     las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]
 ) -> tuple[list[Vlr], tuple[str, ...]]:
-    """Return VLRs that name some classes, and notices.
-
-    An existing record is extended in its place.
-    """
+    """Return VLRs with the names of classes, and notices; an existing record is extended."""
     if not names:
         return vlrs, ()
     if any(evlr.has(LOOKUP_KEY) for evlr in las.evlrs):
@@ -93,7 +88,8 @@ def with_lookup(
     notices = []
     if len(data) % _ENTRY_BYTES:
         return vlrs, (
-            f"the names of classes take {len(data)} bytes, no multiple of 16; they were left as they are",
+            f"the names of classes take {len(data)} bytes, no multiple of 16; "
+            "they were left as they are",
         )
     before = _names(bytes(data))
     for code, name in sorted(names.items()):
@@ -101,8 +97,8 @@ def with_lookup(
         if code not in before:
             data += entry
         elif before[code] != (new := text_of(entry[1:])):
-            at = bytes(data[::_ENTRY_BYTES]).index(code) * _ENTRY_BYTES
-            data[at : at + _ENTRY_BYTES] = entry
+            start = bytes(data[::_ENTRY_BYTES]).index(code) * _ENTRY_BYTES
+            data[start : start + _ENTRY_BYTES] = entry
             if before[code]:
                 notices.append(
                     f"class {code} was named {before[code]!r} in the input; its name is now {new!r}"
@@ -119,16 +115,13 @@ def _entry(code: int, name: str) -> bytes:
 
 
 def _names(data: bytes) -> dict[int, str]:
-    """Return the names by code; the first of a code counts."""
+    """Return the names by code; the first name of a code is used."""
     starts = range(len(data) // _ENTRY_BYTES * _ENTRY_BYTES - _ENTRY_BYTES, -1, -_ENTRY_BYTES)
     return {data[start]: text_of(data[start + 1 : start + _ENTRY_BYTES]) for start in starts}
 
 
 def find_crs(header: LasHeader) -> str | None:
-    """Return the coordinate system.
-
-    WKT as it stands, else ``EPSG:CODE`` from GeoTIFF keys, else None.
-    """
+    """Return the coordinate system: the WKT of the file, else ``EPSG:CODE`` of GeoTIFF keys, else None."""
     codes = (_horizontal(_geo_keys(data)) for data in header.find(GEO_KEYS_KEY))
     named = (f"EPSG:{code}" for code in codes if code)
     texts = (map(text_of, header.find(key)) for key in (WKT_KEY, _LIBLAS_WKT_KEY))
@@ -152,28 +145,28 @@ def _horizontal(keys: dict[int, int]) -> int | None:
 
 
 def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]:
-    """Return the VLRs with a WKT, which formats 6-10 need, by pyproj from EPSG codes, and the notices about it."""
+    """Return the VLRs with a WKT, which formats 6-10 need, made from EPSG codes, and a notice."""
     keys = {vlr.key: vlr for vlr in vlrs}
     if WKT_KEY in keys:
         return vlrs, "the coordinate system is now read from the file's own WKT"
     if GEO_KEYS_KEY not in keys:
         return vlrs, None
-    found = _geo_keys(keys[GEO_KEYS_KEY].data or b"")
-    horizontal = _horizontal(found)
-    vertical = found.get(_VERTICAL, _USER_DEFINED)
-    tries = [(f"EPSG:{horizontal}", "")]
+    geo_keys = _geo_keys(keys[GEO_KEYS_KEY].data or b"")
+    horizontal = _horizontal(geo_keys)
+    vertical = geo_keys.get(_VERTICAL, _USER_DEFINED)
+    candidates = [(f"EPSG:{horizontal}", "")]
     if vertical != _USER_DEFINED:
         # old files give the code of a vertical datum instead of a coordinate system
         remark = f" (vertical code {vertical} is no EPSG system and was left out)"
-        tries = [(f"EPSG:{horizontal}+{vertical}", ""), (f"EPSG:{horizontal}", remark)]
+        candidates = [(f"EPSG:{horizontal}+{vertical}", ""), (f"EPSG:{horizontal}", remark)]
     problem = "the GeoTIFF keys name no EPSG code"
-    for text, remark in tries if horizontal is not None else ():
+    for text, remark in candidates if horizontal is not None else ():
         vlr, problem = vlr_of_crs(text)
         if vlr is not None:
             return [*vlrs, vlr], f"coordinate system {text}{remark} added as WKT"
     return vlrs, (
-        f"point format {point_format} wants its coordinate system as WKT, which could not be derived ({problem}); "
-        "the GeoTIFF keys were kept"
+        f"point format {point_format} wants its coordinate system as WKT, "
+        f"which could not be derived ({problem}); the GeoTIFF keys were kept"
     )
 
 
@@ -204,30 +197,32 @@ def short_crs(crs: str) -> str:
     return text if code is None or code in text else f"{text} ({code})"
 
 
-def same_crs(one: str, other: str) -> bool:
+def same_crs(left: str, right: str) -> bool:
     """Compare two coordinate systems by text, by EPSG code, else with pyproj if installed.
 
     >>> same_crs('PROJCS["UTM 35N", AUTHORITY["EPSG","32635"]]', "EPSG:32635")
     True
     """
-    if "".join(one.split()).lower() == "".join(other.split()).lower():
+    if "".join(left.split()).lower() == "".join(right.split()).lower():
         return True
-    codes = _code(one), _code(other)
-    if None not in codes:
-        return codes[0] == codes[1]
+    left_code = _code(left)
+    right_code = _code(right)
+    if left_code is not None and right_code is not None:
+        return left_code == right_code
     try:
         import pyproj
     except ImportError:
         return False
     try:
-        left, right = (pyproj.CRS.from_user_input(crs) for crs in (one, other))
+        system = pyproj.CRS.from_user_input(left)
+        other_system = pyproj.CRS.from_user_input(right)
     except pyproj.exceptions.CRSError:
         return False
-    return bool(left.equals(right, ignore_axis_order=True))
+    return bool(system.equals(other_system, ignore_axis_order=True))
 
 
 def _code(crs: str) -> str | None:
     if re.fullmatch(r"EPSG:\d+", crs.strip(), re.IGNORECASE):
         return crs.strip().upper()
-    found = _CODE.search(crs)
-    return f"EPSG:{found.group(1)}" if found else None
+    match = _CODE.search(crs)
+    return f"EPSG:{match.group(1)}" if match else None

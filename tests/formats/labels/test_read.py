@@ -126,9 +126,7 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")
     assert np.concatenate(list(open_codes(path).chunks())).tolist() == [2, 6, 7]
     path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
-    with pytest.raises(
-        InputError, match="row 1 holds record 2, expected 1; sort the rows by record"
-    ):
+    with pytest.raises(InputError, match="row 1 is record 2, expected 1; sort the rows by record"):
         list(open_codes(path).chunks())
 
 
