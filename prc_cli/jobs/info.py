@@ -53,14 +53,12 @@ from prc_cli.streams.evidence.periods import (
     range_correlation,
 )
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
-from prc_cli.streams.grid import open_grid
-from prc_cli.streams.lines import first_ranges
+from prc_cli.streams.grid import GridStream, open_grid
+from prc_cli.streams.lines import first_ranges, scanners_in_turns
 from prc_cli.streams.open import drive_of, open_input
 from prc_cli.streams.order import (
     OrderEvidence,
     OrderWatch,
-    RingOrderWatch,
-    fire_in_turns,
     order_hint,
     take_turns,
 )
@@ -262,6 +260,8 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
         return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
     contents = Contents(class_names=names_of_file(path) if suffix_of(path) in LAS_SUFFIXES else {})
     order = _time_order(source, contents)
+    if stream is not None and _fires_in_turns(stream):
+        order = _line_order(stream)
     found = _inspect_records(path, loaded, source, stream, refusal, order)
     return replace(found, contents=contents, drive=_drive_found(stream, loaded.config.input))
 
@@ -568,22 +568,19 @@ def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | Non
 
     Return the order of the times.
     """
-    watch: OrderWatch | RingOrderWatch | None = None
+    watch = OrderWatch.of(source, "trust") if "time" in source.dimensions else None
     for chunk in watched_contents(source, contents):
-        if "time" not in source.dimensions:
-            continue
-        time_s = np.asarray(chunk.values["time"], np.float64)
-        column = chunk.values.get("column")
-        if watch is None:
-            in_turns = column is not None and fire_in_turns(time_s, column)
-            watch = RingOrderWatch(source, "trust") if in_turns else OrderWatch.of(source, "trust")
-        if isinstance(watch, OrderWatch):
-            watch.see(time_s, chunk.record)
-        elif column is not None:
-            watch.count(time_s, chunk.record, column)
-    if watch is None and "time" in source.dimensions:
-        watch = OrderWatch.of(source, "trust")
+        if watch is not None:
+            watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
     return None if watch is None else watch.evidence()
+
+
+def _fires_in_turns(stream: ScanStream) -> bool:
+    """Return whether the rings of records fire in another order than they lie."""
+    layer: object = stream
+    while layer is not None and not isinstance(layer, GridStream):
+        layer = getattr(layer, "source", None)
+    return layer is not None and bool(scanners_in_turns(layer.source, layer.rules))
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:

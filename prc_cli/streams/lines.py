@@ -510,7 +510,7 @@ def whole_lines(
                     waiting += watch.count(records["time"], records[RECORD])
                 else:
                     waiting += watch.count(
-                        records["time"], records[RECORD], records[rules.column_dimension or ""]
+                        records["time"], records[RECORD], _columns_of(records, rules)
                     )
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
             state = replace(state, tally=tally)
@@ -538,12 +538,10 @@ TURN_RECORDS = 1 << 16
 
 def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
     """Return the scanners whose rings fire in another order than they lie, by the first records."""
-    name = rules.column_dimension
-    if name is None or not rules.has("time"):
+    if not rules.has("time") or not (rules.column_dimension or _has_all_shots(rules)):
         return frozenset()
-    names = tuple(
-        dict.fromkeys(("time", name, *(() if rules.scanner is None else (rules.scanner,))))
-    )
+    wanted = ("time", rules.column_dimension, rules.scanner)
+    names = tuple(dict.fromkeys(name for name in wanted if name is not None))
     head: Table = {}
     for chunk in source.chunks(names):
         head = join([head, table_of(chunk, names)])
@@ -555,9 +553,22 @@ def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
         scanner
         for scanner, records in scanners
         if fire_in_turns(
-            np.asarray(records["time"], np.float64), np.asarray(records[name], np.float64)
+            np.asarray(records["time"], np.float64),
+            np.asarray(_columns_of(records, rules), np.float64),
         )
     )
+
+
+def _has_all_shots(rules: GridRules) -> bool:
+    """Return whether records are shots of lines of one length, in the order of their columns."""
+    is_plain = (rules.lines, rules.columns) == ("fixed", "order")
+    return is_plain and rules.points_per_line is not None and rules.scanner is None
+
+
+def _columns_of(records: Table, rules: GridRules) -> NDArray[Any]:
+    if rules.column_dimension is not None:
+        return records[rules.column_dimension]
+    return records[RECORD] % (rules.points_per_line or 1)
 
 
 def _last_lines(

@@ -48,11 +48,14 @@ CLOUD = "sensor_msgs/PointCloud2"
 RINGS = ("ring", "channel", "laser_id")
 TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 LIGHTS = ("intensity", "reflectivity", "signal", "i")
+SCAN_LINE = "scan_line"
+"""Field of clouds that prc writes: the scan line of a point, which the staggering of rings follows."""
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _NO_RINGS = (
     "prc needs scan lines: let the driver write the ring and the time of every point. Livox and other scanners without "
     "rings are not supported"
 )
+_OPTIONAL = ("light", "time", "line")
 _MAX_FIELDS = 100
 _ABSOLUTE_S = 2.0
 """Times that are usually beyond are not counted from the stamp of the message.
@@ -92,6 +95,8 @@ class Cloud:
     """(n,) float32 [m]."""
     intensity: F32
     """(n,) float32, NaN where there is none."""
+    scan_line: I64 | None = None
+    """(n,) int64, scan line as written by prc."""
 
     @property
     def n_records(self) -> int:
@@ -158,11 +163,19 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
 
     x, y, z, ring, time, light (missing where there is none).
     """
-    names = {"x": ("x",), "y": ("y",), "z": ("z",), "ring": RINGS, "time": TIMES, "light": LIGHTS}
+    names = {
+        "x": ("x",),
+        "y": ("y",),
+        "z": ("z",),
+        "ring": RINGS,
+        "time": TIMES,
+        "light": LIGHTS,
+        "line": (SCAN_LINE,),
+    }
     held = {
         part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()
     }
-    lacking = [part for part, found in held.items() if not found and part not in ("light", "time")]
+    lacking = [part for part, found in held.items() if not found and part not in _OPTIONAL]
     shown = ", ".join(fields)[:200]
     expect(
         not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS
@@ -220,7 +233,9 @@ def _decoded(
             if has_light
             else np.full(len(table), np.nan, np.float32)
         )
-    return Cloud(frame, stamp_s, rings, times, unit_s, xyz, ranges, lit)
+    has_lines = "line" in (table.dtype.names or ()) and table.dtype["line"].kind in "iu"
+    scan_line = table["line"].astype(np.int64) if has_lines else None
+    return Cloud(frame, stamp_s, rings, times, unit_s, xyz, ranges, lit, scan_line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,7 +444,9 @@ class CloudLines:
             shift[place] = self._sweep.shift
         elif timing is not None:
             place = _place(ring, xyz_m, self.points_per_line)
-            shift = _stagger(ring, timing, azimuth_rad, place)
+            lines = None if first.scan_line is None else first.scan_line[has]
+            by_line = None if lines is None else _stagger_of_lines(ring, timing, lines, place)
+            shift = _stagger(ring, timing, azimuth_rad, place) if by_line is None else by_line
         else:
             raise self._no_columns(ring, time_s, is_coarse=is_coarse)
         self._place = place
@@ -760,6 +777,27 @@ def _stagger(
             late = (timing.late_s[one] - timing.late_s[fullest]) / timing.period_s
             shift[place[one]] = round(float(np.median(ahead[use])) - late)
     return shift.clip(-MAX_SHIFT, MAX_SHIFT)
+
+
+def _stagger_of_lines(
+    ring: I64,
+    timing: Timing,
+    scan_line: I64,
+    place: I64,
+) -> I64 | None:
+    """Return the shift of every place in columns from the scan lines of points.
+
+    None where the points of a ring do not lie evenly behind their columns.
+    """
+    behind = scan_line - timing.column
+    nearest = int(behind.max())
+    shift: I64 = np.zeros(len(place), np.int64)
+    for number in np.unique(ring):
+        of_ring = behind[ring == number] - nearest
+        if of_ring.min() != of_ring.max():
+            return None
+        shift[place[number]] = of_ring[0]
+    return shift if shift.min() >= -MAX_SHIFT else None
 
 
 def _wrap(angle: F64) -> F64:

@@ -3,7 +3,7 @@
 And how bags are written.
 
 A cloud has the shots of one block, missing ones included, in the order of their times: ``x y z
-intensity ring label time``. A laser scan is a line; its class codes are the intensities of the scan
+intensity ring label time scan_line``. A laser scan is a line; its class codes are the intensities of the scan
 of the same stamp on the topic beside.
 """
 
@@ -24,7 +24,7 @@ from prc_cli.core.files import suffix_of, temporary_name
 from prc_cli.core.stream import MAX_RINGS, ScanBlock
 from prc_cli.core.types import F64
 from prc_cli.formats.bags import DATABASE, METADATA
-from prc_cli.formats.bags.cloud import CLOUD, TYPES
+from prc_cli.formats.bags.cloud import CLOUD, SCAN_LINE, TYPES
 from prc_cli.formats.bags.laser import LASER
 from prc_cli.formats.bags.read import LABELS
 from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape, StreamWriter
@@ -36,8 +36,8 @@ _REACH_M = 1e4
 """Ranges beyond are none [m]."""
 _EVEN = 1e-3
 """Directions of a column differ by less from line to line, and steps of the angle by this share, in a laser scan."""
-_POINT = np.dtype("<f4, <f4, <f4, <f4, <u2, <u2, <f4")
-_POINT.names = ("x", "y", "z", "intensity", "ring", "label", "time")
+_POINT = np.dtype("<f4, <f4, <f4, <f4, <u2, <u2, <f4, <u4")
+_POINT.names = ("x", "y", "z", "intensity", "ring", "label", "time", SCAN_LINE)
 
 
 class BagOutput(StagedWriter):
@@ -114,7 +114,7 @@ class BagStreamWriter(BagOutput, StreamWriter):
         self._is_first = path.suffix.lower() == ".bag"
         self._store = get_typestore(Stores.ROS1_NOETIC if self._is_first else Stores.LATEST)
         self._turns: bool | None = None
-        self._waiting = np.empty(0, [*_POINT.descr[:-1], ("time", "<f8")])
+        self._waiting = np.empty(0, [*_POINT.descr[:-2], ("time", "<f8"), (SCAN_LINE, "<u4")])
         """Shots of a cloud that is not written yet."""
         self._name_metadata()
 
@@ -206,7 +206,8 @@ class BagStreamWriter(BagOutput, StreamWriter):
             )
         some = np.zeros(int(fired.sum()), self._waiting.dtype)
         some["time"] = block.time_s[fired]
-        some["ring"] = np.nonzero(fired)[1]
+        line, some["ring"] = np.nonzero(fired)
+        some[SCAN_LINE] = block.first_line + line
         for axis, name in enumerate("xyz"):
             some[name] = block.xyz_m[..., axis][fired]
         if block.intensity is not None:

@@ -103,6 +103,8 @@ class ColumnLines:
         """Cells of lines that wait for shots, from the first that was not given out."""
         self._base = 0
         """First line that was not given out."""
+        self._n_before: int | None = None
+        """Lines before the first shot, which are left out; None = no shot yet."""
         self._next = 0
         """Least column that may come."""
         self._n_shortened = 0
@@ -145,8 +147,11 @@ class ColumnLines:
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield the lines that are left."""
-        if self._n_columns:
-            yield from self._give(self._next + self._span)
+        if not self._n_columns:
+            return
+        # rings that look ahead end later: lines behind the last shot are none
+        used = np.flatnonzero((self._held[1] >= 0).any(axis=1))
+        yield from self._give(self._base + int(used[-1]) + 1 if len(used) else self._next)
 
     def lost(self) -> str:
         """Return a sentence on columns that did not arrive, and on pauses; empty if all did."""
@@ -257,9 +262,16 @@ class ColumnLines:
             return
         held = self._longer(n)
         self._held = [values[n:] for values in held]
-        block = self._block(Columns(np.arange(self._base, upto), *(values[:n] for values in held)))
+        lines = Columns(np.arange(self._base, upto), *(values[:n] for values in held))
         self._base = upto
-        yield block
+        if self._n_before is None:
+            # rings that look ahead begin later: lines before the first shot are none
+            used = np.flatnonzero((lines.record >= 0).any(axis=1))
+            if not len(used):
+                return
+            self._n_before = int(lines.line[used[0]])
+            lines = lines.part(slice(used[0], None))
+        yield self._block(lines)
 
     def _block(self, lines: Columns) -> ScanBlock:
         low = self._config.min_range
@@ -286,7 +298,7 @@ class ColumnLines:
         collisions = self._collisions
         self._unplaced = self._not_fired = self._collisions = 0
         return ScanBlock(
-            first_line=self._base,
+            first_line=int(lines.line[0]) - (self._n_before or 0),
             range_m=ranges,
             record=lines.record,
             scanner=self._scanner,

@@ -1,5 +1,4 @@
-"""What convert writes is read by classify to the same labels, in every format and of every scanner
-with rings."""
+"""What convert writes is read by classify to the same labels, in every format, for every method."""
 
 from __future__ import annotations
 
@@ -9,37 +8,90 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import cli
-from prc_cli.config import load_config
-from prc_cli.jobs.classify import classify
-from prc_cli.jobs.convert import convert
+from prc_cli.config import LoadedConfig, load_config, with_layout_beside
+from prc_cli.core.types import I64, U8
+from prc_cli.formats.registry import by_suffix
+from prc_cli.streams.open import open_input
 from prc_cli.streams.order import fire_in_turns
 from prc_cli.streams.ranges import is_in_plane
 from tests.runner import runner
 
-DURATION_S = "0.05"
+DRIVES = {
+    "vlp-16": ("rings", "street --scanner vlp-16 --duration 0.05"),
+    "vlp-32c": ("rings", "street --scanner vlp-32c --duration 0.05"),
+    # offsets of rings that are no whole columns
+    "uneven": (
+        "rings",
+        "street --scanner vlp-32c --duration 0.05 --set scanner.azimuth_step_deg=0.17",
+    ),
+    "hdl-64e": ("rings", "street --scanner hdl-64e --duration 0.05"),
+    "profiler": ("prc", "street --scanner sick-push-broom --duration 2"),
+    "angles": ("fused", "street --scanner sick-push-broom --duration 2"),
+    "tripod": (
+        "sequential-angle",
+        "street-scan --set scanner.points_per_line=250 --set scanner.azimuth_step_deg=2",
+    ),
+}
+"""Method, and what is simulated for it."""
+CANNOT = {
+    ".parquet": "rings prc fused sequential-angle",  # for other programs
+    ".npy": "rings fused sequential-angle",  # ranges only
+    ".e57": "fused",  # scan angles follow from float32 coordinates
+    # a cloud has rings, which a tripod has not
+    ".bag": "sequential-angle",
+    ".db3": "sequential-angle",
+    ".mcap": "sequential-angle",
+}
+"""Methods by formats that cannot hold what the method reads."""
+ROUNDED = (".las", ".laz")
+"""Formats that round coordinates, angles and intensities, and say so."""
+LEAST_SAME = 0.995
+"""Share of equal labels behind rounded values."""
+SUFFIXES = sorted(by_suffix("streams"))
 
 
-@pytest.fixture(scope="module", params=["vlp-16", "vlp-32c", "hdl-64e"])
+@pytest.fixture(scope="module", params=DRIVES)
 def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short drive, with its labels beside it."""
-    path = tmp_path_factory.mktemp(request.param) / "drive.npz"
-    options = ["--scanner", request.param, "--duration", DURATION_S, "--seed", "3", "-q"]
-    result = runner().invoke(cli, ["simulate", "street", str(path), *options])
-    assert result.exit_code == 0, result.output
-    classify(path, path.with_suffix(".npy"), load_config(preset="rings"))
+    """A short scan."""
+    path = tmp_path_factory.mktemp(request.param) / f"{request.param}.npz"
+    kind, *options = DRIVES[request.param][1].split()
+    run("simulate", kind, str(path), *options, "--seed", "3")
     return path
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".pcd", ".csv", ".mcap"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_labels_do_not_depend_on_the_format(drive: Path, suffix: str, tmp_path: Path) -> None:
-    if suffix == ".mcap" and drive.parent.name.startswith("vlp-32c"):
-        pytest.skip("columns of a bag are firings: cells of staggered rings differ")
+    method = DRIVES[drive.stem][0]
+    if method in CANNOT.get(suffix, "").split():
+        pytest.skip(f"{suffix} cannot hold what {method} reads")
     path = tmp_path / f"drive{suffix}"
-    convert(drive, path, load_config())
-    classify(path, tmp_path / "labels.npy", load_config(preset="rings"))
-    wanted = np.load(drive.with_suffix(".npy")).ravel()
-    found = np.load(tmp_path / "labels.npy").ravel()
-    np.testing.assert_array_equal(found, wanted)
+    run("convert", str(drive), str(path))
+    labels = labels_of_cells(path, method)
+    expected = labels_of_cells(drive, method)
+    # records of LAS are returns
+    has_record = labels >= 0
+    assert has_record[expected > 0].all()
+    is_same = labels[has_record] == expected[has_record]
+    is_exact = suffix not in ROUNDED or method in ("prc", "fused")
+    assert is_same.mean() >= (1.0 if is_exact else LEAST_SAME)
+
+
+def run(*arguments: str) -> None:
+    """Run a command; warnings about the labels are no failure."""
+    result = runner().invoke(cli, [*arguments, "-q"])
+    assert result.exit_code in (0, 4), result.output
+
+
+def labels_of_cells(path: Path, method: str) -> I64:
+    """Classify a scan; return the label of every cell, line by line, -1 = no record."""
+    output = path.with_name(f"{path.name}.labels.npy")
+    if not output.exists():
+        run("classify", str(path), str(output), "--method", method)
+    labels: U8 = np.load(output).ravel()
+    config = with_layout_beside(path, LoadedConfig.of(load_config())).config
+    stream = open_input(path, config.input, config.layout)
+    record = np.concatenate([block.records().ravel() for block in stream.blocks()])
+    return np.where(record >= 0, labels[record].astype(np.int64), -1)
 
 
 def test_rings_that_fire_in_turns_are_in_order() -> None:
