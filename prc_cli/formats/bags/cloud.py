@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,7 @@ LIGHTS = ("intensity", "reflectivity", "signal", "i")
 SCAN_LINE = "scan_line"
 """Field of clouds that prc writes: the scan line of a point, which the staggering of rings follows."""
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+Position: TypeAlias = tuple[float, float, float]
 _NO_RINGS = (
     "prc needs scan lines: let the driver write the ring and the time of every point. Livox and other scanners without "
     "rings are not supported"
@@ -119,8 +120,17 @@ class Cloud:
         return time_s if is_absolute else time_s + self.stamp_s
 
 
-def parse_cloud(data: bytes, *, is_cdr: bool, scale: float = 1.0) -> Cloud:
-    """Decode a message whose coordinates are in a unit [m]."""
+def parse_cloud(
+    data: bytes,
+    *,
+    is_cdr: bool,
+    scale: float = 1.0,
+    origin_m: Position = (0.0, 0.0, 0.0),
+) -> Cloud:
+    """Decode a message whose coordinates are in a unit [m].
+
+    ``origin_m`` is the place of the scanner in them, from which ranges are measured [m].
+    """
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     height, width, n_fields = (cursor.number("I") for _ in range(3))
@@ -153,9 +163,8 @@ def parse_cloud(data: bytes, *, is_cdr: bool, scale: float = 1.0) -> Cloud:
     rows = np.lib.stride_tricks.as_strided(
         raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False
     )
-    return _decoded(
-        frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)), scale
-    )
+    table = np.frombuffer(rows.tobytes(), _point(fields, step, order))
+    return _decoded(frame, stamp_s, table, scale, origin_m)
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
@@ -207,13 +216,17 @@ def _decoded(
     stamp_s: float,
     table: NDArray[np.void],
     scale: float,
+    origin_m: Position,
 ) -> Cloud:
     xyz: F32 = np.empty((len(table), 3), np.float32)
     with np.errstate(all="ignore"):
         for axis, name in enumerate("xyz"):
-            xyz[:, axis] = table[name]
-        if scale != 1.0:
-            xyz *= np.float32(scale)
+            if origin_m[axis]:
+                # coordinates of a map need float64 for millimetres
+                xyz[:, axis] = table[name].astype(np.float64) * scale - origin_m[axis]
+            else:
+                xyz[:, axis] = table[name]
+                xyz[:, axis] *= np.float32(scale)
         squares = xyz.astype(np.float64) ** 2
         ranges: F32 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]).astype(np.float32)
         is_missing = ~(np.isfinite(ranges) & (ranges > 0))

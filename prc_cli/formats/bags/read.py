@@ -16,7 +16,7 @@ from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
 from prc_cli.formats.bags.containers import Bag, Message, Topic
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, LaserScan, parse_laser
 from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, parse_packets
-from prc_cli.formats.options import InputConfig
+from prc_cli.formats.options import InputConfig, parse_origin
 from prc_cli.formats.organised.scans import RULED_OUT, check_rules, check_width
 from prc_cli.formats.packets.read import PacketLines, find_metadata, is_scan
 from prc_cli.formats.packets.repeats import Repeats
@@ -37,6 +37,10 @@ LABELS = "/labels"
 """What the name of a topic of laser scans gets where their intensities are class codes."""
 
 
+_REMEDY = "record the scanner's own topic, in its own frame"
+_OR_ORIGIN = ", or give its place in the coordinates: --range origin:X,Y,Z"
+
+
 def is_labels(topic: Topic, topics: Collection[Topic]) -> bool:
     """Whether a topic of a bag holds the class codes of another one."""
     scans = replace(topic, name=topic.name.removesuffix(LABELS))
@@ -53,7 +57,9 @@ class BagStream:
         _lines_at_once: int = 1,
         parts: tuple[Path, ...] = (),
     ) -> None:  # scans are blocks
-        check_rules(path, config, "a recording of scans")
+        has_origin = config.range.startswith("origin:")
+        rules = config.model_copy(update={"range": "auto"}) if has_origin else config
+        check_rules(path, rules, "a recording of scans")
         self._path = path
         self._config = config
         self.bag = Bag(path, parts)
@@ -64,6 +70,9 @@ class BagStream:
         self._frames = self._readable()
         self.topics = self._choose()
         """Topics that are read."""
+        self._has_clouds = all(topic.kind == CLOUD for topic in self.topics)
+        if has_origin and not self._has_clouds:
+            check_rules(path, config, "a recording of scans")
         self._notes: list[str] = []
         self._numbers: dict[str, int] = {}
         """Numbers of scanners, in the order they are met."""
@@ -111,7 +120,7 @@ class BagStream:
             facts=SourceFacts(
                 has_line_times=not lasers,
                 refuses=RULED_OUT | (frozenset() if self._takes_scale else {"range_scale"}),
-                remedy="record the scanner's own topic, in its own frame",
+                remedy=f"{_REMEDY}{_OR_ORIGIN if self._has_clouds else ''}",
                 has_returns=self._has_returns,
                 scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
                 notes=tuple(notes),
@@ -307,6 +316,8 @@ class _TopicReader:
         self.n_taken = 0
         """Records of the last message."""
         self.repeats = Repeats()
+        has_origin = config.range.startswith("origin:")
+        self._origin_m = parse_origin(config.range) if has_origin else (0.0, 0.0, 0.0)
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield blocks as there is enough for one."""
@@ -318,7 +329,12 @@ class _TopicReader:
             if kind in PACKED:
                 yield from self._packets(message, first_record)
             elif kind == CLOUD:
-                cloud = parse_cloud(message.data, is_cdr=is_cdr, scale=self._config.range_scale)
+                cloud = parse_cloud(
+                    message.data,
+                    is_cdr=is_cdr,
+                    scale=self._config.range_scale,
+                    origin_m=self._origin_m,
+                )
                 self.n_taken = cloud.n_records
                 if self.repeats.is_again(content):
                     self._scanner(cloud.frame, CloudLines, cloud, self._between_s).skip(cloud)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.numbers import RingNumbers
 from prc_cli.formats.bags.read import BagStream
@@ -146,3 +146,21 @@ def test_lines_without_returns_have_times_between_those_around(tmp_path: Path) -
     block = read(record(tmp_path / "a.mcap", drive, np.arange(N_RINGS)))
     assert block.time_s is not None
     assert (np.diff(block.time_s[: TURN_LINES - 1].ravel()) >= 0).all()
+
+
+def test_the_place_of_the_scanner_is_told(tmp_path: Path) -> None:
+    drive = shots()
+    at_scanner = record(tmp_path / "own.mcap", drive, np.arange(N_RINGS))
+    on_map = {**drive, "xyz": drive["xyz"] + np.array([450.0, -20.0, 31.0])}
+    far = record(tmp_path / "map.mcap", on_map, np.arange(N_RINGS))
+    told = InputConfig.model_validate({"range": "origin:450,-20,31"})
+    expected = join(list(BagStream(at_scanner, InputConfig()).blocks()))
+    found = join(list(BagStream(far, told).blocks()))
+    np.testing.assert_allclose(found.range_m, expected.range_m, atol=1e-4)
+    np.testing.assert_allclose(found.xyz_m, expected.xyz_m, atol=1e-4)
+
+
+def test_lines_of_a_profiler_have_no_place(tmp_path: Path) -> None:
+    path = made.write_bag(tmp_path / "scans.bag", made.lasers(1))
+    with pytest.raises(ConfigError, match="found 'origin:1,2,3', expected auto or sensor-xyz"):
+        BagStream(path, InputConfig.model_validate({"range": "origin:1,2,3"}))
