@@ -59,6 +59,8 @@ class StreamInfo(Brief):
     """(M,) float64, scan angle of every column [rad]; None = unknown."""
     line_hz: float | None = None
     """Scan lines per second [Hz]; None = unknown."""
+    line_rule: str = ""
+    """How scan lines are found in records: dimension, fixed, angle-wrap or time; empty = no records."""
     down_rad: float | None = None
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad].
 
@@ -374,3 +376,5 @@ class LabelledBlock(Brief):
     """
     measures: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """(lines, M) each: what the stages measured, by names with their units, for ``prc explain``."""
+    is_up_assumed: bool = False
+    """Whether there is a plane below and one above the scanner, and z is assumed to point up."""

@@ -97,6 +97,7 @@ def open_grid(
         n_lines=n_lines,
         angle_rad=None if alone is None else alone.angle_rad,
         line_hz=line_hz,
+        line_rule=rules.lines,
         down_rad=down_rad,
         cos_tilt=1.0 if alone is None else alone.cos_tilt,
         downs={

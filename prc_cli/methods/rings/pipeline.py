@@ -211,7 +211,13 @@ class Rings(Classifier[F64, RingsState]):
         )
         if plane.up < 0 and block.beam_rad is not None:
             block = replace(block, beam_rad=upside_down(block.beam_rad))
-        labelled = LabelledBlock(block, labels, extra, reasons=reasons if wanted.reasons else None)
+        labelled = LabelledBlock(
+            block,
+            labels,
+            extra,
+            reasons=reasons if wanted.reasons else None,
+            is_up_assumed=plane.is_both,
+        )
         if wanted.stages:
             labelled = replace(labelled, above_m=above_m)
         if wanted.measures:

@@ -381,13 +381,13 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         return None
     ratio = _share_of_random(first, figures) if seen.n_lines >= LEAST_LINES else math.nan
     if ratio >= ALIKE and (step := _step_alike(figures)):
-        return _alternating(figures, m, step)
+        return _alternating(seen, figures, step)
     period = _period(seen)
     true = (
         _exact(seen, period) if period is not None and max(m / period, period / m) > FAR_OFF else m
     )
     if true != m and _is_as_alike(seen, true):
-        return _repeating(true, m)
+        return _repeating(seen, true)
     if not np.isfinite(ratio):
         return None
     name = "line-length"
@@ -396,14 +396,14 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     other = _next_alike(seen, near) if m <= FRAME_SHOTS else None
     if other is not None and other != m:
         found = f"the next line is {other} shots later, not {m}"
-        return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}", f"-M {other}")
+        return Finding(name, Verdict.AGAINST, found, expected, *_remedy(seen, other))
     if is_shifted(turned, m) or (other == m and _is_fan(seen)):
         found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
         return Finding(name, Verdict.FINE, found, f"below {LINE_DOUBTFUL:g}")
     folded = {length: fold(seen.windows, length) for length in near}
     is_unlike = ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM
     if is_unlike and period is not None and abs(period - m) > FOLD_REACH:
-        return _repeating(period, m)
+        return _repeating(seen, period)
     better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
     gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     is_long = seen.n_lines * FOLD_LONG >= m
@@ -413,7 +413,7 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
         told = verdict(doubtful=True, against=gain >= FOLD_AGAINST and is_long)
         expected = f"no length that agrees better by {FOLD_DOUBTFUL:g}"
-        return Finding(name, told, found, expected, f"give -M {better}", f"-M {better}")
+        return Finding(name, told, found, expected, *_remedy(seen, better))
     hint = "check -M and --lines, and whether lines and columns are exchanged"
     if folded[m] > FOLD_RANDOM:
         found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
@@ -477,12 +477,25 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
     return Finding("range-noise", told, found, f"at most {seen.most_noise_m:g} m", hint)
 
 
-def _repeating(period: int, m: int) -> Finding:
+def _remedy(seen: Seen, points_per_line: int) -> tuple[str, str]:
+    """Return the hint and the option that give lines another length."""
+    info = seen.info
+    if info.line_rule == "time" and info.line_hz is not None:
+        line_hz = info.line_hz * seen.points_per_line / points_per_line
+        option = f"--lines time:{line_hz:.9g} -M {points_per_line}"
+        return f"give {option}", option
+    if info.line_rule in ("dimension", "angle-wrap"):
+        option = f"--lines fixed --columns order -M {points_per_line}"
+        return f"number whole lines; if no shot is left out: {option}", option
+    option = f"-M {points_per_line}"
+    return f"give {option}", option
+
+
+def _repeating(seen: Seen, period: int) -> Finding:
+    m = seen.points_per_line
     found = f"the ranges repeat after {period} shots, not after {m}"
     expected = f"lines of M = {m} shots that are alike"
-    return Finding(
-        "line-length", Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}"
-    )
+    return Finding("line-length", Verdict.AGAINST, found, expected, *_remedy(seen, period))
 
 
 def _step_alike(figures: Figures) -> int:
@@ -498,7 +511,7 @@ def _step_alike(figures: Figures) -> int:
     return next(steps, 0)
 
 
-def _alternating(figures: Figures, m: int, step: int) -> Finding:
+def _alternating(seen: Seen, figures: Figures, step: int) -> Finding:
     """Tell lines that alternate: scanned to and fro, of several scanners, or M too small."""
     if step == 2 and figures.reversed_line <= HALF * figures.line[1]:
         found = "every second line runs the other way"
@@ -510,9 +523,11 @@ def _alternating(figures: Figures, m: int, step: int) -> Finding:
             "reverse every second line",
         )
     found = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
-    hint = f"give -M {m * step} if lines are longer, or split several scanners with --scanner"
+    m = seen.points_per_line
+    hint, option = _remedy(seen, m * step)
+    hint = f"{hint}; split several scanners with --scanner DIMENSION"
     expected = f"lines of M = {m} shots that are alike"
-    return Finding("line-length", Verdict.AGAINST, found, expected, hint, f"-M {m * step}")
+    return Finding("line-length", Verdict.AGAINST, found, expected, hint, option)
 
 
 def _or_inf(value: float) -> float:

@@ -250,7 +250,9 @@ LEAST_RETURNS = 2000
 LEAST_LINES = 3.0
 """Fewer lines show no period."""
 LEAST_SHOTS = 40
-"""Shorter lines are none."""
+"""Shorter sweeps of scan angles are no lines."""
+LEAST_FIRINGS = 12
+"""Shorter lines are none: 16 lasers that fire one after the other are a line of a spinning scanner."""
 LEAST_STRENGTH = 0.2
 """Least correlation from line to line."""
 FIRST_PEAK = 0.85
@@ -482,7 +484,7 @@ def _first_peak(correlation: F64, most: int) -> int | None:
     inner = correlation[: most + 1]
     # the slope from lag 0 on is no line
     low = np.flatnonzero(inner < 0.5 * LEAST_STRENGTH)
-    start = max(int(low[0]) if len(low) else len(inner), LEAST_SHOTS)
+    start = max(int(low[0]) if len(low) else len(inner), LEAST_FIRINGS)
     if start >= len(inner) - 1:
         return None
     highest = float(inner[start:].max())

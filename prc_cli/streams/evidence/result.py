@@ -58,6 +58,7 @@ LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
 _LOOK_FOR_DOWN = "look where down is: prc info; or give it with --set input.nadir=DEG"
+_UP_KEY = "rings.up"
 _NO_STREET = (
     "a room, or one thing, has neither ground nor buildings nor cars; leave such stretches out"
 )
@@ -81,9 +82,11 @@ class _Kept:
         self.labels = np.empty((MAX_LINES, n_columns), np.uint8)
         self.n = 0
         self.stride = 1
+        self.is_up_assumed = False
 
     def add(self, item: LabelledBlock) -> None:
         """Keep what is wanted of the next lines."""
+        self.is_up_assumed |= item.is_up_assumed
         line = item.block.first_line
         stop = item.block.first_line + item.block.n_lines
         while True:
@@ -121,6 +124,7 @@ class _Kept:
             self.labels[: self.n],
             self.beam_rad,
             self.angle_rad,
+            self.is_up_assumed,
         )
 
 
@@ -153,6 +157,8 @@ class _Sample:
     """(columns,) float64, from straight down [rad]; None = unknown or not needed."""
     angle_rad: F64 | None
     """(columns,) float64, scan angle [rad]; None = unknown."""
+    is_up_assumed: bool = False
+    """Whether a plane below and one above fit, and z is assumed to point up."""
 
 
 @dataclass(slots=True)
@@ -194,6 +200,8 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
         return
     noise = sample.labels == Label.NOISE
     yield _noise(there, noise, sample.labels == Label.UNCLASSIFIED, usual)
+    if sample.is_up_assumed:
+        yield _both_level()
     if len(sample.line) < LEAST_LINES:
         return
     solid = there & ~noise
@@ -236,6 +244,14 @@ def _noise(
     return Finding(
         "noise-share", told, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT
     )
+
+
+def _both_level() -> Finding:
+    """Return the warning that the floor and the ceiling could be exchanged."""
+    found = "a level surface below the scanner, and a larger one above it; z is assumed to point up"
+    option = f"--set {_UP_KEY}=z"
+    hint = f"if z points up: {option}; if it points down: --set {_UP_KEY}=-z"
+    return Finding("down", Verdict.DOUBTFUL, found, "one level surface, the ground", hint, option)
 
 
 def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]:

@@ -133,6 +133,17 @@ def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool
         assert f"--only-lines {first}:" in found["classes-along"].hint
 
 
+def test_level_surfaces_below_and_above_leave_it_open_where_up_is() -> None:
+    range_m, labels = street()
+    watch = ResultWatch(usual_of("rings"))
+    block = ScanBlock(0, range_m)
+    watch.see(LabelledBlock(block, labels, NO_EXTRA, is_up_assumed=True))
+    down = next(finding for finding in watch.findings() if finding.check == "down")
+    assert down.verdict is Verdict.DOUBTFUL
+    assert down.option == "--set rings.up=z"
+    assert "--set rings.up=-z" in down.hint
+
+
 @pytest.mark.parametrize("shape", [(1, 9), (31, 20), (499, 2)])
 def test_too_little_to_tell_gives_no_finding(shape: tuple[int, int]) -> None:
     labels = np.full(shape, Label.NOISE, np.uint8)

@@ -1,0 +1,248 @@
+"""Every hint that can be typed is typed: one fault after the other, in LAS, text and PLY."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement
+
+from prc_cli.cli import main
+from prc_cli.streams.down import guess_down
+from tests.simulated import drive_arrays
+
+LINES = 120
+M = 720
+LINE_HZ = 80.0
+METRES_A_LINE = 0.05
+Columns = dict[str, NDArray[np.float64]]
+
+pytestmark = pytest.mark.slow
+
+
+@cache
+def street() -> Columns:
+    """Return the shots of a drive, missing ones with the range 0."""
+    block, _ = drive_arrays(LINES, M, 11)
+    assert block.angle_rad is not None
+    down = guess_down(block.angle_rad, block.range_m)
+    assert down is not None
+    line, column = (index.ravel() for index in np.indices((LINES, M)))
+    range_m = np.nan_to_num(block.range_m.ravel()).astype(np.float64)
+    beam_rad = block.angle_rad[column] - down.down_rad
+    return {
+        "scan_line": line.astype(np.float64),
+        "column": column.astype(np.float64),
+        "angle_deg": np.rad2deg(block.angle_rad)[column],
+        "range": range_m,
+        "time": (line * M + column) / (LINE_HZ * M),
+        "x": METRES_A_LINE * line,
+        "y": range_m * np.sin(beam_rad),
+        "z": -range_m * np.cos(beam_rad),
+    }
+
+
+def write_las(path: Path, columns: Columns) -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [0.001] * 3
+    extra = [name for name in columns if name not in ("x", "y", "z", "time")]
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name, "u4" if name in WHOLE else "f4") for name in extra]
+    )
+    las = laspy.LasData(header)
+    n = len(columns["range"])
+    las.x, las.y, las.z = (columns.get(axis, np.zeros(n)) for axis in "xyz")
+    las.return_number = las.number_of_returns = np.ones(n, np.uint8)
+    if "time" in columns:
+        las.gps_time = columns["time"]
+    for name in extra:
+        las[name] = columns[name]
+    las.write(path)
+
+
+WHOLE = ("scan_line", "column")
+"""Columns of whole numbers."""
+
+
+def write_text(path: Path, columns: Columns) -> None:
+    formats = ["%d" if name in WHOLE else "%.7f" for name in columns]
+    np.savetxt(
+        path,
+        np.stack(list(columns.values()), axis=1),
+        fmt=formats,
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
+
+
+def write_ply(path: Path, columns: Columns) -> None:
+    types = {"time": "f8", "scan_line": "i4", "column": "i4"}
+    table = np.empty(len(columns["range"]), [(name, types.get(name, "f4")) for name in columns])
+    for name, values in columns.items():
+        table[name] = values
+    PlyData([PlyElement.describe(table, "vertex")]).write(path)
+
+
+WRITERS = {".las": write_las, ".csv": write_text, ".ply": write_ply}
+
+
+def without(columns: Columns, *names: str) -> Columns:
+    return {name: values for name, values in columns.items() if name not in names}
+
+
+def in_millimetres(columns: Columns) -> Columns:
+    return {**without(columns, "x", "y", "z"), "range": 1000 * columns["range"]}
+
+
+def coded_as_far(columns: Columns) -> Columns:
+    code = np.where(columns["range"] == 0, 655.35, columns["range"])
+    return {**without(columns, "x", "y", "z"), "range": code}
+
+
+def coded_as_near(columns: Columns) -> Columns:
+    code = np.random.default_rng(3).integers(1, 20, len(columns["range"])) / 1000
+    near = np.where(columns["range"] == 0, code, columns["range"])
+    return {**without(columns, "x", "y", "z"), "range": near}
+
+
+def saturated(columns: Columns) -> Columns:
+    return {**columns, "angle_deg": np.clip(columns["angle_deg"], -90, 90)}
+
+
+def without_lines(columns: Columns) -> Columns:
+    return without(columns, "scan_line", "column", "angle_deg", "x", "y", "z", "time")
+
+
+def in_half_lines(columns: Columns) -> Columns:
+    half = M // 2
+    line = 2 * columns["scan_line"] + columns["column"] // half
+    kept = without(columns, "angle_deg", "x", "y", "z")
+    return {**kept, "scan_line": line, "column": columns["column"] % half}
+
+
+def with_times_only(columns: Columns) -> Columns:
+    """Keep returns, and of their order only the times."""
+    returns = columns["range"] > 0
+    kept = without(columns, "scan_line", "column", "angle_deg", "x", "y", "z")
+    return {name: values[returns] for name, values in kept.items()}
+
+
+def swapped_halves(columns: Columns) -> Columns:
+    n = len(columns["range"]) // 2
+    return {name: np.concatenate([values[n:], values[:n]]) for name, values in columns.items()}
+
+
+def radians_as_degrees(columns: Columns) -> Columns:
+    return {**without(columns, "x", "y", "z"), "angle_deg": np.deg2rad(columns["angle_deg"])}
+
+
+def same(columns: Columns) -> Columns:
+    return without(columns, "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a file, and what is typed with it."""
+
+    alter: Callable[[Columns], Columns]
+    options: tuple[str, ...] = ()
+
+
+FAULTS = {
+    "millimetres": Fault(in_millimetres),
+    "far code": Fault(coded_as_far),
+    "near codes": Fault(coded_as_near),
+    "saturated angles": Fault(saturated),
+    "radians": Fault(radians_as_degrees),
+    "no lines": Fault(without_lines),
+    "wrong M": Fault(without_lines, ("-M", str(M + 1))),
+    "half M": Fault(without_lines, ("-M", str(M // 2))),
+    "halves of lines": Fault(in_half_lines),
+    "only times": Fault(with_times_only),
+    "halves swapped": Fault(swapped_halves),
+    "wrong down": Fault(same, ("--set", "input.nadir=90")),
+    "wrong angle step": Fault(
+        without_lines,
+        ("-M", str(M), "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2"),
+    ),
+    "line rate of half a line": Fault(
+        with_times_only,
+        ("--lines", f"time:{2 * LINE_HZ}", "--columns", f"time:{LINE_HZ * M}"),
+    ),
+}
+OPTION = re.compile(
+    r"(--[a-z-]+ (?![a-z-]*FILE)[^\s;,]+(?:,[^\s;,]+)*|--trust-order|--sort-by-time|-M \d+)"
+)
+PLACEHOLDER = re.compile(r"\b[A-Z]{2,}\b|X,Y,Z")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command printed, and its exit code."""
+
+    code: int
+    said: str
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Return refusals and warnings, without their figures."""
+        lines = [line for line in self.said.splitlines() if line.startswith(("error", "warning"))]
+        return tuple(
+            re.sub(r"[\d.,]+", "#", line.split("; ")[0].split(", expected")[0]) for line in lines
+        )
+
+
+def prc(capsys: pytest.CaptureFixture[str], *arguments: str) -> Answer:
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stop:
+        main(list(arguments))
+    printed = capsys.readouterr()
+    return Answer(int(stop.value.code or 0), printed.out + printed.err)
+
+
+def typed_by(said: str) -> list[list[str]]:
+    """Return the options that refusals and warnings name, part by part, without placeholders."""
+    hints = [
+        line.split("; ", 1)[-1]
+        for line in said.splitlines()
+        if line.startswith(("error", "warning"))
+    ]
+    parts = [part for hint in hints for part in re.split(r"; |, or ", hint)]
+    options = [OPTION.findall(part) for part in parts if "--accept-doubt" not in part]
+    return [
+        [word for option in named for word in shlex.split(option)]
+        for named in options
+        if named and not any(PLACEHOLDER.search(option) for option in named)
+    ]
+
+
+@pytest.mark.parametrize("suffix", list(WRITERS))
+@pytest.mark.parametrize("name", list(FAULTS))
+def test_a_hint_leads_on_when_typed(
+    name: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fault = FAULTS[name]
+    path = tmp_path / f"drive{suffix}"
+    WRITERS[suffix](path, fault.alter(street()))
+    output = str(tmp_path / "labels.npy")
+    first = prc(capsys, "classify", str(path), output, *fault.options)
+    typed = typed_by(first.said) + proposed(prc(capsys, "info", str(path), *fault.options).said)
+    for options in typed:
+        again = prc(capsys, "classify", str(path), output, "--overwrite", *fault.options, *options)
+        is_left = set(first.problems) <= set(again.problems)
+        assert again.code == 0 or not is_left, (options, again.said)
+
+
+def proposed(said: str) -> list[list[str]]:
+    """Return the options of the command that ``prc info`` proposes."""
+    lines = [line for line in said.splitlines() if line.startswith("type: prc classify")]
+    return [words[5:] for words in map(shlex.split, lines) if len(words) > 5]
