@@ -180,7 +180,7 @@ FAULTS = {
     ),
 }
 OPTION = re.compile(
-    r"(--[a-z-]+ (?![a-z-]*FILE)[^\s;,]+(?:,[^\s;,]+)*|--trust-order|--sort-by-time|-M \d+)"
+    r"--trust-order|--sort-by-time|-M \d+|--[a-z-]+ (?![a-z-]*FILE)[^\s;,]+(?:,[^\s;,]+)*"
 )
 PLACEHOLDER = re.compile(r"\b[A-Z]{2,}\b|X,Y,Z")
 
@@ -237,6 +237,8 @@ def test_a_hint_leads_on_when_typed(
     first = prc(capsys, "classify", str(path), output, *fault.options)
     typed = typed_by(first.said) + proposed(prc(capsys, "info", str(path), *fault.options).said)
     for options in typed:
+        if set(options) <= set(fault.options):
+            continue
         again = prc(capsys, "classify", str(path), output, "--overwrite", *fault.options, *options)
         is_left = set(first.problems) <= set(again.problems)
         assert again.code == 0 or not is_left, (options, again.said)

@@ -25,7 +25,7 @@ from prc_cli.streams.evidence.lines import (
     check_noise,
     check_shot_order,
 )
-from prc_cli.streams.evidence.table import verdict
+from prc_cli.streams.evidence.table import verdict_of
 
 MANY = 0.01
 """Share of records that are lost or meet before doubt begins."""
@@ -98,30 +98,36 @@ def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
     """Ask whether the stream has lines enough to judge it, or any lines at all."""
     if n_shots < LEAST_SHOTS:
         return
-    found = (
+    measured = (
         f"{n_lines} scan lines, too few to judge"
         if n_lines > 1
         else f"all {n_shots:,} shots are in one scan line"
     )
     is_lineless = n_lines <= 1 and n_shots >= LONGEST_LINE
     hint = "tell the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
-    told = verdict(doubtful=n_lines < LEAST_LINES, against=is_lineless)
-    yield Finding("few-lines", told, found, f"at least {LEAST_LINES} lines", hint)
+    verdict = verdict_of(doubtful=n_lines < LEAST_LINES, against=is_lineless)
+    yield Finding("few-lines", verdict, measured, f"at least {LEAST_LINES} lines", hint)
 
 
 def check_coordinates(seen: Seen) -> Finding | None:
     """Ask whether x, y, z agree with ranges and scan angles, as the setup compared them."""
-    told = {one.value: one.why for one in seen.info.assumptions if one.key.startswith(ANGLES)}
-    if CONTRADICTED not in told:
+    reasons = {
+        assumption.value: assumption.why
+        for assumption in seen.info.assumptions
+        if assumption.key.startswith(ANGLES)
+    }
+    if CONTRADICTED not in reasons:
         return None
-    found = told[CONTRADICTED].replace("range", f"the range {seen.info.facts.range_name!r}", 1)
+    measured = reasons[CONTRADICTED].replace(
+        "range", f"the range {seen.info.facts.range_name!r}", 1
+    )
     hint = (
         "name the slant range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; if only the angles are wrong: "
         f"--set {ANGLES}=measured"
     )
     expected = f"at most {MOST_OFF:.0%}"
     return Finding(
-        "coordinates", Verdict.DOUBTFUL, found, expected, hint, f"--set {ANGLES}=measured"
+        "coordinates", Verdict.DOUBTFUL, measured, expected, hint, f"--set {ANGLES}=measured"
     )
 
 
@@ -130,16 +136,16 @@ def check_collisions(seen: Seen) -> Finding | None:
     share = _share(seen, seen.tally.n_collisions)
     if share is None:
         return None
-    of_rings = any(one.key == "input.azimuth_step" for one in seen.info.assumptions)
-    found = f"{share:.1%} of the records met another shot in their cell"
+    of_rings = any(assumption.key == "input.azimuth_step" for assumption in seen.info.assumptions)
+    measured = f"{share:.1%} of the records met another shot in their cell"
     hint = "check --lines, --columns and -M; several scanners in one file: --scanner DIMENSION"
     if of_rings:
         hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
     many = MANY_OF_RINGS if of_rings else MANY
     return Finding(
         "collisions",
-        verdict(doubtful=share > many, against=share > MOST),
-        found,
+        verdict_of(doubtful=share > many, against=share > MOST),
+        measured,
         f"at most {many:.0%}",
         hint,
     )
@@ -150,12 +156,12 @@ def check_unplaced(seen: Seen) -> Finding | None:
     share = _share(seen, seen.tally.n_unplaced)
     if share is None:
         return None
-    found = f"{share:.1%} of the records found no cell and stay unclassified"
+    measured = f"{share:.1%} of the records found no cell and stay unclassified"
     hint = "check --lines, --columns and -M; a recording that was begun anew: split the file there"
     return Finding(
         "unplaced",
-        verdict(doubtful=share > MANY, against=share > MOST),
-        found,
+        verdict_of(doubtful=share > MANY, against=share > MOST),
+        measured,
         f"at most {MANY:.0%}",
         hint,
     )
@@ -164,7 +170,8 @@ def check_unplaced(seen: Seen) -> Finding | None:
 def check_left_out(seen: Seen) -> Finding | None:
     """Ask, where columns are by order, whether lines hold all their shots."""
     by_order = any(
-        one.key == "input.columns" and one.value == "order" for one in seen.info.assumptions
+        assumption.key == "input.columns" and assumption.value == "order"
+        for assumption in seen.info.assumptions
     )
     tally = seen.tally
     # the first and the last line may be cut
@@ -172,9 +179,11 @@ def check_left_out(seen: Seen) -> Finding | None:
     share = _share(seen, max(n_lacking, 0))
     if share is None or not by_order or seen.n_shots <= tally.n_records - tally.n_extra_returns:
         return None
-    found = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
+    measured = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
     hint = "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
-    return Finding("left-out", verdict(doubtful=share > MANY), found, f"at most {MANY:.0%}", hint)
+    return Finding(
+        "left-out", verdict_of(doubtful=share > MANY), measured, f"at most {MANY:.0%}", hint
+    )
 
 
 def _share(seen: Seen, count: int) -> float | None:
@@ -187,12 +196,12 @@ def check_returns(seen: Seen) -> Finding | None:
     if seen.n_shots < LEAST_RECORDS:
         return None
     share = 1 - seen.n_missing / seen.n_shots
-    found = f"{share:.2%} of the shots have a range"
+    measured = f"{share:.2%} of the shots have a range"
     hint = "check --range, --max-range, the layout, and --columns and -M"
     return Finding(
         "returns",
-        verdict(doubtful=share < LEAST_RETURNS),
-        found,
+        verdict_of(doubtful=share < LEAST_RETURNS),
+        measured,
         f"at least {LEAST_RETURNS:.0%}",
         hint,
     )
@@ -202,10 +211,10 @@ def check_other_readers(seen: Seen) -> Finding | None:
     """Ask whether the usual library reads the file, too."""
     if not seen.info.facts.refused:
         return None
-    found = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
+    measured = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
     hint = "a LAS or LAZ output copies them: copy the input from the archive again, or write another format"
     return Finding(
-        "other-readers", Verdict.DOUBTFUL, found, "a file that other programs read", hint
+        "other-readers", Verdict.DOUBTFUL, measured, "a file that other programs read", hint
     )
 
 
@@ -228,7 +237,7 @@ def check_missing_code(seen: Seen) -> Finding | None:
         return near
     longest = float(known.max())
     share = float(np.mean(known == longest))
-    found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
+    measured = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
     others = known[known < longest]
     is_code = (
         CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
@@ -237,8 +246,8 @@ def check_missing_code(seen: Seen) -> Finding | None:
     hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
     return Finding(
         "missing-code",
-        verdict(doubtful=is_code),
-        found,
+        verdict_of(doubtful=is_code),
+        measured,
         f"at most {CODED:.0%}",
         hint,
         option if is_code else "",
@@ -255,10 +264,10 @@ def _near_codes(known: F32) -> Finding | None:
     others = known[~is_near]
     if not CODED < share < NOTHING_ELSE or float(np.median(others)) < LEAST_MEDIAN_M:
         return None
-    found = f"{share:.1%} of the ranges are below {CODE_M:g} m, at most {float(known[is_near].max()):.3g} m"
+    measured = f"{share:.1%} of the ranges are below {CODE_M:g} m, at most {float(known[is_near].max()):.3g} m"
     option = f"--set input.min_range={MIN_RANGE_M:g}"
     hint = f"scanners write error codes as such ranges: {option}"
-    return Finding("missing-code", Verdict.DOUBTFUL, found, f"at most {CODED:.0%}", hint, option)
+    return Finding("missing-code", Verdict.DOUBTFUL, measured, f"at most {CODED:.0%}", hint, option)
 
 
 def _known_ranges(seen: Seen) -> F32:
@@ -280,7 +289,7 @@ def check_rounding(seen: Seen) -> Finding | None:
     step = float(steps.min(initial=np.inf))
     off = known / step - np.round(known / step)
     is_rounded = np.isfinite(step) and float(np.mean(np.abs(off) < 0.02)) > ALL_ROUNDED
-    found = (
+    measured = (
         f"all ranges are multiples of {step:.3g} m"
         if is_rounded
         else "the ranges are finer than any threshold"
@@ -288,8 +297,8 @@ def check_rounding(seen: Seen) -> Finding | None:
     hint = "take the ranges from a file that was not rounded; check the scale of the layout"
     return Finding(
         "rounding",
-        verdict(doubtful=is_rounded and step > COARSE_M),
-        found,
+        verdict_of(doubtful=is_rounded and step > COARSE_M),
+        measured,
         f"steps of at most {COARSE_M:g} m",
         hint,
     )
@@ -302,7 +311,7 @@ def check_ranges(seen: Seen) -> Finding | None:
         return None
     far = float(np.mean(known > FAR_M))
     median = float(np.median(known))
-    found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+    measured = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
     option = ""
@@ -320,7 +329,12 @@ def check_ranges(seen: Seen) -> Finding | None:
     is_against = not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST
     is_doubtful = far > COUNTED or median > HIGH_M
     return Finding(
-        "ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint, option
+        "ranges",
+        verdict_of(doubtful=is_doubtful, against=is_against),
+        measured,
+        expected,
+        hint,
+        option,
     )
 
 
@@ -344,8 +358,8 @@ def ask_all(seen: Seen) -> Iterator[Finding]:
     a check that cannot tell finds nothing.
     """
     along = any(
-        one.key == "input.range" and one.value.startswith("trajectory")
-        for one in seen.info.assumptions
+        assumption.key == "input.range" and assumption.value.startswith("trajectory")
+        for assumption in seen.info.assumptions
     )
     for finding in _known(*_of_ranges(seen)):
         yield _along_path(finding) if along and finding.check in BY_PLACE else finding
@@ -370,7 +384,10 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield check_rounding(seen)
     yield check_missing_code(seen)
     figures = raw = figures_of(seen.windows)
-    if any(_is_told(one) for one in (check_shot_order(figures), check_line_order(seen, figures))):
+    if any(
+        _is_told(finding)
+        for finding in (check_shot_order(figures), check_line_order(seen, figures))
+    ):
         # flakes, drops and fog are like none of the shots around
         figures = _in_clear_air(seen, figures)
     yield (order := check_shot_order(figures))
@@ -416,12 +433,12 @@ def check_few_rings(seen: Seen) -> Finding | None:
         return None
     n = int(
         np.count_nonzero(
-            np.any([np.isfinite(one.range_m).any(axis=0) for one in seen.windows], axis=0)
+            np.any([np.isfinite(window.range_m).any(axis=0) for window in seen.windows], axis=0)
         )
     )
     hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
-    told = verdict(doubtful=n < seen.least_rings)
-    return Finding("few-rings", told, f"{n} rings", f"at least {seen.least_rings}", hint)
+    verdict = verdict_of(doubtful=n < seen.least_rings)
+    return Finding("few-rings", verdict, f"{n} rings", f"at least {seen.least_rings}", hint)
 
 
 def _known(*findings: Finding | None) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I64
 from prc_cli.formats.sensor_frame import FEWEST_RINGS, FEWEST_SHOTS, spread_of_cones
 from prc_cli.streams.evidence.figures import Seen
-from prc_cli.streams.evidence.table import verdict
+from prc_cli.streams.evidence.table import verdict_of
 
 MOST_LINES = 4096
 """First lines that are looked at, about two turns."""
@@ -72,9 +72,11 @@ def check_cones(seen: Seen) -> Finding | None:
         return None
     spread, fitted = seen.cone_spread_rad
     is_elsewhere = spread > MOST_RAD and fitted < EXPLAINED * spread
-    found = f"elevation spreads by {math.degrees(spread):.2g} deg within rings"
+    measured = f"elevation spreads by {math.degrees(spread):.2g} deg within rings"
     if is_elsewhere:
-        found += f", by {math.degrees(fitted):.2g} deg around another axis or point, which a sector tells only roughly"
+        measured += f", by {math.degrees(fitted):.2g} deg around another axis or point, which a sector tells only roughly"
     hint = "give x, y, z in the scanner's own frame: z along its axis, 0 at the scanner"
-    told = verdict(doubtful=is_elsewhere or fitted > NO_CONES_RAD)
-    return Finding("coordinates", told, found, f"at most {math.degrees(MOST_RAD):.2g} deg", hint)
+    verdict = verdict_of(doubtful=is_elsewhere or fitted > NO_CONES_RAD)
+    return Finding(
+        "coordinates", verdict, measured, f"at most {math.degrees(MOST_RAD):.2g} deg", hint
+    )

@@ -74,15 +74,15 @@ class LineSample:
                 if index % self._stride:
                     return
             self._kept[index] = np.empty((self._n_lines, self._points_per_line), np.float32)
-        at = line - index * self._n_lines
-        self._kept[index][at : at + len(rows)] = rows
-        self._open[index] = at + len(rows)
+        first_row = line - index * self._n_lines
+        self._kept[index][first_row : first_row + len(rows)] = rows
+        self._open[index] = first_row + len(rows)
         if len(self._kept) == N_WINDOWS and self._open[index] == self._n_lines:
             self.n_full += 1
 
     def _thin(self) -> None:
         self._stride *= 2
-        for index in [one for one in self._kept if one % self._stride]:
+        for index in [number for number in self._kept if number % self._stride]:
             del self._kept[index], self._open[index]
 
     def windows(self) -> tuple[Window, ...]:
@@ -167,8 +167,8 @@ def likeness(first: NDArray[Any], second: NDArray[Any], share: float = 0.5) -> f
     off = off[np.isfinite(off)]
     if len(off) < LEAST_PAIRS:
         return float("nan")
-    at = int(share * (len(off) - 1))
-    return float(np.partition(off, at)[at])
+    rank = int(share * (len(off) - 1))
+    return float(np.partition(off, rank)[rank])
 
 
 def middle(values: Iterable[float]) -> float:
@@ -252,10 +252,10 @@ def spread(windows: tuple[Window, ...]) -> list[F32]:
     """
     n = min(len(windows), MOST_RUNS)
     chosen = [windows[round(i * (len(windows) - 1) / max(n - 1, 1))].range_m for i in range(n)]
-    each = -(-MOST_RUNS // max(n, 1))
+    n_runs = -(-MOST_RUNS // max(n, 1))
     runs = []
     for rows in chosen:
-        length = max(len(rows) // each, 2 * LINE_LAGS)
+        length = max(len(rows) // n_runs, 2 * LINE_LAGS)
         runs += [
             rows[i : i + min(length, max(SHOTS_EACH // rows.shape[1], LINE_LAGS) + LINE_LAGS)]
             for i in range(0, len(rows), length)
@@ -314,7 +314,7 @@ def _lonely(rows: F32) -> tuple[int, int]:
     """Count missing shots between smooth neighbours, two on either side, and all shots between such neighbours."""
     if rows.shape[1] < AROUND:
         return 0, 0
-    left, near_left, at, near_right, right = (
+    left, near_left, middle_shot, near_right, right = (
         rows[:, i : rows.shape[1] - AROUND + 1 + i] for i in range(AROUND)
     )
     with np.errstate(invalid="ignore"):
@@ -322,7 +322,7 @@ def _lonely(rows: F32) -> tuple[int, int]:
             np.abs(left - near_left) < SMOOTH
         )
         smooth &= np.abs(right - near_right) < SMOOTH
-    return int(np.count_nonzero(smooth & np.isnan(at))), int(np.count_nonzero(smooth))
+    return int(np.count_nonzero(smooth & np.isnan(middle_shot))), int(np.count_nonzero(smooth))
 
 
 def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
@@ -353,20 +353,20 @@ def pieces(windows: tuple[Window, ...]) -> list[Window]:
 
     At even ones a wrong length may shift them by whole turns.
     """
-    each = -(-FOLD_PIECES // max(len(windows), 1))
-    found: list[Window] = []
+    n_pieces = -(-FOLD_PIECES // max(len(windows), 1))
+    places: list[Window] = []
     for window in windows:
-        n_lines = len(window.range_m) // each
+        n_lines = len(window.range_m) // n_pieces
         spare = max(n_lines - FOLD_LINES - 1, 0)
-        for i in range(each):
-            start = i * n_lines + int(spare * (GOLDEN * (len(found) + 1) % 1.0))
+        for i in range(n_pieces):
+            start = i * n_lines + int(spare * (GOLDEN * (len(places) + 1) % 1.0))
             if start + FOLD_LINES + 1 <= len(window.range_m):
-                found.append(
+                places.append(
                     Window(
                         window.first_line + start, window.range_m[start : start + FOLD_LINES + 1]
                     )
                 )
-    return found
+    return places
 
 
 GOLDEN = (5**0.5 - 1) / 2
@@ -405,10 +405,10 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
     None in short streams.
     """
     places = pieces(windows)
-    found: list[Turned] = []
+    turns: list[Turned] = []
     profiles = [
-        _profile(one.range_m[:FOLD_LINES, :: max(one.range_m.shape[1] // TURN_COLUMNS, 1)])
-        for one in places
+        _profile(place.range_m[:FOLD_LINES, :: max(place.range_m.shape[1] // TURN_COLUMNS, 1)])
+        for place in places
     ]
     for i in range(len(places) - 1):
         first = profiles[i]
@@ -422,11 +422,11 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
         if abs(share) >= LEAST_TURN:
             line = places[i + 1].first_line
             gain = float(offs[best] / offs[0])
-            found.append(Turned(line, -share, gain, line - places[i].first_line))
-    if not found:
+            turns.append(Turned(line, -share, gain, line - places[i].first_line))
+    if not turns:
         return None
     return replace(
-        min(found, key=lambda one: one.gain), n_places=sum(one.gain < TURNED for one in found)
+        min(turns, key=lambda turn: turn.gain), n_places=sum(turn.gain < TURNED for turn in turns)
     )
 
 

@@ -21,7 +21,7 @@ from prc_cli.streams.angle_step import measure_step
 from prc_cli.streams.angles import are_radians
 from prc_cli.streams.down import MOST_LINES, DownGuess, guess_down, spread_rows, wrap
 from prc_cli.streams.evidence.figures import Seen
-from prc_cli.streams.evidence.table import verdict
+from prc_cli.streams.evidence.table import verdict_of
 
 DOWN = "down"
 ANGLE_STEP = "angle-step"
@@ -108,16 +108,16 @@ def check_down(seen: Seen) -> Finding | None:
             expected,
         )
     off = abs(math.remainder(guess.down_rad, 2 * math.pi))
-    found = f"level ground is {math.degrees(off):.0f} deg from straight down ({_shown(guess)})"
-    told = verdict(doubtful=off > DOWN_DOUBTFUL_RAD, against=off > DOWN_AGAINST_RAD)
-    hint = _corrected(seen, guess) if told else ""
-    if not told and (n_off := _n_elsewhere(seen, seen.beam_rad, scale)):
-        told = Verdict.DOUBTFUL
-        found = (
+    measured = f"level ground is {math.degrees(off):.0f} deg from straight down ({_shown(guess)})"
+    verdict = verdict_of(doubtful=off > DOWN_DOUBTFUL_RAD, against=off > DOWN_AGAINST_RAD)
+    hint = _corrected(seen, guess) if verdict else ""
+    if not verdict and (n_off := _n_elsewhere(seen, seen.beam_rad, scale)):
+        verdict = Verdict.DOUBTFUL
+        measured = (
             f"level ground is elsewhere in {n_off} of {len(seen.windows)} samples along the drive"
         )
         hint = "check whether the scanner was moved, or parts of the file are of another scanner"
-    return Finding(DOWN, told, found, expected, hint)
+    return Finding(DOWN, verdict, measured, expected, hint)
 
 
 def _shown(guess: DownGuess) -> str:
@@ -130,11 +130,11 @@ def _corrected(seen: Seen, guess: DownGuess) -> str:
     """Return what would turn straight down to where the ground is."""
     if seen.angle_rad is None or seen.beam_rad is None:
         return "give x, y, z relative to the scanner, with z up"
-    at = int(np.argmin(np.abs(wrap(seen.beam_rad - guess.down_rad))))
-    away = math.remainder(float(guess.down_rad - seen.beam_rad[at]), 2 * math.pi)
+    nearest = int(np.argmin(np.abs(wrap(seen.beam_rad - guess.down_rad))))
+    away = math.remainder(float(guess.down_rad - seen.beam_rad[nearest]), 2 * math.pi)
     step = wrap(np.diff(seen.beam_rad)) * wrap(np.diff(seen.angle_rad))
     away = away if np.sign(step).sum() >= 0 else -away
-    nadir = math.degrees(math.remainder(float(seen.angle_rad[at]) + away, 2 * math.pi))
+    nadir = math.degrees(math.remainder(float(seen.angle_rad[nearest]) + away, 2 * math.pi))
     return f"give input.nadir, or where the ground is right --set input.nadir={nadir + 0.0:.0f}"
 
 
@@ -159,14 +159,16 @@ def check_angle_step(seen: Seen) -> Finding | None:
     Doubt a measured one that is uncertain.
     """
     if seen.angle_rad is not None and are_radians(seen.angle_rad):
-        found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
+        measured_text = (
+            f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
+        )
         hint = (
             f"if they are radians, name them angle_rad; if they are of another scale: {_MEASURED}"
         )
         return Finding(
             ANGLE_STEP,
             Verdict.AGAINST,
-            found,
+            measured_text,
             "degrees: the numbers of a turn in radians span 6.28",
             hint,
         )
@@ -175,25 +177,25 @@ def check_angle_step(seen: Seen) -> Finding | None:
         return None
     off = seen.info.angles_off
     if off > MOST_OFF:
-        found = f"the angles were measured from the ranges to ± {off:.1%}: {math.degrees(step_rad):.4g} deg a shot"
+        measured_text = f"the angles were measured from the ranges to ± {off:.1%}: {math.degrees(step_rad):.4g} deg a shot"
         expected = f"± {MOST_OFF:.0%}: 5 % off costs 0.02 of the mean F1 of streets, 20 % 0.11, and in forests 0.43"
         hint = "give the step of the scanner: --set input.angle_start=0 --set input.angle_step=DEG"
-        return Finding(ANGLE_STEP, Verdict.DOUBTFUL, found, expected, hint)
+        return Finding(ANGLE_STEP, Verdict.DOUBTFUL, measured_text, expected, hint)
     measured = measure_step(_lines(seen))
     if measured is None or measured.off > UNSURE:
         return None
     factor = measured.step_rad / step_rad
     is_doubtful = abs(factor - 1.0) > max(MOST_DOUBTLESS, SURE * measured.off)
-    told = verdict(
+    verdict = verdict_of(
         doubtful=is_doubtful, against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR
     )
-    found = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use"
+    measured_text = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use"
     shown = f"{math.degrees(measured.step_rad):.4g} deg, known to {measured.off:.1%}"
     hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M"
     hint += f"; to use those that the ranges show: {_MEASURED}"
-    hint = hint if told else ""
+    hint = hint if verdict else ""
     expected = f"{1 - MOST_DOUBTLESS:g} to {1 + MOST_DOUBTLESS:g}"
-    return Finding(ANGLE_STEP, told, f"{found} ({shown})", expected, hint)
+    return Finding(ANGLE_STEP, verdict, f"{measured_text} ({shown})", expected, hint)
 
 
 _MEASURED = "--set input.angles=measured"
@@ -245,31 +247,31 @@ def check_height(seen: Seen) -> Finding | None:
     depth = guess.depth_m / scale * seen.info.down(seen.scanner)[1]
     is_usual = low <= depth <= high
     is_possible = LOWEST_M <= depth <= HIGHEST_M
-    told = verdict(doubtful=not is_usual, against=not is_possible)
-    found = f"the scanner is {depth:.3g} m above the ground"
-    scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if told else []
+    verdict = verdict_of(doubtful=not is_usual, against=not is_possible)
+    measured = f"the scanner is {depth:.3g} m above the ground"
+    scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if verdict else []
     best = min(scales, key=lambda scale: abs(math.log(scale * depth / USUAL_M)), default=None)
     option = f"--set input.range_scale={best:g}" if best else ""
     hint = (
         f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}"
-        if told
+        if verdict
         else ""
     )
-    return Finding(UNITS, told, found, f"{low:g} to {high:g} m", hint, option)
+    return Finding(UNITS, verdict, measured, f"{low:g} to {high:g} m", hint, option)
 
 
 def _lines(seen: Seen) -> F32:
     """Return lines with returns, spread over the windows."""
     n_lines = np.cumsum([0, *(len(window.range_m) for window in seen.windows)])
-    found: list[NDArray[np.float32]] = []
+    rows: list[NDArray[np.float32]] = []
     # twice as many, because some may have no returns
     for row in spread_rows(int(n_lines[-1]), 2 * MOST_LINES):
         window = int(np.searchsorted(n_lines, row, side="right")) - 1
-        found.append(seen.windows[window].range_m[row - n_lines[window]])
-    if not found:
+        rows.append(seen.windows[window].range_m[row - n_lines[window]])
+    if not rows:
         return np.empty((0, seen.points_per_line), np.float32)
     # farther is no ground, and would overflow when it is scaled
-    lines: F32 = np.minimum(np.stack(found), np.float32(FAR_M))
+    lines: F32 = np.minimum(np.stack(rows), np.float32(FAR_M))
     lines = lines[~np.isnan(lines).all(axis=1)]
     return lines[spread_rows(len(lines), MOST_LINES)]
 

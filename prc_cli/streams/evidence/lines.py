@@ -33,7 +33,7 @@ from prc_cli.streams.evidence.figures import (
     likeness,
 )
 from prc_cli.streams.evidence.periods import WEAK_PERIOD, estimate_points_per_line
-from prc_cli.streams.evidence.table import verdict
+from prc_cli.streams.evidence.table import verdict_of
 
 COLUMNS = 64
 """Columns that stand for a line, even over it."""
@@ -60,13 +60,13 @@ def digests(block: ScanBlock) -> U64:
         np.diff(ordered, axis=1) > 0, axis=1
     )  # NaN sorts last and is never greater
     bits = values[different >= LEAST_VALUES - 1].view(np.uint32).astype(np.uint64)
-    found: U64 = (bits * _ODD[: bits.shape[1]]).sum(axis=1, dtype=np.uint64) + np.uint64(
+    digest: U64 = (bits * _ODD[: bits.shape[1]]).sum(axis=1, dtype=np.uint64) + np.uint64(
         block.scanner
     )
-    found ^= found >> np.uint64(31)
-    found *= _MIX
-    found ^= found >> np.uint64(29)
-    return found
+    digest ^= digest >> np.uint64(31)
+    digest *= _MIX
+    digest ^= digest >> np.uint64(29)
+    return digest
 
 
 class LineRepeats:
@@ -80,8 +80,8 @@ class LineRepeats:
         """Take the next lines."""
         if block.points_per_line < LEAST_VALUES:
             return
-        found = digests(block)
-        for digest in found[found & np.uint64(self._mask) == 0].tolist():
+        line_digests = digests(block)
+        for digest in line_digests[line_digests & np.uint64(self._mask) == 0].tolist():
             self._times[digest] = self._times.get(digest, 0) + 1
         while len(self._times) > MOST_KEPT:
             self._mask = 2 * self._mask + 1
@@ -102,12 +102,12 @@ def check_repeats(repeats: LineRepeats, of_recording: str = "") -> Finding:
     if of_recording:
         hint = "the first of each was classified, the others have no class: record every topic or port once"
         return Finding("repeated-lines", Verdict.DOUBTFUL, of_recording, "each once", hint)
-    found = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
+    measured = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
     hint = "leave out the part that is there twice"
     return Finding(
         "repeated-lines",
-        verdict(doubtful=n >= LEAST_REPEATED),
-        found,
+        verdict_of(doubtful=n >= LEAST_REPEATED),
+        measured,
         f"fewer than {LEAST_REPEATED}",
         hint,
     )
@@ -156,14 +156,14 @@ class Reading:
         named = self.type != "f4" or self.scale != 1
         scale = f",scale={self.scale:g}" if self.scale != 1 else ""
         missing = ",missing=0" if self.has_zeros else ""
-        told = (
+        keys = (
             [f'\'layout.fields=[{{name="range",type="{self.type}"{scale}{missing}}}]\'']
             if named
             else []
         )
-        told += [f"layout.endian={self.endian}"] if self.endian != "little" else []
-        told += [f"layout.header_bytes={self.header_bytes}"] if self.header_bytes else []
-        return " ".join(f"--set {one}" for one in told)
+        keys += [f"layout.endian={self.endian}"] if self.endian != "little" else []
+        keys += [f"layout.header_bytes={self.header_bytes}"] if self.header_bytes else []
+        return " ".join(f"--set {key}" for key in keys)
 
 
 def other_reading(path: Path, points_per_line: int | None = None) -> Reading | None:
@@ -195,7 +195,9 @@ def _as_ranges(values: np.ndarray) -> tuple[float, float]:
         middle = float(np.median(numbers[there])) if there.any() else math.nan
         if not 0 < middle < math.inf:
             return 1.0, math.inf
-        scale = min(SCALES_M, key=lambda one: abs(math.log(one / MEDIAN_M) + math.log(middle)))
+        scale = min(
+            SCALES_M, key=lambda unit_m: abs(math.log(unit_m / MEDIAN_M) + math.log(middle))
+        )
         range_m: F32 = (numbers * scale).astype(np.float32)
     good = there & (range_m > SMOOTH) & (range_m < FARTHEST_M)
     n_good = np.count_nonzero(good)
@@ -360,14 +362,14 @@ def check_shot_order(figures: Figures) -> Finding | None:
         return None
     name = "shot-order"
     times = "" if f"{ratio:.2g}" == "1" else f"{ratio:.2g} times "
-    found = f"ranges of neighbouring shots differ {times}as much as those of random shots"
+    measured = f"ranges of neighbouring shots differ {times}as much as those of random shots"
     expected = f"below {ORDER_DOUBTFUL:g}"
     if figures.shot[1] < SECOND * figures.shot[0]:
-        found = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
+        measured = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
         hint = "two scanners or several returns alternate: split them with --scanner, or give the return number"
-        return Finding(name, Verdict.AGAINST, found, "neighbours more alike than others", hint)
-    told = verdict(doubtful=ratio >= ORDER_DOUBTFUL, against=ratio >= ORDER_AGAINST)
-    return Finding(name, told, found, expected, _ORDER_HINT)
+        return Finding(name, Verdict.AGAINST, measured, "neighbours more alike than others", hint)
+    verdict = verdict_of(doubtful=ratio >= ORDER_DOUBTFUL, against=ratio >= ORDER_AGAINST)
+    return Finding(name, verdict, measured, expected, _ORDER_HINT)
 
 
 def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
@@ -393,36 +395,37 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     name = "line-length"
     expected = f"lines of M = {m} shots that are alike"
     near = [m + off for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1]
-    other = _next_alike(seen, near) if m <= FRAME_SHOTS else None
-    if other is not None and other != m:
-        found = f"the next line is {other} shots later, not {m}"
-        return Finding(name, Verdict.AGAINST, found, expected, *_remedy(seen, other))
-    if is_shifted(turned, m) or (other == m and _is_fan(seen)):
-        found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
-        return Finding(name, Verdict.FINE, found, f"below {LINE_DOUBTFUL:g}")
+    next_length = _next_alike(seen, near) if m <= FRAME_SHOTS else None
+    if next_length is not None and next_length != m:
+        measured = f"the next line is {next_length} shots later, not {m}"
+        return Finding(name, Verdict.AGAINST, measured, expected, *_remedy(seen, next_length))
+    if is_shifted(turned, m) or (next_length == m and _is_fan(seen)):
+        measured = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
+        return Finding(name, Verdict.FINE, measured, f"below {LINE_DOUBTFUL:g}")
     folded = {length: fold(seen.windows, length) for length in near}
     is_unlike = ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM
     if is_unlike and period is not None and abs(period - m) > FOLD_REACH:
         return _repeating(seen, period)
-    better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
+    others = (length for length in folded if length != m)
+    better = min(others, key=lambda length: _or_inf(folded[length]))
     gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     is_long = seen.n_lines * FOLD_LONG >= m
     if gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
         better = _next_alike(seen, list(folded)) or better
     if better != m and gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
-        found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
-        told = verdict(doubtful=True, against=gain >= FOLD_AGAINST and is_long)
+        measured = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
+        verdict = verdict_of(doubtful=True, against=gain >= FOLD_AGAINST and is_long)
         expected = f"no length that agrees better by {FOLD_DOUBTFUL:g}"
-        return Finding(name, told, found, expected, *_remedy(seen, better))
+        return Finding(name, verdict, measured, expected, *_remedy(seen, better))
     hint = "check -M and --lines, and whether lines and columns are exchanged"
     if folded[m] > FOLD_RANDOM:
-        found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
-        told = verdict(doubtful=True, against=folded[m] > FOLD_NOTHING)
-        return Finding(name, told, found, f"at most {FOLD_RANDOM:g}", hint)
-    found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
+        measured = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
+        verdict = verdict_of(doubtful=True, against=folded[m] > FOLD_NOTHING)
+        return Finding(name, verdict, measured, f"at most {FOLD_RANDOM:g}", hint)
+    measured = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
     expected = f"below {LINE_DOUBTFUL:g}"
-    told = verdict(doubtful=ratio >= LINE_DOUBTFUL, against=ratio >= LINE_AGAINST)
-    return Finding(name, told, found, expected, hint if told else "")
+    verdict = verdict_of(doubtful=ratio >= LINE_DOUBTFUL, against=ratio >= LINE_AGAINST)
+    return Finding(name, verdict, measured, expected, hint if verdict else "")
 
 
 def _is_fan(seen: Seen) -> bool:
@@ -458,23 +461,23 @@ def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
         return None
     expected = f"at least {TURNED:g} times"
     if not is_shifted(turned, seen.points_per_line):
-        found = f"no single shift of all columns makes places along the stream differ less than {turned.gain:.2g} times"
-        return Finding("columns-along", Verdict.FINE, found, expected)
+        measured = f"no single shift of all columns makes places along the stream differ less than {turned.gain:.2g} times"
+        return Finding("columns-along", Verdict.FINE, measured, expected)
     n_shots = round(abs(turned.share) * seen.points_per_line)
-    found = f"before line {turned.line} all columns shift by {n_shots} shots ({turned.gain:.2g} times the difference)"
+    measured = f"before line {turned.line} all columns shift by {n_shots} shots ({turned.gain:.2g} times the difference)"
     hint = "shots were lost or added there: split the file, or restore them"
-    told = verdict(doubtful=True, against=turned.gain < TURNED_AGAINST)
-    return Finding("columns-along", told, found, expected, hint)
+    verdict = verdict_of(doubtful=True, against=turned.gain < TURNED_AGAINST)
+    return Finding("columns-along", verdict, measured, expected, hint)
 
 
 def check_noise(seen: Seen, figures: Figures) -> Finding | None:
     """Ask whether the range noise is one that the method stands."""
     if not np.isfinite(seen.most_noise_m) or not np.isfinite(figures.noise_m):
         return None
-    found = f"ranges have noise of about {figures.noise_m:.3f} m"
+    measured = f"ranges have noise of about {figures.noise_m:.3f} m"
     hint = "the thresholds of this method are for less: widen them (prc calibrate), or take another method"
-    told = verdict(doubtful=figures.noise_m > seen.most_noise_m)
-    return Finding("range-noise", told, found, f"at most {seen.most_noise_m:g} m", hint)
+    verdict = verdict_of(doubtful=figures.noise_m > seen.most_noise_m)
+    return Finding("range-noise", verdict, measured, f"at most {seen.most_noise_m:g} m", hint)
 
 
 def _remedy(seen: Seen, points_per_line: int) -> tuple[str, str]:
@@ -493,9 +496,9 @@ def _remedy(seen: Seen, points_per_line: int) -> tuple[str, str]:
 
 def _repeating(seen: Seen, period: int) -> Finding:
     m = seen.points_per_line
-    found = f"the ranges repeat after {period} shots, not after {m}"
+    measured = f"the ranges repeat after {period} shots, not after {m}"
     expected = f"lines of M = {m} shots that are alike"
-    return Finding("line-length", Verdict.AGAINST, found, expected, *_remedy(seen, period))
+    return Finding("line-length", Verdict.AGAINST, measured, expected, *_remedy(seen, period))
 
 
 def _step_alike(figures: Figures) -> int:
@@ -514,20 +517,20 @@ def _step_alike(figures: Figures) -> int:
 def _alternating(seen: Seen, figures: Figures, step: int) -> Finding:
     """Tell lines that alternate: scanned to and fro, of several scanners, or M too small."""
     if step == 2 and figures.reversed_line <= HALF * figures.line[1]:
-        found = "every second line runs the other way"
+        measured = "every second line runs the other way"
         return Finding(
             "line-length",
             Verdict.AGAINST,
-            found,
+            measured,
             "lines scanned the same way",
             "reverse every second line",
         )
-    found = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
+    measured = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
     m = seen.points_per_line
     hint, option = _remedy(seen, m * step)
     hint = f"{hint}; split several scanners with --scanner DIMENSION"
     expected = f"lines of M = {m} shots that are alike"
-    return Finding("line-length", Verdict.AGAINST, found, expected, hint, option)
+    return Finding("line-length", Verdict.AGAINST, measured, expected, hint, option)
 
 
 def _or_inf(value: float) -> float:
@@ -544,7 +547,7 @@ def _period(seen: Seen) -> int | None:
 
 def _longest(seen: Seen) -> F32:
     """Return shots of the longest window, (n,) float32 [m]."""
-    rows = max(seen.windows, key=lambda one: len(one.range_m)).range_m
+    rows = max(seen.windows, key=lambda window: len(window.range_m)).range_m
     return rows[: -(-PERIOD_SHOTS // rows.shape[1])].ravel()[:PERIOD_SHOTS]
 
 
@@ -581,34 +584,34 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
     """Ask whether the scene changes along the stream, but not from line to line."""
     near, far = figures.moved
     if figures.again > SEEN_AGAIN and seen.n_lines >= STANDING_LINES and not _is_fan(seen):
-        found = (
+        measured = (
             f"{figures.again:.0%} of the shots unlike their neighbours come again in the next line"
         )
         hint = "the platform stands again and again, or lines are copies: cut such stretches out, or accept them"
-        return Finding("standing", Verdict.DOUBTFUL, found, f"at most {SEEN_AGAIN:.0%}", hint)
+        return Finding("standing", Verdict.DOUBTFUL, measured, f"at most {SEEN_AGAIN:.0%}", hint)
     if seen.n_lines < LEAST_LINES or not near > 0 or not np.isfinite(far):
         return None
     ratio = far / near
-    found = f"lines far apart differ {ratio:.2g} times as much as neighbouring lines"
+    measured = f"lines far apart differ {ratio:.2g} times as much as neighbouring lines"
     expected = f"at least {MOVED_SAME:g}"
-    stands = not near >= MOVED_NOISE * figures.roughness
-    if stands:
+    is_standing = not near >= MOVED_NOISE * figures.roughness
+    if is_standing:
         doubtful = ratio < MOVED_SAME and seen.n_lines >= STANDING_LINES
         expected = f"{expected} in {STANDING_LINES} lines or more"
         hint = "the platform stands: cut such stretches out, or accept them"
-        return Finding("standing", verdict(doubtful=doubtful), found, expected, hint)
+        return Finding("standing", verdict_of(doubtful=doubtful), measured, expected, hint)
     hint = "put the lines into the order in which they were scanned; in dense snow or fog accept it"
-    told = verdict(doubtful=ratio < MOVED_SAME, against=ratio < MOVED_AGAINST)
-    return Finding("line-order", told, found, expected, hint)
+    verdict = verdict_of(doubtful=ratio < MOVED_SAME, against=ratio < MOVED_AGAINST)
+    return Finding("line-order", verdict, measured, expected, hint)
 
 
 def check_dropouts(figures: Figures) -> Finding | None:
     """Ask whether shots are lost where surfaces are smooth."""
     if figures.n_between < LEAST_PAIRS:
         return None
-    found = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"
+    measured = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"
     hint = (
         "check whether records were lost or filtered out; isolated gaps cost classes at their edges"
     )
-    told = verdict(doubtful=figures.lonely_missing > LONELY)
-    return Finding("dropouts", told, found, f"at most {LONELY:.1%}", hint)
+    verdict = verdict_of(doubtful=figures.lonely_missing > LONELY)
+    return Finding("dropouts", verdict, measured, f"at most {LONELY:.1%}", hint)

@@ -151,8 +151,8 @@ def _comb(correlation: F64, period: int) -> float:
     reach = max(period // 50, 1)
     rises = []
     for k in range(1, min(_MULTIPLES_SEEN, (len(correlation) - 1 - reach) // period) + 1):
-        at = correlation[max(k * period - reach, 1) : k * period + reach + 1].max()
-        rises.append(at - correlation[(k - 1) * period : k * period].min())
+        highest = correlation[max(k * period - reach, 1) : k * period + reach + 1].max()
+        rises.append(highest - correlation[(k - 1) * period : k * period].min())
     return float(min(rises))
 
 
@@ -175,8 +175,8 @@ def first_times(time_s: F64) -> F64:
     """Return the first known time of every line."""
     known = np.isfinite(time_s)
     values = time_s[np.arange(len(time_s)), np.argmax(known, axis=1)]
-    found: F64 = np.where(known.any(axis=1), values, np.nan)
-    return found
+    times: F64 = np.where(known.any(axis=1), values, np.nan)
+    return times
 
 
 def estimate_line_frequency(time_s: F64) -> float | None:
@@ -361,9 +361,11 @@ def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
     busiest = int(np.argmax(count))
     away = way * wrap(angle_rad - 0.5 * float(edges[busiest] + edges[busiest + 1]))
     # where the sweep passes the direction that returns most
-    at = np.flatnonzero((away[:-1] < 0) & (away[1:] >= 0) & (away[1:] - away[:-1] < _PASSING_RAD))
-    share = -away[at] / np.maximum(away[at + 1] - away[at], 1e-12)
-    passed = time_s[at] + share * (time_s[at + 1] - time_s[at])
+    passages = np.flatnonzero(
+        (away[:-1] < 0) & (away[1:] >= 0) & (away[1:] - away[:-1] < _PASSING_RAD)
+    )
+    share = -away[passages] / np.maximum(away[passages + 1] - away[passages], 1e-12)
+    passed = time_s[passages] + share * (time_s[passages + 1] - time_s[passages])
     if len(passed) < LEAST_LINES:
         return None
     usual = float(np.median(np.diff(passed)))
@@ -408,14 +410,16 @@ def _sweep_begin(
     excess = ahead - cells * float(np.median(ahead / cells))
     # angles without time of their own, else the longest time without a return
     is_seam = bool(excess.max() > _SEAM_RAD)
-    at = int(np.argmax(excess if is_seam else cells))
-    gap = float(ahead[at])
-    rough = (seen[at] + 0.5 + 0.5 * cells[at]) % _FOLDED / _FOLDED * line_s
+    largest = int(np.argmax(excess if is_seam else cells))
+    gap = float(ahead[largest])
+    rough = (seen[largest] + 0.5 + 0.5 * cells[largest]) % _FOLDED / _FOLDED * line_s
     # to the shot, by neighbours on both sides of the gap
     step = way * wrap(np.diff(angle_rad))
     phase = since_s[:-1] + 0.5 * np.diff(since_s) - rough
     phase -= line_s * np.rint(phase / line_s)
-    over = (step > 0.5 * min(gap, math.pi)) & (np.abs(phase) < 2 * line_s * cells[at] / _FOLDED)
+    over = (step > 0.5 * min(gap, math.pi)) & (
+        np.abs(phase) < 2 * line_s * cells[largest] / _FOLDED
+    )
     return float(rough + (np.median(phase[over]) if over.any() else 0.0)), is_seam
 
 
@@ -460,10 +464,10 @@ def _rounded_period(time_s: F64, quantum: float) -> float:
         span = time_s[width:] - time_s[:-width]
         # the ends of a stretch are rounded each by up to a quantum
         tight = np.partition(span, len(span) // 50)[: len(span) // 50 + 1]
-        found = float(tight.mean()) / width
-        if best and found > best * (1 + 1.5 * quantum / (width * best)):
+        period_s = float(tight.mean()) / width
+        if best and period_s > best * (1 + 1.5 * quantum / (width * best)):
             break
-        best = found
+        best = period_s
         width *= 2
     return best
 
@@ -474,9 +478,9 @@ def _deviation(bins: np.ndarray, value: F64, n: int) -> F64:
     mean = np.bincount(bins, value, n) / np.maximum(count, 1)
     middle = np.where(count > 0, mean - np.median(value), 0.0)
     most = float(np.percentile(np.abs(middle[count > 0]), 90)) or 1.0
-    found: F64 = np.clip(middle / most, -1.0, 1.0)
-    found -= found.mean()
-    return found
+    deviation: F64 = np.clip(middle / most, -1.0, 1.0)
+    deviation -= deviation.mean()
+    return deviation
 
 
 def _first_peak(correlation: F64, most: int) -> int | None:
@@ -507,11 +511,11 @@ def _refine_period(correlation: F64, lag: int) -> float:
     period = float(lag)
     multiple = 1
     while True:
-        at = round(period * multiple)
+        centre = round(period * multiple)
         reach = max(round(0.01 * lag / multiple), 3)
-        if at + reach + 1 >= len(correlation) or at - reach < 1:
+        if centre + reach + 1 >= len(correlation) or centre - reach < 1:
             return period
-        window = correlation[at - reach : at + reach + 1]
+        window = correlation[centre - reach : centre + reach + 1]
         top = int(np.argmax(window))
         if window[top] < 0.5 * LEAST_STRENGTH:
             return period
@@ -520,7 +524,7 @@ def _refine_period(correlation: F64, lag: int) -> float:
             left, middle, right = window[top - 1 : top + 2]
             curve = left - 2 * middle + right
             offset = 0.5 * (left - right) / curve if curve < 0 else 0.0
-        period = (at - reach + top + float(offset)) / multiple
+        period = (centre - reach + top + float(offset)) / multiple
         multiple *= 2
 
 

@@ -93,7 +93,7 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
             "unknown", "too few neighbouring shots lie on the ground to tell a street from a forest"
         )
     floor = int(np.count_nonzero(low & smooth)) / n_low
-    found = f"{100 * floor:.0f} % of the ground is smooth"
+    reason = f"{100 * floor:.0f} % of the ground is smooth"
     if n_high < LEAST_HIGH_SHARE * middle_m.size:
         # nothing stands there: a road in the open, or a clearing
         limit = FOREST_SCORE - BUILT_SHARE / 3
@@ -103,9 +103,9 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
             if abs(floor - limit) < CLOSE_SCORE
             else ""
         )
-        return Place(kind, f"{found}, and nothing stands high", bool(doubt), doubt)
+        return Place(kind, f"{reason}, and nothing stands high", bool(doubt), doubt)
     standing = int(np.count_nonzero(high & smooth)) / n_high
-    found += f", and {100 * standing:.0f} % of what stands higher than the scanner"
+    reason += f", and {100 * standing:.0f} % of what stands higher than the scanner"
     score = floor + standing / 3
     kind = "forest" if score < FOREST_SCORE else "street" if standing >= BUILT_SHARE else "unknown"
     off = abs(score - FOREST_SCORE)
@@ -116,7 +116,7 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
         doubt = (
             f"forests have less smooth ground, streets at least {BUILT_SHARE:.0%} of what stands"
         )
-    return Place(kind, found, off < OPEN_SCORE or kind == "unknown", doubt)
+    return Place(kind, reason, off < OPEN_SCORE or kind == "unknown", doubt)
 
 
 def _smooth(

@@ -24,7 +24,7 @@ from prc_cli.core.hints import fitting_finding
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F32, F64, I64, U8, Mask
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.table import verdict, worst_of
+from prc_cli.streams.evidence.table import verdict_of, worst_of
 
 MAX_SCANNERS = 4
 """Most scanners whose labels are looked at."""
@@ -102,11 +102,11 @@ class _Kept:
                 int(lines[-1]) - item.block.first_line + 1,
                 self.stride,
             )
-            at = slice(self.n, self.n + len(lines))
-            self.line[at] = lines
-            self.range_m[at] = item.block.range_m[rows][:, self.columns]
-            self.labels[at] = item.labels[rows][:, self.columns]
-            self.n = at.stop
+            rows_kept = slice(self.n, self.n + len(lines))
+            self.line[rows_kept] = lines
+            self.range_m[rows_kept] = item.block.range_m[rows][:, self.columns]
+            self.labels[rows_kept] = item.labels[rows][:, self.columns]
+            self.n = rows_kept.stop
             line = int(lines[-1]) + 1
 
     def _thin(self) -> None:
@@ -184,7 +184,7 @@ class ResultWatch:
         Too little to tell gives no finding.
         """
         scanners = sorted(self._scanners.items())
-        return tuple(worst_of({one: self._fitted(kept.sample()) for one, kept in scanners}))
+        return tuple(worst_of({scanner: self._fitted(kept.sample()) for scanner, kept in scanners}))
 
     def _fitted(self, sample: _Sample) -> Iterator[Finding]:
         """Yield the answers for one scanner; their hints name only what the input takes."""
@@ -234,24 +234,28 @@ def _noise(
     noisy = int(np.count_nonzero(noise)) / n
     without = int(np.count_nonzero(unclassified)) / n
     if without > usual.unclassified_share and noisy <= usual.noise_share:
-        found = f"{_percent(without)} of the returns have no class"
+        measured = f"{_percent(without)} of the returns have no class"
         most = usual.unclassified_share
         return Finding(
-            "noise-share", Verdict.DOUBTFUL, found, f"at most {_percent(most)}", _LOOK_AT_INPUT
+            "noise-share", Verdict.DOUBTFUL, measured, f"at most {_percent(most)}", _LOOK_AT_INPUT
         )
-    told = verdict(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
-    found = f"{_percent(noisy)} of the returns are noise"
+    verdict = verdict_of(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
+    measured = f"{_percent(noisy)} of the returns are noise"
     return Finding(
-        "noise-share", told, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT
+        "noise-share", verdict, measured, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT
     )
 
 
 def _both_level() -> Finding:
     """Return the warning that the floor and the ceiling could be exchanged."""
-    found = "a level surface below the scanner, and a larger one above it; z is assumed to point up"
+    measured = (
+        "a level surface below the scanner, and a larger one above it; z is assumed to point up"
+    )
     option = f"--set {_UP_KEY}=z"
     hint = f"if z points up: {option}; if it points down: --set {_UP_KEY}=-z"
-    return Finding("down", Verdict.DOUBTFUL, found, "one level surface, the ground", hint, option)
+    return Finding(
+        "down", Verdict.DOUBTFUL, measured, "one level surface, the ground", hint, option
+    )
 
 
 def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]:
@@ -260,11 +264,11 @@ def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]
     if n < LEAST_RETURNS or usual.reach_m <= 0:
         return
     share = int(np.count_nonzero(solid & (range_m > usual.reach_m))) / n
-    found = f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
+    measured = f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
     yield Finding(
         "indoors",
-        verdict(doubtful=share < FAR_SHARE),
-        found,
+        verdict_of(doubtful=share < FAR_SHARE),
+        measured,
         f"at least {_percent(FAR_SHARE)}",
         _NO_STREET,
     )
@@ -325,11 +329,11 @@ def _ground_below(
     if n < LEAST_RETURNS or least <= 0:
         return
     share = int(np.count_nonzero(seen & level)) / n
-    found = f"{_percent(share)} of the returns{where} are ground"
+    measured = f"{_percent(share)} of the returns{where} are ground"
     yield Finding(
         "ground-below",
-        verdict(doubtful=share < least),
-        found,
+        verdict_of(doubtful=share < least),
+        measured,
         f"at least {_percent(least)}",
         _LOOK_FOR_DOWN,
     )
@@ -353,10 +357,14 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
         return
     lean_rad = math.atan(float(np.median(together[wide] / spread[wide])))
     lean_deg = math.degrees(lean_rad)
-    found = f"the ground leans by {abs(lean_deg):.2f} deg across the lines"
-    told = verdict(doubtful=abs(lean_deg) > usual.lean_deg)
+    measured = f"the ground leans by {abs(lean_deg):.2f} deg across the lines"
+    verdict = verdict_of(doubtful=abs(lean_deg) > usual.lean_deg)
     yield Finding(
-        "ground-lean", told, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad)
+        "ground-lean",
+        verdict,
+        measured,
+        f"at most {usual.lean_deg:g} deg",
+        _nadir(sample, lean_rad),
     )
 
 
@@ -392,10 +400,10 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
     if n_near < LEAST_RETURNS:
         return
     share = n_below / n_near
-    found = f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground"
-    told = verdict(doubtful=share > usual.below_share)
+    measured = f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground"
+    verdict = verdict_of(doubtful=share > usual.below_share)
     yield Finding(
-        "below-ground", told, found, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN
+        "below-ground", verdict, measured, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN
     )
 
 
@@ -425,7 +433,7 @@ def _along(
     solid = np.convolve(per_stretch(there & ~noise), np.ones(LONG_STRETCHES), "valid")
     is_noisy = noisy > usual.noise_share
     is_whole = solid >= WHOLE * (np.median(solid[~is_noisy]) if not is_noisy.all() else np.inf)
-    for bad, said, told in (
+    for bad, said, verdict in (
         (ground < usual.vanished_share * usually, "hardly any ground", Verdict.DOUBTFUL),
         (is_noisy & ~is_whole, "much noise", Verdict.DOUBTFUL),
         (is_noisy, "much noise between whole surfaces", Verdict.FINE),
@@ -437,7 +445,9 @@ def _along(
         start = int(sample.line[first * STRETCH_LINES])
         stop = int(sample.line[(first + length + LONG_STRETCHES - 1) * STRETCH_LINES - 1]) + 1
         hint = f"look at them: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
-        yield Finding("classes-along", told, f"{said} in lines {start} to {stop}", expected, hint)
+        yield Finding(
+            "classes-along", verdict, f"{said} in lines {start} to {stop}", expected, hint
+        )
         return
     yield Finding(
         "classes-along", Verdict.FINE, "ground and noise are even along the stream", expected
@@ -472,5 +482,5 @@ def longest_run(mask: Mask) -> tuple[int, int]:
     ends = edges[1::2]
     if not len(starts):
         return 0, 0
-    at = int(np.argmax(ends - starts))
-    return int(starts[at]), int(ends[at] - starts[at])
+    longest = int(np.argmax(ends - starts))
+    return int(starts[longest]), int(ends[longest] - starts[longest])

@@ -35,10 +35,10 @@ class Check:
 def check_table() -> tuple[Check, ...]:
     """Return all checks, in the order in which they are reported."""
     text = (Path(__file__).parent / "checks.toml").read_text(encoding="utf-8")
-    return tuple(Check(name, **told) for name, told in tomllib.loads(text).items())
+    return tuple(Check(name, **texts) for name, texts in tomllib.loads(text).items())
 
 
-def verdict(*, doubtful: bool, against: bool = False) -> Verdict:
+def verdict_of(*, doubtful: bool, against: bool = False) -> Verdict:
     """Return the answer of a check that has one or two limits."""
     return Verdict.AGAINST if against else Verdict.DOUBTFUL if doubtful else Verdict.FINE
 
@@ -48,10 +48,12 @@ def worst_of(by_scanner: Mapping[int, Iterable[Finding]]) -> list[Finding]:
 
     Of several scanners the worst, with the name of the scanner.
     """
-    found: dict[str, Finding] = {}
+    worst: dict[str, Finding] = {}
     for scanner, findings in by_scanner.items():
-        for one in findings:
-            if one.check not in found or one.verdict > found[one.check].verdict:
-                told = f"scanner {scanner}: {one.found}" if len(by_scanner) > 1 else one.found
-                found[one.check] = replace(one, found=told)
-    return list(found.values())
+        for finding in findings:
+            if finding.check not in worst or finding.verdict > worst[finding.check].verdict:
+                measured = (
+                    f"scanner {scanner}: {finding.found}" if len(by_scanner) > 1 else finding.found
+                )
+                worst[finding.check] = replace(finding, found=measured)
+    return list(worst.values())

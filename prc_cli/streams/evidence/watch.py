@@ -36,7 +36,7 @@ from prc_cli.streams.evidence.lines import (
 from prc_cli.streams.evidence.table import worst_of
 
 MAX_SCANNERS = 4
-"""Most scanners whose lines are sampled; the counts hold all."""
+"""Most scanners whose lines are sampled; the counts include all."""
 
 
 @dataclass(slots=True)
@@ -97,45 +97,45 @@ class EvidenceStream(Brief):
         """
         self._tally += block.tally
         self._repeats.add(block)
-        one = self._scanners.get(block.scanner)
-        if one is None:
-            one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
-        one.angle_rad = block.angle_rad
-        one.beam_rad = block.beam_rad
-        one.has_rings = block.has_rings
-        one.cones.add(block)
-        one.n_lines += block.n_lines
-        one.n_shots += block.range_m.size
-        one.n_missing += int(np.count_nonzero(np.isnan(block.range_m)))
+        scanner = self._scanners.get(block.scanner)
+        if scanner is None:
+            scanner = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
+        scanner.angle_rad = block.angle_rad
+        scanner.beam_rad = block.beam_rad
+        scanner.has_rings = block.has_rings
+        scanner.cones.add(block)
+        scanner.n_lines += block.n_lines
+        scanner.n_shots += block.range_m.size
+        scanner.n_missing += int(np.count_nonzero(np.isnan(block.range_m)))
         if len(self._scanners) > MAX_SCANNERS:
             return False
-        before = one.sample.n_full
-        one.sample.add(block)
-        return before == 0 < one.sample.n_full
+        before = scanner.sample.n_full
+        scanner.sample.add(block)
+        return before == 0 < scanner.sample.n_full
 
     def seen(self) -> tuple[Seen, ...]:
         """Return what has been seen so far, by scanner."""
         info = self.info
         every = self._scanners.values()
-        n_shots = sum(one.n_shots for one in every)
-        n_missing = sum(one.n_missing for one in every)
+        n_shots = sum(state.n_shots for state in every)
+        n_missing = sum(state.n_missing for state in every)
         return tuple(
             Seen(
                 info=info,
                 scanner=scanner,
-                windows=one.sample.windows(),
-                n_lines=one.n_lines,
+                windows=state.sample.windows(),
+                n_lines=state.n_lines,
                 n_shots=n_shots,
                 n_missing=n_missing,
                 tally=self._tally,
-                angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
-                beam_rad=one.beam_rad,
+                angle_rad=info.angle_rad if state.angle_rad is None else state.angle_rad,
+                beam_rad=state.beam_rad,
                 most_noise_m=self.most_noise_m,
-                has_rings=one.has_rings,
+                has_rings=state.has_rings,
                 least_rings=self.least_rings,
-                cone_spread_rad=one.cones.spread_rad(),
+                cone_spread_rad=state.cones.spread_rad(),
             )
-            for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
+            for scanner, state in sorted(self._scanners.items())[:MAX_SCANNERS]
         )
 
     def findings(self) -> tuple[Finding, ...]:
@@ -151,12 +151,12 @@ class EvidenceStream(Brief):
         Return how often samples have been full.
         """
         self._see(block)
-        return sum(one.sample.n_full for one in self._scanners.values())
+        return sum(scanner.sample.n_full for scanner in self._scanners.values())
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
         is_long = (
-            sum(one.n_lines for one in self._scanners.values()) >= LEAST_LINES
+            sum(scanner.n_lines for scanner in self._scanners.values()) >= LEAST_LINES
         )  # short streams are not judged
         others = [
             *(self._of_whole() if is_whole else ()),
@@ -173,7 +173,7 @@ class EvidenceStream(Brief):
             return
         scanners = self._scanners.items()
         yield from worst_of(
-            {key: check_few_lines(one.n_lines, one.n_shots) for key, one in scanners}
+            {key: check_few_lines(state.n_lines, state.n_shots) for key, state in scanners}
         )
 
 
@@ -184,15 +184,15 @@ def _ask_of_all(
 
     ``others`` are answers to what was asked of the whole stream.
     """
-    told = {
-        one.scanner: [
-            _fitted(with_other_reading(each, one.info.path, one.points_per_line), one)
-            for each in ask_all(one)
+    by_scanner = {
+        scan.scanner: [
+            _fitted(with_other_reading(finding, scan.info.path, scan.points_per_line), scan)
+            for finding in ask_all(scan)
         ]
-        for one in seen
+        for scan in seen
     }
-    every = (*worst_of(told), *others)
-    return accept(sorted(every, key=lambda one: CHECK_NAMES.index(one.check)), accepted)
+    every = (*worst_of(by_scanner), *others)
+    return accept(sorted(every, key=lambda finding: CHECK_NAMES.index(finding.check)), accepted)
 
 
 def _fitted(finding: Finding, seen: Seen) -> Finding:
@@ -272,13 +272,13 @@ class LiveEvidence:
 
     def hear(self, findings: Iterable[Finding]) -> None:
         """Take answers, also those of other checks: refuse, keep and tell them."""
-        found = accept(findings, self._watch.accepted)
-        refuse(self.info.path, found)
-        for finding in found:
+        answers = accept(findings, self._watch.accepted)
+        refuse(self.info.path, answers)
+        for finding in answers:
             known = self._worst.get(finding.check)
             if known is None or finding.verdict >= known.verdict:
                 self._worst[finding.check] = finding
-        for doubt in doubts(found):
+        for doubt in doubts(answers):
             if doubt.check not in self._told:
                 self._told.add(doubt.check)
                 self._tell(doubt)
