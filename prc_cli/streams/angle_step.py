@@ -119,21 +119,25 @@ def measure_step(range_m: F32) -> AngleStep | None:
     rows = range_m[spread_rows(n_lines, max(MOST_SHOTS // m, 1))]
     inverse = 1.0 / rows.astype(np.float64)
     every: list[tuple[int, F64, F64]] = []
-    for window in (one for one in WINDOWS if m * LEAST_TURN <= one <= m // 2):
+    for window in (width for width in WINDOWS if m * LEAST_TURN <= width <= m // 2):
         pieces = sliding_window_view(inverse, window, axis=1)[:, :: max(window // HOP, 1)].reshape(
             -1, window
         )
         every.append((window, *curvatures(pieces[np.isfinite(pieces).all(axis=1)], ROUGH)))
     for level in LEVELS:
-        found = [one for of_width in every if (one := _read(*of_width, m, *level))]
-        if found:
+        readings = [reading for of_width in every if (reading := _read(*of_width, m, *level))]
+        if readings:
             break
     else:
         return None
-    narrow = [one for one in found if one.step_rad * one.window <= WIDEST_RAD]
-    best = min(narrow or found, key=lambda one: one.off)
-    other = min((one for one in found if one is not best), key=lambda one: one.off, default=best)
-    off = math.hypot(best.off, WIDTHS_SHARE * (other.step_rad / best.step_rad - 1.0))
+    narrow = [reading for reading in readings if reading.step_rad * reading.window <= WIDEST_RAD]
+    best = min(narrow or readings, key=lambda reading: reading.off)
+    next_best = min(
+        (reading for reading in readings if reading is not best),
+        key=lambda reading: reading.off,
+        default=best,
+    )
+    off = math.hypot(best.off, WIDTHS_SHARE * (next_best.step_rad / best.step_rad - 1.0))
     off = float(f"{max(off, LEAST_OFF if narrow else LEAST_OFF_WIDE):.2g}")
     for name, usual in {"360 deg / M": _TURN / m, **USUAL}.items():
         if abs(usual / best.step_rad - 1.0) <= off and usual * m < _TURN * (1.0 + 1e-9):
@@ -185,15 +189,15 @@ def _read(
     return _Reading(float(np.interp(middle, ratios, steps)), off, len(certain), window)
 
 
-def _peak(curvature: F64, error: F64, at: float) -> float:
+def _peak(curvature: F64, error: F64, centre: float) -> float:
     """Return where most curvatures lie, from a value near to it."""
     for _ in range(30):
-        width = np.maximum(error, PEAK_WIDTH * at)
-        weight = np.exp(-0.5 * ((curvature - at) / width) ** 2) / width**2
+        width = np.maximum(error, PEAK_WIDTH * centre)
+        weight = np.exp(-0.5 * ((curvature - centre) / width) ** 2) / width**2
         if not weight.any():
             break
-        at = float((weight * curvature).sum() / weight.sum())
-    return at
+        centre = float((weight * curvature).sum() / weight.sum())
+    return centre
 
 
 def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
@@ -203,12 +207,12 @@ def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
     """
     window = pieces.shape[1]
     design, fit = _quadratic(window)
-    found = pieces @ fit.T
-    off = np.sqrt(((pieces - found @ design.T) ** 2).sum(axis=1) / (window - 3))
-    amid = found[:, 0]
+    coefficients = pieces @ fit.T
+    off = np.sqrt(((pieces - coefficients @ design.T) ** 2).sum(axis=1) / (window - 3))
+    amid = coefficients[:, 0]
     use = off < bent * amid
     use[use] = np.ptp(pieces[use], axis=1) > 0
-    return -2.0 * found[use, 2] / amid[use], _error_of_one(window) * off[use] / amid[use]
+    return -2.0 * coefficients[use, 2] / amid[use], _error_of_one(window) * off[use] / amid[use]
 
 
 def _error_of_one(window: int) -> float:
@@ -232,5 +236,5 @@ def _ratios(window: int) -> tuple[F64, F64]:
     """
     _, fit = _quadratic(window)
     steps = np.geomspace(1e-5, 2.4 / window, 500)
-    found = np.cos(np.outer(steps, np.arange(window) - (window - 1) / 2)) @ fit.T
-    return steps, -2.0 * found[:, 2] / found[:, 0]
+    coefficients = np.cos(np.outer(steps, np.arange(window) - (window - 1) / 2)) @ fit.T
+    return steps, -2.0 * coefficients[:, 2] / coefficients[:, 0]

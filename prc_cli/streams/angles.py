@@ -298,13 +298,13 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
     if float(np.median(spread)) > max(abs(slope), 1e-6):
         return None
     angles = np.interp(np.arange(points_per_line), seen, mean)
-    for at in np.flatnonzero(np.abs(np.diff(mean) - slope * np.diff(seen)) > SEAM_RAD):
+    for gap in np.flatnonzero(np.abs(np.diff(mean) - slope * np.diff(seen)) > SEAM_RAD):
         # columns not seen beside a dead angle continue the nearer side
-        left = int(seen[at])
-        right = int(seen[at + 1])
+        left = int(seen[gap])
+        right = int(seen[gap + 1])
         middle = (left + right + 1) // 2
-        angles[left:middle] = mean[at] + slope * np.arange(middle - left)
-        angles[middle:right] = mean[at + 1] - slope * np.arange(right - middle, 0, -1)
+        angles[left:middle] = mean[gap] + slope * np.arange(middle - left)
+        angles[middle:right] = mean[gap + 1] - slope * np.arange(right - middle, 0, -1)
     after = np.arange(seen[-1] + 1, points_per_line)
     before = np.arange(seen[0])
     angles[after] = mean[-1] + slope * (after - seen[-1])

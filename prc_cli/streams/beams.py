@@ -110,7 +110,7 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Directions:
     """Directions found for a scanner."""
 
     beam_rad: F64
@@ -160,47 +160,53 @@ class BeamFinder:
             n_lines=TURN_LINES if spins else n_lines, is_spinning=spins, frame=first.frame
         )
 
-    def put(self, found: Found, block: ScanBlock) -> ScanBlock:
+    def put(self, directions: Directions, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions."""
-        if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
+        if directions.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
             error = self._refusal(
                 block.scanner, f"the first {MAX_SAMPLE_CELLS} shots tell nothing", None
             )
             raise fitting_error(error, self.info.facts.refuses, self.info.facts.remedy)
-        xyz_m = block.xyz_m if found.keep_xyz else None
-        if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
-            xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)
-        angle_rad = block.angle_rad if found.angle_rad is None else found.angle_rad
-        frame = found.frame if block.frame is None and found.keep_xyz else block.frame
-        has_rings = block.has_rings or found.has_rings
+        xyz_m = block.xyz_m if directions.keep_xyz else None
+        if xyz_m is None and directions.cos_tilt < math.cos(MIN_TILT_RAD):
+            xyz_m = _tilted(block.range_m, directions.beam_rad, directions.cos_tilt)
+        angle_rad = block.angle_rad if directions.angle_rad is None else directions.angle_rad
+        frame = directions.frame if block.frame is None and directions.keep_xyz else block.frame
+        has_rings = block.has_rings or directions.has_rings
         return replace(
             block,
-            beam_rad=found.beam_rad,
+            beam_rad=directions.beam_rad,
             xyz_m=xyz_m,
             angle_rad=angle_rad,
             frame=frame,
             has_rings=has_rings,
         )
 
-    def find(self, sample: Sample) -> Found:
+    def find(self, sample: Sample) -> Directions:
         """Apply the first applicable method, and tell whether columns are rings.
 
         Hints name what the input takes.
         """
         facts = self.info.facts
         try:
-            found = self._find(sample)
+            directions = self._find(sample)
         except (InputError, ConfigError) as error:
             raise fitting_error(error, facts.refuses, facts.remedy) from error
         # each scan of a file is made by a scanner that stands, and turns slowly
-        if not sample.is_spinning or not found.keep_xyz or found.is_made_up or facts.has_scans:
-            return found
+        if (
+            not sample.is_spinning
+            or not directions.keep_xyz
+            or directions.is_made_up
+            or facts.has_scans
+        ):
+            return directions
         xyz = np.stack(sample.xyz_m[:SAMPLE_LINES])
         return replace(
-            found, has_rings=are_rings(xyz if found.frame is None else found.frame.own(xyz))
+            directions,
+            has_rings=are_rings(xyz if directions.frame is None else directions.frame.own(xyz)),
         )
 
-    def _find(self, sample: Sample) -> Found:
+    def _find(self, sample: Sample) -> Directions:
         """Apply the first applicable method."""
         scanner = sample.scanner
         angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
@@ -222,8 +228,8 @@ class BeamFinder:
             )
         down_rad, cos_tilt = self.info.down(scanner)
         if down_rad is not None and angle is not None:
-            told = any(one.key.startswith(KEY) for one in self.info.assumptions)
-            shown = "" if told else f"{math.degrees(down_rad):.2f} deg"
+            is_assumed = any(assumption.key.startswith(KEY) for assumption in self.info.assumptions)
+            shown = "" if is_assumed else f"{math.degrees(down_rad):.2f} deg"
             return self._turned(
                 angle, down_rad, off_m, shown, "the input says where down is", cos_tilt
             )
@@ -244,10 +250,12 @@ class BeamFinder:
             raise self._refusal(scanner, str(error), error) from error
         way = "a straight line in the column through the" if beams.is_straight else "the"
         why = f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"
-        found = Found(
+        directions = Directions(
             beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), why), frame=frame
         )
-        return found if frame is None else replace(found, note=self._noted(frame, scanner))
+        return (
+            directions if frame is None else replace(directions, note=self._noted(frame, scanner))
+        )
 
     def _noted(self, frame: SensorFrame, scanner: int) -> str:
         """Return a sentence on a frame."""
@@ -256,7 +264,7 @@ class BeamFinder:
         why = f"rings spread by {before:.2g} deg of elevation as the coordinates are, by {after:.2g} from there"
         return f"{which + ': ' if which else ''}{frame.shown()} in the frame of x, y, z ({why}); undone"
 
-    def _measured(self, sample: Sample, range_m: F32) -> Found:
+    def _measured(self, sample: Sample, range_m: F32) -> Directions:
         """Use angles measured from the ranges; straight down is given, or level ground."""
         scanner = sample.scanner
         m = sample.points_per_line
@@ -269,19 +277,21 @@ class BeamFinder:
             )
         angle = step.angles(m)
         if self.down_deg is not None:
-            found = self._turned(angle, math.radians(self.down_deg), None, "", "")
+            directions = self._turned(angle, math.radians(self.down_deg), None, "", "")
         else:
-            found = self._guessed(scanner, angle, range_m)
-        column = int(np.argmin(np.abs(found.beam_rad)))
+            directions = self._guessed(scanner, angle, range_m)
+        column = int(np.argmin(np.abs(directions.beam_rad)))
         where = f"down at column {column}"
         why = f"{'given' if self.down_deg is not None else 'from level ground'}: {where}; the input gives no angles"
         shown = step.shown(m)
         which = self._which(scanner)
         note = f"{which + ': ' if which else ''}angles measured from the ranges: {shown}; {where}"
         taken = Assumption(ANGLES, f"measured: {shown}", why)
-        return replace(found, assumption=taken, note=note, angle_rad=angle, angles_off=step.off)
+        return replace(
+            directions, assumption=taken, note=note, angle_rad=angle, angles_off=step.off
+        )
 
-    def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Found:
+    def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Directions:
         """Return placeholder directions.
 
         Lines of one return have no angles, and stay unclassified.
@@ -293,7 +303,7 @@ class BeamFinder:
             if has_returns
             else "no shot has a return"
         )
-        return Found(
+        return Directions(
             beam_rad, True, None, is_made_up=True, note=f"{which}: {shown}" if which else shown
         )
 
@@ -305,7 +315,7 @@ class BeamFinder:
         shown: str,
         why: str,
         cos_tilt: float = 1.0,
-    ) -> Found:
+    ) -> Directions:
         """Turn scan angles so that straight down is 0."""
         try:
             beam_rad = from_angles(angle, down_rad)
@@ -316,11 +326,11 @@ class BeamFinder:
         if off_m is not None:
             shown = shown or f"{math.degrees(down_rad):.2f} deg"
             why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
-        return Found(
+        return Directions(
             beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt
         )
 
-    def _guessed(self, scanner: int, angle: F64, range_m: F32) -> Found:
+    def _guessed(self, scanner: int, angle: F64, range_m: F32) -> Directions:
         """Use the direction of level ground, where no other comes near."""
         if are_radians(angle):
             span = math.degrees(float(np.ptp(angle)))
@@ -336,7 +346,7 @@ class BeamFinder:
                 raise InputError(self._where(scanner), problem, hint)
             raise self._refusal(scanner, self._lacks(scanner, angle), None)
         if not guess.is_sure and guess.rival_rad is not None:
-            ways = [f"{math.degrees(one):.0f}" for one in (guess.down_rad, guess.rival_rad)]
+            ways = [f"{math.degrees(way_rad):.0f}" for way_rad in (guess.down_rad, guess.rival_rad)]
             problem = f"level ground may be at {ways[0]} deg of the scan angle or at {ways[1]}"
             weaker = (
                 "one the floor, the other a ceiling"
@@ -347,11 +357,11 @@ class BeamFinder:
             hint = f"give the one that points straight down, --set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
             raise InputError(self._where(scanner), problem, hint)
         why = f"{len(range_m)} lines see level ground around it; give {KEY} to be exact"
-        found = self._turned(angle, guess.down_rad, None, guess.shown(), why)
+        directions = self._turned(angle, guess.down_rad, None, guess.shown(), why)
         which = self._which(scanner)
         note = f"{which}: " if which else ""
         return replace(
-            found, note=f"{note}straight down is taken to be at scan angle {guess.shown()}"
+            directions, note=f"{note}straight down is taken to be at scan angle {guess.shown()}"
         )
 
     def _registered(
@@ -361,7 +371,7 @@ class BeamFinder:
         range_m: F32,
         xyz: F32,
         off_m: float,
-    ) -> Found:
+    ) -> Directions:
         """Use heights of registered coordinates, if there are scan angles."""
         problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"
         if angle is None:
@@ -380,9 +390,9 @@ class BeamFinder:
     def _lacks(self, scanner: int, angle: F64 | None) -> str:
         """Return a message on what the stream has and lacks."""
         keys = (KEY, f"{KEY} of {self._which(scanner)}")
-        for one in self.info.assumptions:
-            if one.key in keys and one.value == "not found":
-                return one.why
+        for assumption in self.info.assumptions:
+            if assumption.key in keys and assumption.value == "not found":
+                return assumption.why
         if angle is not None:
             return "the stream has scan angles, but nothing says which of them points straight down"
         return "the stream has neither scan angles nor coordinates relative to the scanner"
@@ -447,7 +457,7 @@ def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
     """Add the direction of every column's beam, found in the first lines where it comes from their values."""
     split_by = None if config.scanner == "none" else config.scanner
     finder = BeamFinder(stream.info, config.nadir, split_by, config.angles == "measured")
-    known: dict[int, Found] = {}
+    known: dict[int, Directions] = {}
     waiting: dict[int, Sample] = {}
     for block in stream.blocks():
         if block.scanner not in known:
@@ -468,9 +478,9 @@ class BeamStream(Brief):
 
     source: ScanStream
     finder: BeamFinder
-    known: dict[int, Found]
+    known: dict[int, Directions]
     """By scanner, for scanners in the first lines."""
-    late: dict[int, Found] = field(default_factory=dict)
+    late: dict[int, Directions] = field(default_factory=dict)
     """The same for scanners met while reading."""
 
     @property
@@ -478,11 +488,15 @@ class BeamStream(Brief):
         """Metadata of the stream, with the directions found so far."""
         info = self.source.info
         every = [*self.known.values(), *self.late.values()]
-        found = dict.fromkeys(one.assumption for one in every if one.assumption is not None)
-        notes = dict.fromkeys(one.note for one in every if one.note)
+        assumptions = dict.fromkeys(
+            directions.assumption for directions in every if directions.assumption is not None
+        )
+        notes = dict.fromkeys(directions.note for directions in every if directions.note)
         facts = replace(info.facts, notes=(*info.facts.notes, *notes))
-        off = max((one.angles_off for one in every), default=0.0)
-        return replace(info, assumptions=(*info.assumptions, *found), facts=facts, angles_off=off)
+        off = max((directions.angles_off for directions in every), default=0.0)
+        return replace(
+            info, assumptions=(*info.assumptions, *assumptions), facts=facts, angles_off=off
+        )
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
@@ -501,13 +515,13 @@ class BeamStream(Brief):
                 for held in sample.held:
                     yield self.finder.put(known[scanner], held)
         for sample in waiting.values():
-            found = self._find(sample)
+            directions = self._find(sample)
             for held in sample.held:
-                yield self.finder.put(found, held)
+                yield self.finder.put(directions, held)
 
-    def _find(self, sample: Sample) -> Found:
-        found = self.late[sample.scanner] = self.finder.find(sample)
-        return found
+    def _find(self, sample: Sample) -> Directions:
+        directions = self.late[sample.scanner] = self.finder.find(sample)
+        return directions
 
 
 def _in_frame(sample: Sample, xyz: F32) -> tuple[SensorFrame | None, F32]:
@@ -575,6 +589,6 @@ def _shown(beam_rad: F64) -> str:
     """Return a text with the angles from straight down, 0 to 180 deg on either side."""
     degrees = np.rad2deg(beam_rad)
     sides = [np.abs(side) for side in (degrees[degrees >= 0], degrees[degrees < 0]) if len(side)]
-    first, *other = (f"{side.min():.2f} to {side.max():.2f}" for side in sides)
+    first, *others = (f"{side.min():.2f} to {side.max():.2f}" for side in sides)
     shown = f"beams from {first} deg from straight down"
-    return f"{shown} on one side, {other[0]} on the other" if other else shown
+    return f"{shown} on one side, {others[0]} on the other" if others else shown

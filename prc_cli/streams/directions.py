@@ -135,8 +135,8 @@ def _check_level(unit: F64, seen: Mask) -> None:
     for row, has in enumerate(seen):
         rise = float(np.ptp(elevation[row, has]))
         # modulo half a turn, because a line through the zenith does not run sideways
-        at = np.sort(np.remainder(azimuth[row, has], math.pi))
-        around = math.pi - float(np.max(np.diff(at, append=at[0] + math.pi)))
+        azimuths = np.sort(np.remainder(azimuth[row, has], math.pi))
+        around = math.pi - float(np.max(np.diff(azimuths, append=azimuths[0] + math.pi)))
         sideways = around * float(np.cos(np.median(elevation[row, has])))
         is_level[row] = rise < MIN_LEVEL_RAD and rise < 0.5 * sideways
     if np.mean(is_level) > 0.5:
@@ -286,15 +286,15 @@ def _grown(
     off = np.abs(along - (start + slope * columns))
     if slope > 0 and float(np.percentile(off, 99)) <= 0.5 * slope:
         return _finish(start + slope * every), True
-    at, value = _monotone(columns.astype(np.float64), along, weight)
-    if len(at) < 2:
+    known_columns, value = _monotone(columns.astype(np.float64), along, weight)
+    if len(known_columns) < 2:
         raise NoDirectionError("the directions do not turn with the column")
-    beam = np.interp(every, at, value)
-    slope = float((value[-1] - value[0]) / (at[-1] - at[0]))
-    before = every < at[0]
-    after = every > at[-1]
-    beam[before] = value[0] + slope * (every[before] - at[0])
-    beam[after] = value[-1] + slope * (every[after] - at[-1])
+    beam = np.interp(every, known_columns, value)
+    slope = float((value[-1] - value[0]) / (known_columns[-1] - known_columns[0]))
+    before = every < known_columns[0]
+    after = every > known_columns[-1]
+    beam[before] = value[0] + slope * (every[before] - known_columns[0])
+    beam[after] = value[-1] + slope * (every[after] - known_columns[-1])
     return _finish(beam), False
 
 

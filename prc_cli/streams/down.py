@@ -258,28 +258,32 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     fill, depth, inside = _planes(along, middle, step)
     score = fill / np.sqrt(depth) * (LEAST_SKY + _sky(along, lines, step))
     score[fill < LEAST_RIVAL_RAD] = 0.0
-    found = []
-    for at in _peaks(score, down):
-        columns = np.flatnonzero(inside[at])
-        share = _share_of_lines(lines[:, columns] * along[at, columns], float(depth[at]))
+    planes = []
+    for direction in _peaks(score, down):
+        columns = np.flatnonzero(inside[direction])
+        share = _share_of_lines(
+            lines[:, columns] * along[direction, columns], float(depth[direction])
+        )
         plane = _Plane(
-            float(score[at]) * share, *_fit_plane(angle[columns], middle[columns]), float(fill[at])
+            float(score[direction]) * share,
+            *_fit_plane(angle[columns], middle[columns]),
+            float(fill[direction]),
         )
         if plane.score > 0:
-            found.append(plane)
-    guess = _choose(sorted(found, key=lambda plane: -plane.score))
+            planes.append(plane)
+    guess = _choose(sorted(planes, key=lambda plane: -plane.score))
     if guess is None:
         return None
     # the sky above one of two level planes may be a dead angle alone: then the nearer one must be
     # what was found
-    other = _level(guess.down_rad + math.pi, angle, lines, middle)
-    if not other:
+    opposite = _level(guess.down_rad + math.pi, angle, lines, middle)
+    if not opposite:
         return guess
-    own = _level(guess.down_rad, angle, lines, middle)
-    if own >= SURE_RATIO * other:
+    below = _level(guess.down_rad, angle, lines, middle)
+    if below >= SURE_RATIO * opposite:
         return guess
     return replace(
-        guess, rival_rad=math.remainder(guess.down_rad + math.pi, _TURN), ratio=own / other
+        guess, rival_rad=math.remainder(guess.down_rad + math.pi, _TURN), ratio=below / opposite
     )
 
 
@@ -303,26 +307,28 @@ def _level(
     ways = direction_rad + np.arange(-OPPOSITE_RAD, OPPOSITE_RAD, SEARCH_STEP_RAD)
     along = np.cos(ways[:, None] - angle_rad)
     fill, depth, inside = _planes(along, middle_m, 1.0)
-    at = int(np.argmax(fill))
-    n_seen = np.count_nonzero((along[at] > math.cos(REACH_RAD)) & np.isfinite(middle_m))
-    if not fill[at]:
+    fullest = int(np.argmax(fill))
+    n_seen = np.count_nonzero((along[fullest] > math.cos(REACH_RAD)) & np.isfinite(middle_m))
+    if not fill[fullest]:
         return 0.0
     share = (
-        fill[at]
+        fill[fullest]
         / n_seen
-        * _share_of_lines(range_m[:, inside[at]] * along[at, inside[at]], float(depth[at]))
+        * _share_of_lines(
+            range_m[:, inside[fullest]] * along[fullest, inside[fullest]], float(depth[fullest])
+        )
     )
-    return float(share) / math.sqrt(float(depth[at])) if share >= LEAST_LEVEL else 0.0
+    return float(share) / math.sqrt(float(depth[fullest])) if share >= LEAST_LEVEL else 0.0
 
 
-def _choose(found: list[_Plane]) -> DownGuess | None:
+def _choose(planes: list[_Plane]) -> DownGuess | None:
     """Return the best plane that is wide enough, beside the best that lies elsewhere."""
-    best = next((plane for plane in found if plane.fill_rad >= LEAST_RAD), None)
+    best = next((plane for plane in planes if plane.fill_rad >= LEAST_RAD), None)
     if best is None:
         return None
-    for other in found:
-        if abs(math.remainder(other.down_rad - best.down_rad, _TURN)) > RIVAL_RAD:
-            return DownGuess(best.down_rad, best.depth_m, other.down_rad, best.score / other.score)
+    for rival in planes:
+        if abs(math.remainder(rival.down_rad - best.down_rad, _TURN)) > RIVAL_RAD:
+            return DownGuess(best.down_rad, best.depth_m, rival.down_rad, best.score / rival.score)
     return DownGuess(best.down_rad, best.depth_m)
 
 
@@ -382,14 +388,14 @@ def _sky(along: F64, range_m: F32, step_rad: float) -> F64:
 def _peaks(score: F64, down_rad: F64) -> list[int]:
     """Return the highest scores that are not beside a higher one, in descending order."""
     left = score.copy()
-    found = []
+    peaks = []
     for _ in range(MOST_PEAKS):
-        at = int(np.argmax(left))
-        if left[at] <= 0:
+        highest = int(np.argmax(left))
+        if left[highest] <= 0:
             break
-        found.append(at)
-        left[np.abs(wrap(down_rad - down_rad[at])) < PEAK_RAD] = 0.0
-    return found
+        peaks.append(highest)
+        left[np.abs(wrap(down_rad - down_rad[highest])) < PEAK_RAD] = 0.0
+    return peaks
 
 
 def _share_of_lines(depth_m: NDArray[Any], distance_m: float) -> float:

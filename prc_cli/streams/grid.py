@@ -49,7 +49,7 @@ from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up, setup_notes
 MAX_BLOCK_CELLS = 1 << 21
 """Most cells of a block (at least a line): long gaps are cut into several blocks."""
 _COLUMN = "column index"
-_STANDS = "chosen return"
+_CHOSEN = "chosen return"
 
 
 def open_grid(
@@ -60,7 +60,7 @@ def open_grid(
     geometry: bool = True,
     only_ranges: bool = False,
     with_intensity: bool = False,
-    told: tuple[Assumption, ...] = (),
+    assumptions: tuple[Assumption, ...] = (),
 ) -> GridStream:
     """Turn a list of records into the stream; ``told`` is what was assumed before."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
@@ -81,7 +81,7 @@ def open_grid(
         if config.window is not None and rules.scanner is None
         else None
     )
-    setups, default, n_lines, found = set_up(records, rules, end)
+    setups, default, n_lines, setup_assumptions = set_up(records, rules, end)
     m = max((setup.points_per_line for setup in setups.values()), default=m or 0)
     if n_lines is None and rules.is_dense and n_records is not None:
         n_lines = -(-n_records // m)
@@ -101,12 +101,12 @@ def open_grid(
         down_rad=down_rad,
         cos_tilt=1.0 if alone is None else alone.cos_tilt,
         downs={
-            one: (setup.down_rad, setup.cos_tilt)
-            for one, setup in setups.items()
+            scanner: (setup.down_rad, setup.cos_tilt)
+            for scanner, setup in setups.items()
             if setup.down_rad is not None
         },
-        assumptions=(*told, *rules.assumptions, *found),
-        facts=replace(source.facts, notes=(*source.facts.notes, *setup_notes(found))),
+        assumptions=(*assumptions, *rules.assumptions, *setup_assumptions),
+        facts=replace(source.facts, notes=(*source.facts.notes, *setup_notes(setup_assumptions))),
         dimensions=records.dimensions,
     )
     if "intensity" not in (*rules.names, *rules.carried):
@@ -132,7 +132,7 @@ class GridStream(Brief):
             yield from self._dense_blocks()
             return
         lines = whole_lines(
-            self.source, self.rules, lambda one: self._setup(one).lines, self._prepare
+            self.source, self.rules, lambda scanner: self._setup(scanner).lines, self._prepare
         )
         for whole in lines:
             yield from self._blocks_of(whole, self._setup(whole.scanner))
@@ -174,9 +174,9 @@ class GridStream(Brief):
         n_records = first_line = 0
         tally = ReadTally()
         for chunk in self.source.chunks(tuple(dict.fromkeys((*rules.names, *rules.carried)))):
-            own = {name: chunk.values[name] for name in rules.names}
+            columns = {name: chunk.values[name] for name in rules.names}
             table, cleaned = self._prepare(
-                chunk, table_of(chunk, rules.names) if needs_records else own
+                chunk, table_of(chunk, rules.names) if needs_records else columns
             )
             tally += cleaned + ReadTally(n_records=chunk.n)
             if watch is not None:
@@ -231,10 +231,10 @@ class GridStream(Brief):
             column = column[np.cumsum(starts) - 1]
         intensity = records.get(INTENSITY)
         number = records.get("return_number")
-        stands = choose_returns(
+        is_chosen = choose_returns(
             starts, records[RANGE], intensity, number, self.rules.config.return_
         )
-        records = {**records, _COLUMN: column, _STANDS: stands}
+        records = {**records, _COLUMN: column, _CHOSEN: is_chosen}
         if is_within(column, setup.points_per_line):
             return records, 0
         inside = (column >= 0) & (column < setup.points_per_line)
@@ -273,26 +273,26 @@ class GridStream(Brief):
         if n_rows(records):
             line = records[LINE]
             column = records[_COLUMN]
-            stands = records[_STANDS]
+            is_chosen = records[_CHOSEN]
             cell = line - first_line
             cell *= m
             cell += column
             # no choice needed where every record has its own cell
-            alone = bool(stands.all()) and bool(np.all(cell[1:] > cell[:-1]))
-            own = slice(None) if alone else _winners(cell, stands, records[RANGE], n_cells)
-            at = cell[own]
+            alone = bool(is_chosen.all()) and bool(np.all(cell[1:] > cell[:-1]))
+            winners = slice(None) if alone else _winners(cell, is_chosen, records[RANGE], n_cells)
+            filled = cell[winners]
             for name, values in cells.items():
-                values[at] = records[name][own]
-            if len(at) < len(cell):
-                other = np.ones(len(cell), np.bool_)
-                other[own] = False
+                values[filled] = records[name][winners]
+            if len(filled) < len(cell):
+                is_further = np.ones(len(cell), np.bool_)
+                is_further[winners] = False
                 extra = ExtraReturns(
-                    (line[other] - first_line).astype(np.int32),
-                    column[other].astype(np.int32),
-                    records[RANGE][other],
-                    records[RECORD][other],
+                    (line[is_further] - first_line).astype(np.int32),
+                    column[is_further].astype(np.int32),
+                    records[RANGE][is_further],
+                    records[RECORD][is_further],
                 )
-                n_collisions = int(np.count_nonzero(other & stands))
+                n_collisions = int(np.count_nonzero(is_further & is_chosen))
                 tally = ReadTally(
                     n_collisions=n_collisions, n_extra_returns=len(extra) - n_collisions
                 )
@@ -311,7 +311,7 @@ class GridStream(Brief):
 
 def _winners(
     cell: I64,
-    stands: np.ndarray,
+    is_chosen: np.ndarray,
     range_m: F32,
     n_cells: int,
 ) -> np.ndarray:
@@ -320,14 +320,14 @@ def _winners(
     The first chosen return with a range, else the first chosen return.
     """
     winner = np.full(n_cells, -1, np.int64)
-    position = np.flatnonzero(stands)
+    position = np.flatnonzero(is_chosen)
     valid = ~np.isnan(range_m[position])
     for chosen in (position[~valid][::-1], position[valid][::-1]):
         # the last assignment to a cell wins, so assign backwards to keep the first record
         winner[cell[chosen]] = chosen
-    own = np.zeros(len(cell), np.bool_)
-    own[winner[winner >= 0]] = True
-    return own
+    is_winner = np.zeros(len(cell), np.bool_)
+    is_winner[winner[winner >= 0]] = True
+    return is_winner
 
 
 def dense_block(

@@ -444,23 +444,23 @@ def _find_lines(
     single = bool(starts.all())
     shots = records if single else take(records, starts)
     spread: F64 | None = None
-    found: Table = {}
+    columns: Table = {}
     if rules.shot_hz is not None:
         stamp = np.asarray(shots["time"], np.float64)
         spread, ordinal, stamps = spread_stamps(stamp, rules.shot_hz, state.stamps)
         state = replace(state, stamps=stamps)
-        found = {SPREAD: spread, ORDINAL: ordinal}
+        columns = {SPREAD: spread, ORDINAL: ordinal}
     line, known, line_state = find_lines(shots, spread, n_rows(shots), state.lines, rules)
     admitted, line_state = admit_lines(line, known, shots[RECORD], line_state, rules)
-    found[LINE] = line
+    columns[LINE] = line
     if single:
-        records = {**records, **found, START: starts}
+        records = {**records, **columns, START: starts}
         keep = admitted
     else:
         shot = np.cumsum(starts) - 1
         records = {
             **records,
-            **{name: column[shot] for name, column in found.items()},
+            **{name: column[shot] for name, column in columns.items()},
             START: starts,
         }
         keep = admitted[shot]
@@ -628,12 +628,12 @@ def first_records(
         if not to_end:
             table = take(table, slice(0, limit - n_seen))
         n_seen += n_rows(table)
-        for one, records in split_scanners(table, scanner, source.path):
-            have = parts.get(one, {})
+        for number, records in split_scanners(table, scanner, source.path):
+            have = parts.get(number, {})
             left = limit - n_rows(have)
             if left > 0:
                 more = take(records, slice(0, left))
-                parts[one] = (
+                parts[number] = (
                     {name: np.concatenate([have[name], more[name]]) for name in more}
                     if have
                     else more
@@ -654,9 +654,9 @@ def split_scanners(records: Table, scanner: str | None, path: str) -> Iterator[t
         i = int(np.argmin(ids == np.floor(ids)))
         problem = f"record {records[RECORD][i]} has {scanner} {ids[i]}, expected a whole number"
         raise InputError(path, problem, "choose another dimension for --scanner")
-    found = np.unique(ids)
-    for value in found:
-        yield int(value), records if len(found) == 1 else take(records, ids == value)
+    present = np.unique(ids)
+    for value in present:
+        yield int(value), records if len(present) == 1 else take(records, ids == value)
 
 
 def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:

@@ -85,7 +85,7 @@ def open_input(
     if not of_points or config.range_scale == 1.0:
         source = in_metres(source)
     line_hz = None if layout is None else layout.line_frequency
-    source, config, told = _with_lines(source, config)
+    source, config, assumptions = _with_lines(source, config)
     grid = open_grid(
         source,
         config,
@@ -93,7 +93,7 @@ def open_input(
         geometry=geometry,
         only_ranges=only_ranges,
         with_intensity=with_intensity,
-        told=told,
+        assumptions=assumptions,
     )
     return windowed(grid, config)
 
@@ -193,17 +193,17 @@ class WindowedStream:
     def info(self) -> StreamInfo:
         """Metadata of the stream; the number of lines is not that of the drive, and not known before reading."""
         info = self.source.info
-        told = self.note()
-        facts = replace(info.facts, notes=(*info.facts.notes, *([told] if told else [])))
+        note = self.note()
+        facts = replace(info.facts, notes=(*info.facts.notes, *([note] if note else [])))
         return replace(info, n_lines=None, facts=facts)
 
     def note(self) -> str:
         """Return which lines were taken so far; empty before reading."""
-        parts = [one for one in self._seen.parts.values() if one.first is not None]
+        parts = [part for part in self._seen.parts.values() if part.first is not None]
         if not parts:
             return ""
-        first = min(one.first or 0 for one in parts)
-        stop = max(one.stop for one in parts)
+        first = min(part.first or 0 for part in parts)
+        stop = max(part.stop for part in parts)
         several = " of each scanner" if len(parts) > 1 else ""
         return f"only lines {first:,} to {stop - 1:,}{several} were taken ({self.window.option}), as a drive of its own"
 
@@ -218,7 +218,7 @@ class WindowedStream:
                 if part is not None:
                     taken = True
                     yield part
-                if not self.reads_on and all(one.ended for one in seen.parts.values()):
+                if not self.reads_on and all(cut_part.ended for cut_part in seen.parts.values()):
                     break
         if not taken:
             raise self._nothing(seen)
@@ -271,12 +271,12 @@ class WindowedStream:
             return lines / line_hz
         known = np.isfinite(block.time_s)
         first = np.argmax(known, axis=1)
-        at = np.arange(block.n_lines)
-        time_s = np.where(known.any(axis=1), block.time_s[at, first], -np.inf)
+        line = np.arange(block.n_lines)
+        time_s = np.where(known.any(axis=1), block.time_s[line, first], -np.inf)
         if seen.origin_s is None and np.isfinite(time_s).any():
             seen.origin_s = float(time_s[np.isfinite(time_s)][0])
         # the last known one before; a single step back does not lead out of the window
-        filled = np.where(np.isfinite(time_s), at, -1)
+        filled = np.where(np.isfinite(time_s), line, -1)
         last = np.maximum.accumulate(filled)
         time_s = np.where(last >= 0, time_s[np.maximum(last, 0)], part.last_time_s)
         part.last_time_s = float(time_s[-1])

@@ -261,7 +261,7 @@ class OrderWatch:
 
     def evidence(self) -> OrderEvidence:
         """Return the figures so far."""
-        found = OrderEvidence(
+        evidence = OrderEvidence(
             what=self._what,
             n_steps=max(self._n_finite - 1, 0),
             n_back=self._n_back,
@@ -272,7 +272,7 @@ class OrderWatch:
             largest=self._largest,
             span=self._high - self._low if self._n_finite else 0.0,
         )
-        return replace(found, begins_anew=self._begins_anew(found.most_back))
+        return replace(evidence, begins_anew=self._begins_anew(evidence.most_back))
 
     def _begins_anew(self, most: float) -> int | None:
         """Return the first record of a run that goes over more than some seconds of an earlier run again."""
@@ -336,9 +336,9 @@ class RingOrderWatch:
         order = np.argsort(column, kind="stable")
         present, first = np.unique(column[order], return_index=True)
         tally = ReadTally()
-        for ring, own in zip(present.tolist(), np.split(order, first[1:]), strict=True):
+        for ring, rows in zip(present.tolist(), np.split(order, first[1:]), strict=True):
             watch = self._rings.setdefault(int(ring), OrderWatch.of(self._source, self._policy))
-            tally += watch.count(values[own], None if record is None else record[own])
+            tally += watch.count(values[rows], None if record is None else record[rows])
         return tally
 
     def finish(self) -> None:
@@ -349,8 +349,8 @@ class RingOrderWatch:
     def evidence(self) -> OrderEvidence:
         """Return the figures of the ring that is least in order."""
         return max(
-            (one.evidence() for one in self._rings.values()),
-            key=lambda one: (one.n_back, one.n_steps),
+            (watch.evidence() for watch in self._rings.values()),
+            key=lambda evidence: (evidence.n_back, evidence.n_steps),
         )
 
 

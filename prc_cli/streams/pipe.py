@@ -64,7 +64,7 @@ class PipeSource(FieldSource):
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, NDArray[Any], int]]:
         """Yield index of the first record, records as they arrive, from the start, and their number."""
-        each = self._dtype.itemsize
+        record_bytes = self._dtype.itemsize
         n_header = self._header_bytes
         first = 0
         rest = b""
@@ -72,14 +72,14 @@ class PipeSource(FieldSource):
             data = rest + piece if rest else piece
             if n_header:
                 n_header, data = max(0, n_header - len(data)), data[n_header:]
-            n_records = len(data) // each
-            rest = data[n_records * each :]
+            n_records = len(data) // record_bytes
+            rest = data[n_records * record_bytes :]
             if n_records:
                 records = np.frombuffer(data, self._dtype, count=n_records)
                 yield first, records, n_records
                 first += n_records
         if not first:
-            problem = f"ended before the first record of {each} bytes"
+            problem = f"ended before the first record of {record_bytes} bytes"
             raise InputError(
                 self.path,
                 problem,
@@ -88,7 +88,7 @@ class PipeSource(FieldSource):
         if (
             rest and self._sealed
         ):  # before, whoever asks what the stream is would take it for an answer
-            problem = f"ended inside record {first}: found {len(rest)} bytes of {each}"
+            problem = f"ended inside record {first}: found {len(rest)} bytes of {record_bytes}"
             raise InputError(
                 self.path,
                 problem,

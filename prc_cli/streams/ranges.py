@@ -52,7 +52,7 @@ class RangeRule:
         value = f"trajectory of {len(self.trajectory.time_s)} positions from {first:.3f} to {last:.3f} s"
         why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
         if self.trajectory.lever_arm_m is not None:
-            shown = ", ".join(f"{one:g}" for one in self.trajectory.lever_arm_m)
+            shown = ", ".join(f"{arm_m:g}" for arm_m in self.trajectory.lever_arm_m)
             why = f"straight lines between the positions of a trajectory, moved by the lever arm {shown} m"
         return (Assumption("input.range", value, why), *scale_told(self.scale))
 
@@ -146,10 +146,10 @@ def clean_measured(
     values: dict[str, NDArray[Any]], rule: RangeRule
 ) -> tuple[F32, F32 | None, ReadTally]:
     """Return cleaned ranges, coordinates as :func:`measure_ranges`, and counts of ranges made missing."""
-    found, xyz_m = measure_ranges(values, rule)
+    lengths, xyz_m = measure_ranges(values, rule)
     if rule.dimension is not None and rule.scale != 1.0:
-        found = found * np.float64(rule.scale)
-    range_m, tally = clean_ranges(found, rule.min_range_m, rule.max_range_m)
+        lengths = lengths * np.float64(rule.scale)
+    range_m, tally = clean_ranges(lengths, rule.min_range_m, rule.max_range_m)
     return range_m, xyz_m, tally
 
 
@@ -185,13 +185,13 @@ def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
     (True, False)
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        x, y, z, found = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
+        x, y, z, range_m = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
         length = np.sqrt(x * x + y * y + z * z)
         # all heights 0: a scan plane laid flat, as written without directions
-        use = np.isfinite(length) & np.isfinite(found) & (found > 0)
+        use = np.isfinite(length) & np.isfinite(range_m) & (range_m > 0)
     if not use.any() or not z[use].any():
         return False
-    off = np.abs(length[use] - found[use]) - np.maximum(
-        MAX_LENGTH_OFF * found[use], MAX_LENGTH_OFF_M
+    off = np.abs(length[use] - range_m[use]) - np.maximum(
+        MAX_LENGTH_OFF * range_m[use], MAX_LENGTH_OFF_M
     )
     return float(np.percentile(off, 95)) <= 0

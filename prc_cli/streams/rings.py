@@ -111,14 +111,14 @@ def find_turns(xyz_m: F32, path: str) -> Turns:
     if not ways:
         raise InputError(path, "no ring begins", "check x, y, z")
     elevation = _elevation(xyz_m)
-    best = min(ways, key=lambda one: _square_spread(elevation, one.ring))
+    best = min(ways, key=lambda turns: _square_spread(elevation, turns.ring))
     if spread_of_cones(xyz_m, best.ring, is_fitted=False) < NARROW_RAD:
         return best
     # on other axes than the scanner's own, a wrong cut may look better
-    fitted = {k: spread_of_cones(xyz_m, one.ring, is_fitted=True) for k, one in enumerate(ways)}
-    other = ways[min(fitted, key=fitted.__getitem__)]
+    fitted = {k: spread_of_cones(xyz_m, turns.ring, is_fitted=True) for k, turns in enumerate(ways)}
+    fitted_best = ways[min(fitted, key=fitted.__getitem__)]
     is_clear = min(fitted.values()) < CLEAR * fitted[ways.index(best)]
-    return other if is_clear else best
+    return fitted_best if is_clear else best
 
 
 def _ways(along: F64, step: float, way: float) -> Iterator[Turns]:
@@ -269,10 +269,10 @@ def ring_columns(
     way = 1 if middle[-1] >= middle[0] else -1
     back = way * np.diff(middle)
     if (back < -MAX_RING_ORDER_RAD).any():
-        at = int(np.argmin(back))
+        worst = int(np.argmin(back))
         problem = (
-            f"ring {at + 1} lies at {math.degrees(middle[at + 1]):.2f} deg of elevation after one at "
-            f"{math.degrees(middle[at]):.2f} deg, expected rings from top to bottom or from bottom to top"
+            f"ring {worst + 1} lies at {math.degrees(middle[worst + 1]):.2f} deg of elevation after one at "
+            f"{math.degrees(middle[worst]):.2f} deg, expected rings from top to bottom or from bottom to top"
         )
         raise InputError(path, problem, "check that the file holds one frame, ring after ring")
     return n_rings, turns.ring if way > 0 else n_rings - 1 - turns.ring
@@ -309,11 +309,11 @@ def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
         along = place[a:b]
         if np.any(along[1:] < along[:-1]):
             in_order[a:b] = _longest_rise(along)
-        own = a + np.flatnonzero(in_order[a:b])
+        rows = a + np.flatnonzero(in_order[a:b])
         # strictly rising cells = ordinal plus a function that does not fall
-        ordinal = np.arange(len(own))
-        line[own] = (
-            np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
+        ordinal = np.arange(len(rows))
+        line[rows] = (
+            np.rint(isotonic_regression(place[rows] - 0.5 - ordinal).x).astype(np.int64) + ordinal
         )
     return np.clip(line, 0, n_lines - 1), in_order
 
@@ -321,19 +321,19 @@ def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
 def _longest_rise(values: F64) -> Mask:
     """Mark the longest non-decreasing subsequence (patience sorting)."""
     tops: list[float] = []
-    at: list[int] = []
+    tails: list[int] = []
     before = np.full(len(values), -1, np.int64)
     for i, value in enumerate(values.tolist()):
         pile = bisect_right(tops, value)
         if pile == len(tops):
             tops.append(value)
-            at.append(i)
+            tails.append(i)
         else:
             tops[pile] = value
-            at[pile] = i
-        before[i] = at[pile - 1] if pile else -1
+            tails[pile] = i
+        before[i] = tails[pile - 1] if pile else -1
     marked: Mask = np.zeros(len(values), np.bool_)
-    i = at[-1] if at else -1
+    i = tails[-1] if tails else -1
     while i >= 0:
         marked[i] = True
         i = int(before[i])
@@ -399,7 +399,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         )
     if (n_turns := turns_in_order(frame)) > MOST_TURNS:
         raise _several_turns(source, n_turns)
-    frame, turns, own = _in_own_frame(frame, source.path)
+    frame, turns, sensor_frame = _in_own_frame(frame, source.path)
     n_rings, column = ring_columns(frame[XYZ], turns, config.points_per_line, source.path)
     step = (
         math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)
@@ -410,7 +410,9 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         raise InputError(source.path, problem, "give input.azimuth_step")
     line, in_order = ring_lines(turns, n_rings, n_lines)
     frame[XYZ] = frame.pop(GIVEN)
-    block = replace(_fill(frame, line, column, in_order, (n_lines, n_rings), tally), frame=own)
+    block = replace(
+        _fill(frame, line, column, in_order, (n_lines, n_rings), tally), frame=sensor_frame
+    )
     info = StreamInfo(
         path=source.path,
         format=source.format,
@@ -427,19 +429,19 @@ def _in_own_frame(frame: Table, path: str) -> tuple[Table, Turns, SensorFrame | 
     """Return a frame on the axes of its scanner, its rings, and these axes where they are not those of x, y, z."""
     frame = {**frame, GIVEN: frame[XYZ]}
     if RING in frame:
-        own = find_frame(frame[XYZ], np.unique(frame[RING], return_inverse=True)[1])
-        frame[XYZ] = frame[GIVEN] if own is None else own.own(frame[GIVEN])
-        return *turns_of_rings(frame, path), own
+        sensor_frame = find_frame(frame[XYZ], np.unique(frame[RING], return_inverse=True)[1])
+        frame[XYZ] = frame[GIVEN] if sensor_frame is None else sensor_frame.own(frame[GIVEN])
+        return *turns_of_rings(frame, path), sensor_frame
     turns = find_turns(frame[XYZ], path)
-    own = find_frame(frame[XYZ], turns.ring)
-    if own is not None:
+    sensor_frame = find_frame(frame[XYZ], turns.ring)
+    if sensor_frame is not None:
         # rings begin elsewhere on these axes
-        frame[XYZ] = own.own(frame[GIVEN])
+        frame[XYZ] = sensor_frame.own(frame[GIVEN])
         turns = find_turns(frame[XYZ], path)
-        own = find_frame(frame[GIVEN], turns.ring) or own
-        frame[XYZ] = own.own(frame[GIVEN])
+        sensor_frame = find_frame(frame[GIVEN], turns.ring) or sensor_frame
+        frame[XYZ] = sensor_frame.own(frame[GIVEN])
         turns = find_turns(frame[XYZ], path)
-    return frame, turns, own
+    return frame, turns, sensor_frame
 
 
 def _check_rules(config: InputConfig) -> None:
@@ -511,9 +513,9 @@ def _fill(
     cell = line * shape[1] + column
     first = np.concatenate([np.flatnonzero(in_order), np.flatnonzero(~in_order)])
     _, where = np.unique(cell[first], return_index=True)
-    own = first[where]
-    other = np.setdiff1d(np.arange(len(cell)), own)
-    other = other[np.argsort(line[other], kind="stable")]
+    winners = first[where]
+    further = np.setdiff1d(np.arange(len(cell)), winners)
+    further = further[np.argsort(line[further], kind="stable")]
     cells: Table = {
         name: np.full((n_cells, *frame[name].shape[1:]), np.nan, np.float32)
         for name in (RANGE, XYZ)
@@ -522,7 +524,7 @@ def _fill(
     if INTENSITY in frame:
         cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
     for name, values in cells.items():
-        values[cell[own]] = frame[name][own]
+        values[cell[winners]] = frame[name][winners]
     return ScanBlock(
         first_line=0,
         range_m=cells[RANGE].reshape(shape),
@@ -531,13 +533,13 @@ def _fill(
         intensity=cells[INTENSITY].reshape(shape) if INTENSITY in cells else None,
         has_rings=True,
         extra=ExtraReturns(
-            line[other].astype(np.int32),
-            column[other].astype(np.int32),
-            frame[RANGE][other],
-            frame[RECORD][other],
-            frame[INTENSITY][other] if INTENSITY in frame else None,
+            line[further].astype(np.int32),
+            column[further].astype(np.int32),
+            frame[RANGE][further],
+            frame[RECORD][further],
+            frame[INTENSITY][further] if INTENSITY in frame else None,
         ),
-        tally=tally + ReadTally(n_collisions=len(other)),
+        tally=tally + ReadTally(n_collisions=len(further)),
     )
 
 

@@ -302,10 +302,10 @@ def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
     Nothing in it says in which order they were fired.
     """
     has = set(source.dimensions)
-    told = config.range == "sensor-xyz" or any(
-        one.startswith("dimension:") for one in (config.range, config.lines)
+    is_named = config.range == "sensor-xyz" or any(
+        rule.startswith("dimension:") for rule in (config.range, config.lines)
     )
-    return set(XYZ) <= has and not has & _FIRED and not source.facts.rules and not told
+    return set(XYZ) <= has and not has & _FIRED and not source.facts.rules and not is_named
 
 
 def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
@@ -511,10 +511,10 @@ def _auto_range(source: RecordSource) -> tuple[str, str]:
         ]
     # the file's own dimensions are behind those of its format
     every = sorted(source.dimensions, key=lambda name: not _RANGE_WORD.search(name.lower()))
-    own = [name for name in reversed(every) if name not in STANDARD_NAMES][
+    extra = [name for name in reversed(every) if name not in STANDARD_NAMES][
         : max(len(every) - 12, 0)
     ]
-    every = list(dict.fromkeys([*every[:6], *own, *every]))
+    every = list(dict.fromkeys([*every[:6], *extra, *every]))
     names = ", ".join(every[:12]) + (", ..." if len(every) > 12 else "")
     problem = f"{_NO_RANGE}: the file has no dimension range, it has {names or 'none'}"
     raise InputError(source.path, problem, f"give {_either(ways)}")
@@ -532,7 +532,7 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
     if name in source.dimensions:
         return
     nearest = sorted(
-        source.dimensions, key=lambda other: -SequenceMatcher(None, name, other).ratio()
+        source.dimensions, key=lambda dimension: -SequenceMatcher(None, name, dimension).ratio()
     )
     problem = f"{source.path} has no dimension {name!r}"
     raise ConfigError(key, problem, f"it has: {', '.join(nearest)}" if nearest else "it has none")
@@ -547,16 +547,16 @@ def _known_points_per_line(
     shot_hz: float | None,
 ) -> tuple[int | None, str | None]:
     """Return M if known without reading, and why if it is not given."""
-    given = config.points_per_line
+    configured = config.points_per_line
     recorded = source.facts.points_per_line
     key = "input.points_per_line"
-    if given is not None:
+    if configured is not None:
         # with column numbers in the file another M drops its last columns, or spreads its angles
         # over too many
-        if recorded and recorded != given and columns.startswith("dimension:"):
-            problem = f"found {given}, but {source.path} records {recorded} shots in a line"
+        if recorded and recorded != configured and columns.startswith("dimension:"):
+            problem = f"found {configured}, but {source.path} records {recorded} shots in a line"
             raise ConfigError(key, problem, "leave -M out")
-        return given, None
+        return configured, None
     is_recorded = recorded is not None and recorded > 0
     if lines == "fixed" and not is_recorded:
         hint = f"give -M NUMBER; prc info {source.path} estimates it"
@@ -624,10 +624,10 @@ class _WithElevation(DerivedSource):
         if not {"angle", _LINE} & set(names):
             yield from self.source.chunks(names)
             return
-        own = tuple(name for name in names if name not in ("angle", _LINE))
+        stored = tuple(name for name in names if name not in ("angle", _LINE))
         line = 0
         last = np.nan
-        for chunk in self.source.chunks(tuple(dict.fromkeys((*own, *XYZ)))):
+        for chunk in self.source.chunks(tuple(dict.fromkeys((*stored, *XYZ)))):
             x, y, z = (np.asarray(chunk.values[name], np.float64) for name in XYZ)
             with np.errstate(over="ignore", invalid="ignore"):
                 flat = np.hypot(x, y)
@@ -641,7 +641,7 @@ class _WithElevation(DerivedSource):
                 last = seen[-1]
             number = line + np.cumsum(begins)
             line = int(number[-1]) if chunk.n else line
-            values = {name: chunk.values[name] for name in own}
+            values = {name: chunk.values[name] for name in stored}
             made = {"angle": angle, _LINE: number}
             yield replace(
                 chunk, values={name: made[name] if name in made else values[name] for name in names}
@@ -666,25 +666,25 @@ def with_sweeps(
     rule = open_ranges(
         config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt
     )
-    found = _rates(records, rule)
-    if found is None:
+    scan = _rates(records, rule)
+    if scan is None:
         return config, ()
     rules: dict[str, object] = {
-        "lines": f"time:{found.line_hz:.12g}",
-        "columns": f"time:{found.shot_hz:.12g}",
+        "lines": f"time:{scan.line_hz:.12g}",
+        "columns": f"time:{scan.shot_hz:.12g}",
     }
-    why = f"the directions from the scanner sweep so, measured over {found.n_lines:.0f} lines"
-    told = [Assumption(f"input.{key}", str(value), why) for key, value in rules.items()]
+    why = f"the directions from the scanner sweep so, measured over {scan.n_lines:.0f} lines"
+    assumptions = [Assumption(f"input.{key}", str(value), why) for key, value in rules.items()]
     if config.time_origin is None:
-        rules["time_origin"] = found.time_origin_s
-        told.append(
+        rules["time_origin"] = scan.time_origin_s
+        assumptions.append(
             Assumption(
                 "input.time_origin",
-                f"{found.time_origin_s!r}",
+                f"{scan.time_origin_s!r}",
                 "where the sweep has its largest gap",
             )
         )
-    return config.model_copy(update=rules), tuple(told)
+    return config.model_copy(update=rules), tuple(assumptions)
 
 
 def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:

@@ -145,8 +145,8 @@ def set_up(
     sizes: dict[int, int | None] = dict.fromkeys(estimates, m)
     taken = [*_step_assumptions(rules, steps), *_estimate_assumptions(rules, estimates)]
     if m is None:
-        for scanner, found in estimates.items():
-            grid = found.angle_grid
+        for scanner, estimate in estimates.items():
+            grid = estimate.angle_grid
             sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
         if None in sizes.values() or not sizes:
             extents = _survey(source, rules, estimates, end, Estimates(steps=_usual_step(steps)))
@@ -157,12 +157,16 @@ def set_up(
                 for scanner in sorted(extents)
             }
             images = {
-                one: (lines, sizes[one] or 1, shots) for one, (lines, shots, _) in extents.items()
+                scanner: (lines, sizes[scanner] or 1, shots)
+                for scanner, (lines, shots, _) in extents.items()
             }
             check_image(rules.path, images, rules.scanner or "")
         why = _size_reason(rules, end, whole_pass=n_lines is not None)
-        which = {one: "" if rules.scanner is None else f"scanner {one}: " for one in sorted(sizes)}
-        shown = ", ".join(f"{scanner}{sizes[one]}" for one, scanner in which.items())
+        which = {
+            scanner: "" if rules.scanner is None else f"scanner {scanner}: "
+            for scanner in sorted(sizes)
+        }
+        shown = ", ".join(f"{prefix}{sizes[scanner]}" for scanner, prefix in which.items())
         taken.append(Assumption("input.points_per_line", shown, why))
     setups = {}
     for scanner, size in sizes.items():
@@ -170,13 +174,19 @@ def set_up(
             continue
         if m is None:
             check_found_columns(rules.path, size, source.n_records)
-        estimate = estimates.get(scanner) or Estimates(steps=_usual_step(steps))
-        setup, told = _set_up_one(rules, scanner, size, estimate, probes.get(scanner), n_known)
+        setup, scanner_assumptions = _set_up_one(
+            rules,
+            scanner,
+            size,
+            estimates.get(scanner) or Estimates(steps=_usual_step(steps)),
+            probes.get(scanner),
+            n_known,
+        )
         if scanner in source.facts.downs:
             down_rad, cos_tilt = source.facts.downs[scanner]
             setup = replace(setup, down_rad=down_rad, cos_tilt=cos_tilt)
         setups[scanner] = setup
-        taken += told
+        taken += scanner_assumptions
     if m is None:
         if not setups:
             raise nothing_placed(rules.path)
@@ -193,13 +203,13 @@ def _set_up_one(
     rules: GridRules,
     scanner: int,
     m: int,
-    found: Estimates,
+    estimates: Estimates,
     first: WholeLines | None,
     n_known: int,
 ) -> tuple[ScannerSetup, list[Assumption]]:
     """Return the setup of one scanner from its first lines, if they were needed."""
-    columns = column_rule(rules, found)
-    lines = replace(line_rules(rules, m, found), spent=rules.spent, n_known=n_known)
+    columns = column_rule(rules, estimates)
+    lines = replace(line_rules(rules, m, estimates), spent=rules.spent, n_known=n_known)
     # fixed lines: every shot has a cell, no limit needed
     if rules.lines != "fixed":
         n_spare = SPARE_CELLS if rules.scanner is None else MIN_CELLS
@@ -208,15 +218,15 @@ def _set_up_one(
         lines = replace(
             lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare
         )
-    recorded = _angles(rules, m, found, first)
-    angle, told = _agreed_angles(rules, first, columns, recorded, scanner)
+    recorded = _angles(rules, m, estimates, first)
+    angle, assumptions = _agreed_angles(rules, first, columns, recorded, scanner)
     if first is None or angle is None or not rules.height_names:
-        return ScannerSetup(m, lines, columns, angle), told
+        return ScannerSetup(m, lines, columns, angle), assumptions
     of_columns = rules.gives_angles or angle is not recorded
     down_rad, cos_tilt, told_down = _down(
         rules, _with_angles(first, columns, angle) if of_columns else first.records, scanner
     )
-    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), [*told, told_down]
+    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), [*assumptions, told_down]
 
 
 def most_cells(n_records: int) -> int:
@@ -230,7 +240,8 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
     is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
     # name the emptiest scanner
     for scanner in sorted(
-        sizes, key=lambda one: -sizes[one][0] * sizes[one][1] + most_cells(sizes[one][2])
+        sizes,
+        key=lambda number: -sizes[number][0] * sizes[number][1] + most_cells(sizes[number][2]),
     ):
         n_lines, n_columns, n_shots = sizes[scanner]
         if is_empty or n_columns > MAX_COLUMN:
@@ -264,14 +275,14 @@ def _size_reason(rules: GridRules, end: WindowEnd | None, *, whole_pass: bool) -
     return f"highest column in the input{where}"
 
 
-def column_rule(rules: GridRules, found: Estimates) -> ColumnRule:
+def column_rule(rules: GridRules, estimates: Estimates) -> ColumnRule:
     """Return the column rule of a scanner."""
     return ColumnRule(
         dimension=rules.column_dimension,
-        grid=found.angle_grid,
+        grid=estimates.angle_grid,
         shot_hz=rules.shot_hz,
         line_hz=rules.line_hz,
-        step=found.steps.columns,
+        step=estimates.steps.columns,
     )
 
 
@@ -288,7 +299,7 @@ def _survey(
     """
     extents: dict[int, tuple[int, int, int]] = {}
     for whole in whole_lines(
-        source, rules, lambda one: line_rules(rules, None, estimates.get(one, unseen))
+        source, rules, lambda scanner: line_rules(rules, None, estimates.get(scanner, unseen))
     ):
         if end is not None and extents and end.passed(whole.first_line, whole.records):
             break
@@ -426,12 +437,12 @@ def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None,
 def _angles(
     rules: GridRules,
     size: int,
-    found: Estimates,
+    estimates: Estimates,
     first: WholeLines | None,
 ) -> F64 | None:
     """Return the scan angle of every column, (M,) [rad], None if unknown."""
-    if found.angle_grid is not None:
-        return found.angle_grid.angles(size)
+    if estimates.angle_grid is not None:
+        return estimates.angle_grid.angles(size)
     if rules.gives_angles:
         start = rules.config.angle_start or 0.0
         step = rules.config.angle_step or 0.0
@@ -441,14 +452,16 @@ def _angles(
     if rules.columns == "order" and rules.lines != "fixed":
         return None
     angle = first.records["angle"][first.records[START]]
-    return column_angles(angle, find_columns(first.records, column_rule(rules, found), None), size)
+    return column_angles(
+        angle, find_columns(first.records, column_rule(rules, estimates), None), size
+    )
 
 
-def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) -> LineRules:
+def line_rules(rules: GridRules, points_per_line: int | None, estimates: Estimates) -> LineRules:
     """Return how the lines of a scanner are found."""
-    half_s = found.timing.shot_s / 2
+    half_s = estimates.timing.shot_s / 2
     column = rules.column_dimension
-    column_s = found.timing.column_s
+    column_s = estimates.timing.column_s
     if rules.shot_hz is not None or not column_s > 0:
         column = None
         column_s = 0.0
@@ -462,14 +475,14 @@ def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) 
         origin_s=rules.config.time_origin,
         column_dimension=column,
         column_s=column_s,
-        sweep=found.sweep,
+        sweep=estimates.sweep,
         points_per_line=points_per_line,
         same_shot=tuple(name for name in shared if name is not None) if rules.has_returns else None,
         shot_hz=rules.shot_hz,
         max_gap_lines=rules.config.max_gap_lines,
         refuse_back=rules.line_dimension is not None and rules.config.order == "require",
         slack=SLACK if rules.lines in ("dimension", "time") else 0,
-        step=found.steps.lines,
+        step=estimates.steps.lines,
     )
 
 
@@ -517,7 +530,9 @@ RISE = "rise by"
 def setup_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
     """Return what a run tells of steps that it divides out, and of recorded angles that it does not use."""
     return tuple(
-        one.why for one in assumptions if RISE in one.why or one.value in (CONTINUED, NOT_USED)
+        assumption.why
+        for assumption in assumptions
+        if RISE in assumption.why or assumption.value in (CONTINUED, NOT_USED)
     )
 
 
@@ -526,23 +541,26 @@ def _step_assumptions(rules: GridRules, steps: dict[int, Steps]) -> list[Assumpt
     taken = []
     for scanner, step in steps.items():
         which = "" if rules.scanner is None else f" of scanner {scanner}"
-        for key, name, one in (("lines", "line", step.lines), ("columns", "column", step.columns)):
-            if one.size > 1:
-                why = f"the {name} numbers{which} {RISE} {one.size}: they are divided by it"
-                taken.append(Assumption(f"input.{key}", f"every {one.size} numbers", why))
+        for key, name, number_step in (
+            ("lines", "line", step.lines),
+            ("columns", "column", step.columns),
+        ):
+            if number_step.size > 1:
+                why = f"the {name} numbers{which} {RISE} {number_step.size}: they are divided by it"
+                taken.append(Assumption(f"input.{key}", f"every {number_step.size} numbers", why))
     return taken
 
 
 def _estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> list[Assumption]:
     """Report the estimates from angles."""
     taken = []
-    for scanner, found in estimates.items():
+    for scanner, estimate in estimates.items():
         which = "" if rules.scanner is None else f" of scanner {scanner}"
-        if found.sweep is not None:
-            way = "grows" if found.sweep.direction > 0 else "falls"
-            shown = f"angle {way} over {math.degrees(found.sweep.span_rad):.2f} deg"
+        if estimate.sweep is not None:
+            way = "grows" if estimate.sweep.direction > 0 else "falls"
+            shown = f"angle {way} over {math.degrees(estimate.sweep.span_rad):.2f} deg"
             taken.append(Assumption("input.lines", shown, f"found in the first records{which}"))
-        grid = found.angle_grid
+        grid = estimate.angle_grid
         if grid is not None and rules.config.angle_start is None:
             shown = f"{math.degrees(grid.start_rad):.4f}"
             taken.append(
@@ -648,27 +666,27 @@ def probe(
         )
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
         timing = _timing(rules, records) if needs_timing else _given_timing(rules)
-        found = Estimates(sweep, None, timing, steps.get(scanner) or _usual_step(steps))
+        estimate = Estimates(sweep, None, timing, steps.get(scanner) or _usual_step(steps))
         if needs_sweep or for_angles:
             # lines that go back are refused while reading, not here
-            lenient = replace(line_rules(rules, m, found), refuse_back=False)
+            lenient = replace(line_rules(rules, m, estimate), refuse_back=False)
             whole, _ = advance(scanner, records, ScanState(), lenient, final=True)
             if whole is not None:
                 probes[scanner] = whole
-                found = _with_grid(rules, found, whole, where)
-        estimates[scanner] = found
+                estimate = _with_grid(rules, estimate, whole, where)
+        estimates[scanner] = estimate
     return estimates, probes
 
 
 def _with_grid(
     rules: GridRules,
-    found: Estimates,
+    estimate: Estimates,
     whole: WholeLines,
     where: str,
 ) -> Estimates:
     """Add the columns of the scan angles, where columns are found by them."""
     if rules.columns != "angle":
-        return found
+        return estimate
     shots = take(whole.records, whole.records[START])
     start = rules.config.angle_start
     step = rules.config.angle_step
@@ -680,11 +698,11 @@ def _with_grid(
         step_rad=None if step is None else math.radians(step),
         whole_turn=rules.whole_turn,
     )
-    timing = found.timing
+    timing = estimate.timing
     if rules.line_hz is not None and rules.points_per_line is None:
         # where shots are missing, columns give the distance between them better
         timing = replace(timing, shot_s=min(timing.shot_s, 1 / (rules.line_hz * grid.n_columns)))
-    return replace(found, angle_grid=grid, timing=timing)
+    return replace(estimate, angle_grid=grid, timing=timing)
 
 
 @dataclass(slots=True)

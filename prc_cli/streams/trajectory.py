@@ -135,11 +135,11 @@ class Trajectory:
         i = int(np.argmax(held))
         start = float(starts[k[i]])
         end = float(ends[k[i]])
-        at = float(time_s[i])
+        gap_s = float(time_s[i])
         n_held = int(np.count_nonzero(held))
         problem = (
             f"no position from {_shown(start)} to {_shown(end)} s, a gap of {_shown(end - start)} s that holds the "
-            f"point time {_shown(at)} s; expected gaps of at most {_shown(self.gap_limit_s)} s ({n_held} of "
+            f"point time {_shown(gap_s)} s; expected gaps of at most {_shown(self.gap_limit_s)} s ({n_held} of "
             f"{len(time_s)} point times are in such gaps)"
         )
         enough = _shown(math.ceil(end - start), 0) if end - start < _PLAIN_S else "more"
