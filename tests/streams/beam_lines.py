@@ -43,12 +43,12 @@ class Blocks:
 
 def stream(*parts: ScanBlock, **info: Any) -> Blocks:
     first = parts[0]
-    given = {"angle_rad": first.angle_rad} | info
-    form = given.pop("format", "LAS")
+    properties = {"angle_rad": first.angle_rad} | info
+    form = properties.pop("format", "LAS")
     facts = SourceFacts(has_scans=form in ("PTX", "E57"))
     return Blocks(
         parts,
-        StreamInfo("drive.laz", form, first.points_per_line, None, None, facts=facts, **given),
+        StreamInfo("drive.laz", form, first.points_per_line, None, None, facts=facts, **properties),
     )
 
 
@@ -98,11 +98,11 @@ def pieces(block: ScanBlock, rng: np.random.Generator) -> tuple[ScanBlock, ...]:
     return tuple(cut(block, int(a), int(b)) for a, b in pairwise(borders))
 
 
-def worst_deg(found: F64, true: F64) -> float:
+def worst_deg(beam_rad: F64, true: F64) -> float:
     """Return the largest difference of two lists of angles, whichever side counts as positive
     [deg]."""
     return min(
-        float(np.max(np.abs(np.rad2deg(np.angle(np.exp(1j * (way * found - true)))))))
+        float(np.max(np.abs(np.rad2deg(np.angle(np.exp(1j * (way * beam_rad - true)))))))
         for way in (1, -1)
     )
 

@@ -108,7 +108,7 @@ class Whole:
     @property
     def extras(self) -> list[tuple[int, int, float, int]]:
         """Line, column, range and record of every further return, sorted."""
-        found = [
+        returns = [
             (block.first_line + int(line), int(column), float(range_m), int(record))
             for block in self.blocks
             for line, column, range_m, record in zip(
@@ -119,7 +119,7 @@ class Whole:
                 strict=True,
             )
         ]
-        return sorted(found, key=lambda item: item[3])
+        return sorted(returns, key=lambda item: item[3])
 
 
 def read(stream: ScanStream, scanner: int | None = None) -> Whole:
@@ -131,9 +131,9 @@ def read(stream: ScanStream, scanner: int | None = None) -> Whole:
     # every record is counted, placed or not, whatever the rules and chunks
     assert stream.info.n_records in (None, tally.n_records)
     tally = replace(tally, n_records=0)
-    own = [block for block in blocks if scanner is None or block.scanner == scanner]
+    chosen = [block for block in blocks if scanner is None or block.scanner == scanner]
     expected = 0
-    for block in own:
+    for block in chosen:
         assert block.first_line == expected
         assert block.n_lines >= 1
         assert block.range_m.dtype == np.float32
@@ -142,8 +142,8 @@ def read(stream: ScanStream, scanner: int | None = None) -> Whole:
         assert not np.any(np.isinf(block.range_m))
         expected += block.n_lines
     return Whole(
-        np.concatenate([block.range_m for block in own]),
-        np.concatenate([block.records() for block in own]),
+        np.concatenate([block.range_m for block in chosen]),
+        np.concatenate([block.records() for block in chosen]),
         tally,
-        own,
+        chosen,
     )

@@ -103,12 +103,12 @@ SCALES = [
 
 
 @pytest.mark.parametrize(
-    ("angle_of", "told", "has_angles"),
+    ("angle_of", "note_part", "has_angles"),
     [case[1:] for case in SCALES],
     ids=[case[0] for case in SCALES],
 )
 def test_angles_that_are_not_those_of_the_shots_are_not_used(
-    angle_of: Any, told: str, has_angles: bool
+    angle_of: Any, note_part: str, has_angles: bool
 ) -> None:
     range_m, xyz = walls()
     info = drive(range_m, xyz, angle_of(TRUE)).info
@@ -116,8 +116,8 @@ def test_angles_that_are_not_those_of_the_shots_are_not_used(
     if info.angle_rad is not None:
         np.testing.assert_allclose(info.angle_rad, TRUE, atol=1e-6)
     notes = [note for note in info.facts.notes if "scan angle" in note]
-    assert len(notes) == bool(told)
-    assert not told or told in notes[0]
+    assert len(notes) == bool(note_part)
+    assert not note_part or note_part in notes[0]
 
 
 def test_a_range_that_is_none_is_doubted() -> None:

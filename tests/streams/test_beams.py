@@ -43,12 +43,12 @@ AUTO = InputConfig()
 
 
 def beams_of(source: ScanStream, config: InputConfig = AUTO) -> F64:
-    found = [block.beam_rad for block in with_beams(source, config).blocks()]
-    assert found[0] is not None
-    for beam in found:
+    beams = [block.beam_rad for block in with_beams(source, config).blocks()]
+    assert beams[0] is not None
+    for beam in beams:
         assert beam is not None
-        assert np.array_equal(beam, found[0])
-    return found[0]
+        assert np.array_equal(beam, beams[0])
+    return beams[0]
 
 
 @pytest.mark.slow
@@ -129,17 +129,17 @@ def test_registered_coordinates_are_refused_or_used_for_their_heights() -> None:
     ) as got:
         with_beams(stream(registered(with_angle=False)), AUTO)
     assert "subtract the scanner's position" in got.value.hint
-    found = with_beams(stream(registered(with_angle=True)), AUTO)
-    assert found.info.assumptions[-1].value == f"{np.rad2deg(1.0):.2f} deg"
-    assert "heights of xyz" in found.info.assumptions[-1].why
-    for block in found.blocks():
+    directed = with_beams(stream(registered(with_angle=True)), AUTO)
+    assert directed.info.assumptions[-1].value == f"{np.rad2deg(1.0):.2f} deg"
+    assert "heights of xyz" in directed.info.assumptions[-1].why
+    for block in directed.blocks():
         assert block.xyz_m is None
         assert block.beam_rad is not None
         assert worst_deg(block.beam_rad, GEOMETRIES["half circle"]) < 0.01
     # where down is known by the angles they are left out too, and told
-    found = with_beams(stream(registered(with_angle=True)), InputConfig(nadir=57.3))
-    assert "xyz is not relative to the scanner" in found.info.assumptions[-1].why
-    assert next(iter(found.blocks())).xyz_m is None
+    directed = with_beams(stream(registered(with_angle=True)), InputConfig(nadir=57.3))
+    assert "xyz is not relative to the scanner" in directed.info.assumptions[-1].why
+    assert next(iter(directed.blocks())).xyz_m is None
     wrong = registered(with_angle=True)
     assert wrong.angle_rad is not None
     wrong = replace(wrong, angle_rad=np.random.default_rng(0).permutation(wrong.angle_rad))
@@ -177,12 +177,14 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
 
 
 def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64:
-    found = with_beams(open_records(records, **config), InputConfig(**config))
-    beam = next(iter(found.blocks())).beam_rad
+    directed = with_beams(open_records(records, **config), InputConfig(**config))
+    beam = next(iter(directed.blocks())).beam_rad
     assert beam is not None
-    said = [one for one in found.info.assumptions if one.key == "input.nadir"]
+    said = [
+        assumption for assumption in directed.info.assumptions if assumption.key == "input.nadir"
+    ]
     assert "found from z" in said[0].why
-    assert not found.info.facts.notes
+    assert not directed.info.facts.notes
     return beam
 
 
@@ -214,10 +216,10 @@ def test_heights_tell_where_down_is_on_the_scale_of_given_angles(
 
 
 def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
-    _, one = scene()
-    one["z"] += 120.0 + 0.1 * one["scan_line"]
-    n = len(one["z"])
-    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    _, cloud = scene()
+    cloud["z"] += 120.0 + 0.1 * cloud["scan_line"]
+    n = len(cloud["z"])
+    records = {name: np.concatenate([values, values]) for name, values in cloud.items()}
     records["point_source_id"] = np.repeat([3, 8], n)
     records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
     read = open_records(records, scanner="point_source_id")
@@ -226,11 +228,11 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
         [0.0, 30.0], abs=0.1
     )
     expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
-    found = with_beams(read, AUTO)
-    for block in found.blocks():
+    directed = with_beams(read, AUTO)
+    for block in directed.blocks():
         assert block.beam_rad is not None
         assert worst_deg(block.beam_rad, expected) < 0.1
-    assert [a.key for a in found.info.assumptions if "nadir" in a.key] == [
+    assert [a.key for a in directed.info.assumptions if "nadir" in a.key] == [
         "input.nadir of point_source_id 3",
         "input.nadir of point_source_id 8",
     ]
@@ -277,11 +279,11 @@ def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
         block = hostile(rng)
         config = InputConfig(nadir=float(rng.uniform(-400, 400))) if rng.random() < 0.2 else AUTO
         try:
-            (found,) = with_beams(stream(block), config).blocks()
+            (directed,) = with_beams(stream(block), config).blocks()
         except PrcError as refusal:
             refusals.append(str(refusal))
             continue
-        beam = found.beam_rad
+        beam = directed.beam_rad
         assert beam is not None
         assert beam.shape == (block.points_per_line,)
         assert np.all((beam > -np.pi) & (beam <= np.pi))
@@ -382,8 +384,8 @@ def seen(beam_rad: F64, range_m: F32, **more: float) -> Seen:
     return Seen(info, 0, sample.windows(), angle_rad=beam_rad, beam_rad=wrap(beam_rad.copy()))
 
 
-def verdict(found: Finding | None) -> Verdict | None:
-    return None if found is None else found.verdict
+def verdict(finding: Finding | None) -> Verdict | None:
+    return None if finding is None else finding.verdict
 
 
 @pytest.fixture(scope="module", params=["photon-80", "sick-push-broom"])
@@ -414,11 +416,11 @@ def test_down_that_is_given_wrong_is_noticed(
     street: tuple[F64, F32], off_deg: float, expected: Verdict
 ) -> None:
     angle, ranges = street
-    found = check_down(replace(seen(angle + np.deg2rad(off_deg), ranges), angle_rad=angle))
-    assert found is not None
-    assert found.verdict == expected
+    finding = check_down(replace(seen(angle + np.deg2rad(off_deg), ranges), angle_rad=angle))
+    assert finding is not None
+    assert finding.verdict == expected
     # the hint is right on the scale of the scan angles
-    nadir = float(found.hint.rpartition("input.nadir=")[2])
+    nadir = float(finding.hint.rpartition("input.nadir=")[2])
     assert abs(nadir) <= 2
 
 
@@ -436,10 +438,10 @@ def test_ranges_in_another_unit_are_noticed(
     street: tuple[F64, F32], factor: float, expected: Verdict | None
 ) -> None:
     angle, ranges = street
-    found = check_height(seen(angle, ranges * np.float32(factor)))
-    assert found is not None
+    finding = check_height(seen(angle, ranges * np.float32(factor)))
+    assert finding is not None
     # a scanner on a truck is twice as high, and a plane that leans adds to it
-    assert found.verdict == expected or (expected is None and found.verdict < Verdict.AGAINST)
+    assert finding.verdict == expected or (expected is None and finding.verdict < Verdict.AGAINST)
     # whatever the unit, down is found
     assert verdict(check_down(seen(angle, ranges * np.float32(factor)))) == Verdict.FINE
 

@@ -43,10 +43,10 @@ def arc(
 
 @pytest.mark.parametrize("tilt_deg", [90.0, 50.0])
 def test_lines_in_a_plane_are_taken(tilt_deg: float) -> None:
-    found = fit_beams(arc(100.0, tilt_deg))
-    np.testing.assert_allclose(np.rad2deg(found.beam_rad), np.linspace(-20, 80, 301), atol=1e-4)
-    assert found.is_straight
-    assert found.n_lines == 1
+    beams = fit_beams(arc(100.0, tilt_deg))
+    np.testing.assert_allclose(np.rad2deg(beams.beam_rad), np.linspace(-20, 80, 301), atol=1e-4)
+    assert beams.is_straight
+    assert beams.n_lines == 1
 
 
 @pytest.mark.parametrize(("span_deg", "limit_deg"), [(20.0, 0.4), (1.0, 0.1)])
@@ -98,8 +98,8 @@ def test_planes_equal_those_of_single_lines(seed: int) -> None:
 def test_angles_in_planes_equal_those_of_single_shots(seed: int) -> None:
     unit, seen = planes(seed)
     normal, _, _ = directions._planes(unit, seen)
-    found = directions._angles_in_plane(unit, seen, normal)
-    assert (np.isnan(found) == ~seen).all()
+    angles = directions._angles_in_plane(unit, seen, normal)
+    assert (np.isnan(angles) == ~seen).all()
     for row, has in enumerate(seen):
         # the lowest direction of the plane, and the level one across it
         down = np.array([0.0, 0.0, -1.0]) + normal[row] * normal[row, 2]
@@ -113,9 +113,9 @@ def test_angles_in_planes_equal_those_of_single_shots(seed: int) -> None:
         steps = [math.remainder(step, TURN) for step in np.diff(expected)]
         if sum(np.sign(step) for step in steps if abs(step) < math.pi / 2) < 0:
             expected = -expected
-        both = np.abs(np.exp(1j * found[row, has]) - np.exp(1j * expected)).max()
+        both = np.abs(np.exp(1j * angles[row, has]) - np.exp(1j * expected)).max()
         if both > 1e-9:  # the side may be the other one, which turns all signs before the choice
-            both = np.abs(np.exp(1j * found[row, has]) - np.exp(-1j * expected)).max()
+            both = np.abs(np.exp(1j * angles[row, has]) - np.exp(-1j * expected)).max()
         assert both < 1e-9
 
 
@@ -148,19 +148,22 @@ def test_columns_are_medians_of_their_lines(seed: int) -> None:
     seen = rng.random(angle.shape) < 0.8
     seen[:, 7] = False
     angle = np.where(seen, np.remainder(angle + math.pi, TURN) - math.pi, np.nan)
-    found = directions._columns(angle, seen)
-    assert found.n_lines == 15
+    columns = directions._columns(angle, seen)
+    assert columns.n_lines == 15
     for column in range(25):
         if column != 7:
             near = np.array(
-                [math.remainder(one - true[column], TURN) for one in angle[seen[:, column], column]]
+                [
+                    math.remainder(angle_rad - true[column], TURN)
+                    for angle_rad in angle[seen[:, column], column]
+                ]
             )
             # rising medians are as they are; others are pooled with their neighbours
             assert (
-                abs(math.remainder(found.beam_rad[column] - true[column] - np.median(near), TURN))
+                abs(math.remainder(columns.beam_rad[column] - true[column] - np.median(near), TURN))
                 < 0.02
             )
-    assert not found.is_straight
+    assert not columns.is_straight
 
 
 # -- scan angles
@@ -173,16 +176,16 @@ def test_column_0_is_the_earliest_start_fitted_to_all_angles(sign: int, phase: f
     part of a step."""
     step = math.radians(0.5)
     first = [20, 2, 0, 1, 3]
-    column = np.concatenate([np.arange(one, 100) for one in first])
-    line = np.repeat(np.arange(5), [100 - one for one in first])
+    column = np.concatenate([np.arange(start, 100) for start in first])
+    line = np.repeat(np.arange(5), [100 - start for start in first])
     noise = np.random.default_rng(3).normal(0.0, 0.05, len(column))
     angle = sign * step * (column + phase + noise - noise.mean()) + 2.0
-    found = find_angle_grid(angle, line, "a.laz")
-    assert math.remainder(found.start_rad - (2.0 + sign * step * phase), TURN) == pytest.approx(
+    grid = find_angle_grid(angle, line, "a.laz")
+    assert math.remainder(grid.start_rad - (2.0 + sign * step * phase), TURN) == pytest.approx(
         0.0, abs=0.02 * step
     )
-    assert found.step_rad == pytest.approx(sign * step, rel=1e-3)
-    assert (found.n_columns, found.whole_turn) == (100, False)
+    assert grid.step_rad == pytest.approx(sign * step, rel=1e-3)
+    assert (grid.n_columns, grid.whole_turn) == (100, False)
 
 
 def sweeps(n_lines: int, m: int, step_deg: float = 1.0) -> tuple[F64, I64]:
@@ -245,11 +248,11 @@ def test_the_step_is_in_the_ranges(
     noise_m: float,
     usual: str,
 ) -> None:
-    found = measure_step(room(step_deg, m, noise_m=noise_m))
-    assert found is not None
-    assert math.degrees(found.step_rad) == pytest.approx(step_deg, rel=0.005)
-    assert found.usual == usual
-    assert found.off < 0.03
+    measured = measure_step(room(step_deg, m, noise_m=noise_m))
+    assert measured is not None
+    assert math.degrees(measured.step_rad) == pytest.approx(step_deg, rel=0.005)
+    assert measured.usual == usual
+    assert measured.off < 0.03
 
 
 def test_bent_surfaces_do_not_move_the_step() -> None:
@@ -257,14 +260,14 @@ def test_bent_surfaces_do_not_move_the_step() -> None:
     rng = np.random.default_rng(5)
     lines = room(0.0714, 4270, noise_m=0.001)
     for line in lines:
-        for at in rng.integers(0, 4000, 20):
+        for column in rng.integers(0, 4000, 20):
             x = np.linspace(-1.0, 1.0, 200)
-            line[at : at + 200] = (
+            line[column : column + 200] = (
                 4.0 - rng.uniform(0.0, 0.4) * np.sqrt(1.2 - x * x) + rng.normal(0.0, 0.001, 200)
             )
-    found = measure_step(lines.astype(np.float32))
-    assert found is not None
-    assert math.degrees(found.step_rad) == pytest.approx(0.0714, rel=0.001)
+    measured = measure_step(lines.astype(np.float32))
+    assert measured is not None
+    assert math.degrees(measured.step_rad) == pytest.approx(0.0714, rel=0.001)
 
 
 @pytest.mark.slow
@@ -274,6 +277,6 @@ def test_real_push_brooms(real_data: Path) -> None:
     from benchmarks.contest_data import oakland
 
     for strip in (1, 2, 3):
-        found = measure_step(oakland(strip).range_m)
-        assert found is not None
-        assert math.degrees(found.step_rad) == pytest.approx(0.5, rel=0.03)
+        measured = measure_step(oakland(strip).range_m)
+        assert measured is not None
+        assert math.degrees(measured.step_rad) == pytest.approx(0.5, rel=0.03)

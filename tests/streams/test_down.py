@@ -29,13 +29,13 @@ def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:
     true = GEOMETRIES[name]
     block = lines(true, seed=len(name), tilt_deg=tilt_deg)
     assert block.xyz_m is not None
-    found = fit_beams(block.xyz_m)
-    assert worst_deg(found.beam_rad, true) < 0.25
-    assert is_strictly_monotone(found.beam_rad)
-    assert np.all((found.beam_rad > -np.pi) & (found.beam_rad <= np.pi))
-    assert found.is_straight is (name != "rings")
+    beams = fit_beams(block.xyz_m)
+    assert worst_deg(beams.beam_rad, true) < 0.25
+    assert is_strictly_monotone(beams.beam_rad)
+    assert np.all((beams.beam_rad > -np.pi) & (beams.beam_rad <= np.pi))
+    assert beams.is_straight is (name != "rings")
     # angles grow with the column, whichever way the scanner turns
-    assert np.unwrap(found.beam_rad)[-1] > np.unwrap(found.beam_rad)[0]
+    assert np.unwrap(beams.beam_rad)[-1] > np.unwrap(beams.beam_rad)[0]
 
 
 @pytest.mark.parametrize(
@@ -166,19 +166,19 @@ def test_any_heights_are_fitted_or_refused() -> None:
         assert -np.pi <= fit.down_rad <= np.pi
 
 
-def off_deg(found: float, true: float = 0.0) -> float:
+def off_deg(down_rad: float, true: float = 0.0) -> float:
     """Return how far a direction is off [deg]."""
-    return abs(math.degrees(math.remainder(found - true, 2 * math.pi)))
+    return abs(math.degrees(math.remainder(down_rad - true, 2 * math.pi)))
 
 
 @pytest.mark.parametrize("turned_deg", [0.0, 75.0, 180.0, -120.0])
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_street_tells_where_down_is(turned_deg: float, way: int) -> None:
     ranges, _ = street_lines(20)
-    found = guess_down(way * BEAM + np.deg2rad(turned_deg), ranges)
-    assert found is not None
-    assert found.is_sure
-    assert off_deg(found.down_rad, math.radians(turned_deg)) < 1.5
+    guess = guess_down(way * BEAM + np.deg2rad(turned_deg), ranges)
+    assert guess is not None
+    assert guess.is_sure
+    assert off_deg(guess.down_rad, math.radians(turned_deg)) < 1.5
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,9 @@ def test_beams_come_from_the_ground_where_nothing_else_tells() -> None:
     beams = next(iter(directed.blocks())).beam_rad
     assert beams is not None
     assert np.abs(beams - BEAM).max() < np.deg2rad(1.5)
-    said = [one for one in directed.info.assumptions if one.key == "input.nadir"]
+    said = [
+        assumption for assumption in directed.info.assumptions if assumption.key == "input.nadir"
+    ]
     assert "level ground" in said[0].why
     assert "guessed from level ground" in said[0].value
     (note,) = directed.info.facts.notes
@@ -217,8 +219,8 @@ def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:
     )
     loaded = load_config(preset="fused")
     guessed = classify(tmp_path / "street.npz", tmp_path / "labels.npy", loaded)
-    (note,) = [one for one in guessed.record.notices if "straight down" in one]
+    (note,) = [notice for notice in guessed.record.notices if "straight down" in notice]
     assert "20." in note or "19." in note
-    told = load_config(preset="fused", options={"input": {"nadir": 20.0}})
-    exact = classify(tmp_path / "street.npz", tmp_path / "exact.npy", told)
-    assert not any("straight down" in one for one in exact.record.notices)
+    configured = load_config(preset="fused", options={"input": {"nadir": 20.0}})
+    exact = classify(tmp_path / "street.npz", tmp_path / "exact.npy", configured)
+    assert not any("straight down" in notice for notice in exact.record.notices)

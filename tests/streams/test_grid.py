@@ -131,13 +131,13 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
     options: dict[str, Any] = {"return": rule, "columns": "dimension:column"}
     config = InputConfig.model_validate(options)
     whole = read(open_grid(MemorySource(twice, chunk_records), config))
-    found = read(open_grid(_SkippingSource(twice, chunk_records), config, only_ranges=True))
-    assert np.array_equal(found.range_m, whole.range_m, equal_nan=True)
-    assert np.array_equal(found.record, whole.record)
-    assert found.extras == whole.extras
-    assert len(found.extras) == int(np.sum(number - 1))
-    assert found.tally == whole.tally
-    assert all(block.time_s is None and block.intensity is None for block in found.blocks)
+    ranges = read(open_grid(_SkippingSource(twice, chunk_records), config, only_ranges=True))
+    assert np.array_equal(ranges.range_m, whole.range_m, equal_nan=True)
+    assert np.array_equal(ranges.record, whole.record)
+    assert ranges.extras == whole.extras
+    assert len(ranges.extras) == int(np.sum(number - 1))
+    assert ranges.tally == whole.tally
+    assert all(block.time_s is None and block.intensity is None for block in ranges.blocks)
 
 
 @given(st.data())

@@ -48,14 +48,14 @@ def test_wrap_of_a_profiler_with_missing_shots(direction: int, size: int) -> Non
     angle[rng.random(len(angle)) < 0.05] = NAN
     sweep = find_sweep(angle, "drive.laz")
     assert sweep.direction == direction
-    found = []
+    wraps = []
     state = WrapState()
     for start in range(0, len(angle), size):
         part, state = lines_by_wrap(angle[start : start + size], sweep, state)
-        found.extend(part.tolist())
+        wraps.extend(part.tolist())
     # a shot without angle at the end of a line cannot be told from one at its begin
     finite = np.isfinite(angle)
-    assert np.array_equal(np.array(found)[finite], line[finite])
+    assert np.array_equal(np.array(wraps)[finite], line[finite])
 
 
 def test_sweep_needs_angles_of_one_direction() -> None:
@@ -98,8 +98,8 @@ def test_the_first_record_begins_the_lines_by_time_unless_told(
     config = InputConfig(
         lines="time:10", columns="time:100", points_per_line=10, time_origin=origin
     )
-    told = {one.key for one in _said(config, "time:10", "time:100", ())}
-    assert ("input.time_origin" in told) == is_told
+    keys = {assumption.key for assumption in _said(config, "time:10", "time:100", ())}
+    assert ("input.time_origin" in keys) == is_told
 
 
 RULES = {"lines": "elevation:20", "columns": "order", "range": "sensor-xyz"}
@@ -125,20 +125,20 @@ def whole(path: Path, **rules: Any) -> ScanBlock:
 @pytest.mark.parametrize("chunk", [1, 2, 7])
 def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> None:
     rng = np.random.default_rng(3)
-    given = points(np.concatenate([np.sort(rng.uniform(-40, 80, 9)) for _ in range(12)]))
+    cloud = points(np.concatenate([np.sort(rng.uniform(-40, 80, 9)) for _ in range(12)]))
     for name in "xyz":
-        given[name][[0, 20, 47]] = (0.0, 0.0, np.nan)
+        cloud[name][[0, 20, 47]] = (0.0, 0.0, np.nan)
     rules = InputConfig(**RULES)
 
     def lines(size: int) -> np.ndarray[Any, Any]:
-        source, changed, _ = with_elevation(MemorySource(given, chunk_records=size), rules)
+        source, changed, _ = with_elevation(MemorySource(cloud, chunk_records=size), rules)
         name = changed.lines.partition(":")[2]
         return np.concatenate([part.values[name] for part in source.chunks((name, "angle"))])
 
-    one = lines(1000)
-    assert one.max() == 11
-    assert np.array_equal(one[20], one[19])
-    assert np.array_equal(lines(chunk), one)
+    undivided = lines(1000)
+    assert undivided.max() == 11
+    assert np.array_equal(undivided[20], undivided[19])
+    assert np.array_equal(lines(chunk), undivided)
 
 
 def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path: Path) -> None:
@@ -187,8 +187,8 @@ def test_coordinates_of_the_sensor() -> None:
     rule = opened("sensor-xyz")
     assert rule.names == ("x", "y", "z")
     values = {"x": np.array([3.0, np.nan]), "y": np.array([4, 0]), "z": np.array([12.0, 1.0])}
-    found, xyz = measure_ranges(values, rule)
-    np.testing.assert_array_equal(found, [13.0, np.nan])
+    range_m, xyz = measure_ranges(values, rule)
+    np.testing.assert_array_equal(range_m, [13.0, np.nan])
     assert xyz is not None
     assert xyz.dtype == np.float32
     np.testing.assert_array_equal(xyz[0], [3, 4, 12])
@@ -201,9 +201,9 @@ def test_millimetres_survive_large_coordinates() -> None:
         "y": np.array([6600000.25 - 0.004]),
         "z": np.array([-3.0]),
     }
-    found, xyz = measure_ranges(values, rule)
-    assert found.dtype == np.float64
-    assert found[0] == pytest.approx(0.005, abs=1e-8)
+    range_m, xyz = measure_ranges(values, rule)
+    assert range_m.dtype == np.float64
+    assert range_m[0] == pytest.approx(0.005, abs=1e-8)
     assert xyz is not None
     np.testing.assert_allclose(xyz[0], [0.003, -0.004, 0.0], atol=1e-8)
 
@@ -215,8 +215,8 @@ def test_along_a_trajectory() -> None:
     rule = RangeRule(trajectory=track)
     assert rule.names == ("x", "y", "z", "time")
     values = {"x": np.array([10.0, 53.0]), "y": np.array([7.0, 4.0]), "z": np.array([2.0, 2.0])}
-    found, xyz = measure_ranges({**values, "time": np.array([1.0, 5.0])}, rule)
-    np.testing.assert_allclose(found, [7.0, 5.0])
+    range_m, xyz = measure_ranges({**values, "time": np.array([1.0, 5.0])}, rule)
+    np.testing.assert_allclose(range_m, [7.0, 5.0])
     assert xyz is not None
     np.testing.assert_allclose(xyz, [[0, 7, 0], [3, 4, 0]], atol=1e-6)
     with pytest.raises(InputError, match="1 of 2 point times are outside the trajectory"):

@@ -41,11 +41,11 @@ class Pieces:
 
     @staticmethod
     def _cut(data: bytes, sizes: list[int]) -> Iterator[bytes]:
-        at = n = 0
-        while at < len(data):
+        start = n = 0
+        while start < len(data):
             size = sizes[n % len(sizes)]
-            yield data[at : at + size]
-            at = at + size
+            yield data[start : start + size]
+            start = start + size
             n = n + 1
 
     def read(self, size: int = -1, /) -> bytes:
@@ -81,14 +81,14 @@ def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> Non
     whole = list(open_input(tmp_path / "drive.bin", config, RECORDS).blocks())
     pipe, stream = open_pipe(Pieces(data, sizes), config, RECORDS)
     pipe.seal()
-    found = list(stream.blocks())
+    blocks = list(stream.blocks())
     for name in ("range_m", "time_s"):
         expected = np.concatenate([getattr(block, name) for block in whole])
         np.testing.assert_array_equal(
-            np.concatenate([getattr(block, name) for block in found]), expected
+            np.concatenate([getattr(block, name) for block in blocks]), expected
         )
-    assert found[0].angle_rad is not None
-    np.testing.assert_array_equal(found[0].angle_rad, whole[0].angle_rad)
+    assert blocks[0].angle_rad is not None
+    np.testing.assert_array_equal(blocks[0].angle_rad, whole[0].angle_rad)
 
 
 @pytest.mark.parametrize(
@@ -135,9 +135,9 @@ def test_a_real_pipe() -> None:
     with io.FileIO(read_end) as handle:
         source = PipeSource(handle, RANGES)
         source.seal()
-        found = ranges_of(source)
+        ranges = ranges_of(source)
     writer.join()
-    assert found == values.tolist()
+    assert ranges == values.tolist()
 
 
 @dataclass

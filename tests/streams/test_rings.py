@@ -102,14 +102,14 @@ def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) 
 
 def test_shots_out_of_order_take_a_free_cell_or_count_as_further_returns() -> None:
     records, true_line, _ = frame(2)
-    at = np.flatnonzero((true_line > 200) & (true_line < 300))[::97]
+    moved = np.flatnonzero((true_line > 200) & (true_line < 300))[::97]
     for name in ("x", "y", "z"):
-        records[name][at] = records[name][at - 6]
+        records[name][moved] = records[name][moved - 6]
     whole = opened(records, azimuth_step=1.0)
-    assert 0 < whole.tally.n_collisions <= len(at) + 2
-    own = whole.record[whole.record >= 0]
-    assert len(own) + len(whole.extras) == len(true_line)
-    assert sorted([*own.tolist(), *(extra[3] for extra in whole.extras)]) == list(
+    assert 0 < whole.tally.n_collisions <= len(moved) + 2
+    in_cells = whole.record[whole.record >= 0]
+    assert len(in_cells) + len(whole.extras) == len(true_line)
+    assert sorted([*in_cells.tolist(), *(extra[3] for extra in whole.extras)]) == list(
         range(len(true_line))
     )
     range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
@@ -203,14 +203,14 @@ def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Pa
     source = open_source(real_data / "ouster" / "rellis_frame000104.ply")
     assert source is not None
     names = ("x", "y", "z", "intensity")
-    chunks = [np.stack([one.values[name] for name in names], 1) for one in source.chunks(names)]
+    chunks = [np.stack([chunk.values[name] for name in names], 1) for chunk in source.chunks(names)]
     np.concatenate(chunks).astype("<f4").tofile(tmp_path / "frame.bin")
     assert is_frame(tmp_path / "frame.bin")
-    told = with_layout_beside(tmp_path / "frame.bin", load_config()).config
+    config = with_layout_beside(tmp_path / "frame.bin", load_config()).config
     with pytest.raises(
         InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"
     ):
-        open_input(tmp_path / "frame.bin", told.input, told.layout)
+        open_input(tmp_path / "frame.bin", config.input, config.layout)
 
 
 @pytest.mark.parametrize("has_rings", [True, False])
@@ -224,12 +224,12 @@ def test_a_frame_on_other_axes_has_the_cells_of_its_own(has_rings: bool) -> None
         records["ring"] = ring
     n = len(ring)
     wanted = cells(opened(records), n)
-    own = np.stack([records[axis] for axis in "xyz"], axis=1)
-    elsewhere = own @ turning(np.deg2rad([0.0, 6.0, 0.0])) + [0.0, 0.0, 1.8]
+    xyz_m = np.stack([records[axis] for axis in "xyz"], axis=1)
+    elsewhere = xyz_m @ turning(np.deg2rad([0.0, 6.0, 0.0])) + [0.0, 0.0, 1.8]
     whole = opened({**records, **dict(zip("xyz", elsewhere.T, strict=True))})
-    found = cells(whole, n)
-    assert (found[1] == wanted[1]).mean() > 0.999
+    filled = cells(whole, n)
+    assert (filled[1] == wanted[1]).mean() > 0.999
     # azimuths begin where the turned x axis is
-    assert (np.abs(found[0] - wanted[0]) <= 1).mean() > 0.97
+    assert (np.abs(filled[0] - wanted[0]) <= 1).mean() > 0.97
     assert whole.blocks[0].frame is not None
     assert whole.blocks[0].frame.lean_deg == pytest.approx(6.0, abs=0.1)

@@ -154,12 +154,12 @@ def test_heights_of_another_kind_never_pass_in_silence(
 ) -> None:
     pyproj = pytest.importorskip("pyproj")
     path = write_sbet(tmp_path / "drive.sbet", SOUND)
-    given = {
+    options = {
         "code": crs,
         "wkt1": pyproj.CRS(crs).to_wkt("WKT1_GDAL"),
         "wkt2": pyproj.CRS(crs).to_wkt(),
     }[form]
-    for keys in ({"crs": given}, {"wkt": given}):
+    for keys in ({"crs": options}, {"wkt": options}):
         with pytest.raises(ConfigError) as caught:
             load(path, **keys)
         assert f"has heights of its own ({heights!r}), but heights of an SBET are" in str(
@@ -171,7 +171,7 @@ def test_heights_of_another_kind_never_pass_in_silence(
         )
         assert "\n" not in str(caught.value)
     # what the hint says is enough, although the points' file still says the other
-    np.testing.assert_array_equal(load(path, crs=alone, wkt=given).xyz_m[:, 2], [3.0, 3.0])
+    np.testing.assert_array_equal(load(path, crs=alone, wkt=options).xyz_m[:, 2], [3.0, 3.0])
 
 
 SOUND = [(0.0, 1.0, 0.4, 3.0), (1.0, 1.0, 0.4, 3.0)]
@@ -247,9 +247,9 @@ WEEK = 604_800.0
     ],
 )
 def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
-    one = track(*(300_000.0 + np.arange(17.0)).tolist())
+    path = track(*(300_000.0 + np.arange(17.0)).tolist())
     with pytest.raises(InputError) as refused:
-        one.positions(300_003.0 + np.arange(11.0) + offset)
+        path.positions(300_003.0 + np.arange(11.0) + offset)
     if hint is None:
         assert (
             refused.value.hint

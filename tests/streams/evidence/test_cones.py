@@ -43,11 +43,11 @@ def asked(xyz_m: F64, *, has_rings: bool = True) -> Finding | None:
 
 @pytest.mark.parametrize("width_deg", [60.0, 200.0])
 def test_a_sector_on_other_axes_is_a_doubt(width_deg: float) -> None:
-    own = ring_shots(width_deg)
-    pitched = own @ turning(np.deg2rad([0.0, 6.0, 0.0]))
-    lifted = own + np.array([0.0, 0.0, 1.7])
+    shots = ring_shots(width_deg)
+    pitched = shots @ turning(np.deg2rad([0.0, 6.0, 0.0]))
+    lifted = shots + np.array([0.0, 0.0, 1.7])
     for xyz_m, expected in (
-        (own, Verdict.FINE),
+        (shots, Verdict.FINE),
         (pitched, Verdict.DOUBTFUL),
         (lifted, Verdict.DOUBTFUL),
     ):

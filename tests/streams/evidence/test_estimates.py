@@ -110,13 +110,13 @@ def test_rates_are_found_where_they_are_right(line_hz: float, m: int, quantum: f
     time, _, _ = drive(line_hz, m, 60)
     if quantum:
         time = np.round(time / quantum) * quantum
-    found = measure_rates(time)
-    assert found is not None
-    assert found.shot_hz == pytest.approx(line_hz * m, rel=2e-6)
-    assert found.line_hz == pytest.approx(line_hz, rel=2e-5)
-    assert found.points_per_line == m
+    scan = measure_rates(time)
+    assert scan is not None
+    assert scan.shot_hz == pytest.approx(line_hz * m, rel=2e-6)
+    assert scan.line_hz == pytest.approx(line_hz, rel=2e-5)
+    assert scan.points_per_line == m
     # the line begins in the middle of the sky
-    phase = (found.time_origin_s - 1000) * line_hz % 1
+    phase = (scan.time_origin_s - 1000) * line_hz % 1
     assert phase == pytest.approx(0.3, abs=0.01)
 
 
@@ -146,10 +146,10 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
     track = tmp_path / "t.csv"
     las_of_times(path, time, xyz)
     track.write_text("time,x,y,z\n" + "".join(f"{t},{5 * t},0,2\n" for t in (999.0, 1001.0)))
-    found = inspect(path, LoadedConfig(RunConfig()))
-    assert found.missing == ("--range points",)
-    assert found.problem == "the file has no ranges"
-    assert "--range trajectory:FILE" in found.hint
+    inspection = inspect(path, LoadedConfig(RunConfig()))
+    assert inspection.missing == ("--range points",)
+    assert inspection.problem == "the file has no ranges"
+    assert "--range trajectory:FILE" in inspection.hint
     rules = {"range": f"trajectory:{track}"}
     block = join(
         list(open_input(path, load_config(options={"input": rules}).config.input).blocks())
@@ -172,13 +172,13 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
 def test_the_real_profiler(real_data: Path) -> None:
     """Four lines, times rounded to four shots: 0.98374 us a shot, 5.0161 ms a line."""
     las = laspy.read(real_data / "profiler" / "jakarto_0.02s.las")
-    found = measure_rates(
+    scan = measure_rates(
         np.sort(np.asarray(las.gps_time)), np.asarray(las.z)[np.argsort(las.gps_time)]
     )
-    assert found is not None
-    assert 1e6 / found.shot_hz == pytest.approx(0.98374, rel=5e-4)
-    assert 1e3 / found.line_hz == pytest.approx(5.0161, rel=1e-4)
-    assert abs(found.points_per_line - 5099) <= 2
+    assert scan is not None
+    assert 1e6 / scan.shot_hz == pytest.approx(0.98374, rel=5e-4)
+    assert 1e3 / scan.line_hz == pytest.approx(5.0161, rel=1e-4)
+    assert abs(scan.points_per_line - 5099) <= 2
 
 
 M = 1000
@@ -252,9 +252,9 @@ def test_the_right_reading_is_found(
     """Whatever type, byte order, unit and header."""
     dump = tmp_path / "scan.bin"
     dump.write_bytes(bytes(range(header)) + (misread_street() * scale).astype(stored).tobytes())
-    found = other_reading(dump, M)
-    assert found is not None
-    assert found.options() == options
+    reading = other_reading(dump, M)
+    assert reading is not None
+    assert reading.options() == options
 
 
 def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
@@ -314,9 +314,9 @@ def test_streets_and_forests_are_told() -> None:
 def test_a_road_in_the_open_is_a_street() -> None:
     road = street_lines(SAMPLE_LINES)[0]
     road[:, np.cos(BEAM) < 0.2] = np.nan
-    found = place_of(road, BEAM)
-    assert found.kind == "street"
-    assert "nothing stands high" in found.why
+    place = place_of(road, BEAM)
+    assert place.kind == "street"
+    assert "nothing stands high" in place.why
 
 
 def level_forest_lines(n_lines: int) -> F32:
@@ -328,9 +328,9 @@ def level_forest_lines(n_lines: int) -> F32:
 
 
 def test_a_forest_on_a_level_floor_is_a_doubt() -> None:
-    found = place_of(level_forest_lines(MOST_LINES), BEAM)
-    assert found.kind == "unknown"
-    assert "streets at least 42%" in found.doubt
+    place = place_of(level_forest_lines(MOST_LINES), BEAM)
+    assert place.kind == "unknown"
+    assert "streets at least 42%" in place.doubt
     choice = choice_by_beams(*_first_and_all(level_forest_lines(MOST_LINES)))
     assert "--preset fused-forest for a forest, --preset fused for" in choice.findings[0].hint
 
@@ -348,14 +348,14 @@ def _first_and_all(lines: F32) -> tuple[ScanBlock, Iterator[ScanBlock]]:
 @pytest.mark.parametrize("cut", [1, 7, 64, 90])
 def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
     lines = np.concatenate([np.full((5, len(BEAM)), np.nan, np.float32), street_lines(90)[0]])
-    other = forest_lines(40)
+    forest = forest_lines(40)
 
     def blocks() -> list[ScanBlock]:
-        found = []
+        parts = []
         for start in range(0, len(lines), cut):
-            found.append(ScanBlock(start, lines[start : start + cut], beam_rad=BEAM))
-            found.append(ScanBlock(start, other, scanner=1, beam_rad=BEAM))
-        return found
+            parts.append(ScanBlock(start, lines[start : start + cut], beam_rad=BEAM))
+            parts.append(ScanBlock(start, forest, scanner=1, beam_rad=BEAM))
+        return parts
 
     assert place_of_blocks(iter(blocks())) == place_of(lines[5 : 5 + SAMPLE_LINES], BEAM)
 
@@ -365,11 +365,12 @@ def test_where_the_first_lines_leave_it_open_more_are_looked_at(cut: int) -> Non
     lines = np.concatenate([forest_lines(24), street_lines(MOST_LINES)[0]])
     first = place_of(lines[:SAMPLE_LINES], BEAM)
     blocks = (
-        ScanBlock(at, lines[at : at + cut], beam_rad=BEAM) for at in range(0, len(lines), cut)
+        ScanBlock(first_line, lines[first_line : first_line + cut], beam_rad=BEAM)
+        for first_line in range(0, len(lines), cut)
     )
-    found = place_of_blocks(blocks)
-    assert (first.kind, found.kind) == ("forest", "street")
-    assert found == place_of(lines[:MOST_LINES], BEAM)
+    place = place_of_blocks(blocks)
+    assert (first.kind, place.kind) == ("forest", "street")
+    assert place == place_of(lines[:MOST_LINES], BEAM)
 
 
 @pytest.mark.parametrize("chunk", [1, 31, 32, 33, 300])
@@ -393,10 +394,12 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
     stride = 1
     while len(range(0, n_lines, 32 * stride)) > 8:
         stride *= 2
-    assert [one.first_line for one in sample.windows()] == list(range(0, n_lines, 32 * stride))
-    for one in sample.windows():
-        stop = min(one.first_line + 32, n_lines)
-        assert one.range_m[:, -1].tolist() == list(range(one.first_line, stop))
+    assert [window.first_line for window in sample.windows()] == list(
+        range(0, n_lines, 32 * stride)
+    )
+    for window in sample.windows():
+        stop = min(window.first_line + 32, n_lines)
+        assert window.range_m[:, -1].tolist() == list(range(window.first_line, stop))
     # full at 8 windows of 32 lines, and whenever every second of twice as many is kept
     assert n_full[-1] == sum(n_lines >= 32 * (7 * stride + 1) for stride in (1, 2, 4))
 
@@ -419,11 +422,11 @@ def test_autocorrelation_equals_a_plain_one() -> None:
     rng = np.random.default_rng(2)
     valid = (rng.random(90) < 0.7).astype(np.float64)
     signal = np.where(valid, rng.normal(size=90), 0.0)
-    found = estimates._autocorrelation(signal, 60, valid)
+    correlation = estimates._autocorrelation(signal, 60, valid)
     np.testing.assert_allclose(
-        found, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9
+        correlation, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9
     )
-    assert found.shape == (61,)
+    assert correlation.shape == (61,)
 
 
 def rough(
@@ -460,7 +463,7 @@ def slow_middle(values: list[float]) -> float:
 def test_figures_equal_plain_loops(m: int, seed: int) -> None:
     windows = tuple(Window(500 * k, rough(40, m, seed + k)) for k in range(4))
     logs = [np.log(window.range_m) for window in windows]
-    found = figures_of(windows)
+    figures = figures_of(windows)
 
     def of(pairs_of, share: float = 0.5) -> float:  # type: ignore[no-untyped-def]
         return slow_middle([slow_quantile(pairs_of(rows), share) for rows in logs])
@@ -480,24 +483,24 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
     def amid(rows: F32) -> list[tuple[float, float]]:
         return [(row[k], (row[k - 1] + row[k + 1]) / 2) for row in rows for k in range(1, m - 1)]
 
-    assert found.shot == pytest.approx((of(apart(1)), of(apart(2))))
-    assert found.line == pytest.approx(tuple(of(columns(lag)) for lag in (1, 2, 3, 4)))
+    assert figures.shot == pytest.approx((of(apart(1)), of(apart(2))))
+    assert figures.line == pytest.approx(tuple(of(columns(lag)) for lag in (1, 2, 3, 4)))
     turned_round = of(
         lambda rows: [(a, b) for x, y in pairwise(rows) for a, b in zip(x, y[::-1], strict=True)]
     )
-    assert found.reversed_line == pytest.approx(turned_round)
-    assert found.roughness == pytest.approx(of(amid))
+    assert figures.reversed_line == pytest.approx(turned_round)
+    assert figures.roughness == pytest.approx(of(amid))
     # the first and the third, the second and the last
     far = [
         [(a, b) for a, b in zip(logs[i].ravel(), logs[i + 2].ravel(), strict=True)] for i in (0, 1)
     ]
     moved = of(columns(1), 0.9), float(np.median([slow_quantile(pairs, 0.9) for pairs in far]))
-    assert found.moved == pytest.approx(moved)
+    assert figures.moved == pytest.approx(moved)
     noise = [slow_quantile(amid(np.asarray(window.range_m)), 0.05) for window in windows]
-    assert found.noise_m == pytest.approx(np.median(noise) / (0.0627 * 1.5**0.5))
+    assert figures.noise_m == pytest.approx(np.median(noise) / (0.0627 * 1.5**0.5))
     assert (
         0.5
-        < found.random
+        < figures.random
         / of(lambda rows: [(a, b) for a in rows.ravel()[::7] for b in rows.ravel()[::11]])
         < 2.0
     )
@@ -509,5 +512,5 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
             if all(abs(row[a] - row[b]) < 0.01 for a, b in beside):
                 n = n + 1
                 lonely = lonely + bool(np.isnan(row[k]))
-    assert 50 < lonely < n == found.n_between
-    assert found.lonely_missing == lonely / n
+    assert 50 < lonely < n == figures.n_between
+    assert figures.lonely_missing == lonely / n

@@ -24,8 +24,8 @@ from prc_cli.streams.evidence.watch import watched
     ],
 )
 def test_few_lines_are_told(n_lines: int, n_shots: int, verdict: Verdict | None) -> None:
-    found = [one.verdict for one in check_few_lines(n_lines, n_shots)]
-    assert found == ([] if verdict is None else [verdict])
+    verdicts = [finding.verdict for finding in check_few_lines(n_lines, n_shots)]
+    assert verdicts == ([] if verdict is None else [verdict])
 
 
 class OneBlock:
@@ -39,4 +39,4 @@ class OneBlock:
 def test_a_window_may_be_short(inputs: dict[str, str], is_told: bool) -> None:
     stream = watched(OneBlock(), InputConfig(**inputs))
     assert len(list(stream.blocks())) == 1
-    assert ("few-lines" in {one.check for one in stream.findings()}) == is_told
+    assert ("few-lines" in {finding.check for finding in stream.findings()}) == is_told

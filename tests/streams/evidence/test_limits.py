@@ -52,9 +52,9 @@ def seen(n_lines: int = 24, m: int = M, n_rows: int = 2, **more: float) -> Seen:
     return Seen(StreamInfo("a.npy", "array", m, None, None), 0, windows, n_lines=n_lines, **more)  # type: ignore[arg-type]
 
 
-def told(found: Finding | None) -> tuple[Verdict, str, str]:
-    assert found is not None
-    return found.verdict, found.sentence(), found.option
+def answer_of(finding: Finding | None) -> tuple[Verdict, str, str]:
+    assert finding is not None
+    return finding.verdict, finding.sentence(), finding.option
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def told(found: Finding | None) -> tuple[Verdict, str, str]:
 )
 def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
     # the second neighbour is more like a shot than the first, but not by half
-    assert told(check_shot_order(replace(USUAL, shot=(shot, shot / 2)))) == (
+    assert answer_of(check_shot_order(replace(USUAL, shot=(shot, shot / 2)))) == (
         verdict,
         f"shot-order: ranges of neighbouring shots differ {ratio}as much as those of "
         "random shots, expected "
@@ -82,14 +82,16 @@ def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
 @pytest.fixture
 def folds(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
     """How alike lines far apart are with every length that is tried; no other may be."""
-    found = dict.fromkeys(LENGTHS, 0.6)
-    monkeypatch.setattr(lines, "fold", lambda _, points_per_line: found.get(points_per_line, 0.6))
+    likeness = dict.fromkeys(LENGTHS, 0.6)
+    monkeypatch.setattr(
+        lines, "fold", lambda _, points_per_line: likeness.get(points_per_line, 0.6)
+    )
     monkeypatch.setattr(
         lines,
         "estimate_points_per_line",
         lambda range_m: PeriodEstimate(None, 0.0, range_m.size, ""),
     )
-    return found
+    return likeness
 
 
 LIKE = (
@@ -117,7 +119,7 @@ def test_lines_that_are_alike(
     assert len(folds) == 9
     # lines farther on are more alike, but not by half
     figures = replace(USUAL, line=(line, line / 2, line / 2, line / 2))
-    assert told(check_line_length(seen(), figures, None)) == (
+    assert answer_of(check_line_length(seen(), figures, None)) == (
         verdict,
         LIKE.format(ratio) + (CHECK_M if verdict else ""),
         "",
@@ -141,17 +143,17 @@ def test_another_length_that_agrees_better(
     here: float,
     there: float,
     verdict: Verdict,
-    other: int,
+    better: int,
 ) -> None:
-    folds.update({**dict.fromkeys(LENGTHS, 0.79), M: here, other: there})
-    found = told(check_line_length(seen(), USUAL, None))
-    assert found[0] is verdict
+    folds.update({**dict.fromkeys(LENGTHS, 0.79), M: here, better: there})
+    answer = answer_of(check_line_length(seen(), USUAL, None))
+    assert answer[0] is verdict
     if verdict:
-        assert found[1:] == (
-            f"line-length: along the stream lines of {other} shots agree "
+        assert answer[1:] == (
+            f"line-length: along the stream lines of {better} shots agree "
             f"{here / there:.2g} times better than lines of "
-            f"100, expected no length that agrees better by 1.05; give -M {other}",
-            f"-M {other}",
+            f"100, expected no length that agrees better by 1.05; give -M {better}",
+            f"-M {better}",
         )
 
 
@@ -170,7 +172,7 @@ ORDER = "lines far apart differ {} times as much as neighbouring lines, expected
 )
 def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
-    assert told(check_line_order(seen(24), figures)) == (
+    assert answer_of(check_line_order(seen(24), figures)) == (
         verdict,
         f"line-order: {ORDER.format(ratio)}; put the lines into the order in which they "
         "were scanned; "
@@ -197,11 +199,11 @@ def test_standing(
     name: str,
     verdict: Verdict,
 ) -> None:
-    found = check_line_order(seen(n_lines), replace(USUAL, moved=(0.3, far), roughness=roughness))
-    assert found is not None
-    assert (found.check, found.verdict) == (name, verdict)
+    finding = check_line_order(seen(n_lines), replace(USUAL, moved=(0.3, far), roughness=roughness))
+    assert finding is not None
+    assert (finding.check, finding.verdict) == (name, verdict)
     if name == "standing":
-        assert found.sentence() == (
+        assert finding.sentence() == (
             f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; "
             "the platform stands: cut "
             "such stretches out, or accept them"
@@ -214,9 +216,9 @@ def counted(ranges: ArrayLike = (), **more: Any) -> Seen:
     return Seen(StreamInfo("a.npy", "array", 10, None, None), 0, windows, **more)
 
 
-def verdict_of_counts(found: Finding | None) -> tuple[Verdict, str]:
-    assert found is not None
-    return found.verdict, found.sentence()
+def verdict_of_counts(finding: Finding | None) -> tuple[Verdict, str]:
+    assert finding is not None
+    return finding.verdict, finding.sentence()
 
 
 @pytest.mark.parametrize(
@@ -230,14 +232,14 @@ def verdict_of_counts(found: Finding | None) -> tuple[Verdict, str]:
     ],
 )
 def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
-    one = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
-    assert verdict_of_counts(check_collisions(one)) == (
+    scan = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
+    assert verdict_of_counts(check_collisions(scan)) == (
         verdict,
         f"collisions: {share} of the records met another shot in their cell, expected at "
         "most 1%; check --lines, "
         "--columns and -M; several scanners in one file: --scanner DIMENSION",
     )
-    assert verdict_of_counts(check_unplaced(one)) == (
+    assert verdict_of_counts(check_unplaced(scan)) == (
         verdict,
         f"unplaced: {share} of the records found no cell and stay unclassified, expected "
         "at most 1%; check --lines, "
@@ -274,16 +276,16 @@ def test_returns(
     [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)],
 )
 def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
-    found = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
+    finding = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
     option = "--max-range 99.9999924"
-    assert verdict_of_counts(found) == (
+    assert verdict_of_counts(finding) == (
         verdict,
         f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, "
         "expected at most 1%; if it stands "
         f"for no return: {option}; else the scanner's reach cuts the scene off",
     )
-    assert found is not None
-    assert found.option == (option if verdict else "")
+    assert finding is not None
+    assert finding.option == (option if verdict else "")
 
 
 BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))
@@ -296,9 +298,9 @@ def shots(n_windows: int = 1, **more: Any) -> Seen:
     return Seen(info, 0, windows, **{"angle_rad": BEAM + 1.0, "beam_rad": BEAM, **more})
 
 
-def verdict_of_shots(found: Finding | None) -> tuple[Verdict, str]:
-    assert found is not None
-    return found.verdict, found.sentence()
+def verdict_of_shots(finding: Finding | None) -> tuple[Verdict, str]:
+    assert finding is not None
+    return finding.verdict, finding.sentence()
 
 
 def deg(
@@ -315,7 +317,7 @@ def deg(
 @pytest.fixture
 def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
     """The guess for all lines, then those for every window."""
-    found: list[DownGuess | None] = []
+    answers: list[DownGuess | None] = []
 
     def guess(beam_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
         assert beam_rad.shape == range_m.shape[1:]
@@ -326,10 +328,10 @@ def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
             < 2.1
         )
         assert len(range_m) in ((16,) if is_coarse else (20, 60, 64))
-        return found.pop(0)
+        return answers.pop(0)
 
     monkeypatch.setattr(geometry, "guess_down", guess)
-    return found
+    return answers
 
 
 @pytest.mark.parametrize(
@@ -432,7 +434,7 @@ def test_height(
     monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
     # half of it remains below a plane that leans by 60 deg
     guesses.append(deg(-19.9 if not is_blind else 120.0, depth_m=2.0 * depth_m))
-    one = shots(cos_tilt=0.5, beam_rad=None if is_blind else BEAM, angle_rad=BEAM)
+    scan = shots(cos_tilt=0.5, beam_rad=None if is_blind else BEAM, angle_rad=BEAM)
     limits = "0.3 to 6" if is_blind else "0.4 to 5"
     if is_blind and depth_m in (0.399, 5.01):
         verdict = FINE
@@ -441,4 +443,4 @@ def test_height(
     unit = f"--set input.range_scale{scale}" if scale else "input.range_scale"
     hint = f"; check the unit of the ranges, which are taken for metres: {unit}" if verdict else ""
     said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
-    assert verdict_of_shots(check_height(one)) == (verdict, said)
+    assert verdict_of_shots(check_height(scan)) == (verdict, said)

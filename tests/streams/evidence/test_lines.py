@@ -52,9 +52,13 @@ def asked(ranges: F32, lines: int = 100, tally: ReadTally | None = None) -> dict
     return {finding.check: finding for finding in stream.findings()}
 
 
-def told(ranges: F32, **options: object) -> dict[str, Verdict]:
+def not_fine(ranges: F32, **options: object) -> dict[str, Verdict]:
     """Names and verdicts of all that is not fine."""
-    return {name: one.verdict for name, one in asked(ranges, **options).items() if one.verdict}  # type: ignore[arg-type]
+    return {
+        name: finding.verdict
+        for name, finding in asked(ranges, **options).items()
+        if finding.verdict
+    }  # type: ignore[arg-type]
 
 
 def cut(ranges: F32, m: int) -> F32:
@@ -73,9 +77,9 @@ def swapped_bytes(ranges: F32) -> F32:
 
 
 def zigzag(ranges: F32) -> F32:
-    other = ranges.copy()
-    other[1::2] = other[1::2, ::-1]
-    return other
+    turned = ranges.copy()
+    turned[1::2] = turned[1::2, ::-1]
+    return turned
 
 
 def two_scanners(ranges: F32) -> F32:
@@ -111,12 +115,12 @@ def standing(ranges: F32) -> F32:
 
 def test_a_scan_that_is_read_rightly_is_fine() -> None:
     for seed in (11, 12):
-        found = asked(scan(seed))
-        assert not told(scan(seed))
+        findings = asked(scan(seed))
+        assert not not_fine(scan(seed))
         assert {"ranges", "shot-order", "line-length", "line-order", "dropouts", "returns"} <= set(
-            found
+            findings
         )
-        assert list(found) == sorted(found, key=CHECK_NAMES.index)
+        assert list(findings) == sorted(findings, key=CHECK_NAMES.index)
 
 
 @pytest.mark.parametrize(
@@ -148,9 +152,9 @@ def test_a_scan_that_is_read_rightly_is_fine() -> None:
     ],
 )
 def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, words: str) -> None:
-    found = asked(misread(scan()))[check]
-    assert found.verdict is Verdict.AGAINST
-    assert words in found.sentence()
+    finding = asked(misread(scan()))[check]
+    assert finding.verdict is Verdict.AGAINST
+    assert words in finding.sentence()
 
 
 @pytest.mark.parametrize(
@@ -168,7 +172,7 @@ def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, wo
     ],
 )
 def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
-    assert told(odd(scan())).get(check) is Verdict.DOUBTFUL
+    assert not_fine(odd(scan())).get(check) is Verdict.DOUBTFUL
 
 
 def test_findings_do_not_depend_on_blocks() -> None:
@@ -206,10 +210,10 @@ def test_of_several_scanners_the_worst_is_told() -> None:
     stream = EvidenceStream(Both(good), refuses=False)
     for _ in stream.blocks():
         pass
-    found = {finding.check: finding for finding in stream.findings()}
-    assert found["shot-order"].verdict is Verdict.AGAINST
-    assert found["shot-order"].found.startswith("scanner 2: ")
-    assert found["line-length"].verdict is Verdict.FINE
+    findings = {finding.check: finding for finding in stream.findings()}
+    assert findings["shot-order"].verdict is Verdict.AGAINST
+    assert findings["shot-order"].found.startswith("scanner 2: ")
+    assert findings["line-length"].verdict is Verdict.FINE
 
 
 @pytest.mark.data
@@ -221,8 +225,8 @@ def test_a_frame_that_looks_another_way_at_every_line_has_its_length(
 ) -> None:
     with np.load(real_data / "rangeviews" / f"{name}.npz") as arrays:
         ranges = np.ascontiguousarray(arrays["range_m"].T)
-    found = asked(ranges)["line-length"]
-    assert found.verdict is Verdict.FINE, found
+    finding = asked(ranges)["line-length"]
+    assert finding.verdict is Verdict.FINE, finding
     m = ranges.shape[1]
     for off in (-3, -1, 1, 2):
         wrong = asked(cut(ranges, m + off))["line-length"]

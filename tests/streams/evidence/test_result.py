@@ -62,19 +62,19 @@ def asked(
     watch = ResultWatch(usual)
     block = ScanBlock(0, range_m, beam_rad=beam_rad, angle_rad=angle_rad)
     watch.see(LabelledBlock(block, labels, NO_EXTRA))
-    found = {one.check: one for one in watch.findings()}
-    assert set(found) <= NAMES
-    return found
+    findings = {finding.check: finding for finding in watch.findings()}
+    assert set(findings) <= NAMES
+    return findings
 
 
-def doubted(found: dict[str, Finding]) -> set[str]:
-    return {name for name, one in found.items() if one.verdict > Verdict.FINE}
+def doubted(findings: dict[str, Finding]) -> set[str]:
+    return {name for name, finding in findings.items() if finding.verdict > Verdict.FINE}
 
 
 def test_a_street_is_fine_in_all_checks() -> None:
-    found = asked(*street())
-    assert set(found) == NAMES
-    assert doubted(found) == set()
+    findings = asked(*street())
+    assert set(findings) == NAMES
+    assert doubted(findings) == set()
 
 
 @pytest.mark.parametrize("preset", ["fused", "street-scan"])
@@ -88,8 +88,8 @@ def test_a_scanner_that_sees_nothing_below_it(
     range_m = np.full((64, 100), 8.0, np.float32)
     labels = np.full(range_m.shape, Label.BUILDING, np.uint8)
     labels[:, slice(*columns)] = Label.GROUND
-    found = asked(range_m, labels, np.deg2rad(np.linspace(70, 120, 100)), usual_of(preset))
-    assert ("ground-below" not in doubted(found)) == is_fine
+    findings = asked(range_m, labels, np.deg2rad(np.linspace(70, 120, 100)), usual_of(preset))
+    assert ("ground-below" not in doubted(findings)) == is_fine
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_noise_of_every_method(preset: str, share: float, verdict: Verdict) -> N
     labels = np.where(
         np.random.default_rng(1).random((64, 100)) < share, Label.NOISE, Label.GROUND
     ).astype(np.uint8)
-    found = asked(np.full(labels.shape, 3.0, np.float32), labels, None, usual_of(preset))
-    assert found["noise-share"].verdict is verdict
+    findings = asked(np.full(labels.shape, 3.0, np.float32), labels, None, usual_of(preset))
+    assert findings["noise-share"].verdict is verdict
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
@@ -122,15 +122,16 @@ def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool
     range_m, labels = street(512)
     rows = labels[slice(*lines)]
     rows[rows == Label.GROUND] = Label.BUILDING
-    found = asked(range_m, labels, usual=usual_of(preset))
-    assert ("classes-along" not in doubted(found)) == is_fine
+    findings = asked(range_m, labels, usual=usual_of(preset))
+    assert ("classes-along" not in doubted(findings)) == is_fine
     if not is_fine:
         first, last = (
-            int(one) for one in found["classes-along"].found.split("lines ")[1].split(" to ")
+            int(number)
+            for number in findings["classes-along"].found.split("lines ")[1].split(" to ")
         )
         assert abs(first - lines[0]) <= 32
         assert abs(last - lines[1]) <= 32
-        assert f"--only-lines {first}:" in found["classes-along"].hint
+        assert f"--only-lines {first}:" in findings["classes-along"].hint
 
 
 def test_level_surfaces_below_and_above_leave_it_open_where_up_is() -> None:
@@ -156,13 +157,13 @@ def test_too_little_to_tell_gives_no_finding(shape: tuple[int, int]) -> None:
 def test_findings_do_not_depend_on_the_blocks(cuts: set[int], off_deg: float) -> None:
     range_m, labels = MANY
     whole = ScanBlock(0, range_m, beam_rad=ANGLE[::4] - np.deg2rad(off_deg), angle_rad=ANGLE[::4])
-    one = ResultWatch(STREET)
+    undivided = ResultWatch(STREET)
     many = ResultWatch(STREET)
-    one.see(LabelledBlock(whole, labels, NO_EXTRA))
+    undivided.see(LabelledBlock(whole, labels, NO_EXTRA))
     for start, stop in pairwise([0, *sorted(cuts), len(labels)]):
         many.see(LabelledBlock(cut(whole, start, stop), labels[start:stop], NO_EXTRA))
-    assert many.findings() == one.findings()
-    assert doubted({found.check: found for found in one.findings()}) == (
+    assert many.findings() == undivided.findings()
+    assert doubted({finding.check: finding for finding in undivided.findings()}) == (
         {"ground-lean"} if off_deg else set()
     )
 
@@ -182,10 +183,10 @@ def test_the_worst_of_several_scanners_stands() -> None:
         off = 0.2 if scanner in (2, MAX_SCANNERS) else 0.0
         block = ScanBlock(0, range_m, scanner=scanner, beam_rad=ANGLE - off)
         watch.see(LabelledBlock(block, labels, NO_EXTRA))
-    found = {one.check: one for one in watch.findings()}
-    assert doubted(found) == {"ground-lean"}
-    assert found["ground-lean"].found.startswith("scanner 2: the ground leans by 1")
-    assert found["ground-below"].found.startswith("scanner 0: ")
+    findings = {finding.check: finding for finding in watch.findings()}
+    assert doubted(findings) == {"ground-lean"}
+    assert findings["ground-lean"].found.startswith("scanner 2: the ground leans by 1")
+    assert findings["ground-below"].found.startswith("scanner 0: ")
 
 
 @pytest.mark.parametrize(
@@ -199,7 +200,7 @@ def test_a_simulated_street_with_down_told_wrong(off_deg: float, is_fine: bool) 
     watch = ResultWatch(params.method().usual)
     for item in label_blocks(iter([replace(block, beam_rad=beam_rad)]), params):
         watch.see(item)
-    assert (not doubted({one.check: one for one in watch.findings()})) == is_fine
+    assert (not doubted({finding.check: finding for finding in watch.findings()})) == is_fine
 
 
 FINE = Verdict.FINE
@@ -229,27 +230,28 @@ def sample(
     return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle)
 
 
-def verdicts(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
+def verdicts(kept: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
     return {
-        finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)
+        finding.check: (finding.verdict, finding.sentence())
+        for finding in check_labels(kept, usual)
     }
 
 
-def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
+def slow_answers(kept: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
     """Answer shot by shot: what is found, without what is expected."""
-    assert one.beam_rad is not None
+    assert kept.beam_rad is not None
     n = dict.fromkeys(
         ("there", "noise", "without", "below", "level", "near", "under", "solid", "far"), 0
     )
     leans = []
-    stretches = np.zeros((len(one.labels) // 16, 4))
+    stretches = np.zeros((len(kept.labels) // 16, 4))
     for row, (ranges, labels) in enumerate(
-        zip(one.range_m.tolist(), one.labels.tolist(), strict=True)
+        zip(kept.range_m.tolist(), kept.labels.tolist(), strict=True)
     ):
         ground: list[tuple[float, float]] = []
         sides: dict[bool, list[tuple[bool, float]]] = {True: [], False: []}
         counts = np.zeros(4)
-        for range_m, label, beam in zip(ranges, labels, one.beam_rad.tolist(), strict=True):
+        for range_m, label, beam in zip(ranges, labels, kept.beam_rad.tolist(), strict=True):
             is_there = label != 0
             is_noise = label == N
             is_down = abs(beam) < math.radians(60)
@@ -285,11 +287,11 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
                 n["under"] += sum(not is_ground and up < middle - 1.0 for is_ground, up in side)
         if row // 16 < len(stretches):
             stretches[row // 16] += counts
-    found = {}
+    answers = {}
     without = n["without"] / n["there"]
     noise = n["noise"] / n["there"]
     if without > usual.unclassified_share and noise <= usual.noise_share:
-        found["noise-share"] = DOUBTFUL, f"{_percent(without)} of the returns have no class"
+        answers["noise-share"] = DOUBTFUL, f"{_percent(without)} of the returns have no class"
     else:
         verdict = (
             AGAINST
@@ -298,27 +300,27 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
             if noise > usual.noise_share
             else FINE
         )
-        found["noise-share"] = verdict, f"{_percent(noise)} of the returns are noise"
+        answers["noise-share"] = verdict, f"{_percent(noise)} of the returns are noise"
     if usual.reach_m > 0:
         share = n["far"] / n["solid"]
         verdict = DOUBTFUL if share < 0.01 else FINE
-        found["indoors"] = (
+        answers["indoors"] = (
             verdict,
             f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m",
         )
     share = n["level"] / n["below"]
-    found["ground-below"] = (
+    answers["ground-below"] = (
         DOUBTFUL if share < usual.level_share else FINE,
         f"{_percent(share)} of the returns within 60 deg of down are ground",
     )
     if len(leans) >= 32:
         lean = abs(math.degrees(math.atan(np.median(leans))))
-        found["ground-lean"] = (
+        answers["ground-lean"] = (
             DOUBTFUL if lean > usual.lean_deg else FINE,
             f"the ground leans by {lean:.2f} deg across the lines",
         )
     share = n["under"] / n["near"]
-    found["below-ground"] = (
+    answers["below-ground"] = (
         DOUBTFUL if share > usual.below_share else FINE,
         (
             f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 "
@@ -339,7 +341,7 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
         np.median([n for n, bad in zip(solid, noisy, strict=True) if not bad] or [np.inf])
     )
     bare = [bad and n < least for n, bad in zip(solid, noisy, strict=True)]
-    found["classes-along"] = FINE, "ground and noise are even along the stream"
+    answers["classes-along"] = FINE, "ground and noise are even along the stream"
     for bad, said, verdict in (
         (gone, "hardly any ground", DOUBTFUL),
         (bare, "much noise", DOUBTFUL),
@@ -350,11 +352,11 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
         ]
         first, last = max(runs, key=lambda run: (run[1] - run[0], -run[0]), default=(0, 0))
         if 0 < last - first < len(bad):
-            start = one.line[first * 16]
-            stop = one.line[(last + 2) * 16 - 1] + 1
-            found["classes-along"] = verdict, f"{said} in lines {start} to {stop}"
+            start = kept.line[first * 16]
+            stop = kept.line[(last + 2) * 16 - 1] + 1
+            answers["classes-along"] = verdict, f"{said} in lines {start} to {stop}"
             break
-    return found
+    return answers
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -386,9 +388,9 @@ def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
     # few lines show the ground, or few returns
     labels[::7, 5:] = np.where(labels[::7, 5:] == G, B, labels[::7, 5:])
     labels[100:150, 12 + seed :] = 0
-    one = sample(range_m.astype(np.float32), labels)
-    found = {
+    kept = sample(range_m.astype(np.float32), labels)
+    answers = {
         name: (verdict, said.split(": ", 1)[1].split(", expected")[0])
-        for name, (verdict, said) in verdicts(one, usual).items()
+        for name, (verdict, said) in verdicts(kept, usual).items()
     }
-    assert found == slow_answers(one, usual)
+    assert answers == slow_answers(kept, usual)

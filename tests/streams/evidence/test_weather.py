@@ -25,7 +25,7 @@ def flaky(range_m: F32, share: float) -> F32:
     return np.where((random.random(range_m.shape) < share) & (near < range_m), near, range_m)
 
 
-def told(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
+def verdicts_of(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
     info = StreamInfo("a.npz", "array", N_RINGS, None, len(range_m), facts=SourceFacts())
     windows = tuple(
         Window(first, range_m[first : first + 900]) for first in range(0, len(range_m), 900)
@@ -39,19 +39,21 @@ def told(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
         int(np.isnan(range_m).sum()),
         has_rings=has_rings,
     )
-    return {one.check: one.verdict for one in ask_all(seen)}
+    return {finding.check: finding.verdict for finding in ask_all(seen)}
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
 def test_flakes_are_left_out_where_order_is_judged(share: float) -> None:
-    found = told(flaky(drive(), share))
-    assert {found[name] for name in ("shot-order", "line-order") if name in found} == {Verdict.FINE}
+    verdicts = verdicts_of(flaky(drive(), share))
+    assert {verdicts[name] for name in ("shot-order", "line-order") if name in verdicts} == {
+        Verdict.FINE
+    }
 
 
 def test_shuffled_lines_and_shots_are_disorder_all_the_same() -> None:
     random = np.random.default_rng(1)
     lines = random.permutation(drive())
-    assert told(lines)["line-order"] is Verdict.AGAINST
+    assert verdicts_of(lines)["line-order"] is Verdict.AGAINST
     shots = random.permutation(drive().ravel()).reshape(-1, N_RINGS)
-    assert told(shots)["shot-order"] > Verdict.FINE
+    assert verdicts_of(shots)["shot-order"] > Verdict.FINE
     assert without_lonely((Window(0, shots),)) is None
