@@ -137,7 +137,7 @@ def test_lines_that_are_alike(
         (nan, 0.1, FINE),
     ],
 )
-@pytest.mark.parametrize("other", [M - 4, M - 1, M + 1, M + 4])
+@pytest.mark.parametrize("better", [M - 4, M - 1, M + 1, M + 4])
 def test_another_length_that_agrees_better(
     folds: dict[int, float],
     here: float,
