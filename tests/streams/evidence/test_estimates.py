@@ -229,10 +229,8 @@ def misread_street() -> F32:
             ">u4",
             1000,
             3,
-            """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' --set
-            layout.endian=big
-            """
-            "--set layout.header_bytes=3",
+            """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' """
+            "--set layout.endian=big --set layout.header_bytes=3",
         ),
         (
             "<f4",
