@@ -93,12 +93,12 @@ class _Shot:
     def is_in_wall(self) -> bool:
         if self.strip is None:
             return False
-        at = self.walls[0][self.line, self.strip]
+        distance = self.walls[0][self.line, self.strip]
         top = self.walls[1][self.line, self.strip]
-        behind = abs(self.side) - abs(at)
-        if at == 0 or not -self.thresholds.front_m <= behind <= self.thresholds.behind_m:
+        behind = abs(self.side) - abs(distance)
+        if distance == 0 or not -self.thresholds.front_m <= behind <= self.thresholds.behind_m:
             return False
-        through = self.height * (abs(at) / abs(self.side)) if behind > 0 else self.height
+        through = self.height * (abs(distance) / abs(self.side)) if behind > 0 else self.height
         return bool(through <= top + self.thresholds.over_m)
 
     def is_leaf(self) -> bool:
@@ -132,13 +132,15 @@ class _Shot:
         any height."""
         if self.strip is None:
             return False
-        at = self.walls[0][self.line, self.strip]
+        distance = self.walls[0][self.line, self.strip]
         if (
             self.walls[1][self.line, self.strip] - self.height + self.above
             < self.thresholds.storey_m
         ):
             return False
-        return bool(at != 0 and -self.thresholds.front_m <= abs(self.side) - abs(at) <= most_m)
+        return bool(
+            distance != 0 and -self.thresholds.front_m <= abs(self.side) - abs(distance) <= most_m
+        )
 
     def is_facade(self) -> bool:
         limits = self.thresholds
@@ -333,14 +335,14 @@ def fused_labels(
         labels[line, i] = shot.rule()
     for line, row in enumerate(labels):
         ranges = window_m[line : line + 2 * MARGIN + 1]
-        own = _Line(
+        twin_line = _Line(
             ranges,
             *(image[line + 2] for image in points),
             *(seen[line + 2] for seen in counts),
             row,
             thresholds,
         )
-        own.label_boxes()
+        twin_line.label_boxes()
     return labels
 
 

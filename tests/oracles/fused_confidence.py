@@ -69,15 +69,17 @@ def _agreement(
     step: np.float32,
     groups: I64,
 ) -> np.float32:
-    own = groups[labels[line, i]]
-    if own < 0 or np.isnan(range_m[line, i]):
+    shot_group = groups[labels[line, i]]
+    if shot_group < 0 or np.isnan(range_m[line, i]):
         return np.float32(0)
     half = int(
         min(max(np.float32(0.25) / (range_m[line, i] * step), np.float32(2)), np.float32(60))
     )
     around = groups[labels[max(line - 2, 0) : line + 3, max(i - half, 0) : i + half + 1]]
-    total = (around >= 0).sum() if own == NOISE else ((around >= 0) & (around != NOISE)).sum()
-    return np.float32((around == own).sum()) / np.float32(total)
+    total = (
+        (around >= 0).sum() if shot_group == NOISE else ((around >= 0) & (around != NOISE)).sum()
+    )
+    return np.float32((around == shot_group).sum()) / np.float32(total)
 
 
 def _place(
@@ -92,13 +94,13 @@ def _place(
     b = int(np.floor(y / np.float32(0.5))) + STRIPS // 2
     every, rough = (f"{int(words[line, b]):b}" for words in slots)
     n = every.count("1")
-    at = walls[0][line, b]
+    distance = walls[0][line, b]
     before = walls[1][line, b]
     return (
         np.float32(rough.count("1")) / np.float32(max(n, 1)),
         np.float32(0 if n == 0 else len(every)) * np.float32(0.25),
         np.float32(n) * np.float32(0.25),
-        abs(y) - abs(at) if at != 0 else none[3],
+        abs(y) - abs(distance) if distance != 0 else none[3],
         abs(before) - abs(y) if before != 0 else none[4],
     )
 
@@ -106,8 +108,10 @@ def _place(
 def _jump(ranges: F32, i: int) -> np.float32:
     beside = [ranges[j] for j in (max(i - 1, 0), min(i + 1, len(ranges) - 1))]
     jumps = [
-        min(abs(one - ranges[i]), np.float32(6)) if abs(one - ranges[i]) < 6 else np.float32(6)
-        for one in beside
+        min(abs(neighbour - ranges[i]), np.float32(6))
+        if abs(neighbour - ranges[i]) < 6
+        else np.float32(6)
+        for neighbour in beside
     ]
     scale = (
         max(ranges[i] * np.float32(0.1), np.float32(1))

@@ -21,7 +21,7 @@ def curb_labels(
     thresholds: CurbThresholds,
 ) -> U8:
     """Label curbs; see :func:`prc_cli.methods.fused.curbs_loops.curb_labels`."""
-    found = labels.copy()
+    curbs = labels.copy()
     side_m = range_m * beams[0]
     height_m = -(range_m * beams[1])
     low = (np.abs(above_m) < thresholds.most_m) & ~np.isin(labels, NO_SURFACE)
@@ -38,32 +38,38 @@ def curb_labels(
             columns = [i + way * k for k in range(1, 201) if 0 <= i + way * k < m]
             shots = _until_gap(columns, low[line])
             away = [abs(side_m[line, j] - side_m[line, i]) for j in shots]
-            end = next((k for k, one in enumerate(away) if one > thresholds.reach_m), len(shots))
+            end = next(
+                (k for k, distance in enumerate(away) if distance > thresholds.reach_m), len(shots)
+            )
             beside.append(
-                [j for j, one in zip(shots[:end], away, strict=False) if one > thresholds.half_m]
+                [
+                    j
+                    for j, distance in zip(shots[:end], away, strict=False)
+                    if distance > thresholds.half_m
+                ]
             )
         if _is_face(height_m[line], labels[line] == GROUND, height_m[line, i], beside, thresholds):
-            found[line, i] = CURB
-    return found
+            curbs[line, i] = CURB
+    return curbs
 
 
 def _until_gap(columns: list[int], low: Mask) -> list[int]:
     """Return the columns near the ground, up to nine in a row that are not."""
-    found = []
+    reached = []
     gap = 0
     for j in columns:
         gap = 0 if low[j] else gap + 1
         if gap > 8:
             break
         if low[j]:
-            found.append(j)
-    return found
+            reached.append(j)
+    return reached
 
 
 def _is_face(
     height: F32,
     is_ground: Mask,
-    own: np.float32,
+    shot_height: np.float32,
     beside: list[list[int]],
     thresholds: CurbThresholds,
 ) -> bool:
@@ -74,8 +80,8 @@ def _is_face(
         if not heights:
             return False
         total = np.float32(0)
-        for one in heights:
-            total = np.float32(total + one)
+        for level in heights:
+            total = np.float32(total + level)
         means.append(total / np.float32(len(heights)))
     foot, top = means
     rise = top - foot
@@ -83,4 +89,4 @@ def _is_face(
         return False
     margin = thresholds.margin * rise
     step = height[beside[1][0]] - height[beside[0][0]]
-    return bool(foot + margin < own < top - margin and step >= thresholds.share * rise)
+    return bool(foot + margin < shot_height < top - margin and step >= thresholds.share * rise)

@@ -37,7 +37,7 @@ def fan_cars(
     thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
     """Label cars in fans; see :func:`prc_cli.methods.fused.fans_loops.fan_cars`."""
-    found = labels.copy()
+    cars = labels.copy()
     runs = [
         (line, way, run)
         for line in range(len(labels))
@@ -63,8 +63,8 @@ def fan_cars(
             continue
         things = ((around & THING) > 0).sum(axis=0)[seeds.argmax()]
         if np.float32(seeds.max()) >= thresholds.share * np.float32(seeds.max() + things):
-            found[line, [i for i in columns if labels[line, i] != POLE]] = CAR
-    return found[:n_own], marks[n_own : n_own + LINES]
+            cars[line, [i for i in columns if labels[line, i] != POLE]] = CAR
+    return cars[:n_own], marks[n_own : n_own + LINES]
 
 
 def runs_of(

@@ -30,7 +30,7 @@ def find_flanks(
 ) -> tuple[U8, U8]:
     """Find flanks of vehicles; see :func:`prc_cli.methods.fused.flanks_loops.find_flanks`."""
     flanks = np.zeros((len(levels), N), np.uint8)
-    found = levels.copy()
+    widened = levels.copy()
     side_m = range_m * beams[0]
     is_ground = (np.abs(above_m) < thresholds.soil_m) & (upright < 2)
     counts, depths = ground_of(side_m, range_m * beams[1], is_ground)
@@ -51,8 +51,8 @@ def find_flanks(
             beneath = beyond = 0
             for k in seen:
                 first = int(away / BIN)
-                at = np.arange(2 * N)
-                ground = (counts[k, way] > 0) & (at >= first) & (at < 2 * first)
+                bin_number = np.arange(2 * N)
+                ground = (counts[k, way] > 0) & (bin_number >= first) & (bin_number < 2 * first)
                 passes = depths[k, way] * (np.float32(1) - away / middle)
                 # behind ground that is seen above the body nothing counts
                 high = np.flatnonzero(ground & (passes > thresholds.body_m))
@@ -68,10 +68,10 @@ def find_flanks(
             )
             if is_low or hangs:
                 flanks[line, b] = 1
-                at = int(away / LEVEL_BIN)
-                for j in range(at, min(at + 6, N)):
-                    found[line, N + j if b >= N // 2 else N - 1 - j] |= 17 if hangs else 1
-    return flanks, found
+                bin_number = int(away / LEVEL_BIN)
+                for j in range(bin_number, min(bin_number + 6, N)):
+                    widened[line, N + j if b >= N // 2 else N - 1 - j] |= 17 if hangs else 1
+    return flanks, widened
 
 
 def _hangs(
@@ -84,10 +84,10 @@ def _hangs(
 ) -> bool:
     """Return whether lines see ground below a body as high as a lorry's, and none through it."""
     middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
-    at = np.arange(2 * N)
+    bins = np.arange(2 * N)
     first = int(away / BIN)
-    own = min(int(away / WIDTH), N // 2 - 1)
-    strips = [own, max(own - 1, 0)]
+    shot_bin = min(int(away / WIDTH), N // 2 - 1)
+    strips = [shot_bin, max(shot_bin - 1, 0)]
     bottoms = []
     below = 0
     through = 0
@@ -99,7 +99,7 @@ def _hangs(
         if not thresholds.body_m <= bottom <= thresholds.high_m:
             continue
         bottoms.append(bottom)
-        ground = (n_shots > 0) & (at >= first) & (at < 2 * first)
+        ground = (n_shots > 0) & (bins >= first) & (bins < 2 * first)
         passes = depth * (np.float32(1) - away / middle)
         below += n_shots[ground & (passes >= np.float32(0.5) * bottom) & (passes <= bottom)].sum()
         through += n_shots[ground & (passes > bottom + np.float32(0.25))].sum()

@@ -39,7 +39,7 @@ def walk_ground(
     height_m = -(range_m * beams[1])
     above = np.full(side_m.shape, np.nan, np.float32)
     walked = np.zeros(side_m.shape, np.bool_)
-    heights, ages, shots, sums = (each.copy() for each in memory)
+    heights, ages, shots, sums = (memory_array.copy() for memory_array in memory)
     memories = [_Memory(heights[s], ages[s], thresholds) for s in range(2)]
     kept = None
     for line in range(len(side_m)):
@@ -49,7 +49,11 @@ def walk_ground(
         level &= counts[3][line] > counts[2][line]
         known = np.flatnonzero((ages.astype(np.float32) < thresholds.memory_lines).any(axis=0))
         if len(known):
-            nearest_m = next(one.height[known[0]] for one in memories if one.known()[known[0]])
+            nearest_m = next(
+                memory_side.height[known[0]]
+                for memory_side in memories
+                if memory_side.known()[known[0]]
+            )
             start_m = nearest_m if lost < 0 else start_m + (nearest_m - start_m) * START_FOLLOW
             lost = 0
             shots[:] = sums[:] = 0
@@ -109,15 +113,15 @@ def _search(
     thresholds: WalkThresholds,
 ) -> bool:
     """Count level shots by depth: in the first row those near the scanner, in the second all."""
-    found = False
+    is_found = False
     for y, z in zip(side_m, height_m, strict=True):
         depth = -z / TENTH
         if z < 0 and depth < shots.shape[1]:
-            found = True
+            is_found = True
             for row in (0, 1) if abs(y) < thresholds.start_reach_m else (1,):
                 shots[row, int(depth)] += np.float32(1)
                 sums[row, int(depth)] += z
-    return found
+    return is_found
 
 
 def _lowest(shots: F32, sums: F32) -> np.float32:
@@ -178,14 +182,14 @@ def _steps(
 ) -> list[tuple[int, int]]:
     """Return the columns that the walk goes over, and their places."""
     known = memory.known()
-    at = np.float32(0)
+    reached = np.float32(0)
     z = memory.height[np.argmax(known)] if known.any() else np.float32(start_m)
     steps = []
     for i in on_way:
         place = int(out_m[i] / QUARTER)
-        if out_m[i] < 0 or place >= BINS or out_m[i] - at < -np.float32(0.05):
+        if out_m[i] < 0 or place >= BINS or out_m[i] - reached < -np.float32(0.05):
             continue
-        out = max(out_m[i] - at, np.float32(0))
+        out = max(out_m[i] - reached, np.float32(0))
         limit = (
             thresholds.step_m
             + thresholds.slope * min(out, thresholds.slope_reach_m)
@@ -194,7 +198,7 @@ def _steps(
         remembered = known[place] and abs(height_m[i] - memory.height[place]) < thresholds.known_m
         if abs(height_m[i] - z) <= limit or remembered:
             steps.append((i, place))
-            at = out_m[i]
+            reached = out_m[i]
             z = height_m[i]
     return steps
 

@@ -23,7 +23,7 @@ def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
 
 
 def _with_margins(points: tuple[F32, F32]) -> tuple[F32, F32]:
-    side, height = (np.pad(one, ((0, 0), (4, 4)), constant_values=np.nan) for one in points)
+    side, height = (np.pad(array, ((0, 0), (4, 4)), constant_values=np.nan) for array in points)
     return side, height
 
 
@@ -73,7 +73,7 @@ def smooth_counts(
         y = line + 2
         x = column + 4
         r = range_m[y, column]
-        own = points[y, x]
+        point = points[y, x]
         tolerance = thresholds.tolerance_m + thresholds.tolerance_per_m * r
         gap = max(thresholds.gap_m, thresholds.gap_steps * (r * step))
         to_edge = min(column, range_m.shape[1] - 1 - column)
@@ -86,14 +86,14 @@ def smooth_counts(
             first = points[y, x + stride * b]
             second = points[y, x + stride * c]
             along = second - first
-            off = own - first
+            off = point - first
             square = along[0] * along[0] + along[1] * along[1]
             cross = along[0] * off[1] - along[1] * off[0]
             counts[line, column] += bool(
                 square < gap * gap and cross * cross < tolerance * tolerance * square
             )
         for (a, b), (c, d) in PAIRS_ACROSS:
-            off = (points[y + a, x + b] + points[y + c, x + d]) * np.float32(0.5) - own
+            off = (points[y + a, x + b] + points[y + c, x + d]) * np.float32(0.5) - point
             square = off[0] * off[0] + off[1] * off[1]
             counts[line, column] += bool(square < np.float32(4) * (tolerance * tolerance))
     return counts
@@ -127,12 +127,12 @@ def directions(
                 i + way * k for k in tries if 0 <= i + way * k < m and smooth[line, i + way * k] > 0
             ]
             ends.append(held[0] if held else None)
-        own = np.array([side_m[line, i], height_m[line, i]])
+        point = np.array([side_m[line, i], height_m[line, i]])
         to = [
-            None if j is None else np.array([side_m[line, j], height_m[line, j]]) - own
+            None if j is None else np.array([side_m[line, j], height_m[line, j]]) - point
             for j in ends
         ]
-        chords = [one for one in to if one is not None]
+        chords = [chord for chord in to if chord is not None]
         if len(chords) == 2:
             chords.append(chords[0] - chords[1])
         for dy, dz in chords:

@@ -44,12 +44,12 @@ class _Window(NamedTuple):
             two = [self.i + way, self.i + 2 * way]
             if not (self.labels[self.line - 2, two] == CAR).any():
                 return False
-            if not (self.range_m[self.line, two] < self.own - thresholds.mirror_m).any():
+            if not (self.range_m[self.line, two] < self.middle_m - thresholds.mirror_m).any():
                 return False
         sides = [0, 0]
         fellows = 0
         for k, j in self.around(1):
-            off = self.range_m[k, j] - self.own
+            off = self.range_m[k, j] - self.middle_m
             if off < -thresholds.mirror_m and self.labels[k - 2, j] == CAR and j != self.i:
                 sides[int(j > self.i)] += 1
             if abs(off) <= thresholds.mirror_m and self.smooth[k, j] >= 2:
@@ -57,19 +57,25 @@ class _Window(NamedTuple):
         return bool(min(sides) >= thresholds.mirror_share * np.float32(24) and fellows <= 1)
 
     def is_leaf(self, thresholds: AgainThresholds) -> bool:
-        near = [at for at in self.around(1) if abs(self.range_m[at] - self.own) < thresholds.leaf_m]
+        near = [
+            cell
+            for cell in self.around(1)
+            if abs(self.range_m[cell] - self.middle_m) < thresholds.leaf_m
+        ]
         return sum(self.labels[k - 2, j] == VEGETATION for k, j in near) >= thresholds.leaves
 
     def is_alone(self, thresholds: AgainThresholds) -> bool:
         ranges = np.array([self.range_m[place] for place in self.around()], np.float32)
-        off = ranges[~np.isnan(ranges)] - self.own
+        off = ranges[~np.isnan(ranges)] - self.middle_m
         if (np.abs(off) < thresholds.alone_m).any():
             return False
         # the shot itself is part of the window
         if np.isnan(ranges).sum() * 6 >= len(ranges) + 1:
             return False
         sides = [off[off > 0], -off[off < 0]]
-        return any(len(one) == 0 or one.min() > thresholds.alone_gap_m for one in sides)
+        return any(
+            len(distances) == 0 or distances.min() > thresholds.alone_gap_m for distances in sides
+        )
 
 
 def noise_again(
@@ -85,7 +91,7 @@ def noise_again(
 
     See :func:`prc_cli.methods.fused.noise_loops.noise_again`.
     """
-    found = voted.copy()
+    noisy = voted.copy()
     for line, i in zip(*np.nonzero(voted), strict=True):
         shot = _Window(labels, range_m, smooth, int(line) + 3, int(i))
         pairs = smooth[line + 3, i]
@@ -96,9 +102,9 @@ def noise_again(
         )
         is_open = pairs < 2 and labels[line + 1, i] not in (MISSING, NOISE)
         if is_noise and is_high and shot.is_leaf(thresholds):
-            found[line, i] = Reason.LEAF
+            noisy[line, i] = Reason.LEAF
         elif is_rough and shot.is_alone(thresholds):
-            found[line, i] = Reason.RANGE_ALONE
+            noisy[line, i] = Reason.RANGE_ALONE
         elif is_open and not is_noise and shot.is_mirrored(thresholds):
-            found[line, i] = Reason.MIRRORED
-    return found
+            noisy[line, i] = Reason.MIRRORED
+    return noisy

@@ -15,10 +15,10 @@ def _sticks_out(ranges: F32, column: int, thresholds: SpacingThresholds) -> bool
     """Return whether a shot is near to both neighbours in range, and on no surface with them."""
     if not 1 <= column < len(ranges) - 1:
         return False
-    one, own, two = ranges[column - 1 : column + 2]
-    limit = thresholds.tolerance_m + thresholds.tolerance_per_m * own
-    before = own - one
-    after = two - own
+    previous, middle, following = ranges[column - 1 : column + 2]
+    limit = thresholds.tolerance_m + thresholds.tolerance_per_m * middle
+    before = middle - previous
+    after = following - middle
     if not (abs(before) < thresholds.near_m and abs(after) < thresholds.near_m):
         return False
     return bool(abs(before) > limit and abs(after) > limit and abs(after - before) > limit)
@@ -36,11 +36,11 @@ def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDA
                 _sticks_out(ranges, near, thresholds) for near in range(column - 1, column + 2)
             ):
                 continue
-            own = ranges[column]
-            limit = thresholds.tolerance_m + thresholds.tolerance_per_m * own
+            middle = ranges[column]
+            limit = thresholds.tolerance_m + thresholds.tolerance_per_m * middle
             others = [range_m[line + 16 - lag, column] for lag in LAGS]
             others.append(ranges[column + 2] if column + 2 < m else np.float32(np.nan))
-            for k, other in enumerate(others):
-                if not np.isnan(other):
-                    counts[line, k] += 1, abs(own - other) < limit
+            for k, shifted in enumerate(others):
+                if not np.isnan(shifted):
+                    counts[line, k] += 1, abs(middle - shifted) < limit
     return counts

@@ -64,7 +64,7 @@ def fill_strips(
         is_level = smooth[k, i] >= thresholds.level_smooth and level[k, i] > upright[k, i]
         if is_level and above[k, i] < thresholds.level_top_m and height[k, i] < 0:
             adjacent = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1]]
-            beside = [other for other in adjacent if abs(other - y) < thresholds.jump_m]
+            beside = [distance for distance in adjacent if abs(distance - y) < thresholds.jump_m]
             low, high = (
                 floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside]))
             )
@@ -93,7 +93,7 @@ def find_walls(
 ) -> tuple[F32, F32, F32]:
     """Find walls; see :func:`prc_cli.methods.fused.strips_loops.find_walls`."""
     n_lines = len(sums[0]) - 4
-    at, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
+    distance, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
     for line in range(n_lines):
         length, wall, place = (sum_around(values[line : line + 5]) for values in sums[:3])
         highest = np.pad(sums[3][line : line + 5].max(axis=0), 1, constant_values=NOTHING)
@@ -111,14 +111,14 @@ def find_walls(
             outwards = np.minimum.accumulate(np.where(is_wall[side], number, N)[::-1])[::-1]
             for k in np.flatnonzero(inwards >= 0):
                 w = side[inwards[k]]
-                at[line, side[k]] = place[w] / wall[w]
+                distance[line, side[k]] = place[w] / wall[w]
                 top[line, side[k]] = highest[w : w + 3].max()
             for k in np.flatnonzero(outwards < N):
                 w = side[outwards[k]]
                 where = place[w] / wall[w]
                 if abs(where) - np.float32(k) * WIDTH <= thresholds.before_m + WIDTH:
                     ahead[line, side[k]] = where
-    return at, top, ahead
+    return distance, top, ahead
 
 
 def sum_around(values: F32) -> F32:
@@ -151,14 +151,14 @@ class _Lines:
         far; None: none."""
         k = line + self.margin
         while 0 <= k + 2 * way < len(self.window):
-            own, there, beyond = (self.window[k + n * way, i] for n in range(3))
+            here, there, beyond = (self.window[k + n * way, i] for n in range(3))
             there = beyond if np.isnan(there) else there
             k += way
-            if np.isnan(own) or np.abs(own - there) < self.limits.jump_m:
+            if np.isnan(here) or np.abs(here - there) < self.limits.jump_m:
                 continue
-            if there <= own + self.limits.jump_m:
+            if there <= here + self.limits.jump_m:
                 return None
-            return abs(k - line - self.margin), not there <= own + self.limits.far_m
+            return abs(k - line - self.margin), not there <= here + self.limits.far_m
         return None
 
     def seen(self, line: int, i: int, *, far: bool) -> range | None:
@@ -279,9 +279,9 @@ class _Lines:
         )
 
     def is_fence(self, line: int, i: int) -> bool:
-        at = line + self.margin
-        away = np.abs(np.arange(len(self.window)) - at)
-        alike = np.abs(self.window[:, i] - self.window[at, i]) < np.float32(0.2)
+        row = line + self.margin
+        away = np.abs(np.arange(len(self.window)) - row)
+        alike = np.abs(self.window[:, i] - self.window[row, i]) < np.float32(0.2)
         return bool(
             alike[(away >= 9) & (away <= 30)].sum() >= 6
             and self.above[line, i] < self.limits.high_m
@@ -290,31 +290,31 @@ class _Lines:
     def climb(self, line: int, i: int) -> np.float32:
         """Return how much higher lines around see the thing of a shot."""
         (sine, cosine) = self.beams
-        at = line + self.margin
+        row = line + self.margin
         best = np.float32(0)
         up = 1 if cosine[max(i - 1, 0)] > cosine[min(i + 1, len(sine) - 1)] else -1
         side = self.window * sine
         height = -(self.window * cosine)
         for way in (-1, 1):
-            k = at + way
+            k = row + way
             j = i
-            top = height[at, i]
+            top = height[row, i]
             goes_on = True
             while (
-                goes_on and 0 <= k < len(self.window) and top - height[at, i] < self.limits.high_m
+                goes_on and 0 <= k < len(self.window) and top - height[row, i] < self.limits.high_m
             ):
                 q = j
                 goes_on = False
-                while 0 <= q < len(sine) and self.window[at, i] * (
+                while 0 <= q < len(sine) and self.window[row, i] * (
                     cosine[j] - cosine[q]
                 ) < np.float32(0.3):
-                    if np.abs(side[k, q] - side[at, i]) < np.float32(0.4):
+                    if np.abs(side[k, q] - side[row, i]) < np.float32(0.4):
                         top = max(top, height[k, q])
                         j = q
                         goes_on = True
                     q += up
                 k += way
-            best = max(best, top - height[at, i])
+            best = max(best, top - height[row, i])
         return np.float32(best)
 
     def is_column(self, line: int, run: list[int], free: list[int]) -> bool:
@@ -371,7 +371,7 @@ def find_columns(
 ) -> U8:
     """Find trunks and posts; see :func:`prc_cli.methods.fused.strips_loops.find_columns`."""
     lines = _Lines(window_m, above_m, counts[0], counts[1], beams, thresholds)
-    found = np.zeros(above_m.shape, np.uint8)
+    columns = np.zeros(above_m.shape, np.uint8)
     for line in range(len(above_m)):
         for run in lines.runs(line):
             free = lines.free(line, run, far=True)
@@ -379,6 +379,8 @@ def find_columns(
             kind = lines.kind(line, run, free, narrow) if free or narrow else 0
             for i in run if kind == SMALL else free:
                 is_odd = kind == COLUMN and not lines.is_smooth(line, i)
-                own = kind or lines.piece(line, run, i)
-                found[line, i] = (FENCE if kind and lines.is_fence(line, i) else own) * (not is_odd)
-    return found
+                column_kind = kind or lines.piece(line, run, i)
+                columns[line, i] = (FENCE if kind and lines.is_fence(line, i) else column_kind) * (
+                    not is_odd
+                )
+    return columns

@@ -29,9 +29,9 @@ def vote_labels(
     m = labels.shape[1]
     for row, i in zip(*np.nonzero(~np.isin(voted, (MISSING, OTHER, NOISE, GROUND))), strict=True):
         line = row + 1
-        own = labels[row + 1, i]
+        centre = labels[row + 1, i]
         asked = (line - 1, i), (line + 1, i), (line, max(i - 4, 0)), (line, min(i + 4, m - 1))
-        if all(labels[place] in (own, MISSING, NOISE) for place in asked):
+        if all(labels[place] in (centre, MISSING, NOISE) for place in asked):
             continue
         columns = min(max(int(half_m / (range_m[line, i] * step)), 2), 60)
         place = (
@@ -45,6 +45,6 @@ def vote_labels(
             label: int((labels[place][close] == label).sum())
             for label in (OTHER, CAR, POLE, BUILDING, VEGETATION)
         }
-        if votes[own] < max(votes.values()):
+        if votes[centre] < max(votes.values()):
             voted[row, i] = max(votes, key=lambda label: votes[label])
     return voted
