@@ -33,6 +33,11 @@ NAMES: dict[str, tuple[str, ...]] = {
     "return_number": ("return_number", "num_echo"),
     "number_of_returns": ("number_of_returns", "num_returns", "nb_of_echo"),
     "ring": ("ring", "laser_id", "laser_number"),
+    # VeloView
+    **{
+        axis: (axis, f"points:{number}", f"points_m_xyz:{number}")
+        for number, axis in enumerate("xyz")
+    },
 }
 """Names of the standard dimensions; the first one present is used.
 
@@ -153,6 +158,15 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
                 usual[standard] = Usual(names[index], index, unit_of(standard, names[index]))
                 break
     return usual
+
+
+def is_horizontal(name: str) -> bool:
+    """Return whether a column has the usual name of a horizontal angle.
+
+    >>> is_horizontal("Azimuth"), is_horizontal("angle")
+    (True, False)
+    """
+    return split_unit(name)[0] in _HORIZONTAL
 
 
 def _vertical_names(plain: Sequence[str]) -> tuple[str, ...]:

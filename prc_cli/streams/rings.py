@@ -194,8 +194,12 @@ def turns_in_order(frame: Table) -> float:
     return float(step.sum()) / _TURN if is_ordered else 0.0
 
 
-def _several_turns(source: RecordSource, n_turns: float) -> InputError:
+def _several_turns(source: RecordSource, n_turns: float, frame: Table) -> InputError:
     """Return the error of a file of several turns, with the rate of its firing columns where there are times."""
+    problem = f"the file holds {n_turns:.1f} turns of the scanner, expected one"
+    if RING in frame and not _rise(frame[RING], frame[XYZ]):
+        # lasers numbered as they fire are no columns
+        return InputError(source.path, problem, "save every turn (frame) as a file of its own")
     rate = "HZ (firing columns a second)"
     if "time" in source.dimensions:
         first = next(iter(source.chunks(("time", RING))))
@@ -204,9 +208,16 @@ def _several_turns(source: RecordSource, n_turns: float) -> InputError:
         step = np.diff(np.asarray(first.values["time"], np.float64)[of_ring])
         step = step[step > 0]
         rate = f"{1.0 / float(np.median(step)):.5g}" if len(step) else rate
-    problem = f"the file holds {n_turns:.1f} turns of the scanner, expected one"
     way = f"--lines time:{rate} --columns dimension:{RING} --range sensor-xyz"
     return InputError(source.path, problem, f"read them as a drive, {way}; or give one turn a file")
+
+
+def _rise(ring: NDArray[Any], xyz_m: F32) -> bool:
+    """Return whether the rings lie in the order of their numbers, upwards or downwards."""
+    elevation = np.arctan2(xyz_m[:, 2], np.hypot(xyz_m[:, 0], xyz_m[:, 1]))
+    numbers = np.unique(ring)
+    steps = np.diff([float(np.median(elevation[ring == number])) for number in numbers])
+    return bool((steps > 0).all() or (steps < 0).all())
 
 
 def _cut_turns(along: F64) -> tuple[I64, F64]:
@@ -398,7 +409,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
             "check the layout",
         )
     if (n_turns := turns_in_order(frame)) > MOST_TURNS:
-        raise _several_turns(source, n_turns)
+        raise _several_turns(source, n_turns, frame)
     frame, turns, sensor_frame = _in_own_frame(frame, source.path)
     n_rings, column = ring_columns(frame[XYZ], turns, config.points_per_line, source.path)
     step = (

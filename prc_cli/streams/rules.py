@@ -517,6 +517,8 @@ def _auto_range(source: RecordSource) -> tuple[str, str]:
     every = list(dict.fromkeys([*every[:6], *extra, *every]))
     names = ", ".join(every[:12]) + (", ..." if len(every) > 12 else "")
     problem = f"{_NO_RANGE}: the file has no dimension range, it has {names or 'none'}"
+    not_read = [note for note in source.facts.notes if "not read" in note]
+    problem = "; ".join([problem, *not_read])
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 

@@ -26,6 +26,11 @@ BUFFER_BYTES = 1 << 20
 """Bytes of a column of a Parquet file read at a time."""
 CHUNK_RECORDS = 1 << 19
 """Records read at a time."""
+_FEATHER_1 = b"FEA1"
+_REWRITE = (
+    'write it in version 2: python -c "import pyarrow.feather as f; '
+    "f.write_feather(f.read_table('IN'), 'OUT')\""
+)
 AXES = ("x", "y", "z")
 XYZ = "xyz"
 
@@ -140,11 +145,11 @@ class ParquetTable:
             kinds = schema.types
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged(self._path, error, self.format) from error
-        numbers = [
-            name
-            for name, kind in zip(names, kinds, strict=True)
-            if pa.types.is_integer(kind) or pa.types.is_floating(kind)
-        ]
+        numbers = []
+        for name, kind in zip(names, kinds, strict=True):
+            stored = kind.value_type if pa.types.is_dictionary(kind) else kind
+            if pa.types.is_integer(stored) or pa.types.is_floating(stored):
+                numbers.append(name)
         self._columns, self._units = _by_standard({name: name for name in numbers})
 
     @property
@@ -166,7 +171,7 @@ class ParquetTable:
         first = 0
         try:
             for batch in self._batches(stored):
-                read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
+                read = {name: _numbers(batch.column(name)) for name in stored}
                 values = {
                     name: _decoded(read[self._columns[name]], self._units.get(name))
                     for name in names
@@ -217,6 +222,9 @@ class FeatherTable(ParquetTable):
     def _open(self) -> pa.RecordBatchFileReader:
         import pyarrow as pa
 
+        with self._path.open("rb") as file:
+            if file.read(len(_FEATHER_1)) == _FEATHER_1:
+                raise InputError(str(self._path), "a Feather file of version 1", _REWRITE)
         return pa.ipc.open_file(pa.memory_map(str(self._path)))
 
 
@@ -233,6 +241,15 @@ def _by_standard(columns: dict[str, _Place]) -> tuple[dict[str, _Place], dict[st
         if dimension.unit or name == "angle"
     }
     return {standard.get(name, name): place for name, place in columns.items()}, units
+
+
+def _numbers(column: pa.Array) -> NDArray[Any]:
+    import pyarrow as pa
+
+    if isinstance(column, pa.DictionaryArray):
+        column = column.dictionary_decode()
+    values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+    return values
 
 
 def _decoded(stored: NDArray[Any], item: LayoutField | None) -> NDArray[Any]:

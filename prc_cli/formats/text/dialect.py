@@ -22,6 +22,8 @@ SNIFFED_ROWS = 20
 HEAD_BYTES = 1 << 16
 """Bytes read at a time for the first rows."""
 
+QUOTED_DECIMALS = r"""sed -E 's/"([+-]?[0-9]+),([0-9]+)"/\1.\2/g' IN > OUT"""
+"""Command that writes the decimals of quoted cells with a point."""
 _LAST_ROWS = 8
 _SWAPPED = str.maketrans(",.", ".,")
 BLANKS = " "
@@ -101,7 +103,7 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         raise ConfigError(
             "layout.decimal",
             problem,
-            'if the cells are separated by ;, --set layout.delimiter=";"; else separate them by ;',
+            f'if the cells are separated by ;, --set layout.delimiter=";"; else {QUOTED_DECIMALS}',
         )
     if options.header is not False and decimal != delimiter:
         head = _find_head(_head_lines(path, draft), delimiter, decimal)

@@ -18,12 +18,13 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
-from prc_cli.formats.names import angle_rules, find_columns, ring_rules
+from prc_cli.formats.names import angle_rules, find_columns, is_horizontal, ring_rules
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import AXES, Column, FieldSource, shorten
 from prc_cli.formats.text.dialect import (
     BLANKS,
     MISSING_WORDS,
+    QUOTED_DECIMALS,
     TextFormat,
     find_format,
     split,
@@ -232,7 +233,7 @@ def _hint_of_cell(
         return f"the names come again: sed {line}d IN > OUT"
     if re.fullmatch(r"[+-]?\d+,\d+", cell):
         if delimiter == ",":
-            return "write decimals with a point, or separate the cells by ; and keep the comma"
+            return f"write decimals with a point: {QUOTED_DECIMALS}"
         return "write decimals with a point, or give --set layout.decimal=,"
     for pattern, hint in _HINTS:
         if re.fullmatch(pattern, cell):
@@ -323,7 +324,10 @@ class TextSource(FieldSource):
         columns = find_columns(where, names, layout, tuple(map(str, range(n))), hint)
         super().__init__(path, "text", columns, TextBody(path, self.text, block_bytes))
         rules = angle_rules(columns["angle"].name if "angle" in columns else None)
-        has_lines = bool({"scan_line", "column", "range", "angle"} & set(columns))
+        # VeloView writes the azimuth of the head and the range beside the ring
+        has_azimuth = "angle" in columns and is_horizontal(columns["angle"].name)
+        of_lines = {"scan_line", "column"} | (set() if has_azimuth else {"range", "angle"})
+        has_lines = bool(of_lines & set(columns))
         if {"ring", *AXES} <= set(columns) and not has_lines:
             rules += ring_rules()
         range_name = columns["range"].name if "range" in columns else "range"

@@ -157,7 +157,11 @@ def check_unplaced(seen: Seen) -> Finding | None:
     if share is None:
         return None
     measured = f"{share:.1%} of the records found no cell and stay unclassified"
-    hint = "check --lines, --columns and -M; a recording that was begun anew: split the file there"
+    hint = "check --lines, --columns and -M; if the recording started again: split the file there"
+    facts = seen.info.facts
+    if "lines" in facts.refuses and not facts.has_line_times:
+        # a frame has no start to split it at
+        hint = f"points that do not follow the azimuth of their ring: {facts.remedy}"
     return Finding(
         "unplaced",
         verdict_of(doubtful=share > MANY, against=share > MOST),

@@ -94,3 +94,21 @@ def test_what_is_cut_short_is_said_in_one_line(tmp_path: Path, n_bytes: int) -> 
     path.write_bytes(path.read_bytes()[:n_bytes])
     with pytest.raises(InputError, match="no whole Feather file"):
         open_source(path)
+
+
+def test_a_ring_of_a_dictionary_is_a_number(tmp_path: Path) -> None:
+    ring = pa.array(np.arange(100, dtype=np.uint8) % 32).dictionary_encode()
+    table = pa.table({"x": np.arange(100.0), "ring": ring, "name": pa.array(["a"] * 100)})
+    path = tmp_path / "sweep.feather"
+    feather.write_feather(table, path)
+    source = open_source(path)
+    assert source is not None
+    (chunk,) = source.chunks(("ring",))
+    np.testing.assert_array_equal(chunk.values["ring"], np.arange(100) % 32)
+
+
+def test_version_1_of_feather_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "old.feather"
+    path.write_bytes(b"FEA1" + bytes(100) + b"FEA1")
+    with pytest.raises(InputError, match="a Feather file of version 1; write it in version 2"):
+        open_source(path)

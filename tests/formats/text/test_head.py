@@ -91,7 +91,7 @@ def test_a_count_of_rows_is_no_row(tmp_path: Path, suffix: str) -> None:
         ("\u22125.0", "write the minus as -"),
         ("2024-05-01T10:00:00", "times as seconds"),
         ("range", "sed 9d IN > OUT"),
-        ('"68,07"', "separate the cells by ;"),
+        ('"68,07"', "write decimals with a point"),
         ("\x1a", "tr -d"),
         ("wall", "write nan"),
     ],

@@ -42,3 +42,29 @@ def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None
     told = InputConfig(lines="time:3600", columns="dimension:ring", range="sensor-xyz")
     blocks = list(open_input(path, told).blocks())
     assert sum(block.n_lines for block in blocks) == 3 * 360
+
+
+NAMES = '"Points_m_XYZ:0","Points_m_XYZ:1","Points_m_XYZ:2","laser_id","azimuth","distance_m","timestamp"'
+FIRING = (0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 15)
+"""Ring of every laser, in the order of firing."""
+
+
+def write_veloview(path: Path, n_turns: int) -> Path:
+    x, y, z, ring, time_s = np.loadtxt(write(path, n_turns), delimiter=",", skiprows=1, unpack=True)
+    laser = np.argsort(FIRING)[ring.astype(int)]
+    azimuth = np.round(100 * np.degrees(np.arctan2(x, y))) % 36000
+    table = np.column_stack([x, y, z, laser, azimuth, np.sqrt(x * x + y * y + z * z), time_s * 1e6])
+    formats = ["%.6f"] * 3 + ["%d", "%d", "%.3f", "%d"]
+    np.savetxt(path, table, delimiter=",", header=NAMES, comments="", fmt=formats)
+    return path
+
+
+def test_a_frame_of_veloview_is_a_turn(tmp_path: Path) -> None:
+    info = open_input(write_veloview(tmp_path / "a.csv", 1), InputConfig()).info
+    assert (info.points_per_line, info.n_lines) == (16, 360)
+
+
+def test_several_frames_of_veloview_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="the file holds 3.0 turns") as caught:
+        open_input(write_veloview(tmp_path / "a.csv", 3), InputConfig())
+    assert caught.value.hint == "save every turn (frame) as a file of its own"

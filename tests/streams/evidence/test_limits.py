@@ -243,7 +243,7 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
         verdict,
         f"unplaced: {share} of the records found no cell and stay unclassified, expected "
         "at most 1%; check --lines, "
-        "--columns and -M; a recording that was begun anew: split the file there",
+        "--columns and -M; if the recording started again: split the file there",
     )
 
 
