@@ -27,7 +27,7 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.jobs.objects import Thing, find_objects
+from prc_cli.jobs.objects import ScanObject, find_objects
 from prc_cli.jobs.objects.grow import RULES
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, load_settings, open_simulation
@@ -115,7 +115,7 @@ def built(kind: str, settings: Any) -> Listed:
 def compare(
     listed: Listed,
     shots: F64,
-    things: list[Thing],
+    things: list[ScanObject],
     way: F64,
 ) -> None:
     """Print a row for every ring around the way."""
@@ -154,7 +154,7 @@ def compare(
         )
 
 
-def compare_curbs(line: I64, column: I64, things: list[Thing]) -> None:
+def compare_curbs(line: I64, column: I64, things: list[ScanObject]) -> None:
     """Print which share of the simulator's curb is told, and which share of the told lines has one.
 
     ``line`` and ``column`` are those of the shots on curbs.
@@ -219,7 +219,7 @@ def _one(
         settings,
         beside=Beside(folder / "way.csv", stems=stems if kind == "forest" else None),
     )
-    things: list[Thing] = []
+    things: list[ScanObject] = []
     config = load_config(preset=preset, options={"input": {"accept_doubts": list(CHECK_NAMES)}})
     find_objects(scan, None, config, each=things.append)
     las = laspy.read(scan)

@@ -26,7 +26,7 @@ from prc_cli.cli.report import (
     print_taken,
 )
 from prc_cli.jobs.classify import load_classifier
-from prc_cli.jobs.objects import COLUMNS, KINDS, Thing, find_objects, plain
+from prc_cli.jobs.objects import COLUMNS, KINDS, ScanObject, find_objects, plain
 
 
 @click.command(cls=Sectioned)
@@ -79,9 +79,9 @@ def objects(
         if is_table and next(rows) == 1:
             click.echo(",".join(COLUMNS))
 
-    def show(thing: Thing) -> None:
+    def show(scan_object: ScanObject) -> None:
         head()
-        values = {name: plain(getattr(thing, name)) for name in COLUMNS}
+        values = {name: plain(getattr(scan_object, name)) for name in COLUMNS}
         if as_json:
             click.echo(json.dumps(values))
         elif is_table:

@@ -1,8 +1,8 @@
 """``prc objects``: lists stems, poles, cars and curbs as they pass.
 
-The classes are those of the input where it has some and no method is named, else it is classified
-on the way. Runs of shots of one class in a line are joined to objects across lines; an object is
-told when it has passed. Memory holds the objects in view.
+If the input has classes and no method is named, its classes are used. Otherwise it is classified on
+the way. Runs of shots of one class in a line are joined to objects across lines. An object is
+listed when it has passed, so memory holds only the objects in view.
 """
 
 from __future__ import annotations
@@ -42,18 +42,26 @@ from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Judge, Progress, run_record
 from prc_cli.jobs.convert import open_items
-from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing, runs_of
+from prc_cli.jobs.objects.grow import RULES, Grower, Rule, ScanObject, runs_of
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 
-COLUMNS = tuple(one.name for one in fields(Thing))
+COLUMNS = tuple(column.name for column in fields(ScanObject))
 SUFFIXES = (".csv", ".geojson", ".parquet")
 ROWS_AT_ONCE = 10_000
 """Rows of a group of a Parquet file."""
-_TEXT = ("kind",)
-_WHOLE = ("id", "scanner", "first_line", "last_line", "first_column", "last_column", "n_shots")
+_TEXT_COLUMNS = ("kind",)
+_INTEGER_COLUMNS = (
+    "id",
+    "scanner",
+    "first_line",
+    "last_line",
+    "first_column",
+    "last_column",
+    "n_shots",
+)
 
 
 def check_suffix(path: Path) -> str:
@@ -66,40 +74,40 @@ def check_suffix(path: Path) -> str:
 
 
 @contextmanager
-def open_things(path: Path) -> Iterator[Callable[[Thing], None]]:
-    """Open an output; call what is yielded with every object."""
+def open_list(path: Path) -> Iterator[Callable[[ScanObject], None]]:
+    """Open an output and yield the function that writes an object to it."""
     writer = {".csv": _csv, ".geojson": _geojson, ".parquet": _parquet}[check_suffix(path)]
     with atomic_output(path) as temporary, output_errors(path), writer(temporary) as put:
         yield put
 
 
 def plain(value: Any) -> Any:
-    """Return a value for a text: metres and degrees to a tenth of a millimetre, NaN as None."""
+    """Round a value of an object to 4 decimals; NaN becomes None."""
     if isinstance(value, float):
         return None if math.isnan(value) else round(value, 4)
     return value
 
 
 @contextmanager
-def _csv(path: Path) -> Iterator[Callable[[Thing], None]]:
+def _csv(path: Path) -> Iterator[Callable[[ScanObject], None]]:
     with path.open("w", encoding="utf-8", newline="\n") as handle:
         handle.write(",".join(COLUMNS) + "\n")
 
-        def put(thing: Thing) -> None:
-            values = (plain(getattr(thing, name)) for name in COLUMNS)
+        def put(scan_object: ScanObject) -> None:
+            values = (plain(getattr(scan_object, name)) for name in COLUMNS)
             handle.write(",".join("" if value is None else str(value) for value in values) + "\n")
 
         yield put
 
 
 @contextmanager
-def _geojson(path: Path) -> Iterator[Callable[[Thing], None]]:
+def _geojson(path: Path) -> Iterator[Callable[[ScanObject], None]]:
     with path.open("w", encoding="utf-8", newline="\n") as handle:
         handle.write('{"type": "FeatureCollection", "features": [')
         comma = chain([""], repeat(","))
 
-        def put(thing: Thing) -> None:
-            values = {name: plain(getattr(thing, name)) for name in COLUMNS}
+        def put(scan_object: ScanObject) -> None:
+            values = {name: plain(getattr(scan_object, name)) for name in COLUMNS}
             x, y, z = (values.pop(axis) for axis in ("x", "y", "z"))
             place = None if x is None else {"type": "Point", "coordinates": [x, y, z]}
             feature = {"type": "Feature", "geometry": place, "properties": values}
@@ -110,18 +118,20 @@ def _geojson(path: Path) -> Iterator[Callable[[Thing], None]]:
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[Callable[[Thing], None]]:
-    # imported here: only this format needs it
+def _parquet(path: Path) -> Iterator[Callable[[ScanObject], None]]:
+    # only this format needs pyarrow
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    kinds = {**dict.fromkeys(_TEXT, pa.string()), **dict.fromkeys(_WHOLE, pa.int64())}
-    schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in COLUMNS])
+    types = dict.fromkeys(COLUMNS, pa.float64())
+    types |= dict.fromkeys(_TEXT_COLUMNS, pa.string())
+    types |= dict.fromkeys(_INTEGER_COLUMNS, pa.int64())
+    schema = pa.schema(list(types.items()))
     rows: list[dict[str, Any]] = []
     with pq.ParquetWriter(path, schema) as writer:
 
-        def put(thing: Thing) -> None:
-            rows.append({name: plain(getattr(thing, name)) for name in COLUMNS})
+        def put(scan_object: ScanObject) -> None:
+            rows.append({name: plain(getattr(scan_object, name)) for name in COLUMNS})
             if len(rows) == ROWS_AT_ONCE:
                 flush()
 
@@ -135,7 +145,7 @@ def _parquet(path: Path) -> Iterator[Callable[[Thing], None]]:
 
 
 KINDS: tuple[str, ...] = tuple(RULES)
-"""Classes that are objects, where the method tells them."""
+"""Classes that are objects."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -153,7 +163,8 @@ class ObjectsSummary(Doubted):
 def rules_for(config: RunConfig, kinds: tuple[str, ...] = ()) -> dict[Label, Rule]:
     """Return the rule of every class that is an object and that the method may give.
 
-    >>> [label.name for label in rules_for(RunConfig.model_validate({"prc": {"environment": "forest"}}))]
+    >>> forest = RunConfig.model_validate({"prc": {"environment": "forest"}})
+    >>> [label.name for label in rules_for(forest)]
     ['STEM']
     """
     for kind in kinds:
@@ -161,15 +172,15 @@ def rules_for(config: RunConfig, kinds: tuple[str, ...] = ()) -> dict[Label, Rul
             where = "--kind"
             raise ConfigError(where, f"found {kind!r}, expected one of: {', '.join(KINDS)}")
     labels = {label.name.lower(): label for label in config.classifier.method().gives}
-    found = {
+    rules = {
         labels[kind]: rule
         for kind, rule in RULES.items()
         if kind in labels and (not kinds or kind in kinds)
     }
-    if not found:
+    if not rules:
         problem = f"found {config.method}, which tells none of: {', '.join(kinds or KINDS)}"
         raise ConfigError("method", problem, "give --preset fused, fused-forest or street-scan")
-    return found
+    return rules
 
 
 def find_objects(
@@ -178,7 +189,7 @@ def find_objects(
     config: LoadedConfig | RunConfig | None = None,
     *,
     kinds: tuple[str, ...] = (),
-    each: Callable[[Thing], None] | None = None,
+    each: Callable[[ScanObject], None] | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ObjectsSummary:
@@ -191,11 +202,10 @@ def find_objects(
     output : path, optional
         ``.csv``, ``.geojson`` or ``.parquet``.
     config : LoadedConfig or RunConfig, optional
-        A method that is named classifies the file. Default: its own classes are taken where it has
-        some of
-        :data:`KINDS`, else the method that labels it best; a notice says so.
+        If it names a method, that method classifies the file. Default: the classes of the file, if
+        it has some of :data:`KINDS`, else the method that labels it best; a notice says which.
     kinds : tuple of str
-        Some of :data:`KINDS`; default: all that the method tells.
+        Some of :data:`KINDS`; default: all kinds that the method labels.
     each : callable, optional
         Called with every object as soon as it has passed.
     overwrite : bool
@@ -217,55 +227,63 @@ def find_objects(
         prepare_outputs(out, record_path(out), overwrite=overwrite, inputs=loaded.inputs(source))
     before = file_state(source)
     with whole_set(), ExitStack() as stack:
-        own, told = ({}, "") if loaded.config.is_decided else _own_rules(source, loaded, kinds)
-        loaded = loaded if own else decide(source, loaded)
-        put = None if out is None else stack.enter_context(open_things(out))
-        run = _Run(
-            source, loaded, own or rules_for(loaded.config, kinds), told, takes_classes=bool(own)
-        )
-        # coordinates of the records wait beside the output, or where there is room for temporary
-        # files
-        folder = (
-            out
-            or Path(stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))) / "objects.csv"
-        )
-        for thing in run.things(folder, progress):
+        rules: dict[Label, Rule] = {}
+        notice = ""
+        if not loaded.config.is_decided:
+            rules, notice = _rules_of_file(source, loaded, kinds)
+        takes_classes = bool(rules)
+        if not takes_classes:
+            loaded = decide(source, loaded)
+            rules = rules_for(loaded.config, kinds)
+        put = None if out is None else stack.enter_context(open_list(out))
+        run = _ObjectRun(source, loaded, rules, notice, takes_classes=takes_classes)
+        # coordinates of the records wait beside the output, or in the folder for temporary files
+        beside = out
+        if beside is None:
+            folder = stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))
+            beside = Path(folder) / "objects.csv"
+        for scan_object in run.objects(beside, progress):
             for call in (put, each):
                 if call is not None:
-                    call(thing)
+                    call(scan_object)
         check_unchanged(source, before)
         summary = run.summary()
         if out is not None:
-            beside = stack.enter_context(atomic_output(record_path(out)))
-            beside.write_bytes(summary.record.to_json())
+            record_file = stack.enter_context(atomic_output(record_path(out)))
+            record_file.write_bytes(summary.record.to_json())
     return summary
 
 
-def _own_rules(
+def _rules_of_file(
     source: Path, loaded: LoadedConfig, kinds: tuple[str, ...]
 ) -> tuple[dict[Label, Rule], str]:
-    """Return the rule of every object class that records of the input have, and what the user has to know."""
+    """Return the rules of the object classes that the input has (empty = none), and a notice."""
     records = open_source(source, loaded.config.layout)
     names = () if records is None else records.dimensions
-    name = next((one for one in names if one.lower() in NAMES), None)
+    name = next((name for name in names if name.lower() in NAMES), None)
     if records is None or name is None:
         return {}, ""
-    there: set[int] = set()
+    codes_of_file: set[int] = set()
     for chunk in records.chunks((name,)):
         codes = np.asarray(chunk.values[name], np.float64)
-        there |= set(np.unique(codes[np.isfinite(codes)]).astype(int).tolist())
+        codes_of_file |= set(np.unique(codes[np.isfinite(codes)]).astype(int).tolist())
     table = loaded.config.classes
     labels = {kind: Label[kind.upper()] for kind in kinds or KINDS}
-    found = {label: RULES[kind] for kind, label in labels.items() if table.code(label) in there}
-    if found:
-        told = "the classes of the file are taken, without heights above the ground; --method classifies it anew"
-        return found, told
-    if not there - {0, table.unclassified}:
+    rules = {
+        label: RULES[kind] for kind, label in labels.items() if table.code(label) in codes_of_file
+    }
+    if rules:
+        notice = (
+            "the classes of the file are used, without heights above the ground; "
+            "--method classifies it again"
+        )
+        return rules, notice
+    if not codes_of_file - {0, table.unclassified}:
         return {}, ""
-    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified anew"
+    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified again"
 
 
-class _Run:
+class _ObjectRun:
     """One call of :func:`find_objects`."""
 
     def __init__(
@@ -273,78 +291,80 @@ class _Run:
         source: Path,
         loaded: LoadedConfig,
         rules: dict[Label, Rule],
-        told: str,
+        notice: str,
         *,
         takes_classes: bool,
     ) -> None:
         self._source = source
         self._loaded = loaded
         self._rules = rules
-        self._told = told
+        self._notice = notice
         self._takes_classes = takes_classes
         self._label_of: U8 = np.full(256, Label.UNCLASSIFIED, np.uint8)
         """Label by class code."""
-        for label in reversed([one for one in Label if one is not Label.MISSING]):
-            self._label_of[loaded.config.classes.code(label)] = label
+        # the first of several labels with one code wins
+        for label in reversed(Label):
+            if label is not Label.MISSING:
+                self._label_of[loaded.config.classes.code(label)] = label
         self._growers: dict[int, Grower] = {}
         self._counts = Counts.none()
         self._n = Counter[str]()
         self._watch: EvidenceStream | None = None
         self._judge: Judge | None = None
-        self._found: tuple[Finding, ...] = ()
+        self._findings: tuple[Finding, ...] = ()
 
-    def things(self, output: Path, progress: Progress | None) -> Iterator[Thing]:
+    def objects(self, output: Path, progress: Progress | None) -> Iterator[ScanObject]:
         """Classify, and yield the objects as they end."""
         with open_items(
             self._source, output, self._loaded, blocks_of=self._blocks, codes=self._takes_classes
         ) as opened:
             for item in opened.items:
-                for thing in self._add(item):
-                    yield self._numbered(thing)
+                for scan_object in self._add(item):
+                    yield self._numbered(scan_object)
                 advance(progress, item.block, opened.info, self._loaded.config.input.window)
             for _, grower in sorted(self._growers.items()):
-                for thing in grower.finish():
-                    yield self._numbered(thing)
+                for scan_object in grower.finish():
+                    yield self._numbered(scan_object)
         assert self._watch is not None
-        self._found = self._watch.findings() if self._judge is None else self._judge.findings()
+        self._findings = (self._judge or self._watch).findings()
 
     def summary(self) -> ObjectsSummary:
         """Return the summary of a finished run."""
         assert self._watch is not None
         record = run_record(self._watch.info, self._counts, self._loaded)
-        told = filter(None, (self._told, *notices(self._found)))
-        record = replace(record, notices=(*record.notices, *told))
+        texts = filter(None, (self._notice, *notices(self._findings)))
+        record = replace(record, notices=(*record.notices, *texts))
         kinds = (label.name.lower() for label in self._rules)
         return ObjectsSummary(
-            record, self._counts, {kind: self._n[kind] for kind in kinds}, self._found
+            record, self._counts, {kind: self._n[kind] for kind in kinds}, self._findings
         )
 
     def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
-        """Watch the blocks of a stream, and label them unless their own classes are taken."""
+        """Watch the blocks of a stream, and label them unless the input has classes."""
         config = self._loaded.config
         method = config.classifier.method()
         first = next(stream.blocks(), None)
-        # coordinates that come with the directions of a leaning plane are not those of the input
-        is_own = first is not None and first.xyz_m is not None
+        has_xyz = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
         self._watch = watched(
             stream, config.input, needs=method.needs, others=self._loaded.findings
         )
+        # with_beams adds coordinates to blocks of a leaning scan plane: they are not of the input
         if self._takes_classes:
             return (
-                block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks()
+                block if has_xyz else replace(block, xyz_m=None) for block in self._watch.blocks()
             )
         wanted = Wanted(stages=True, confidence=config.output.confidence)
         self._judge = Judge(self._watch, config)
         labelled = self._judge.label(self._watch.blocks(), wanted=wanted)
         return (
-            item if is_own else replace(item, block=replace(item.block, xyz_m=None))
+            item if has_xyz else replace(item, block=replace(item.block, xyz_m=None))
             for item in labelled
         )
 
-    def _add(self, item: StreamItem) -> Iterator[Thing]:
+    def _add(self, item: StreamItem) -> Iterator[ScanObject]:
         block = item.block
-        labelled = self._as_stored(item) if item.labelled is None else item.labelled
+        labelled = item.labelled or self._stored_labels(item)
         self._counts = self._counts.add(labelled)
         if labelled.block.beam_rad is None:
             raise InputError(
@@ -352,29 +372,28 @@ class _Run:
             )
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
         runs = runs_of(labelled, tuple(self._rules), item.registered_m)
-        for line, of_line in groupby(runs, attrgetter("last_line")):
-            yield from grower.add(of_line, line)
+        for line, runs_of_line in groupby(runs, attrgetter("last_line")):
+            yield from grower.add(runs_of_line, line)
         yield from grower.add((), block.first_line + block.n_lines)
 
-    def _as_stored(self, item: StreamItem) -> LabelledBlock:
-        """Return a block with the labels that its codes stand for."""
+    def _stored_labels(self, item: StreamItem) -> LabelledBlock:
         block = item.block
         codes = item.codes
-        further = item.extra_codes
+        extra_codes = item.extra_codes
         assert codes is not None
-        assert further is not None
-        own, extra = (
-            self._label_of[np.where((each >= 0) & (each < 256), each, 0)]
-            for each in (codes, further)
+        assert extra_codes is not None
+        labels, extra_labels = (
+            self._label_of[np.where((stored >= 0) & (stored < 256), stored, 0)]
+            for stored in (codes, extra_codes)
         )
         return LabelledBlock(
-            block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), own), extra
+            block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), labels), extra_labels
         )
 
-    def _numbered(self, thing: Thing) -> Thing:
+    def _numbered(self, scan_object: ScanObject) -> ScanObject:
         number = sum(self._n.values())
-        self._n[thing.kind] += 1
-        return replace(thing, id=number)
+        self._n[scan_object.kind] += 1
+        return replace(scan_object, id=number)
 
 
-__all__ = ["KINDS", "ObjectsSummary", "Thing", "find_objects"]
+__all__ = ["KINDS", "ObjectsSummary", "ScanObject", "find_objects"]

@@ -1,7 +1,7 @@
-"""Objects grow line by line: runs of shots of one class in a line that lie near each other are one object.
+"""Grows objects line by line: neighbouring runs of shots of one class become one object.
 
-An object is closed when no run has joined it for some lines, and cut when it gets too long. What is
-kept of it does not grow with its size, so memory holds the objects in view.
+An object is closed when no run has joined it for some lines, and cut when it gets too long. Its
+record has a fixed size, so memory holds only the objects in view.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,11 +23,12 @@ GAP_COLUMNS = 2
 JUMP_M = 0.5
 """Difference in range at which a run ends [m]."""
 Extent = tuple[float, float]
+"""Least and greatest value [m]; NaN = unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """When runs are of one object, and which objects are told."""
+    """When two runs belong to one object, and which objects are listed."""
 
     side_m: float
     """Greatest distance of two runs to the side [m]."""
@@ -37,7 +40,7 @@ class Rule:
     least_height_m: float = 0.0
     """From the lowest to the highest shot [m]."""
     most_lines: int = 4000
-    """The object is cut there."""
+    """An object that reaches this length is cut."""
 
 
 RULES: dict[str, Rule] = {
@@ -51,11 +54,11 @@ RULES: dict[str, Rule] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
+class ScanObject:
     """An object, as it passed."""
 
     id: int
-    """In the order of the ends."""
+    """Number, in the order in which the objects end."""
     kind: str
     scanner: int
     first_line: int
@@ -84,7 +87,15 @@ class Thing:
     y: float = math.nan
     z: float = math.nan
     confidence: float = math.nan
-    """Mean confidence of its shots [per cent]; NaN = not asked for."""
+    """Mean confidence of its shots [per cent]; NaN = not computed."""
+
+
+class RunExtent(NamedTuple):
+    """Where a run was."""
+
+    line: int
+    side_m: Extent
+    up_m: Extent
 
 
 @dataclass(slots=True, eq=False)
@@ -101,68 +112,76 @@ class Part:
     up_m: Extent
     """Lowest and highest shot, above the scanner in the scan plane [m]."""
     above_m: Extent
-    """The same above the ground [m]; NaN = unknown."""
+    """Lowest and highest shot above the ground [m]; NaN = unknown."""
     nearest_m: float
     sums: F64
-    """(8,) float64, over the shots.
+    """(8,) float64, summed over the shots.
 
-    Distance to the side, range, angle, 1 where coordinates are registered, these,
-    confidence."""
-    front: list[tuple[int, Extent, Extent]] = field(default_factory=list)
-    """Line and extents of the last runs."""
+    Distance to the side, range, angle, 1 for registered coordinates, x, y, z, confidence.
+    """
+    front: list[RunExtent] = field(default_factory=list)
+    """The last runs."""
 
-    def join(self, other: Part) -> None:
-        """Take all that another one holds."""
-        self.first_line = min(self.first_line, other.first_line)
-        self.last_line = max(self.last_line, other.last_line)
-        self.n += other.n
+    def join(self, part: Part) -> None:
+        """Add the shots of another part."""
+        self.first_line = min(self.first_line, part.first_line)
+        self.last_line = max(self.last_line, part.last_line)
+        self.n += part.n
         self.columns = (
-            min(self.columns[0], other.columns[0]),
-            max(self.columns[1], other.columns[1]),
+            min(self.columns[0], part.columns[0]),
+            max(self.columns[1], part.columns[1]),
         )
-        self.side_m, self.up_m = _both(self.side_m, other.side_m), _both(self.up_m, other.up_m)
-        self.above_m = _both(self.above_m, other.above_m)
-        self.nearest_m = min(self.nearest_m, other.nearest_m)
-        self.sums = self.sums + other.sums
-        self.front += other.front
+        self.side_m = _union(self.side_m, part.side_m)
+        self.up_m = _union(self.up_m, part.up_m)
+        self.above_m = _union(self.above_m, part.above_m)
+        self.nearest_m = min(self.nearest_m, part.nearest_m)
+        self.sums = self.sums + part.sums
+        self.front += part.front
 
     def touches(self, run: Part, rule: Rule) -> bool:
-        """Whether a run is near to one of the last lines."""
+        """Whether a run is near to one of the last runs."""
         return any(
-            run.last_line - line <= rule.gap_lines + 1
-            and run.side_m[0] - rule.side_m <= side[1]
-            and side[0] <= run.side_m[1] + rule.side_m
-            and run.up_m[0] - rule.up_m <= up[1]
-            and up[0] <= run.up_m[1] + rule.up_m
-            for line, side, up in self.front
+            run.last_line - last.line <= rule.gap_lines + 1
+            and run.side_m[0] - rule.side_m <= last.side_m[1]
+            and last.side_m[0] <= run.side_m[1] + rule.side_m
+            and run.up_m[0] - rule.up_m <= last.up_m[1]
+            and last.up_m[0] <= run.up_m[1] + rule.up_m
+            for last in self.front
         )
 
 
-def _both(first: Extent, second: Extent) -> Extent:
-    """Return the extent of two; NaN = unknown."""
+def _union(first: Extent, second: Extent) -> Extent:
+    # fmin and fmax ignore NaN
     return float(np.fmin(first[0], second[0])), float(np.fmax(first[1], second[1]))
 
 
 def runs_of(
     item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | None = None
 ) -> Iterator[Part]:
-    """Find the runs of a block, line by line."""
+    """Find the runs of a block, line by line.
+
+    ``registered_m`` is (L, M, 3) float64, the registered coordinates of the shots [m].
+    """
     block = item.block
     assert block.beam_rad is not None
-    at = np.flatnonzero(np.isin(item.labels.ravel(), kinds))
-    if not len(at):
+    shots = np.flatnonzero(np.isin(item.labels.ravel(), kinds))
+    if not len(shots):
         return
-    line, column = np.divmod(at, block.points_per_line)
-    range_m = block.range_m.ravel()[at].astype(np.float64)
-    label = item.labels.ravel()[at]
+    line, column = np.divmod(shots, block.points_per_line)
+    range_m = block.range_m.ravel()[shots].astype(np.float64)
+    label = item.labels.ravel()[shots]
     beam = block.beam_rad[column]
     side = range_m * np.sin(beam)
     up = -range_m * np.cos(beam)
-    unknown = np.full(len(at), np.nan)
-    above = unknown if item.above_m is None else item.above_m.ravel()[at].astype(np.float64)
-    sure = unknown if item.confidence is None else item.confidence.ravel()[at].astype(np.float64)
-    xyz = np.full((len(at), 3), np.nan) if registered_m is None else registered_m.reshape(-1, 3)[at]
-    is_new = np.ones(len(at), np.bool_)
+    unknown = np.full(len(shots), np.nan)
+    above = unknown if item.above_m is None else item.above_m.ravel()[shots].astype(np.float64)
+    sure = unknown if item.confidence is None else item.confidence.ravel()[shots].astype(np.float64)
+    xyz = (
+        np.full((len(shots), 3), np.nan)
+        if registered_m is None
+        else registered_m.reshape(-1, 3)[shots]
+    )
+    is_new = np.ones(len(shots), np.bool_)
     is_new[1:] = (
         (np.diff(line) != 0)
         | (np.diff(column) > GAP_COLUMNS + 1)
@@ -170,7 +189,7 @@ def runs_of(
         | (np.abs(np.diff(range_m)) > JUMP_M)
     )
     start = np.flatnonzero(is_new)
-    stop = np.append(start[1:], len(at))
+    stop = np.append(start[1:], len(shots))
     placed = np.asarray(np.isfinite(xyz).all(axis=1))
     total = np.add.reduceat(
         np.column_stack(
@@ -185,25 +204,27 @@ def runs_of(
         ),
         start,
     )
-    # fmin passes over what is not known
+    # fmin and fmax ignore NaN
     low = np.fmin.reduceat(np.column_stack([side, up, above, range_m]), start).tolist()
     high = np.fmax.reduceat(np.column_stack([side, up, above]), start).tolist()
     for i, (first, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
-        where = block.first_line + int(line[first])
-        (side_0, up_0, above_0, nearest_m) = low[i]
-        (side_1, up_1, above_1) = high[i]
+        line_number = block.first_line + int(line[first])
+        (least_side, lowest, least_above, nearest_m) = low[i]
+        (greatest_side, highest, greatest_above) = high[i]
+        side_m = (least_side, greatest_side)
+        up_m = (lowest, highest)
         yield Part(
-            Label(int(label[first])),
-            where,
-            where,
-            end - first,
-            (int(column[first]), int(column[end - 1])),
-            (side_0, side_1),
-            (up_0, up_1),
-            (above_0, above_1),
-            nearest_m,
-            total[i],
-            [(where, (side_0, side_1), (up_0, up_1))],
+            kind=Label(int(label[first])),
+            first_line=line_number,
+            last_line=line_number,
+            n=end - first,
+            columns=(int(column[first]), int(column[end - 1])),
+            side_m=side_m,
+            up_m=up_m,
+            above_m=(least_above, greatest_above),
+            nearest_m=nearest_m,
+            sums=total[i],
+            front=[RunExtent(line_number, side_m, up_m)],
         )
 
 
@@ -215,75 +236,74 @@ class Grower:
         self._rules = rules
         self._growing: dict[Label, list[Part]] = {label: [] for label in rules}
 
-    def add(self, runs: Iterable[Part], line: int) -> list[Thing]:
+    def add(self, runs: Iterable[Part], line: int) -> list[ScanObject]:
         """Add the runs of a line; return the objects that ended before it, without numbers."""
         ended = self._end(line)
         for run in runs:
             rule = self._rules[run.kind]
             growing = self._growing[run.kind]
-            near = [one for one in growing if one.touches(run, rule)]
-            for other in near[1:]:
-                near[0].join(other)
-                growing.remove(other)
-            if near:
-                near[0].join(run)
-                near[0].front = [
-                    one for one in near[0].front if line - one[0] <= rule.gap_lines + 1
-                ]
-            else:
+            near = [part for part in growing if part.touches(run, rule)]
+            if not near:
                 growing.append(run)
+                continue
+            first, *others = near
+            for part in others:
+                first.join(part)
+                growing.remove(part)
+            first.join(run)
+            first.front = [last for last in first.front if line - last.line <= rule.gap_lines + 1]
         return ended
 
-    def finish(self) -> list[Thing]:
-        """Return all that is left."""
+    def finish(self) -> list[ScanObject]:
+        """Close all objects and return them."""
         return self._end(None)
 
-    def _end(self, line: int | None) -> list[Thing]:
-        """Close what no run joined for long, and cut what is too long.
-
-        All where there are no more lines.
-        """
-        ended: list[Thing] = []
+    def _end(self, line: int | None) -> list[ScanObject]:
+        """Close the objects that no run has joined for long or that are too long; all, if None."""
+        ended: list[ScanObject] = []
         for label, rule in self._rules.items():
             stay: list[Part] = []
-            for one in self._growing[label]:
+            for part in self._growing[label]:
                 is_open = (
                     line is not None
-                    and line - one.last_line <= rule.gap_lines + 1
-                    and one.last_line - one.first_line + 1 < rule.most_lines
+                    and line - part.last_line <= rule.gap_lines + 1
+                    and part.last_line - part.first_line + 1 < rule.most_lines
                 )
                 if is_open:
-                    stay.append(one)
-                elif one.n >= rule.least_shots and one.up_m[1] - one.up_m[0] >= rule.least_height_m:
-                    ended.append(self._thing(one))
+                    stay.append(part)
+                elif (
+                    part.n >= rule.least_shots
+                    and part.up_m[1] - part.up_m[0] >= rule.least_height_m
+                ):
+                    ended.append(self._summary(part))
             self._growing[label] = stay
         return sorted(
             ended,
-            key=lambda thing: (thing.last_line, thing.first_line, thing.first_column, thing.kind),
+            key=attrgetter("last_line", "first_line", "first_column", "kind"),
         )
 
-    def _thing(self, one: Part) -> Thing:
-        side, range_m, angle, n_placed, *xyz, sure = one.sums.tolist()
+    def _summary(self, part: Part) -> ScanObject:
+        side, range_m, angle, n_placed, *xyz, confidence = part.sums.tolist()
         x, y, z = (value / n_placed if n_placed else math.nan for value in xyz)
-        return Thing(
+        return ScanObject(
             id=-1,
-            kind=one.kind.name.lower(),
+            kind=part.kind.name.lower(),
             scanner=self._scanner,
-            first_line=one.first_line,
-            last_line=one.last_line,
-            first_column=one.columns[0],
-            last_column=one.columns[1],
-            n_shots=one.n,
-            range_m=range_m / one.n,
-            nearest_m=one.nearest_m,
-            angle_deg=math.degrees(angle / one.n),
-            side_m=side / one.n,
-            width_m=one.side_m[1] - one.side_m[0],
-            height_m=one.up_m[1] - one.up_m[0],
-            base_m=one.above_m[0],
-            top_m=one.above_m[1],
+            first_line=part.first_line,
+            last_line=part.last_line,
+            first_column=part.columns[0],
+            last_column=part.columns[1],
+            n_shots=part.n,
+            range_m=range_m / part.n,
+            nearest_m=part.nearest_m,
+            angle_deg=math.degrees(angle / part.n),
+            side_m=side / part.n,
+            width_m=part.side_m[1] - part.side_m[0],
+            height_m=part.up_m[1] - part.up_m[0],
+            base_m=part.above_m[0],
+            top_m=part.above_m[1],
             x=x,
             y=y,
             z=z,
-            confidence=sure / one.n,
+            confidence=confidence / part.n,
         )

@@ -8,7 +8,7 @@ import pytest
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.jobs.objects.grow import Grower, Rule, Thing, runs_of
+from prc_cli.jobs.objects.grow import Grower, Rule, ScanObject, runs_of
 
 BEAM: F64 = np.deg2rad(np.linspace(60, 120, 121))
 RULES = {Label.STEM: Rule(0.3, 2.0, 2, 4, 0.5), Label.CURB: Rule(0.3, 0.2, 1, 1, most_lines=10)}
@@ -30,21 +30,21 @@ def grown(
     range_m: F32,
     cut: int = 1000,
     registered: F64 | None = None,
-) -> list[Thing]:
+) -> list[ScanObject]:
     """Grow the objects of an image that arrives in blocks of ``cut`` lines."""
     grower = Grower(3, RULES)
-    found = []
+    objects = []
     for start in range(0, len(labels), cut):
         rows = slice(start, start + cut)
         part = item(labels[rows], range_m[rows], start)
-        own = None if registered is None else registered[rows]
+        block_registered = None if registered is None else registered[rows]
         by_line: dict[int, list[object]] = {}
-        for run in runs_of(part, tuple(RULES), own):
+        for run in runs_of(part, tuple(RULES), block_registered):
             by_line.setdefault(run.last_line, []).append(run)
         for line, runs in by_line.items():
-            found += grower.add(runs, line)  # type: ignore[arg-type]
-        found += grower.add((), start + len(labels[rows]))
-    return [*found, *grower.finish()]
+            objects += grower.add(runs, line)  # type: ignore[arg-type]
+        objects += grower.add((), start + len(labels[rows]))
+    return [*objects, *grower.finish()]
 
 
 def scene() -> tuple[U8, F32]:
@@ -89,15 +89,15 @@ def test_small_things_and_far_lines_are_not_joined() -> None:
     labels[6:12] = Label.GROUND
     labels[15:18, 22:] = Label.GROUND
     # the first is there still, the second is too low
-    assert [(one.first_line, one.last_line) for one in grown(labels, range_m)] == [(2, 5)]
+    assert [(stem.first_line, stem.last_line) for stem in grown(labels, range_m)] == [(2, 5)]
 
 
 def test_long_objects_are_cut_and_lines_are_counted_from_the_first() -> None:
     labels = np.full((25, len(BEAM)), Label.CURB, np.uint8)
     range_m = np.tile(3.0 / np.sin(BEAM), (25, 1)).astype(np.float32)
     labels[:, 3:] = Label.GROUND
-    found = grown(labels, range_m, 7)
-    assert [(one.first_line, one.last_line) for one in found] == [(0, 9), (10, 19), (20, 24)]
+    curbs = grown(labels, range_m, 7)
+    assert [(curb.first_line, curb.last_line) for curb in curbs] == [(0, 9), (10, 19), (20, 24)]
 
 
 def test_two_parts_become_one_where_they_meet() -> None:
@@ -105,8 +105,8 @@ def test_two_parts_become_one_where_they_meet() -> None:
     range_m = np.tile(3.0 / np.sin(BEAM), (4, 1)).astype(np.float32)
     labels[0:2, 5:15] = labels[0:2, 60:80] = Label.CURB
     labels[2:, 5:80] = Label.CURB
-    (one,) = grown(labels, range_m)
-    assert (one.first_line, one.n_shots) == (0, 2 * 30 + 2 * 75)
+    (curb,) = grown(labels, range_m)
+    assert (curb.first_line, curb.n_shots) == (0, 2 * 30 + 2 * 75)
 
 
 def test_coordinates_are_the_middle_of_the_known_ones() -> None:
@@ -128,7 +128,7 @@ def test_runs_end_at_jumps_other_classes_and_gaps() -> None:
     labels[0, 30:32] = Label.GROUND  # two are not
     range_m[0, 50:] = 6.0
     labels[0, 70:] = Label.CURB
-    found = list(runs_of(item(labels, range_m), (Label.STEM, Label.CURB)))
-    assert [run.columns for run in found] == [(0, 9), (13, 49), (50, 69), (70, 120)]
-    assert [run.n for run in found] == [10, 35, 20, 51]
+    runs = list(runs_of(item(labels, range_m), (Label.STEM, Label.CURB)))
+    assert [run.columns for run in runs] == [(0, 9), (13, 49), (50, 69), (70, 120)]
+    assert [run.n for run in runs] == [10, 35, 20, 51]
     assert not list(runs_of(item(labels, range_m), (Label.CAR,)))
