@@ -1,9 +1,7 @@
 """Classifies the files of one drive as one stream.
 
-Labels as of the joined file, an output for every file.
-
-A gap of time, other dimensions or another M between two files is said, and a stream of its own
-begins there.
+The labels equal those of the joined file; every file gets an output. A gap of time, other
+dimensions or another M between two files starts a new stream, and a notice says so.
 """
 
 from __future__ import annotations
@@ -51,16 +49,16 @@ from prc_cli.streams.registered.source import sorts_by_itself
 
 SAME = "same"
 FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(by_suffix("labels"))))
-"""Output formats: ``same`` writes LAS for LAS, LAZ for LAZ, and a label file for every other format."""
+"""Output formats.
+
+``same`` writes LAS for LAS, LAZ for LAZ, and a label file for every other format.
+"""
 LABELS = ".labels"
 """Put between the name of an input and the suffix of its label file."""
 
 
 def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
-    """Return the output of every file.
-
-    LAS and LAZ keep their names, of all others the labels are written.
-    """
+    """Return the output of every file: LAS and LAZ keep their names, others get a label file."""
     outputs = [folder / output_name(part.name, SAME) for part in parts]
     if len(set(outputs)) < len(outputs):
         twice = next(output for output in outputs if outputs.count(output) > 1)
@@ -81,9 +79,9 @@ def classify_drive(
     engine: Engine = "compiled",
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> list[RunSummary]:
-    """Classify the files of one drive in the order of recording.
+    """Classify the files of one drive, in the order of recording.
 
-    All outputs get their names at the end, or none.
+    The outputs get their names together at the end, or none does.
     """
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
@@ -92,11 +90,14 @@ def classify_drive(
             "found a window, expected none where several files are one drive",
             "leave it out",
         )
-    # what cannot be joined leaves no folder behind
+    # refuse files that cannot be joined before a folder is made
     _joined(parts, with_layout_beside(parts[0], config))
     for part, output in zip(parts, outputs, strict=True):
         if is_cloud(output) and not keeps_points(part, output):
-            problem = f"would make points of the ranges in {part.name}, expected labels alone for the files of a drive"
+            problem = (
+                f"would make points of the ranges in {part.name}, "
+                "expected labels alone for the files of a drive"
+            )
             raise ConfigError(str(output), problem, "write .npy, .csv or .parquet")
         make_folder(output.parent)
         check_input(part)
@@ -110,10 +111,10 @@ def classify_drive(
             joined, cut = _joined(parts[first:], loaded)
             stop = len(parts) if cut is None else first + cut.part
             note = drive_note([part.name for part in parts])
-            run = _Run(
+            run = _StreamRun(
                 tuple(parts[first:stop]),
                 tuple(outputs[first:stop]),
-                (*([why] if why else []), note),
+                (why, note) if why else (note,),
             )
             with use_engine(engine):
                 summaries += run.execute(
@@ -133,7 +134,7 @@ def classify_drive(
 def _joined(
     parts: Sequence[Path], loaded: LoadedConfig
 ) -> tuple[JoinedSource | JoinedRecordings, Break | None]:
-    """Open the files of a drive, and find the first that does not go on where the one before ended."""
+    # and the first file that does not continue the file before it
     if are_recordings(parts):
         return JoinedRecordings(tuple(parts), loaded.config.input), None
     joined = open_joined(parts, loaded.config.layout)
@@ -141,13 +142,13 @@ def _joined(
 
 
 @dataclass(frozen=True, slots=True)
-class _Run:
-    """Files that are one stream."""
+class _StreamRun:
+    """Classification of the files of one stream."""
 
     parts: tuple[Path, ...]
     outputs: tuple[Path, ...]
     notes: tuple[str, ...]
-    """For the records: why a stream begins with the first file, if it is not that of the drive, and for all of them."""
+    """Notices: [why a new stream starts with the first file,] one for the record of every file."""
 
     def execute(
         self,
@@ -196,39 +197,39 @@ class _Run:
                 )
             ]
             divided = DividedWriter(writers, firsts)
-            _, found, told = write_labels(stream, divided, loaded.config, threads, progress)
+            _, findings, notices = write_labels(stream, divided, loaded.config, threads, progress)
             for part, state in zip(self.parts, before, strict=True):
                 check_unchanged(part, state)
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
-                own = divided.counts[number]
-                record = run_record(stream.info, own, loaded, fingerprint(part))
+                counts = divided.counts[number]
+                record = run_record(stream.info, counts, loaded, fingerprint(part))
                 notes = (
                     *loaded.notes,
                     *joined.notes(number),
-                    *told,
+                    *notices,
                     *self.notes[-1 if number else 0 :],
                 )
                 n_records = firsts[number + 1] - firsts[number]
                 record = writer.finish(
                     replace(record, n_records=n_records, notices=notes, engine=engine)
                 )
-                yield RunSummary(self.outputs[number], record, own, found)
+                yield RunSummary(self.outputs[number], record, counts, findings)
 
 
 class DividedWriter:
-    """Gives every file's writer the labels of its records.
+    """Gives the writer of every file the labels of its records.
 
-    ``firsts`` are their first numbers, and the end.
+    ``firsts`` are the number of the first record of every file, and the number of all records.
     """
 
     def __init__(self, writers: Sequence[StagedWriter], firsts: Sequence[int]) -> None:
         self._writers = writers
         self._firsts = np.array(firsts)
         self.counts = [Counts.none() for _ in writers]
-        """Of every file; a line that is cut by the end of a file counts in both."""
+        """By file. A line that continues in the next file counts in both."""
 
     def add(self, block: LabelledBlock) -> None:
-        """Take the labels of a block."""
+        """Write the labels of a block."""
         scan = block.block
         records = scan.records()
         extra = scan.extra.record
@@ -239,7 +240,7 @@ class DividedWriter:
         for number in range(low, min(high, len(self._writers) - 1) + 1):
             start = self._firsts[number]
             stop = self._firsts[number + 1]
-            own = replace(
+            part = replace(
                 block,
                 block=replace(
                     scan,
@@ -248,12 +249,12 @@ class DividedWriter:
                     tally=scan.tally if number == low else ReadTally(),
                 ),
             )
-            self._writers[number].add(own)
-            self.counts[number] = self.counts[number].add(own, only_records=True)
+            self._writers[number].add(part)
+            self.counts[number] = self.counts[number].add(part, only_records=True)
 
 
 def _within(records: I64, start: int, stop: int) -> I64:
-    """Return numbers of records counted from the begin of a file, -1 outside it."""
+    # numbers of records in their file; -1 = in another file
     inside = (records >= start) & (records < stop)
     return np.where(inside, records - start, -1)
 
@@ -284,15 +285,14 @@ _DRIVE = "one drive of "
 
 
 def drive_note(names: Sequence[str]) -> str:
-    """Return what the run record of every file of a drive says of it."""
+    """Return the notice in the run record of every file of a drive."""
     return f"{_DRIVE}{len(names)} files, {names[0]} to {names[-1]}"
 
 
 def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
-    """Tell whether a run record says that its file was classified as a part of this drive.
+    """Check whether a run record says that its file was classified as a part of this drive.
 
-    By itself without names.
+    Without names: whether the file was classified by itself.
     """
-    return [told for told in notices if told.startswith(_DRIVE)] == (
-        [drive_note(names)] if names else []
-    )
+    notes = [notice for notice in notices if notice.startswith(_DRIVE)]
+    return notes == ([drive_note(names)] if names else [])

@@ -1,7 +1,4 @@
-"""Tells a listener how far a run is.
-
-Lines that were finished, and the share of the input where that is known.
-"""
+"""Reports the progress of a run: finished lines, and the share of the input if it is known."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ class Reached(Protocol):
     """A listener that also wants the share of the input that is done."""
 
     def reached(self, share: float) -> None:
-        """Take the share, above 0 and at most 1."""
+        """Receive the share, above 0 and at most 1."""
 
 
 def advance(
@@ -27,21 +24,21 @@ def advance(
     info: StreamInfo,
     window: Window | None = None,
 ) -> None:
-    """Tell that the lines of a block are finished."""
+    """Report that the lines of a block are finished."""
     if progress is None:
         return
-    tell_share(progress, share_done(block, info, window))
+    report_share(progress, share_done(block, info, window))
     progress(block.n_lines)
 
 
-def tell_share(progress: object, share: float | None) -> None:
-    """Tell the share to a listener that wants it; None = not known."""
+def report_share(progress: object, share: float | None) -> None:
+    """Report the share to a listener that wants it; None = not known."""
     if isinstance(progress, Reached) and share is not None:
         progress.reached(share)
 
 
 def share_done(block: ScanBlock, info: StreamInfo, window: Window | None = None) -> float | None:
-    """Return how much of the input is done after a block, above 0 and at most 1.
+    """Return the share of the input that is done after a block, above 0 and at most 1.
 
     None = not known.
     """

@@ -82,7 +82,7 @@ def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
 @pytest.mark.slow
 def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: Path) -> None:
     result = prc("objects", forest / "walk.laz")
-    assert (result.code, "note: the classes of the file are used" in result.err) == (0, True), (
+    assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), (
         result.err
     )
     assert {row["kind"] for row in rows(result.out)} == {"stem"}
@@ -92,7 +92,7 @@ def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: P
     )
     result = prc("objects", forest / "urban.laz")
     assert (
-        "note: the file has classes, but none of: stem, pole, car, curb; it is classified again"
+        "note: the file has classes, but none of: stem, pole, car, curb; it is classified anew"
         in result.err
     )
 

@@ -48,10 +48,10 @@ def codes(drive: Path, tmp_path: Path) -> Any:
 def expected(drive: Path, tmp_path: Path) -> Any:
     """The street without noise and with a quarter of its ground, said in another way."""
     image = street()
-    found = codes(drive, tmp_path)
+    file_codes = codes(drive, tmp_path)
     for line, column in np.argwhere(~np.isnan(image)):
         quarter = (column + 2 * line) % 4 == 0
-        if found[line, column] == 7 or (found[line, column] == 2 and not quarter):
+        if file_codes[line, column] == 7 or (file_codes[line, column] == 2 and not quarter):
             image[line, column] = np.nan
     return image
 
@@ -233,17 +233,18 @@ def test_a_thinned_file_is_doubted_where_it_is_classified(
     convert(tmp_path / f"a{suffix}", tmp_path / "b.csv")
     others = config(accept_doubts=[name for name in CHECK_NAMES if name != "thinned"])
     for source in (tmp_path / f"a{suffix}", tmp_path / "b.csv"):
-        told = [
-            one
-            for one in classify(source, source.with_suffix(".npy"), others).doubts
-            if one.check == "thinned"
+        findings = [
+            doubt
+            for doubt in classify(source, source.with_suffix(".npy"), others).doubts
+            if doubt.check == "thinned"
         ]
         assert [
-            one.found.endswith("returns were dropped and are missing in this file") for one in told
+            doubt.found.endswith("returns were dropped and are missing in this file")
+            for doubt in findings
         ] == [True]
     (tmp_path / "a.laz.prc.json").unlink(missing_ok=True)
     doubts = classify(tmp_path / f"a{suffix}", tmp_path / "again.npy", others).doubts
-    assert "thinned" in {one.check for one in doubts}
+    assert "thinned" in {doubt.check for doubt in doubts}
 
 
 def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
@@ -264,7 +265,7 @@ def frame(path: Path) -> Any:
     """
     turn, ring = np.meshgrid(np.linspace(-np.pi, np.pi, 720, endpoint=False), np.arange(16))
     turn, ring = (
-        np.insert(each.ravel(), [5, 900], each.ravel()[[5, 900]]) for each in (turn, ring)
+        np.insert(part.ravel(), [5, 900], part.ravel()[[5, 900]]) for part in (turn, ring)
     )
     up = np.deg2rad(2.0 - ring * 2.0)
     far = 8 + np.sin(turn * 3)
@@ -281,18 +282,18 @@ def frame(path: Path) -> Any:
 def test_thinned_frames_are_points_and_nothing_else(tmp_path: Path) -> None:
     """In the order of the input and as it stores them; the grid only where it is asked for."""
     points = frame(tmp_path / "f.bin")
-    given = np.where(np.arange(len(points)) % 3 == 0, 5, 2).astype(np.uint8)
-    np.save(tmp_path / "labels.npy", given)
+    labels = np.where(np.arange(len(points)) % 3 == 0, 5, 2).astype(np.uint8)
+    np.save(tmp_path / "labels.npy", labels)
     fields = [{"name": name, "type": "f4"} for name in ("x", "y", "z", "intensity")]
     inputs = {"lines": "rings", "range": "sensor-xyz", "points_per_line": 16}
     loaded = load_config(options={"input": inputs, "layout": {"fields": fields}})
     rules = parse_rules(drop=["noise,vegetation"])
     for name in ("thin.bin", "thin.ply", "thin.pcd"):
         thin(tmp_path / "f.bin", tmp_path / name, rules, loaded, labels=tmp_path / "labels.npy")
-    left = points[given == 2]
-    found = np.fromfile(tmp_path / "thin.bin", "<f4").reshape(-1, 4)
-    np.testing.assert_array_equal(found[:, :3], left[:, :3])
-    assert np.count_nonzero(found[:, 3] != left[:, 3]) <= 2, "a cell has one intensity"
+    left = points[labels == 2]
+    points_left = np.fromfile(tmp_path / "thin.bin", "<f4").reshape(-1, 4)
+    np.testing.assert_array_equal(points_left[:, :3], left[:, :3])
+    assert np.count_nonzero(points_left[:, 3] != left[:, 3]) <= 2, "a cell has one intensity"
     for name in ("thin.ply", "thin.pcd"):
         np.testing.assert_array_equal(
             np.sort(cloud(tmp_path / name), axis=0), np.sort(left[:, :3], axis=0)

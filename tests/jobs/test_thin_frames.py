@@ -170,11 +170,11 @@ def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str
     thinned = open_source(tmp_path / f"thin{suffix}")
     assert thinned is not None
     assert set(thinned.dimensions) == {*(name for name, _ in kinds), "class"}
-    found = {
-        name: np.concatenate([each.values[name] for each in thinned.chunks((name,))])
+    thinned_values = {
+        name: np.concatenate([chunk.values[name] for chunk in thinned.chunks((name,))])
         for name, _ in kinds
     }
-    for name, values in found.items():
+    for name, values in thinned_values.items():
         np.testing.assert_array_equal(values, rows[name][left])
 
 
@@ -191,9 +191,9 @@ def test_a_bag_loses_points_and_nothing_else(tmp_path: Path, suffix: str) -> Non
     after = messages_of(out)
     assert len(before) == len(after)
     first = 0
-    for one, other in zip(before, after, strict=True):
-        points = read_points(source, one)
-        thinned = read_points(out, other)
+    for raw_message, thinned_message in zip(before, after, strict=True):
+        points = read_points(source, raw_message)
+        thinned = read_points(out, thinned_message)
         stays = (
             (codes[first : first + len(points)] == 2)
             & np.isfinite(points["x"])
@@ -213,18 +213,22 @@ def test_a_bag_loses_points_and_nothing_else(tmp_path: Path, suffix: str) -> Non
 
 def messages_of(path: Path) -> list[Any]:
     bag = Bag(path)
-    return [one for one in bag.messages(list(bag.counts)) if one.topic.kind.endswith("PointCloud2")]
+    return [
+        message
+        for message in bag.messages(list(bag.counts))
+        if message.topic.kind.endswith("PointCloud2")
+    ]
 
 
 def read_points(path: Path, message: Any) -> Any:
     codec = CloudCodec(is_cdr=path.suffix != ".bag")
     cloud, _ = codec.points(message.data, "x")
-    names = {one.name: one for one in cloud.fields}
+    names = {cloud_field.name: cloud_field for cloud_field in cloud.fields}
     kinds = {4: "<u2", 6: "<u4", 7: "<f4", 2: "u1"}
     point: Any = {
         "names": list(names),
-        "formats": [kinds[one.datatype] for one in names.values()],
-        "offsets": [one.offset for one in names.values()],
+        "formats": [kinds[cloud_field.datatype] for cloud_field in names.values()],
+        "offsets": [cloud_field.offset for cloud_field in names.values()],
         "itemsize": cloud.point_step,
     }
     return np.frombuffer(bytes(cloud.data), np.dtype(point))

@@ -195,11 +195,11 @@ def test_points_without_partner_keep_their_class(drive: Drive, tmp_path: Path) -
     np.save(raw.with_suffix(".npy"), codes)
     registered = write_las(tmp_path / "registered.las", drive, record, codes=17)
     summary = transfer(raw.with_suffix(".npy"), registered, tmp_path / "out.las", points=raw)
-    found = codes_of(tmp_path / "out.las")
-    kept = found == 17
+    written = codes_of(tmp_path / "out.las")
+    kept = written == 17
     assert 0 < summary.counts.n_matched < len(record)
     assert np.count_nonzero(kept) == len(record) - summary.counts.n_matched
-    assert np.array_equal(found[~kept], drive.codes[record][~kept])
+    assert np.array_equal(written[~kept], drive.codes[record][~kept])
     assert drive.time[record][kept].min() >= drive.time[record][~kept].max()
 
 
@@ -238,7 +238,8 @@ def test_seconds_of_week_against_adjusted_standard_time(drive: Drive, tmp_path: 
     )
     labels = raw.with_suffix(".npy")
     with pytest.raises(
-        InputError, match=r"nothing overlaps; .*seconds of the GPS week: --time-offset 391040000$"
+        InputError,
+        match=r"they do not overlap; .*seconds of the GPS week: --time-offset 391040000$",
     ):
         transfer(labels, registered, tmp_path / "out.las", points=raw)
     transfer(
@@ -357,7 +358,9 @@ def test_no_time_on_either_side(drive: Drive, tmp_path: Path) -> None:
         tmp_path / "out.las",
         points=text,
     )
-    refused(tmp_path, "holds classes alone.*--points RAW", labels, registered, tmp_path / "out.las")
+    refused(
+        tmp_path, "contains only classes.*--points RAW", labels, registered, tmp_path / "out.las"
+    )
 
 
 @pytest.mark.parametrize(
@@ -375,7 +378,7 @@ def test_times_overlap_where_they_touch_within_the_tolerance(
     if overlaps:
         sides._refuse_apart(made, TransferOptions())
     else:
-        with pytest.raises(InputError, match="from -1 to 2: nothing overlaps"):
+        with pytest.raises(InputError, match="from -1 to 2: they do not overlap"):
             sides._refuse_apart(made, TransferOptions())
 
 

@@ -274,13 +274,13 @@ def _rules_of_file(
     }
     if rules:
         notice = (
-            "the classes of the file are used, without heights above the ground; "
-            "--method classifies it again"
+            "the classes of the file are taken, without heights above the ground; "
+            "--method classifies it anew"
         )
         return rules, notice
     if not codes_of_file - {0, table.unclassified}:
         return {}, ""
-    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified again"
+    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified anew"
 
 
 class _ObjectRun:

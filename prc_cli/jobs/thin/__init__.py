@@ -1,9 +1,8 @@
 """``prc thin``: drops noise and thins chosen classes, by line and column or by spacing.
 
-Dropped shots become shots without return. From LAS and LAZ files their records are removed and all
-else stays byte for byte; so are points of bags, and of frames of spinning scanners in PLY and PCD.
-Other formats are written anew, as in
-:mod:`prc_cli.jobs.convert`. A folder of frames becomes a folder of frames.
+Dropped shots become shots without return. prc removes their records from LAS and LAZ files and
+keeps the other bytes. It also removes points of bags and of PLY and PCD frames. It writes other
+formats again, as :mod:`prc_cli.jobs.convert` does. A folder of frames becomes a folder of frames.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, RunConfig, refuse_window, with_layout_beside
 from prc_cli.core.classes import Label
@@ -70,7 +70,7 @@ class ClassSaving:
     """Result for one class."""
 
     code: int
-    """Class code, -1 = returns without one."""
+    """Class code, -1 = returns without a class."""
     name: str
     n_input: int
     """Returns of the class in the input."""
@@ -129,26 +129,26 @@ def thin(
         Any readable input, or a folder of frames of one kind.
     output : path
         Any writable format, a bag of an input of the same kind, or of a folder a new folder.
-        Between LAS and LAZ, records are left out and everything else stays as it is; this includes
-        the classes, even if ``labels`` decided what was dropped.
+        Between LAS and LAZ, prc removes records and keeps the bytes of the others. The classes in
+        the file stay, even if ``labels`` decided which returns were dropped.
     rules : tuple of ThinRule, optional
         From :func:`parse_rules`; default: drop noise.
     config : LoadedConfig or RunConfig, optional
         How the stream is read, and, with ``labels = "classify"``, classified.
     labels : path or "classify", optional
         A label file with one code per record (of a folder: a folder with a file for every frame),
-        or the classifier. Default: the classes of the input; the classifier where it has none.
+        or the classifier. Default: the classes of the input, or the classifier if it has none.
     min_confidence : int, optional
-        Also drop returns whose label has less confidence [per cent], by the dimension
-        ``confidence`` of the label file or of the input, or as the classifier tells.
+        Also drop returns whose label has less confidence [per cent]. The confidence is the
+        dimension ``confidence`` of the label file or the input, or comes from the classifier.
     keep_empty : bool
         Write a row for every cell of the grid to ``.ply``, ``.pcd`` and ``.bin``, too. Default:
-        returns alone; a ``.bin`` then holds x, y, z and intensity, as KITTI's frames, where the
+        only returns. A ``.bin`` then contains x, y, z and intensity, as KITTI's frames, if the
         input has coordinates from the scanner.
     every_frame : bool
-        Number the frames of a folder from 000000 on. Default: they keep their names.
+        Number the frames of a folder from 000000. Default: they keep their names.
     overwrite : bool
-        Replace an existing output; never a folder.
+        Replace an existing output, but not a folder.
     progress : callable, optional
         Called with the number of scan lines that were just finished.
 
@@ -159,7 +159,7 @@ def thin(
     Raises
     ------
     ConfigError
-        When lines could not be found again in a LAS output, or nothing would be left.
+        If the lines of a LAS output could not be restored, or all returns would be dropped.
     InputError, OutputError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -205,18 +205,17 @@ def _thin_file(
     **common: Any,
 ) -> ThinningSummary:
     if labels is None:
-        labels = _own_labels(source, loaded)
+        labels = _labels_of_input(source, loaded)
     if labels == CLASSIFY:
         loaded = decide(source, loaded)
-    run = _Run(source, output, rules, loaded, labels, **common)
-    more = () if run.labels is None else (run.labels,)
+    run = _ThinRun(source, output, rules, loaded, labels, **common)
+    label_files = () if run.labels is None else (run.labels,)
     if is_bag(output):
         check_input(source)
-        prepare_outputs(
-            output, record_path(output), overwrite=overwrite, inputs=loaded.inputs(source, *more)
-        )
+        inputs = loaded.inputs(source, *label_files)
+        prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=inputs)
     else:
-        prepare_output(source, output, loaded, overwrite=overwrite, more=more)
+        prepare_output(source, output, loaded, overwrite=overwrite, more=label_files)
     before = file_state(source)
     if suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES:
         record = run.copy(progress, before)
@@ -225,11 +224,8 @@ def _thin_file(
     return run.summary(record)
 
 
-def _own_labels(source: Path, loaded: LoadedConfig) -> Path | str | None:
-    """Return where the classes of an input come from.
-
-    Its records, its clouds (of a bag), or else the classifier.
-    """
+def _labels_of_input(source: Path, loaded: LoadedConfig) -> Path | str | None:
+    """Return the source of the classes: None = the records, a bag's clouds, or the classifier."""
     if is_bag(source):
         with contextlib.suppress(InputError):
             next(open_codes(source).chunks())
@@ -255,7 +251,6 @@ def _thin_folder(
     every_frame: bool,
     **common: Any,
 ) -> ThinningSummary:
-    """Thin the frames of a folder, with the method that labels the first one best where none is named."""
     frames = frames_of(source)
     known = labels_of(Path(labels), frames) if labels is not None and labels != CLASSIFY else {}
     first = next((frame for frame in frames if frame.stat().st_size), None)
@@ -263,7 +258,7 @@ def _thin_folder(
         raise InputError(
             str(source), f"all {len(frames)} frames are empty, expected points", "copy them again"
         )
-    if not known and (labels == CLASSIFY or _own_labels(first, loaded) == CLASSIFY):
+    if not known and (labels == CLASSIFY or _labels_of_input(first, loaded) == CLASSIFY):
         loaded = decide(first, loaded)
         labels = CLASSIFY
 
@@ -279,70 +274,75 @@ def _thin_folder(
             **common,
         )
 
-    with thin_frames(frames, output, thin_one, every_frame=every_frame) as found:
-        summary = _joined(source, output, frames, found)
+    with thin_frames(frames, output, thin_one, every_frame=every_frame) as summaries:
+        summary = _folder_summary(source, output, frames, summaries)
         with output_errors(output):
             record_path(output).write_bytes(summary.record.to_json())
     return summary
 
 
-def _joined(
+def _folder_summary(
     source: Path,
     output: Path,
     frames: list[Path],
-    found: list[ThinningSummary],
+    summaries: list[ThinningSummary],
 ) -> ThinningSummary:
-    """Return the summary of a folder of frames."""
     n_input = Counter[int]()
     n_kept = Counter[int]()
     n_bytes = Counter[int]()
     names = {}
-    for item in (item for one in found for item in one.classes):
-        names[item.code] = item.name
-        n_input[item.code] += item.n_input
-        n_kept[item.code] += item.n_kept
-        n_bytes[item.code] += item.n_bytes
+    n_empty = len(frames)
+    for summary in summaries:
+        n_empty -= any(saving.n_kept for saving in summary.classes)
+        for saving in summary.classes:
+            names[saving.code] = saving.name
+            n_input[saving.code] += saving.n_input
+            n_kept[saving.code] += saving.n_kept
+            n_bytes[saving.code] += saving.n_bytes
     n_all = n_input.total()
     n_left = n_kept.total()
     if not n_left:
         problem = f"all {n_all} returns would be dropped, expected some to stay"
         raise ConfigError(str(source), problem, "keep more: --keep noise=1, or other classes")
-    n_empty = len(frames) - sum(any(item.n_kept for item in one.classes) for one in found)
-    told = [text for text in found[0].record.notices if text.startswith(_METHOD)]
-    told.append(
+    first = summaries[0]
+    texts = [text for text in first.record.notices if text.startswith(_METHOD)]
+    texts.append(
         f"thinned: {n_all - n_left} of {n_all} returns of {len(frames)} frames were dropped"
     )
-    told += [f"{n_empty} frames have no point: their files are there"] * bool(n_empty)
+    if n_empty:
+        texts.append(f"{n_empty} frames have no point: their files are there")
     record = replace(
-        found[0].record,
+        first.record,
         input=Fingerprint(source.name, sum(frame.stat().st_size for frame in frames), None),
         output=None,
         n_lines=None,
         n_records=None,
         n_missing=None,
         classes=(),
-        notices=tuple(told),
+        notices=tuple(texts),
     )
     classes = tuple(
         ClassSaving(code, names[code], n, n_kept[code], n_bytes[code])
         for code, n in sorted(n_input.items())
     )
-    sizes = (
-        sum(getattr(one, key) for one in found)
-        for key in ("bytes_input", "bytes_output", "n_lines")
-    )
-    n_read, n_written, n_lines = sizes
-    doubts = {doubt.check: doubt for one in found for doubt in one.doubts}
+    doubts = {doubt.check: doubt for summary in summaries for doubt in summary.doubts}
     return ThinningSummary(
-        output, record, classes, found[0].rules, n_read, n_written, n_lines, tuple(doubts.values())
+        output,
+        record,
+        classes,
+        first.rules,
+        bytes_input=sum(summary.bytes_input for summary in summaries),
+        bytes_output=sum(summary.bytes_output for summary in summaries),
+        n_lines=sum(summary.n_lines for summary in summaries),
+        findings=tuple(doubts.values()),
     )
 
 
 _METHOD = "classified on the way: "
 
 
-class _Run:
-    """One call of :func:`thin`."""
+class _ThinRun:
+    """One file of a call of :func:`thin`."""
 
     def __init__(
         self,
@@ -366,17 +366,18 @@ class _Run:
         self.keep_empty = keep_empty
         self.is_frame = is_frame
         self.n_unsure = 0
-        self._sure: DiskColumn | None = None
-        """Confidence of the records of a file."""
+        """Returns that only ``min_confidence`` drops."""
+        self._confidence: DiskColumn | None = None
+        """Confidence of the records of a file [per cent]."""
         self.n_input = Counter[int]()
         self.n_kept = Counter[int]()
         """Returns by class code."""
         self.counts = Counts.none()
         self._judge: Judge | None = None
-        self._found: tuple[Finding, ...] = ()
+        self._findings: tuple[Finding, ...] = ()
 
     def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
-        """Leave records out of a LAS or LAZ file."""
+        """Copy a LAS or LAZ file without the records of dropped returns."""
         las = read_las(self.source)
         check_copied(las)
         with contextlib.ExitStack() as stack:
@@ -386,26 +387,22 @@ class _Run:
             stays = stack.enter_context(
                 DiskColumn(self.output, np.uint8, 1, n_records=las.n_records)
             )
-            with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (
-                opened,
-                items,
-            ):
+            needs_xyz = any(rule.spacing_m is not None for rule in self.rules)
+            with self._open(xyz=needs_xyz) as (opened, items):
                 hints = _check_lines(self.source, opened)
                 for item in items:
                     kept, kept_extra = self._choose(item)
                     block = item.block
-                    gone = np.concatenate(
-                        [
-                            block.records()[~kept & ~np.isnan(block.range_m)],
-                            block.extra.record[~kept_extra],
-                        ]
-                    )
-                    stays.put(gone[gone >= 0], np.zeros(int((gone >= 0).sum()), np.uint8))
+                    dropped = block.records()[~kept & ~np.isnan(block.range_m)]
+                    dropped = np.concatenate([dropped, block.extra.record[~kept_extra]])
+                    dropped = dropped[dropped >= 0]
+                    stays.put(dropped, np.zeros(len(dropped), np.uint8))
                     advance(progress, block, opened.info)
                 self._check_labels(opened.info)
                 if len(set(self.counts.scanners.values())) > 1:
                     hints += (
-                        "lines of scanners differ in length: the highest column that is left is taken for it",
+                        "lines of scanners differ in length: "
+                        "the highest column that is left is taken for it",
                     )
                 record = self._record(opened.info, hints)
             notices = copy_las(
@@ -421,7 +418,7 @@ class _Run:
         return record
 
     def write(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
-        """Write the stream anew without the dropped shots, or the points of the input without those."""
+        """Write the stream without the dropped shots, or the points of the input without them."""
         with self._open(xyz=not is_bag(self.output)) as (opened, items):
             if is_bag(self.output) or (
                 opened.shape.rings
@@ -452,7 +449,7 @@ class _Run:
         progress: Progress | None,
         before: tuple[int, ...],
     ) -> RunRecord:
-        """Leave points out of a cloud or a bag, and add the classes of the others."""
+        """Remove points from a cloud or a bag, and add the classes of the other points."""
         config = self.loaded.config
         labels = LabelOutput(
             path=self.output,
@@ -475,7 +472,7 @@ class _Run:
             return writer.finish(record)
 
     def summary(self, record: RunRecord) -> ThinningSummary:
-        """Return the summary."""
+        """Return the summary of a written output."""
         names = {**self.loaded.config.classes.names(), NO_CODE: "none"}
         bytes_input = self.source.stat().st_size
         outputs = (self.output,) if is_bag(self.output) else outputs_of(self.output)[:-1]
@@ -496,12 +493,12 @@ class _Run:
         rules = tuple(map(str, self.rules))
         n_lines = self.counts.n_lines
         return ThinningSummary(
-            self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._found
+            self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._findings
         )
 
     @contextlib.contextmanager
     def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[StreamItem]]]:
-        """Open the stream with the class codes of every block, from the chosen source."""
+        """Open the stream, with the class codes of every block."""
         config = self.loaded.config
 
         def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
@@ -512,26 +509,24 @@ class _Run:
             self._judge = Judge(watch, config)
             return self._judge.label(watch.blocks(), wanted=wanted)
 
-        own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
             items_of = open_items(
                 self.source,
                 self.output,
                 self.loaded,
                 blocks_of=labelled if self.classify else None,
-                codes=own,
+                codes=self.labels is None and not self.classify,
                 xyz=xyz,
                 points=not self.keep_empty,
             )
             opened = stack.enter_context(items_of)
-            given = (
-                None
-                if self.labels is None
-                else self._read_values(self.labels, None, opened.info, stack)
-            )
-            self._n_labels = 0 if given is None else len(given)
+            file_codes: DiskColumn | None = None
+            self._n_labels = 0
+            if self.labels is not None:
+                file_codes = self._read_values(self.labels, None, opened.info, stack)
+                self._n_labels = len(file_codes)
             if self.min_confidence is not None and not self.classify:
-                self._sure = self._read_values(
+                self._confidence = self._read_values(
                     self.labels or self.source, CONFIDENCE, opened.info, stack
                 )
             lookup = config.classes.lookup().astype(np.int32)
@@ -540,15 +535,15 @@ class _Run:
             def items() -> Iterator[StreamItem]:
                 for item in opened.items:
                     block = item.block
-                    found = item.labelled
+                    labels = item.labelled
                     self.counts = self.counts.add(block)
-                    if given is not None:
-                        codes = given.get(block.records()), given.get(block.extra.record)
-                        yield replace(item, codes=codes[0], extra_codes=codes[1])
-                    elif found is not None:
-                        yield replace(
-                            item, codes=lookup[found.labels], extra_codes=lookup[found.extra_labels]
-                        )
+                    if file_codes is not None:
+                        codes = file_codes.get(block.records())
+                        extra_codes = file_codes.get(block.extra.record)
+                        yield replace(item, codes=codes, extra_codes=extra_codes)
+                    elif labels is not None:
+                        codes = lookup[labels.labels]
+                        yield replace(item, codes=codes, extra_codes=lookup[labels.extra_labels])
                     else:
                         yield item
 
@@ -571,9 +566,8 @@ class _Run:
                 "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
             )
             raise ConfigError("--min-confidence", f"{path}: {refusal.problem}", hint) from refusal
-        if (
-            None not in (codes.n, info.n_records) and codes.n != info.n_records
-        ):  # before a long file is read
+        # before it reads a long file
+        if None not in (codes.n, info.n_records) and codes.n != info.n_records:
             raise self._other_labels(path, codes.n, info.n_records)
         values = stack.enter_context(DiskColumn(self.output, "<i4", NO_CODE))
         for chunk in codes.chunks():
@@ -586,28 +580,22 @@ class _Run:
         assert item.extra_codes is not None
         kept, kept_extra = choose(item, self.rules)
         block = item.block
-        found = item.labelled
-        there = ~np.isnan(item.block.range_m)
         if self.min_confidence is not None:
-            sure: tuple[Any, Any] = (None, None)
-            if found is not None:
-                sure = found.confidence, found.extra_confidence
-            elif self._sure is not None:
-                sure = self._sure.get(block.records()), self._sure.get(block.extra.record)
+            confidence: Any = None
+            extra_confidence: Any = None
+            if item.labelled is not None:
+                confidence = item.labelled.confidence
+                extra_confidence = item.labelled.extra_confidence
+            elif self._confidence is not None:
+                confidence = self._confidence.get(block.records())
+                extra_confidence = self._confidence.get(block.extra.record)
             n_kept = int(kept.sum() + kept_extra.sum())
-            kept &= sure[0] >= self.min_confidence
-            kept_extra &= sure[1] >= self.min_confidence
+            kept &= confidence >= self.min_confidence
+            kept_extra &= extra_confidence >= self.min_confidence
             self.n_unsure += n_kept - int(kept.sum() + kept_extra.sum())
-        for codes, stays in ((item.codes[there], kept[there]), (item.extra_codes, kept_extra)):
-            for into, part in ((self.n_input, codes), (self.n_kept, codes[stays])):
-                into.update(
-                    dict(
-                        zip(
-                            *(found.tolist() for found in np.unique(part, return_counts=True)),
-                            strict=True,
-                        )
-                    )
-                )
+        returned = ~np.isnan(block.range_m)
+        _count(self.n_input, item.codes[returned], item.extra_codes)
+        _count(self.n_kept, item.codes[kept], item.extra_codes[kept_extra])
         return kept, kept_extra
 
     def _check_labels(self, info: StreamInfo) -> None:
@@ -625,26 +613,12 @@ class _Run:
         return InputError(str(path), problem, "give the labels of this file")
 
     def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
-        """Return the run record, which says that and how shots were dropped."""
-        told = []
+        """Return the run record, whose notices say how many shots every rule dropped."""
         n_input = self.n_input.total()
         n_all_kept = self.n_kept.total()
-        for rule in self.rules:
-            n, n_kept = (
-                sum(n for code, n in found.items() if rule.holds(np.array(code)))
-                for found in (self.n_input, self.n_kept)
-            )
-            if n:
-                told.append(
-                    f"{rule.name}: {n - n_kept} of {n} dropped"
-                    + ("" if rule.is_rest else f" ({rule})")
-                )
-            elif (rule.share != 0 or rule.name != "noise") and not rule.is_rest:
-                told.append(
-                    f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})"
-                )
+        texts = [text for rule in self.rules if (text := self._rule_notice(rule))]
         if self.min_confidence is not None:
-            told.append(
+            texts.append(
                 f"confidence below {self.min_confidence} %: {self.n_unsure} more returns dropped"
             )
         if not n_all_kept and not self.is_frame:
@@ -652,49 +626,70 @@ class _Run:
             raise ConfigError(
                 str(self.source), problem, "keep more: --keep noise=1, or other classes"
             )
-        note = f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped and are missing in this file"
+        note = (
+            f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped "
+            "and are missing in this file"
+        )
         record = run_record(info, self.counts, self.loaded)
         choice = self.loaded.choice if self.classify else None
         method = () if choice is None else (f"{_METHOD}method {choice.method}: {choice.why}",)
-        self._found = () if self._judge is None else self._judge.findings()
-        record = replace(
-            record, notices=(*record.notices, *method, note, *told, *hints, *notices(self._found))
-        )
-        return record_of_scanners(record, self.counts)
+        self._findings = () if self._judge is None else self._judge.findings()
+        all_notices = (*record.notices, *method, note, *texts, *hints, *notices(self._findings))
+        return record_of_scanners(replace(record, notices=all_notices), self.counts)
+
+    def _rule_notice(self, rule: ThinRule) -> str:
+        n = _n_of_rule(self.n_input, rule)
+        n_dropped = n - _n_of_rule(self.n_kept, rule)
+        if n:
+            suffix = "" if rule.is_rest else f" ({rule})"
+            return f"{rule.name}: {n_dropped} of {n} dropped{suffix}"
+        if rule.is_rest or (rule.name == "noise" and rule.share == 0):
+            return ""
+        return f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})"
+
+
+def _count(counts: Counter[int], *codes: NDArray[np.integer]) -> None:
+    for part in codes:
+        values, numbers = np.unique(part, return_counts=True)
+        counts.update(dict(zip(values.tolist(), numbers.tolist(), strict=True)))
+
+
+def _n_of_rule(counts: Counter[int], rule: ThinRule) -> int:
+    return sum(n for code, n in counts.items() if rule.holds(np.array(code)))
 
 
 def _codes_of(codes: Any, kept: Mask) -> Any:
-    """Return class codes that fit into a byte, and no code where a return is dropped."""
+    # a class code of an output is a byte
     return np.where(kept, np.where((codes >= 0) & (codes < 256), codes, 0), NO_CODE)
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
-    """Refuse a LAS file whose cells depend on the order of its records.
+    """Return the options that read the thinned file.
 
-    Return the options that read it.
+    Refuse a LAS file in which the cell of a shot depends on other records.
     """
     grid = opened.grid
     if grid is None:
-        by = "the records around them"
+        basis = "the records around it"
     elif grid.rules.lines == "fixed" or grid.rules.columns == "order":
-        by = "their order"
+        basis = "the order of the records"
     elif grid.rules.columns == "time" and grid.rules.line_hz is None:
-        by = "the first return of their line"
+        basis = "the first return of its line"
     else:
-        return _needed(grid)
-    problem = f"the cells of shots follow from {by}, so that leaving records out would move others"
+        return _options_to_read(grid)
+    problem = f"the cell of a shot depends on {basis}: without some records, other shots move"
     raise ConfigError(str(source), problem, "write .csv.gz, .npz or .parquet, which keep the cells")
 
 
-def _needed(grid: GridStream) -> tuple[str, ...]:
-    """Return the options that replace values the reader estimated from all records."""
+def _options_to_read(grid: GridStream) -> tuple[str, ...]:
+    # they replace the values that the reader estimated from all records
     rules = grid.rules
-    told = []
+    texts = []
     if rules.line_hz is not None and rules.config.time_origin is None:
         first = next(iter(grid.source.chunks(("time",)))).values["time"]
-        told.append(f"read it with --set input.time_origin={float(first[0])!r}")
+        texts.append(f"read it with --set input.time_origin={float(first[0])!r}")
     if rules.columns == "time":
-        told.append("columns follow from the times: shots that share a stamp may move by a column")
+        texts.append("columns follow from the times: shots that share a stamp may move by a column")
     if rules.columns == "angle" and (
         rules.config.angle_start is None or rules.config.angle_step is None
     ):
@@ -702,10 +697,11 @@ def _needed(grid: GridStream) -> tuple[str, ...]:
             if (angles := setup.columns.grid) is not None:
                 start = math.degrees(angles.start_rad)
                 step = math.degrees(angles.step_rad)
-                told.append(
-                    f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}"
+                texts.append(
+                    f"read it with --set input.angle_start={start!r} "
+                    f"--set input.angle_step={step!r}"
                 )
-    return tuple(dict.fromkeys(told))
+    return tuple(dict.fromkeys(texts))
 
 
 __all__ = ["CLASSIFY", "ClassSaving", "ThinRule", "ThinningSummary", "parse_rules", "thin"]

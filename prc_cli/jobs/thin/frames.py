@@ -19,13 +19,10 @@ Summary = TypeVar("Summary")
 
 
 def frames_of(folder: Path) -> list[Path]:
-    """Return the frames of a folder, in the order of the numbers in their names.
-
-    All of one kind.
-    """
+    """Return the frames of a folder, in the order of the numbers in their names."""
     known = by_suffix("streams").keys() & by_suffix("scans").keys()
     try:
-        found = [
+        frames = [
             path
             for path in folder.iterdir()
             if suffix_of(path) in known and not path.name.startswith(".")
@@ -34,14 +31,14 @@ def frames_of(folder: Path) -> list[Path]:
         raise InputError(
             str(folder), f"cannot be read ({error.strerror})", "check its permissions"
         ) from error
-    kinds = sorted({suffix_of(path) for path in found})
+    kinds = sorted({suffix_of(path) for path in frames})
     if len(kinds) == 1:
         return sorted(
-            found,
+            frames,
             key=lambda path: ([int(number) for number in re.findall(r"\d+", path.name)], path.name),
         )
     inside = folder / "velodyne"
-    hint = f"give {inside}" if inside.is_dir() else "name a folder that has nothing but frames"
+    hint = f"give {inside}" if inside.is_dir() else "name a folder that contains only frames"
     raise InputError(
         str(folder), f"found {', '.join(kinds) or 'no frames'}, expected frames of one kind", hint
     )
@@ -50,7 +47,7 @@ def frames_of(folder: Path) -> list[Path]:
 def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
     """Return the file of class codes of every frame.
 
-    Of its name, with another suffix or with one more.
+    It has the name of the frame, with another suffix or with one more.
     """
     if not folder.is_dir():
         problem = "found a file, expected a folder" if folder.exists() else "no such folder"
@@ -60,15 +57,15 @@ def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
     by_name: dict[str, Path] = {}
     for path in files_of([folder]):
         by_name.setdefault(stem_of(path).removesuffix(".labels"), path)
-    found = {
+    label_files = {
         frame: by_name.get(frame.name, by_name.get(frame.name[: -len(suffix_of(frame))]))
         for frame in frames
     }
-    if missing := [frame.name for frame, labels in found.items() if labels is None]:
+    if missing := [frame.name for frame, labels in label_files.items() if labels is None]:
         shown = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
         problem = f"no class codes of {len(missing)} of {len(frames)} frames: {shown}"
         raise InputError(str(folder), problem, "give a file of the name of every frame")
-    return {frame: labels for frame, labels in found.items() if labels is not None}
+    return {frame: labels for frame, labels in label_files.items() if labels is not None}
 
 
 @contextmanager
@@ -79,9 +76,9 @@ def thin_frames(
     *,
     every_frame: bool,
 ) -> Iterator[list[Summary]]:
-    """Thin frames into a folder; an empty dump stays one.
+    """Thin frames into a folder, and yield their summaries before it gets its name.
 
-    With ``every_frame`` they are numbered from 000000.
+    An empty dump stays empty. With ``every_frame`` the frames are numbered from 000000.
     """
     for path in (output, record_path(output)):
         if path.exists() or path.is_symlink():
@@ -92,7 +89,7 @@ def thin_frames(
         raise ConfigError(str(output), "the folder above it is not there", "make it first")
     remove_stale(output)
     temporary = temporary_name(output)
-    found: list[Summary] = []
+    summaries: list[Summary] = []
     try:
         with output_errors(output):
             temporary.mkdir()
@@ -101,10 +98,10 @@ def thin_frames(
             if is_dump(frame) and not frame.stat().st_size:
                 thinned.touch()
                 continue
-            found.append(thin_one(frame, thinned))
+            summaries.append(thin_one(frame, thinned))
             for beside in temporary.glob(f"{thinned.name}.*"):
                 beside.unlink()
-        yield found
+        yield summaries
         with output_errors(output):
             temporary.rename(output)
     finally:

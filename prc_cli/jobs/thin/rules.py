@@ -1,4 +1,4 @@
-"""Rules of ``prc thin``: which share of which class is kept, by line and column, or by spacing along the line."""
+"""Rules of ``prc thin``: keep a share of a class, by line and column or by spacing in a line."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ class ThinRule:
     codes: tuple[int, ...]
     """Class codes of the rule."""
     is_rest: bool = False
-    """Whether it is for all returns but those of these classes, as for those without a class."""
+    """Whether the rule is for all returns except these classes, also for returns without one."""
     share: Fraction | None = None
     """Share of shots to keep, in a pattern of line and column; 0 = none, 1 = all."""
     spacing_m: float | None = None
@@ -40,11 +41,13 @@ class ThinRule:
 
     def holds(self, codes: NDArray[np.integer]) -> Mask:
         """Mark the returns that the rule is for."""
-        found: Mask = np.isin(codes, self.codes) ^ self.is_rest
-        return found
+        held: Mask = np.isin(codes, self.codes) ^ self.is_rest
+        return held
 
     def __str__(self) -> str:
-        return f"{self.name}={self.share if self.spacing_m is None else f'{self.spacing_m:g} m'}"
+        if self.spacing_m is not None:
+            return f"{self.name}={self.spacing_m:g} m"
+        return f"{self.name}={self.share}"
 
 
 def parse_rules(
@@ -63,28 +66,25 @@ def parse_rules(
     ['ground=1/4', 'all but ground, pole=0']
     """
     table = codes or ClassCodes()
-    keep, spacing, drop, only = (
-        [part.strip() for text in texts for part in text.split(",") if part.strip()]
-        for texts in (keep, spacing, drop, keep_only)
-    )
+    only = _parts(keep_only)
     rules: list[ThinRule] = []
-    for text in keep:
+    for text in _parts(keep):
         name, value = _split(text, "--keep", "FRACTION", "ground=1/4")
         rules.append(ThinRule(name, _codes(name, "--keep", table), share=_share(text, value)))
-    for text in spacing:
+    for text in _parts(spacing):
         name, value = _split(text, "--spacing", "METRES", "ground=0.1")
         rules.append(
             ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value))
         )
-    rules.extend(ThinRule(name, _codes(name, "--drop", table), share=Fraction(0)) for name in drop)
-    if only:
-        rules.append(_rest(only, rules, table))
-    named = {code for rule in rules for code in rule.codes}
-    left = (
-        () if only else tuple(code for code in _codes("noise", "noise", table) if code not in named)
+    rules.extend(
+        ThinRule(name, _codes(name, "--drop", table), share=Fraction(0)) for name in _parts(drop)
     )
-    if left and table.noise not in named:
-        rules.append(ThinRule("noise", left, share=Fraction(0)))
+    if only:
+        rules.append(_all_but(only, rules, table))
+    named = {code for rule in rules for code in rule.codes}
+    if not only and table.noise not in named:
+        noise = tuple(code for code in _codes("noise", "noise", table) if code not in named)
+        rules.append(ThinRule("noise", noise, share=Fraction(0)))
     seen: dict[int, str] = {}
     for rule in rules:
         for code in () if rule.is_rest else rule.codes:
@@ -95,8 +95,11 @@ def parse_rules(
     return tuple(rules)
 
 
-def _rest(only: list[str], rules: list[ThinRule], table: ClassCodes) -> ThinRule:
-    """Return the rule that drops what is not of some classes."""
+def _parts(texts: Iterable[str]) -> list[str]:
+    return [part.strip() for text in texts for part in text.split(",") if part.strip()]
+
+
+def _all_but(only: list[str], rules: list[ThinRule], table: ClassCodes) -> ThinRule:
     kept = tuple(code for name in only for code in _codes(name, "--keep-only", table))
     for rule in rules:
         if (rule.share == 0) == any(code in kept for code in rule.codes):
@@ -125,7 +128,10 @@ def _share(text: str, value: str) -> Fraction:
     except (ValueError, ZeroDivisionError):
         share = Fraction(-1)
     if not 0 <= share <= 1 or share.denominator > MAX_DENOMINATOR:
-        problem = f"found {text!r}, expected a fraction from 0 to 1 with a denominator up to {MAX_DENOMINATOR}"
+        problem = (
+            f"found {text!r}, expected a fraction from 0 to 1 "
+            f"with a denominator up to {MAX_DENOMINATOR}"
+        )
         raise ConfigError("--keep", problem, "for example --keep ground=1/4")
     return share
 
@@ -142,7 +148,7 @@ def _metres(text: str, value: str) -> float:
 
 
 def _codes(name: str, option: str, table: ClassCodes) -> tuple[int, ...]:
-    """Return the codes of a class name or number."""
+    # of a class name or number
     names = {label.name.lower(): table.code(label) for label in Label if label is not Label.MISSING}
     if name.lower() == "noise":
         return tuple(dict.fromkeys((table.noise, HIGH_NOISE_CODE)))
@@ -151,11 +157,9 @@ def _codes(name: str, option: str, table: ClassCodes) -> tuple[int, ...]:
     if name.isdecimal() and int(name) < 2**31:
         return (int(name),)
     near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
-    hint = (
-        f"did you mean {near[0]!r}?"
-        if near
-        else f"known classes: {', '.join(names)}, or a class code"
-    )
+    hint = f"known classes: {', '.join(names)}, or a class code"
+    if near:
+        hint = f"did you mean {near[0]!r}?"
     raise ConfigError(option, f"unknown class {name!r}", hint)
 
 
@@ -175,16 +179,18 @@ def keep_by_pattern(
            [1, 0, 0, 0, 1, 0, 0, 0],
            [0, 0, 1, 0, 0, 0, 1, 0]])
     """
-    part = share.numerator
-    whole = share.denominator
-    shift = max(round(_GOLDEN * whole / max(part, 1)), 1)
-    place = (column.astype(np.int64) + shift * (line.astype(np.int64) % whole)) % whole
-    kept: Mask = place * part % whole < part
+    n_kept = share.numerator
+    period = share.denominator
+    shift = max(round(_GOLDEN * period / max(n_kept, 1)), 1)
+    phase = (column.astype(np.int64) + shift * (line.astype(np.int64) % period)) % period
+    kept: Mask = phase * n_kept % period < n_kept
     return kept
 
 
 def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
-    """Mark in every line the first chosen shot, and each next one at least ``spacing_m`` from the last one marked.
+    """Mark the first chosen shot of every line, then each one ``spacing_m`` from the last marked.
+
+    ``position_m`` is (L, M, 2 or 3) float64, ``chosen`` (L, M).
 
     >>> position = np.arange(6.0)[None, :, None]
     >>> keep_by_spacing(position, np.ones((1, 6), np.bool_), 2.5).astype(int)
@@ -192,18 +198,22 @@ def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
     """
     kept = np.zeros(chosen.shape, np.bool_)
     last = np.full((len(chosen), position_m.shape[2]), np.inf)
-    # all lines together, column by column
+    # column by column, for all lines at once
     by_column = np.ascontiguousarray(position_m.transpose(1, 0, 2))
     for column in np.flatnonzero(chosen.any(axis=0)):
-        away = ((by_column[column] - last) ** 2).sum(axis=1)
-        taken = chosen[:, column] & ~(away < spacing_m**2)
+        squared_m2 = ((by_column[column] - last) ** 2).sum(axis=1)
+        taken = chosen[:, column] & ~(squared_m2 < spacing_m**2)
         kept[taken, column] = True
         last[taken] = by_column[column][taken]
     return kept
 
 
 def choose(item: StreamItem, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
-    """Mark the returns to keep; further ones by their own class, with a spacing as the main return."""
+    """Mark the main and the further returns to keep.
+
+    A share is applied to further returns by their class; with a spacing they follow their main
+    return.
+    """
     block = item.block
     extra = item.block.extra
     codes = item.codes
@@ -232,7 +242,7 @@ def choose(item: StreamItem, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
 
 
 def _positions(item: StreamItem) -> F64:
-    """Coordinates of every cell: relative to the scanner, else in the scan plane, else as registered."""
+    # (L, M, 2 or 3) [m]: relative to the scanner, else in the scan plane, else as registered
     block = item.block
     if block.xyz_m is not None:
         return block.xyz_m.astype(np.float64)
@@ -243,9 +253,7 @@ def _positions(item: StreamItem) -> F64:
         )
     if item.registered_m is not None:
         return item.registered_m
-    problem = (
-        "found neither scan angles nor coordinates, expected one of them to measure distances by"
-    )
+    problem = "found neither scan angles nor coordinates, expected one of them to measure distances"
     raise ConfigError(
         "--spacing", problem, "give input.angle_start and input.angle_step, or thin with --keep"
     )
@@ -254,53 +262,62 @@ def _positions(item: StreamItem) -> F64:
 def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
     """Return a block without the dropped returns.
 
-    If a main return is dropped, the nearest kept one takes its cell.
+    If a main return is dropped, the nearest kept further return takes its cell.
     """
     block = item.block
     extra = item.block.extra
     range_m = np.where(kept, block.range_m, np.float32(np.nan))
-    xyz = (
-        None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))
-    )
-    intensity = (
-        None if block.intensity is None else np.where(kept, block.intensity, np.float32(np.nan))
-    )
-    codes = None if item.codes is None else np.where(kept, item.codes, np.int32(NO_CODE))
-    further = item.extra_registered_m
-    registered = (
-        None if item.registered_m is None else np.where(kept[..., None], item.registered_m, np.nan)
-    )
+    xyz = _blank(block.xyz_m, kept, np.float32(np.nan))
+    intensity = _blank(block.intensity, kept, np.float32(np.nan))
+    codes = _blank(item.codes, kept, np.int32(NO_CODE))
+    registered = _blank(item.registered_m, kept, np.nan)
+    extra_registered = item.extra_registered_m
     stays = np.flatnonzero(kept_extra)
     orphans = stays[np.isnan(range_m[extra.line[stays], extra.column[stays]])]
     if len(orphans):
         heirs = _first_of_cell(extra, orphans, block.points_per_line)
-        at = (extra.line[heirs], extra.column[heirs])
-        range_m[at] = extra.range_m[heirs]
+        cells = (extra.line[heirs], extra.column[heirs])
+        range_m[cells] = extra.range_m[heirs]
         if intensity is not None and extra.intensity is not None:
-            intensity[at] = extra.intensity[heirs]
+            intensity[cells] = extra.intensity[heirs]
         if xyz is not None and block.xyz_m is not None:
-            beam = block.xyz_m[at] * (extra.range_m[heirs] / block.range_m[at])[:, None]
-            xyz[at] = beam if registered is not None or further is None else further[heirs]
+            if registered is None and extra_registered is not None:
+                xyz[cells] = extra_registered[heirs]
+            else:
+                # further along the beam
+                stretch = extra.range_m[heirs] / block.range_m[cells]
+                xyz[cells] = block.xyz_m[cells] * stretch[:, None]
         if codes is not None and item.extra_codes is not None:
-            codes[at] = item.extra_codes[heirs]
-        if registered is not None and further is not None:
-            registered[at] = further[heirs]
+            codes[cells] = item.extra_codes[heirs]
+        if registered is not None and extra_registered is not None:
+            registered[cells] = extra_registered[heirs]
         stays = np.setdiff1d(stays, heirs)
-    lights = None if extra.intensity is None else extra.intensity[stays]
-    left = ExtraReturns(
-        extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays], lights
+    intensity_left = None if extra.intensity is None else extra.intensity[stays]
+    extra_left = ExtraReturns(
+        extra.line[stays],
+        extra.column[stays],
+        extra.range_m[stays],
+        extra.record[stays],
+        intensity_left,
     )
     return StreamItem(
-        replace(block, range_m=range_m, xyz_m=xyz, intensity=intensity, extra=left),
+        replace(block, range_m=range_m, xyz_m=xyz, intensity=intensity, extra=extra_left),
         codes,
         None if item.extra_codes is None else item.extra_codes[stays],
         registered,
-        None if further is None else further[stays],
+        None if extra_registered is None else extra_registered[stays],
     )
 
 
+def _blank(values: Any, kept: Mask, blank: Any) -> Any:
+    # values is None, (L, M) or (L, M, 3)
+    if values is None:
+        return None
+    return np.where(kept if values.ndim == kept.ndim else kept[..., None], values, blank)
+
+
 def _first_of_cell(extra: ExtraReturns, which: I64, points_per_line: int) -> I64:
-    """Return the nearest of some further returns for every cell."""
+    # the nearest further return of every cell
     cell = extra.line[which].astype(np.int64) * points_per_line + extra.column[which]
     order = np.lexsort((extra.range_m[which], cell))
     first = np.unique(cell[order], return_index=True)[1]

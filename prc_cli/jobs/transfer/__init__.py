@@ -1,7 +1,7 @@
 """``prc transfer``: copies the classes of a raw run to the registered points of the same drive.
 
-Both sides are read once for a survey (which refuses damaged files), sorted by key (on disk, unless
-sorted already), and merge-joined; a spool brings the classes back to the record order of the
+prc reads both sides once for a survey, which refuses damaged files. It sorts them by key on disk,
+unless they are sorted, and joins them. A spool brings the classes back to the record order of the
 registered file.
 """
 
@@ -27,14 +27,14 @@ from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import Layout
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, fingerprint, record_path
-from prc_cli.jobs.progress import tell_share
+from prc_cli.jobs.progress import report_share
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.jobs.transfer.sides import TransferSides, check_paths, open_sides
 from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Joined, JoinTally, columns_of, merge_join
 from prc_cli.matching.keys import AXES, SPARE_LABELS, NearestLabel
 from prc_cli.matching.nearest import Cloud, fit_of, nearest_join
 from prc_cli.matching.shift import shift_of, shift_text
-from prc_cli.matching.sides import CONFIDENCE
+from prc_cli.matching.sides import CONFIDENCE, KeyedSource
 
 CHANCE = 0.25
 """Half of random times lie within this share of the label step from the nearest label."""
@@ -45,12 +45,12 @@ class TransferCounts:
     """Match counts of a transfer."""
 
     n_labels: int
-    """Label records with a class (shots without return left out)."""
+    """Label records with a class (without shots that have no return)."""
     n_labels_matched: int
     n_points: int
     """Records of the registered file."""
     n_matched: int
-    """Points that received the class of a label; the others keep theirs."""
+    """Points that received the class of a label. The others keep their class."""
     n_changed: int
     """Points whose class changed."""
     n_repeated: int
@@ -58,9 +58,9 @@ class TransferCounts:
     n_shared: int
     """Matched points whose key several labels have."""
     n_in_order: int
-    """Of these, points paired in record order although the labels differ."""
+    """Points of ``n_shared`` that were paired in record order although the labels differ."""
     n_by_majority: int
-    """Of these, points that received the most frequent of several different labels."""
+    """Points of ``n_shared`` that received the most frequent of several different labels."""
     n_other_return: int
     """Points without partner whose key has a label of another return (or other ``same``)."""
     largest_difference: float
@@ -77,7 +77,7 @@ class TransferCounts:
 def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> TransferCounts:
     """Return the counts for the run record."""
     return TransferCounts(
-        n_labels=sides.found[0].n_records,
+        n_labels=sides.surveys[0].n_records,
         n_labels_matched=tally.n_right,
         n_points=tally.n_left,
         n_matched=tally.n_pairs,
@@ -102,25 +102,32 @@ def refuse_poor_match(
         _refuse_guesses(counts, sides, options)
         return
     problem = (
-        f"{counts.n_matched:,} of {counts.n_points:,} points and {counts.n_labels_matched:,} of "
+        f"{counts.n_matched:,} of {counts.n_points:,} points and "
+        f"{counts.n_labels_matched:,} of {counts.n_labels:,} labels of {sides.labels.path} match, "
+        f"expected at least {options.min_matched:.0%} of the smaller side"
     )
-    problem += f"{counts.n_labels:,} labels of {sides.labels.path} match, expected at least {options.min_matched:.0%} "
-    problem += "of the smaller side"
     unmatched = counts.n_points - counts.n_matched
     near = tally.near()
     if counts.n_other_return > unmatched / 2:
-        what = "return number" if "return_number" in sides.labels.rule.same else "value of --same"
-        hint = f"{counts.n_other_return:,} points have a label of their time but another {what}"
-        hint += ": --ignore-return" if "return_number" in sides.labels.rule.same else ""
+        hint = f"{counts.n_other_return:,} points have a label of their time but another "
+        if "return_number" in sides.labels.rule.same:
+            hint += "return number: --ignore-return"
+        else:
+            hint += "value of --same"
     elif (
         options.match == "time"
         and near is not None
         and sides.tolerance < near < sides.step_s * CHANCE
     ):
-        hint = f"half of the points without partner have a label within {near:g} s: --tolerance {near:g}"
+        hint = (
+            f"half of the points without partner have a label within {near:g} s: "
+            f"--tolerance {near:g}"
+        )
     elif near is not None and near < 10 * sides.step_s < math.inf:
-        hint = "the times of the points fall between those of the labels: another drive, or clocks that differ "
-        hint += "(UTC and GPS by 18 s, see --time-offset)"
+        hint = (
+            "the times of the points fall between the times of the labels: another drive, or "
+            "clocks that differ (UTC and GPS by 18 s, see --time-offset)"
+        )
     elif counts.n_matched:
         share = math.floor(counts.share * 1000) / 1000
         hint = f"are these the same drive? To write it all the same: --min-matched {share}"
@@ -130,29 +137,42 @@ def refuse_poor_match(
 
 
 def _refuse_guesses(counts: TransferCounts, sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse matches in which too many points have several labels of different classes."""
-    ordered = all(found.in_order for found in sides.found)
-    # reordered records do not pair by their order
-    n_guessed = counts.n_by_majority + (0 if ordered else counts.n_in_order)
+    n_guessed = counts.n_by_majority
+    if not all(side.in_order for side in sides.surveys):
+        # in other files the record order does not pair points with labels
+        n_guessed += counts.n_in_order
     if n_guessed <= (1 - options.min_matched) * counts.n_matched:
         return
-    problem = f"{n_guessed:,} of {counts.n_matched:,} matched points have several labels of their key, which differ, "
-    problem += f"expected at most {1 - options.min_matched:.0%}"
-    hint = "tell them apart by another value that both sides have, e.g. --same intensity or --same scanner_channel"
+    problem = (
+        f"{n_guessed:,} of {counts.n_matched:,} matched points have several labels of their key, "
+        f"which differ, expected at most {1 - options.min_matched:.0%}"
+    )
+    hint = (
+        "match by one more value that both sides have, "
+        "e.g. --same intensity or --same scanner_channel"
+    )
     raise InputError(sides.points.path, problem, hint)
 
 
 def notices_of(counts: TransferCounts) -> Iterator[str]:
     """Yield warnings about the match."""
     if counts.n_repeated:
-        yield f"{counts.n_repeated:,} points have the key of another point (tiles that overlap, or coarse times)"
-    if differ := counts.n_in_order + counts.n_by_majority:
         yield (
-            f"{counts.n_shared:,} points have several labels of their key, which differ for {differ:,}: "
-            f"{counts.n_in_order:,} were paired in record order, {counts.n_by_majority:,} got the most frequent one"
+            f"{counts.n_repeated:,} points have the key of another point "
+            "(tiles that overlap, or coarse times)"
+        )
+    if n_different := counts.n_in_order + counts.n_by_majority:
+        yield (
+            f"{counts.n_shared:,} points have several labels of their key, "
+            f"which differ for {n_different:,}: "
+            f"{counts.n_in_order:,} were paired in record order, "
+            f"{counts.n_by_majority:,} got the most frequent one"
         )
     if counts.n_other_return:
-        yield f"{counts.n_other_return:,} points have a label of their time, of another return; they keep their class"
+        yield (
+            f"{counts.n_other_return:,} points have a label of their time, of another return; "
+            "they keep their class"
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -167,15 +187,12 @@ class TransferRecord(RunRecord):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as nested plain values."""
-        own = {
-            key: None if value is None else asdict(value)
-            for key, value in (
-                ("labels", self.labels),
-                ("points", self.points),
-                ("counts", self.counts),
-            )
+        details = {
+            "labels": None if self.labels is None else asdict(self.labels),
+            "points": None if self.points is None else asdict(self.points),
+            "counts": None if self.counts is None else asdict(self.counts),
         }
-        return {**RunRecord.as_dict(self), "transfer": own}
+        return {**RunRecord.as_dict(self), "transfer": details}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -202,25 +219,22 @@ def transfer(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> TransferSummary:
-    """Write the registered file again with the classes of a raw run.
-
-    The output is complete or absent.
+    """Write the registered file again with the classes of a raw run; it is complete or absent.
 
     Parameters
     ----------
     labels : path
-        LAS or LAZ with classes, text with classes and times, or labels alone (``.npy``, ``.csv``,
+        LAS or LAZ with classes, text with classes and times, or labels only (``.npy``, ``.csv``,
         ``.parquet``, ...) in the order of ``points``. Code 0 of label files (a shot without return)
         is left out.
     registered : path
-        LAS or LAZ. Points without partner keep their class; all else stays as it is.
+        LAS or LAZ. Points without partner keep their class. Nothing else changes.
     output : path
         ``.las`` or ``.laz``.
     options : TransferOptions, optional
         How records are matched; default: by gps_time and return number.
     points : path, optional
-        Record input (text, raw dump, LAS) that the labels belong to; must be given with labels
-        alone.
+        Record input (text, raw dump, LAS) of the labels. Needed if the label file has only labels.
     layout : Layout, optional
         Record layout of ``points``.
     overwrite : bool
@@ -236,9 +250,9 @@ def transfer(
     Raises
     ------
     InputError
-        When a side is damaged or lacks the key, labels and points differ in number, less than
-        ``options.min_matched`` of the smaller side is matched, or more than the rest of the matches
-        are ambiguous (several different labels).
+        If a side is damaged or lacks the key, if labels and points differ in number, if less than
+        ``options.min_matched`` of the smaller side is matched, or if a larger share of the matches
+        than 1 - ``min_matched`` is ambiguous (several different labels).
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -258,32 +272,31 @@ def transfer(
     n_changed = 0
     n_done = 0
     n_unsure = 0
-    moved = np.zeros(256, np.bool_)
-    beside = tuple(
-        dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,))))
-    )
+    is_transferred = np.zeros(256, np.bool_)
+    carried = list(options.carry)
+    if options.min_confidence is not None and CONFIDENCE not in carried:
+        carried.append(CONFIDENCE)
     with LasRecoder(output, registered, options.carry) as writer, ExitStack() as stack:
-        for item in _partners(sides, beside, options, tally, stack):
-            record = item.left[RECORD]
-            codes = item.left[CODE].copy()
-            at = item.left_index
-            to = item.right_index
+        for joined in _partners(sides, tuple(carried), options, tally, stack):
+            record = joined.left[RECORD]
+            codes = joined.left[CODE].copy()
+            points_at = joined.left_index
+            labels_at = joined.right_index
             if options.min_confidence is not None:
-                sure = item.right[CONFIDENCE][to] >= options.min_confidence
-                n_unsure += len(sure) - int(np.count_nonzero(sure))
-                at = at[sure]
-                to = to[sure]
-            codes[at] = item.right[CODE][to]
-            moved[codes[at]] = True
-            n_changed += int(np.count_nonzero(codes != item.left[CODE]))
+                is_sure = joined.right[CONFIDENCE][labels_at] >= options.min_confidence
+                n_unsure += len(is_sure) - int(np.count_nonzero(is_sure))
+                points_at = points_at[is_sure]
+                labels_at = labels_at[is_sure]
+            codes[points_at] = joined.right[CODE][labels_at]
+            is_transferred[codes[points_at]] = True
+            n_changed += int(np.count_nonzero(codes != joined.left[CODE]))
             writer.put(record, codes)
             if options.carry:
-                writer.put_values(
-                    record[at], {name: item.right[name][to] for name in options.carry}
-                )
+                values = {name: joined.right[name][labels_at] for name in options.carry}
+                writer.put_values(record[points_at], values)
             n_done += len(record)
             if n_points := sides.points.n_records:
-                tell_share(progress, min(n_done / n_points, 1.0))
+                report_share(progress, min(n_done / n_points, 1.0))
             if progress is not None:
                 progress(len(record))
         counts = counts_of(tally, n_changed, sides)
@@ -293,31 +306,34 @@ def transfer(
                 raise InputError(
                     str(path), "changed while it was read", "run again when the copy is complete"
                 )
-        least = options.min_confidence
-        unsure = (
-            f"{n_unsure:,} points keep their class: their label has a confidence below {least} %",
-        )
+        notices = list(sides.notices)
+        if options.min_confidence is not None:
+            notices.append(
+                f"{n_unsure:,} points keep their class: "
+                f"their label has a confidence below {options.min_confidence} %"
+            )
+        notices.extend(notices_of(counts))
         stored = TransferRecord(
             config={"transfer": options.as_dict()},
             input=fingerprint(registered),
             format=sides.points.format,
             points_per_line=0,
-            n_records=sides.found[1].n_records,
+            n_records=sides.surveys[1].n_records,
             assumptions=tuple(sides.assumptions),
-            notices=(*sides.notices, *(() if least is None else unsure), *notices_of(counts)),
+            notices=tuple(notices),
             labels=fingerprint(labels),
             points=None if points is None else fingerprint(points),
             counts=counts,
         )
         writer.name_classes(
-            {code: name for code, name in _user_names(labels).items() if moved[code]}
+            {code: name for code, name in _user_names(labels).items() if is_transferred[code]}
         )
         return TransferSummary(output, writer.finish(stored), counts)
 
 
 def _partners(
     sides: TransferSides,
-    beside: tuple[str, ...],
+    carried: tuple[str, ...],
     options: TransferOptions,
     tally: JoinTally,
     stack: ExitStack,
@@ -325,21 +341,17 @@ def _partners(
     """Yield the registered points (left) with their labels (right)."""
     if options.match != "nearest":
         names = (KEY, SAME, CODE)
-        target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
-        origin = columns_of(sides.labels, (*names, *beside), sort=not sides.found[0].in_order)
+        labels_survey, points_survey = sides.surveys
+        target = columns_of(sides.points, names, sort=not points_survey.in_order)
+        origin = columns_of(sides.labels, (*names, *carried), sort=not labels_survey.in_order)
         match = NearestLabel(sides.tolerance)
         paths = (sides.points.path, sides.labels.path)
         yield from merge_join(
             target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS
         )
         return
-    points, labels = (
-        Cloud(
-            columns_of(side, (*AXES, CODE, *more), sort=False),
-            stack.enter_context(scratch_file("matching")),
-        )
-        for side, more in ((sides.points, ()), (sides.labels, beside))
-    )
+    points = _cloud(sides.points, (), stack)
+    labels = _cloud(sides.labels, carried, stack)
     fit = fit_of(points, labels)
     sides.tolerance = options.tolerance_s or (1.0 if fit is None else fit.tolerance_m)
     why = "given" if options.tolerance_s else "beyond it few more points find a label"
@@ -347,18 +359,20 @@ def _partners(
     shift = shift_of(labels, points)
     if shift is not None:
         sides.notices.append(f"the registered points are shifted {shift_text(shift)}")
-    for item in nearest_join(points, labels, sides.tolerance, tally):
-        at = np.flatnonzero(item.to >= 0)
-        yield Joined(item.left, item.right, at, item.to[at])
+    for nearest in nearest_join(points, labels, sides.tolerance, tally):
+        points_at = np.flatnonzero(nearest.to >= 0)
+        yield Joined(nearest.left, nearest.right, points_at, nearest.to[points_at])
+
+
+def _cloud(side: KeyedSource, carried: tuple[str, ...], stack: ExitStack) -> Cloud:
+    columns = columns_of(side, (*AXES, CODE, *carried), sort=False)
+    return Cloud(columns, stack.enter_context(scratch_file("matching")))
 
 
 def _user_names(labels: Path) -> dict[int, str]:
-    """Return the names of user codes.
-
-    Those of the file with the classes, else those of this program.
-    """
-    own = names_of_file(labels) if suffix_of(labels) in LAS_SUFFIXES else {}
-    return {**ClassCodes().user_names(), **own}
+    # the names in the file with the classes win
+    file_names = names_of_file(labels) if suffix_of(labels) in LAS_SUFFIXES else {}
+    return {**ClassCodes().user_names(), **file_names}
 
 
 def _state(path: Path) -> tuple[int, ...]:

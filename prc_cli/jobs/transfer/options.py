@@ -17,14 +17,14 @@ class TransferOptions:
     """How the records of the two sides are matched."""
 
     match: str = "time"
-    """``time``; ``order`` (equal on both sides; also ``record``), ``record:NAME`` (a dimension of the registered file
-    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of
-    both sides); ``nearest`` (the label with the nearest coordinates)."""
+    """``time``; ``order`` (equal on both sides; also ``record``); ``record:NAME`` (a dimension of
+    the registered file with the index of the raw record, from 0); ``dimension:NAME`` (an integer
+    dimension of both sides); ``nearest`` (the label with the nearest coordinates)."""
     tolerance_s: float = 0.0
     """Largest difference of times [s].
 
-    Float64 rounding at these times is always allowed in addition. ``nearest``:
-    largest distance [m]; 0 = chosen from both clouds, as ``prc evaluate`` does."""
+    Float64 rounding at these times is always allowed in addition. With ``nearest`` it is the
+    largest distance [m]. 0 = chosen from both clouds, as ``prc evaluate`` does."""
     time_offset_s: float = 0.0
     """Added to the times of the labels [s]."""
     ignore_return: bool = False
@@ -47,9 +47,12 @@ class TransferOptions:
     trajectory: Path | None = None
     """``nearest``: poses from which the shots of the labels' input get their coordinates."""
     mount: tuple[float, ...] = ()
-    """Roll, pitch, yaw of the scanner on the vehicle [deg], and x, y, z from the trajectory's point to it [m]."""
+    """Scanner on the vehicle: roll, pitch, yaw [deg] and x, y, z from the trajectory's point [m]."""
     min_matched: float = 0.5
-    """Least share of the smaller side that must be matched, and of matched points whose match must be unambiguous."""
+    """Least share of the smaller side that must be matched.
+
+    Also the least share of the matched points whose match must be unambiguous.
+    """
 
     def __post_init__(self) -> None:
         if self.match == "order":  # as for prc evaluate
@@ -58,7 +61,10 @@ class TransferOptions:
         if self.match not in ("time", "record", "nearest") and not (
             kind in ("record", "dimension") and name
         ):
-            problem = f"found {self.match!r}, expected time, order, record:NAME, dimension:NAME or nearest"
+            problem = (
+                f"found {self.match!r}, "
+                "expected time, order, record:NAME, dimension:NAME or nearest"
+            )
             raise ConfigError("--match", problem)
         if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
             raise ConfigError(
@@ -90,8 +96,10 @@ class TransferOptions:
                 )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the options for a run record; the trajectory only where there is one."""
-        found = asdict(self)
-        track = found.pop("trajectory")
-        mount = found.pop("mount")
-        return found if track is None else {**found, "trajectory": track.name, "mount": mount}
+        """Return the options for a run record, with the trajectory only if there is one."""
+        options = asdict(self)
+        trajectory = options.pop("trajectory")
+        mount = options.pop("mount")
+        if trajectory is not None:
+            options |= {"trajectory": trajectory.name, "mount": mount}
+        return options

@@ -1,4 +1,4 @@
-"""Opens and surveys the two inputs of a transfer; refuses those that cannot be matched."""
+"""Opens and surveys the two inputs of a transfer; refuses inputs that cannot be matched."""
 
 from __future__ import annotations
 
@@ -36,8 +36,10 @@ class TransferSides:
 
     labels: KeyedSource
     points: KeyedSource
-    found: tuple[Survey, Survey]
+    surveys: tuple[Survey, Survey]
+    """Of the labels and the points."""
     tolerance: float
+    """Largest difference of the keys of a point and its label: [s], or [m] for ``nearest``."""
     step_s: float = math.inf
     """Mean step between the times of the labels [s]; infinite for other keys."""
     assumptions: list[Assumption] = field(default_factory=list)
@@ -64,7 +66,7 @@ def check_paths(
     if suffix in LAS_SUFFIXES:
         check_input(labels)
         if points is not None:
-            problem = "has keys of its own, expected no --points with it"
+            problem = "has its own keys, expected no --points with it"
             raise ConfigError(
                 str(labels),
                 problem,
@@ -73,7 +75,7 @@ def check_paths(
         return
     known = by_suffix("codes")
     if suffix not in known:
-        others = " ".join(other for other in known if other not in LAS_SUFFIXES)
+        others = " ".join(name for name in known if name not in LAS_SUFFIXES)
         problem = f"found suffix {suffix!r}, expected classes: .las .laz {others}"
         raise InputError(
             str(labels), problem, "classify the raw input first: prc classify RAW LABELS"
@@ -102,36 +104,25 @@ def open_sides(
     assumptions: list[Assumption] = []
     rules = _rules(options, _same(origin, target, options, assumptions))
     for source, rule in zip((origin, target), rules, strict=True):
-        _demand(source, rule)
+        _demand_key(source, rule)
     left = _keyed_labels(labels, origin, rules[0], options)
     right = KeyedSource(target, rules[1])
-    found = survey(left), survey(right)
+    surveys = survey(left), survey(right)
     if options.match == "record":
-        left, found = _equal_order(left, right, found, assumptions)
-    sides = TransferSides(left, right, found, 0.0, assumptions=assumptions)
-    for side, what in zip((left, right), found, strict=True):
-        _refuse_useless(side, what, options)
+        left, surveys = _equal_order(left, right, surveys, assumptions)
+    sides = TransferSides(left, right, surveys, 0.0, assumptions=assumptions)
+    for side, its_survey in zip((left, right), surveys, strict=True):
+        _refuse_useless(side, its_survey, options)
     if options.match == "time":
-        largest = max(abs(bound) for item in found for bound in (item.low, item.high))
-        rounding = _ROUNDING_STEPS * float(np.spacing(max(largest, abs(options.time_offset_s))))
-        sides.tolerance = max(options.tolerance_s, rounding)
-        why = "given" if options.tolerance_s >= rounding else "what float64 rounds at these times"
-        assumptions.append(Assumption("transfer.tolerance_s", f"{sides.tolerance:.3g}", why))
-        sides.step_s = (found[0].high - found[0].low) / max(found[0].n_records - 1, 1)
-        if sides.tolerance > sides.step_s / 2:
-            text = f"the tolerance of {sides.tolerance:g} s exceeds half the mean step between the labels "
-            text += (
-                f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
-            )
-            sides.notices.append(text)
+        _set_time_tolerance(sides, options)
     _refuse_apart(sides, options)
-    one = origin.facts.crs_wkt
-    other = target.facts.crs_wkt
+    labels_crs = origin.facts.crs_wkt
+    points_crs = target.facts.crs_wkt
     if (
         isinstance(origin, LasSource)
-        and one is not None
-        and other is not None
-        and not same_crs(one, other)
+        and labels_crs is not None
+        and points_crs is not None
+        and not same_crs(labels_crs, points_crs)
     ):
         notice = "the coordinate systems of labels and points differ"
         if options.match == "nearest":
@@ -140,31 +131,49 @@ def open_sides(
     return sides
 
 
+def _set_time_tolerance(sides: TransferSides, options: TransferOptions) -> None:
+    times = [abs(bound) for side in sides.surveys for bound in (side.low, side.high)]
+    largest = max(*times, abs(options.time_offset_s))
+    rounding = _ROUNDING_STEPS * float(np.spacing(largest))
+    sides.tolerance = max(options.tolerance_s, rounding)
+    why = "given" if options.tolerance_s >= rounding else "what float64 rounds at these times"
+    sides.assumptions.append(Assumption("transfer.tolerance_s", f"{sides.tolerance:.3g}", why))
+    labels = sides.surveys[0]
+    sides.step_s = (labels.high - labels.low) / max(labels.n_records - 1, 1)
+    if sides.tolerance > sides.step_s / 2:
+        sides.notices.append(
+            f"the tolerance of {sides.tolerance:g} s exceeds half the mean step between the labels "
+            f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
+        )
+
+
 def _open_labelled(
     labels: Path,
     points: Path | None,
     layout: Layout | None,
     options: TransferOptions,
 ) -> RecordSource:
-    """Open the records of the labels."""
     if suffix_of(labels) in LAS_SUFFIXES:
         return LasSource(labels)
     if points is not None:
         source = open_source(points, layout)
         if source is None:
-            problem = f"found a range image or an organised scan ({suffix_of(points)}), expected a list of records"
+            problem = (
+                f"found a range image or an organised scan ({suffix_of(points)}), "
+                "expected a list of records"
+            )
             raise InputError(str(points), problem, "classify it to .las, and transfer that")
         return source
     if options.match == "record" or options.match.startswith("record:"):
-        # the order is the key, which the labels have themselves
+        # the key is the order, which the label file has
         return CodesAlone(open_codes(labels, options.dimension))
     form = format_of(labels)
     if form is not None and form.records:
         table = open_source(labels, layout)
         if table is not None and set(_rules(options, ())[0].names) <= set(table.dimensions):
             return table
-    problem = f"holds classes alone, expected something to match by {options.match}"
-    raise InputError(str(labels), problem, "name the input they belong to: --points RAW")
+    problem = f"contains only classes, expected a key to match by {options.match}"
+    raise InputError(str(labels), problem, "name the input of the labels: --points RAW")
 
 
 def _keyed_labels(
@@ -173,7 +182,7 @@ def _keyed_labels(
     rule: KeyRule,
     options: TransferOptions,
 ) -> KeyedSource:
-    # seconds of week may wrap within a drive, while the times of the points do not
+    # seconds of week may wrap within a drive, but the times of the points do not
     source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
     if suffix_of(labels) in LAS_SUFFIXES:
         name = options.dimension or "classification"
@@ -186,24 +195,26 @@ def _keyed_labels(
         return KeyedSource(source, rule, code_dimension=name)
     if options.min_confidence is not None:
         raise ConfigError(
-            "--min-confidence", f"{labels} holds classes alone, expected classified LAS or LAZ"
+            "--min-confidence", f"{labels} contains only classes, expected classified LAS or LAZ"
         )
     if options.carry:
         raise ConfigError(
-            "--carry", f"{labels} holds classes alone, expected classified LAS or LAZ"
+            "--carry", f"{labels} contains only classes, expected classified LAS or LAZ"
         )
     return KeyedSource(source, rule, open_codes(labels, options.dimension))
 
 
-def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) -> None:
-    if not found.n_records:
+def _refuse_useless(side: KeyedSource, records: Survey, options: TransferOptions) -> None:
+    if not records.n_records:
         raise InputError(
             side.path, "no record has a class, expected classes to transfer", "check --dimension"
         )
-    if found.n_records > 1 and found.low == found.high:
+    if records.n_records > 1 and records.low == records.high:
         key = "gps_time" if options.match == "time" else side.rule.dimension
-        problem = f"all {found.n_records:,} values of {key} are {found.low:g}, expected one a shot"
-        raise InputError(side.path, problem, "match by something else with --match")
+        problem = (
+            f"all {records.n_records:,} values of {key} are {records.low:g}, expected one a shot"
+        )
+        raise InputError(side.path, problem, "match by another key with --match")
 
 
 def _same(
@@ -212,7 +223,7 @@ def _same(
     options: TransferOptions,
     assumptions: list[Assumption],
 ) -> tuple[str, ...]:
-    """Return the dimensions that must be equal in addition to the key."""
+    # dimensions that must be equal in addition to the key
     for source in (origin, target):
         _demand_dimensions(source, options.same)
     if options.match != "time" or options.ignore_return:
@@ -232,13 +243,11 @@ def _rules(options: TransferOptions, same: tuple[str, ...]) -> tuple[KeyRule, Ke
         return KeyRule("time", "time", same, options.time_offset_s), KeyRule("time", "time", same)
     if kind == "dimension":
         return KeyRule("dimension", name, same), KeyRule("dimension", name, same)
-    return KeyRule("record", same=same), KeyRule("dimension", name, same) if name else KeyRule(
-        "record", same=same
-    )
+    record = KeyRule("record", same=same)
+    return record, KeyRule("dimension", name, same) if name else record
 
 
-def _demand(source: RecordSource, rule: KeyRule) -> None:
-    """Refuse a side that lacks the key."""
+def _demand_key(source: RecordSource, rule: KeyRule) -> None:
     if rule.kind == "time" and "time" not in source.dimensions:
         shown = ", ".join(source.dimensions[:20]) or "nothing"
         problem = f"no time to match by, found: {shown}"
@@ -258,62 +267,68 @@ def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
 def _equal_order(
     left: KeyedSource,
     right: KeyedSource,
-    found: tuple[Survey, Survey],
+    surveys: tuple[Survey, Survey],
     assumptions: list[Assumption],
 ) -> tuple[KeyedSource, tuple[Survey, Survey]]:
-    """Match by order: all records, or only those with a return if the registered file holds only these."""
-    labels, points = found
+    # either all records match by order, or the registered file has only the shots with a return
+    labels, points = surveys
     n_all = left.source.n_records or labels.n_read
     if n_all == points.n_records or labels.n_read == points.n_records:
         assumptions.append(
             Assumption("transfer.match", "record", "record i of the labels is point i")
         )
-        return left, found
+        return left, surveys
     if labels.n_records == points.n_records:
-        why = "the labels without shots that have no return are as many as the points: the i-th of them is point i"
+        why = (
+            "the labels without shots that have no return are as many as the points: "
+            "the i-th of them is point i"
+        )
         assumptions.append(Assumption("transfer.match", "record", why))
         ranked = replace(left, rule=KeyRule("rank", same=left.rule.same))
         return ranked, (survey(ranked), points)
-    problem = f"found {n_all:,} records ({labels.n_records:,} with a class), expected {points.n_records:,} as "
-    problem += f"{right.path} has, to match by equal order"
+    problem = (
+        f"found {n_all:,} records ({labels.n_records:,} with a class), "
+        f"expected {points.n_records:,} as {right.path} has, to match by equal order"
+    )
     raise InputError(left.path, problem, "match by --match time, record:NAME or dimension:NAME")
 
 
 def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse keys that do not overlap.
-
-    Suggest an offset between common time scales if one would help.
-    """
-    labels, points = sides.found
+    labels, points = sides.surveys
     slack = sides.tolerance
     if labels.low <= points.high + slack and points.low <= labels.high + slack:
         return
-    what = "times" if options.match == "time" else "keys"
-    problem = f"{what} run from {points.low:.10g} to {points.high:.10g}, those of {sides.labels.path} from "
-    problem += f"{labels.low:.10g} to {labels.high:.10g}: nothing overlaps"
+    keys = "times" if options.match == "time" else "keys"
+    problem = (
+        f"{keys} run from {points.low:.10g} to {points.high:.10g}, "
+        f"{keys} of {sides.labels.path} from {labels.low:.10g} to {labels.high:.10g}: "
+        "they do not overlap"
+    )
     hint = "are these the same drive?"
     if options.match == "time" and (offset := _scale_offset(labels, points)) is not None:
-        hint = f"{offset[1]}: --time-offset {offset[0] + options.time_offset_s:.0f}"
+        offset_s, meaning = offset
+        hint = f"{meaning}: --time-offset {offset_s + options.time_offset_s:.0f}"
     raise InputError(sides.points.path, problem, hint)
 
 
 def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
-    """Return the offset between two common time scales that aligns labels and points, and its meaning."""
-    weeks = "the labels look like seconds of the GPS week"
-    to_weeks = "the points look like seconds of the GPS week"
-    other = "one side looks like GPS time, the other like adjusted standard GPS time"
-    tries = [
-        (WEEK_S * math.floor((points.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S, weeks),
-        (
-            -(WEEK_S * math.floor((labels.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S),
-            to_weeks,
-        ),
-        (GPS_EPOCH_SHIFT_S, other),
-        (-GPS_EPOCH_SHIFT_S, other),
-        (WEEK_S * math.floor(points.low / WEEK_S), weeks),
-        (-(WEEK_S * math.floor(labels.low / WEEK_S)), to_weeks),
+    # offset [s] between two common time scales that aligns labels and points, and its meaning
+    labels_in_weeks = "the labels look like seconds of the GPS week"
+    points_in_weeks = "the points look like seconds of the GPS week"
+    adjusted = "one side looks like GPS time, the other like adjusted standard GPS time"
+    offsets = [
+        (_week_start(points.low + GPS_EPOCH_SHIFT_S) - GPS_EPOCH_SHIFT_S, labels_in_weeks),
+        (GPS_EPOCH_SHIFT_S - _week_start(labels.low + GPS_EPOCH_SHIFT_S), points_in_weeks),
+        (GPS_EPOCH_SHIFT_S, adjusted),
+        (-GPS_EPOCH_SHIFT_S, adjusted),
+        (_week_start(points.low), labels_in_weeks),
+        (-_week_start(labels.low), points_in_weeks),
     ]
-    for offset, what in tries:
-        if labels.low + offset <= points.high and points.low <= labels.high + offset:
-            return offset, what
+    for offset_s, meaning in offsets:
+        if labels.low + offset_s <= points.high and points.low <= labels.high + offset_s:
+            return offset_s, meaning
     return None
+
+
+def _week_start(time_s: float) -> float:
+    return WEEK_S * math.floor(time_s / WEEK_S)
