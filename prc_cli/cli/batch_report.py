@@ -394,7 +394,11 @@ def print_end(
     trusting = trusting and not quiet and summary.n_skipped > 0
     is_wrong = summary.exit_code or summary.ended != "finished"
     idle = not (
-        summary.done or summary.failed or summary.standing or summary.n_waiting or summary.alarms
+        summary.done
+        or summary.failed
+        or summary.failed_before
+        or summary.n_waiting
+        or summary.alarms
     )
     if idle and summary.evaluation is None:
         found = count_of(summary.n_found, "file") + (
@@ -411,7 +415,7 @@ def print_end(
     if not quiet:
         _print_classes(summary)
         rows = [] if listed else [f"failed {failed_words(found)}" for found in summary.failed]
-        rows += [f"failed before {failed_words(found)}" for found in summary.standing]
+        rows += [f"failed before {failed_words(found)}" for found in summary.failed_before]
         _say_all([*rows, *(f"left out {found.name}: {found.reason}" for found in summary.left_out)])
         _print_doubts(summary)
         _print_compared(summary)
@@ -433,7 +437,7 @@ def _end_words(summary: BatchSummary) -> str:
             (len(summary.done), "done"),
             (summary.n_skipped, "skipped"),
             (len(summary.failed), "failed"),
-            (len(summary.standing), "failed before"),
+            (len(summary.failed_before), "failed before"),
             (summary.n_waiting, "left for another run"),
             (summary.n_doubted, "doubted"),
             (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),

@@ -557,7 +557,7 @@ def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Pat
     assert prc("status", out).code == 0
     found = prc("status", out, "--verify")
     assert found.code == 1
-    assert "damaged  a.npz.labels.npy: has other content than was written" in found.out
+    assert "damaged  a.npz.labels.npy: its content has changed" in found.out
     states = json.loads(prc("status", out, "--verify", "--json").out)["verified"]
     assert [item["state"] for item in states] == ["damaged"]
     assert "judged by size" not in prc(archive, out, "--preset", "urban", "--verify").err

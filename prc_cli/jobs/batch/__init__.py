@@ -1,1 +1,1 @@
-"""An archive of files, classified by many workers, that can be killed at any moment and goes on where it was."""
+"""Classifies an archive of files with many workers; a run that was killed continues where it was."""

@@ -1,12 +1,11 @@
-"""The engine of many machines: files as tasks of Dask's distributed scheduler.
+"""The engine for many machines: files are tasks of Dask's distributed scheduler.
 
 Every worker runs the same functions as a local run, in its own process, on paths that all machines
-share. The scheduler gives the files of a worker that died to another one; a file that has killed
+share. If a worker dies, the scheduler gives its files to another one. A file that has killed
 several workers fails. Workers report their progress (begun, number of lines, ended) as events of
 the scheduler.
 
-This is the only module that uses Dask. It imports Dask inside functions, because Dask is an
-optional package.
+Only this module uses Dask. It imports Dask inside functions, because Dask is an optional package.
 """
 
 from __future__ import annotations
@@ -48,24 +47,21 @@ EXTRA = "prc-cli[dask]"
 CONNECT_S = 20.0
 """How long the scheduler may take to answer [s]."""
 WORKERS_S = 60.0
-"""How long there may be no worker at all [s]."""
+"""How long there may be no worker [s]."""
 FETCH_S = 10.0
 """How long the outcome of a finished order may take to arrive [s]."""
 FETCHES = 5
-"""An outcome that was lost with its worker so often is given up."""
+"""A file whose outcome was lost with its worker this often fails."""
 PROGRESS_S = 1.0
-"""Finished lines are reported at most so often [s].
-
-The reports of all workers go through one scheduler.
-"""
+"""Least time between two reports of finished lines [s]: one scheduler gets those of all workers."""
 CHECK_S = 2.0
 """How often the engine asks the scheduler which workers there are [s]."""
 STOP_S = 5.0
 """How long workers may take to roll back their files when a run is stopped [s]."""
 SHARE_S = 5.0
-"""How long a new file may take to appear on other machines.
+"""How long a new file may take to appear on other machines [s].
 
-Network file systems cache listings [s].
+Network file systems cache listings.
 """
 
 BEGUN = "begun"
@@ -76,12 +72,12 @@ Notice: TypeAlias = Callable[[str], None]
 
 
 class StoppedError(BaseException):
-    """The run was stopped while a worker had this file; no Exception, which handlers would take."""
+    """The run was stopped while a worker had this file. No handler of Exception may catch it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a worker is asked to do."""
+    """A task for a worker."""
 
     task: Task
     threads: int
@@ -90,10 +86,7 @@ class Order:
     version: str
     """Version of the program that sends the order."""
     folder: str
-    """Current folder of the program that sends the order.
-
-    Relative names in the configuration start there.
-    """
+    """Current folder of the program that sends the order, for relative names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +95,7 @@ class Report:
 
     worker: str
     results: tuple[Outcome, ...]
-    """Of every file of the task."""
+    """One outcome for every file of the task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +105,11 @@ class WorkerFacts:
     version: str
     host: str
     unseen: tuple[str, ...]
-    """Paths that should exist for it and do not."""
+    """Paths that the worker does not see."""
 
 
 def examine_worker(paths: tuple[str, ...]) -> WorkerFacts:
-    """Return the version here, and which of the paths do not exist here; run on every worker."""
+    """Return the version, and the paths that do not exist on this machine; run on every worker."""
     end = time.monotonic() + SHARE_S
     unseen = tuple(path for path in paths if not os.path.lexists(path))
     while unseen and time.monotonic() < end:
@@ -155,10 +148,10 @@ def do_order(order: Order) -> Report:
     beating.start()
     try:
         if not task.source.exists():
-            problem = f"no such file on {socket.gethostname()}, where a worker looks for it"
+            problem = f"no such file on {socket.gethostname()}, where a worker needs it"
             hint = "mount the archive there under the same path"
-            found = Problem("InputError", str(task.source), problem, hint)
-            return Report(me, tuple(failed(task, 0.0, found)))
+            missing = Problem("InputError", str(task.source), problem, hint)
+            return Report(me, tuple(failed(task, 0.0, missing)))
         if (trajectory := task.config.trajectory) is not None and not trajectory.is_absolute():
             os.chdir(order.folder)
         return Report(me, run_item(task, threads=order.threads, progress=lines))
@@ -169,16 +162,13 @@ def do_order(order: Order) -> Report:
 
 
 def _is_wanted(worker: Any, key: str) -> bool:
-    """Tell whether a task is still wanted.
-
-    The client cancels it when the run ends or gives it up.
-    """
+    # the client cancels a task when the run ends or the file has timed out
     state = worker.state.tasks.get(key)
     return state is not None and state.state != "cancelled"
 
 
 class _Lines:
-    """Counts finished lines, reports them at intervals, and stops a file that is not wanted any more."""
+    """Counts finished lines, reports them at intervals, and stops a file that was cancelled."""
 
     def __init__(self, report: Callable[[str, int], None], is_wanted: Callable[[], bool]) -> None:
         self.n = 0
@@ -227,10 +217,10 @@ class DaskEngine:
             if client.dashboard_link:
                 self._notice(f"Dask's dashboard: {client.dashboard_link}")
             _examine(client, _absolute(first))
-            run = _Run(client, self._scheduler, settings, self._notice)
+            run = _ClusterRun(client, self._scheduler, settings, self._notice)
             try:
                 yield from run.events(chain([first], source))
-            except OSError as error:  # whatever it was asked, it does not answer any more
+            except OSError as error:  # the scheduler does not answer any more
                 raise _lost() from error
             finally:
                 run.stop()
@@ -263,7 +253,7 @@ def _no_workers(scheduler: str) -> PrcError:
 
 
 def _examine(client: Any, first: Task) -> None:
-    """Check that scheduler and workers run this version, and that workers see the archive and the outputs."""
+    # scheduler and workers must run this version, and see the archive and the outputs
     try:
         version = client.run_on_scheduler(version_here)
     except Exception as error:
@@ -274,31 +264,29 @@ def _examine(client: Any, first: Task) -> None:
     token.parent.mkdir(parents=True, exist_ok=True)
     try:
         token.write_bytes(b"")
-        # a vanished input is its own failure, and no sign that disks are not shared
-        paths = [str(token), *([str(first.source)] if first.source.exists() else [])]
-        found = client.run(examine_worker, tuple(paths), on_error="return")
+        paths = [str(token)]
+        if first.source.exists():  # else the file fails by itself
+            paths.append(str(first.source))
+        answers = client.run(examine_worker, tuple(paths), on_error="return")
     finally:
         token.unlink(missing_ok=True)
-    for address, facts in found.items():
-        if isinstance(
-            facts, OSError
-        ):  # it is gone: who takes its place is looked at by its first task
+    for address, facts in answers.items():
+        if isinstance(facts, OSError):  # it is gone: the first task checks its successor
             continue
         if not isinstance(facts, WorkerFacts):
             _check_version(f"worker {address}", facts)
         who = f"worker {address} on {facts.host}"
         _check_version(who, facts.version)
         if facts.unseen:
-            hint = "all workers need the archive and the outputs under the same paths: mount them there"
+            hint = "mount the archive and the outputs there under the same paths"
             raise ConfigError(who, f"does not see {facts.unseen[0]}", hint)
 
 
-def _check_version(who: str, found: str | BaseException) -> None:
-    """Refuse a scheduler or worker of another version, or where prc could not be asked."""
-    if found != __version__:
-        is_version = isinstance(found, str)
-        wrong = f"prc cannot be loaded there ({_one_line(found)})"
-        problem = f"found prc {found}, expected {__version__} as here" if is_version else wrong
+def _check_version(who: str, version: str | BaseException) -> None:
+    if version != __version__:
+        problem = f"found prc {version}, expected {__version__} as here"
+        if not isinstance(version, str):
+            problem = f"prc cannot be loaded there ({_one_line(version)})"
         raise ConfigError(who, problem, f"pip install '{EXTRA}=={__version__}' there")
 
 
@@ -309,21 +297,21 @@ class _Job:
     task: Task
     future: Any
     worker: str | None = None
-    """Address of the worker that has it; None while it waits."""
+    """Address of its worker; None while it waits."""
     begun: float | None = None
     """When its first worker began [s]."""
     seen: float = 0.0
     """Last sign of life [s]."""
     n_reported: int = 0
-    """Lines reported so far, by the attempt that got farthest."""
+    """Lines reported by the attempt that got farthest."""
     n_lost: int = 0
     """How often its outcome could not be fetched."""
     is_again: bool = False
-    """Whether a second worker began it, as the first one died."""
+    """Whether a second worker began it because the first one died."""
 
 
-class _Run:
-    """The tasks of one run and the messages about them."""
+class _ClusterRun:
+    """The tasks of one run on a cluster, and the messages about them."""
 
     def __init__(
         self,
@@ -339,9 +327,9 @@ class _Run:
         self._topic = f"prc-{secrets.token_hex(8)}"
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._pending: dict[str, _Job] = {}
-        """Files that were sent and have no outcome yet, by key of the Dask task."""
+        """Files without an outcome, by key of the Dask task."""
         self._running: dict[str, str] = {}
-        """Worker by key, of orders that were begun and have not ended, including those given up."""
+        """Worker by key, of orders that have begun and not ended, also of files that timed out."""
         self._n = 0
         self._workers: dict[str, int] = {}
         self._checked = 0.0
@@ -351,12 +339,12 @@ class _Run:
         )
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
-        """Keep the workers busy and yield what happens."""
+        """Keep the workers busy and yield events."""
         more = True
         while True:
             self._check_cluster()
             slots = sum(self._workers.values())
-            # a few more orders than workers have threads, so that none is idle
+            # a few more orders than threads of workers, so that no thread is idle
             while more and len(self._pending) < (self._settings.jobs or slots + max(1, slots // 8)):
                 task = next(tasks, None)
                 if task is None:
@@ -382,7 +370,7 @@ class _Run:
         self._pending.clear()
 
     def _check_cluster(self) -> None:
-        """Ask for the workers; raise when the scheduler is gone, or there is no worker for too long."""
+        """Update the workers; raise if the scheduler is gone or there are no workers for long."""
         now = time.monotonic()
         if now - self._checked < CHECK_S:
             return
@@ -417,7 +405,7 @@ class _Run:
         self._messages.put(("future", future.key))
 
     def _drain(self) -> Iterator[Event]:
-        """Wait a little for messages, and turn all that came into events."""
+        """Wait a little for messages, and turn them into events."""
         for kind, message in drain(self._messages):
             yield from self._on_event(*message) if kind == "event" else self._on_result(message)
 
@@ -456,16 +444,13 @@ class _Run:
             job.future.add_done_callback(self._queue_future)
             return
         del self._pending[key]
-        if job.is_again:  # the dead worker may have been alive yet when the other one looked
+        if job.is_again:  # perhaps the first worker still wrote when the second one began
             remove_left(job.task)
         yield from _started(job, report.worker)
         yield from report.results
 
     def _report(self, job: _Job) -> Report | None:
-        """Return the outcome of an order, whatever went wrong.
-
-        None where it died with its worker: it comes again.
-        """
+        """Return the outcome of an order; None if it died with its worker and comes again."""
         future = job.future
         name = job.task.name
         worker = job.worker or "?"
@@ -480,32 +465,26 @@ class _Run:
             job.n_lost += 1
             if job.n_lost < FETCHES:
                 return None
-            problem = Problem(
-                "killed",
-                name,
-                f"its outcome was lost {FETCHES} times with the worker that had it",
-                "",
-            )
+            lost = f"its outcome was lost {FETCHES} times with the worker that had it"
+            problem = Problem("killed", name, lost, "")
         elif future.status != "error":
             raise _lost()
-        elif isinstance(
-            error := future.exception(), PrcError
-        ):  # no outcome of a file: the worker itself is wrong
+        elif isinstance(error := future.exception(), PrcError):
+            # not the fault of a file: the worker is wrong
             raise error
         elif type(error).__name__ == "KilledWorker":
             died = f"{error.allowed_failures + 1} workers died while they had it"
             hint = "look at their logs; often memory is short: fewer threads a worker"
             problem = Problem("killed", name, died, hint)
         elif isinstance(error, StoppedError):
-            problem = Problem(
-                "interrupted", name, f"its worker {worker} was told to let go of it", "run again"
-            )
+            stopped = f"its worker {worker} was stopped"
+            problem = Problem("interrupted", name, stopped, "run again")
         else:
             problem = Problem.of(error)
         return Report(worker, tuple(failed(job.task, seconds, problem)))
 
     def _watch(self) -> Iterator[Event]:
-        """Give up files without progress for too long, and restart their workers."""
+        """Fail files without progress for too long, and restart their workers."""
         now = time.monotonic()
         stall_s = self._settings.stall_s
         late = {
@@ -523,24 +502,24 @@ class _Run:
             self._client.cancel([job.future], force=True)
             yield from failed(job.task, now - (job.begun or now), problem)
             try:
-                came = self._client.restart_workers(
+                answers = self._client.restart_workers(
                     [job.worker], timeout=STOP_S, raise_for_error=False
                 )
-            except Exception as error:  # without a nanny nobody can
-                came = {job.worker: _one_line(error)}
-            if (what := came.get(job.worker)) != "OK":
+            except Exception as error:  # a worker without a nanny cannot be restarted
+                answers = {job.worker: _one_line(error)}
+            answer = answers.get(job.worker)
+            if answer != "OK":
                 self._notice(
-                    f"worker {job.worker} hangs and cannot be restarted from here ({what})"
+                    f"worker {job.worker} hangs and cannot be restarted from here ({answer})"
                 )
 
 
 def _lost() -> PrcError:
-    hint = "start it and run again: what is done is kept"
-    return PrcError("scheduler", "went away or began anew while files were at work", hint)
+    hint = "start it and run again: finished files are kept"
+    return PrcError("scheduler", "went away or restarted while files were in work", hint)
 
 
 def _started(job: _Job, worker: str) -> Iterator[Event]:
-    """Yield, once a file, that it has begun."""
     if job.begun is None:
         job.begun = time.monotonic()
         for name in job.task.names:
@@ -549,8 +528,8 @@ def _started(job: _Job, worker: str) -> Iterator[Event]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask from printing: what matters is reported as an event, a notice or an error."""
-    # each logger has a level and a handler of its own
+    # Dask prints nothing: prc reports its events, notices and errors
+    # every logger has its own level and handler
     names = [
         name
         for name in logging.root.manager.loggerDict
@@ -567,7 +546,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _absolute(task: Task) -> Task:
-    """Return a task with absolute paths, which are the same on every machine."""
+    # absolute paths are the same on every machine
     others = tuple(map(_absolute, task.others))
     return replace(
         task, source=task.source.absolute(), output=task.output.absolute(), others=others

@@ -1,7 +1,7 @@
-"""Which files of an archive are inputs, and where their outputs go.
+"""Finds the inputs of an archive and the places of their outputs.
 
 Names are paths relative to the archive with POSIX slashes, in the order of their bytes, the same on
-every machine. Nothing is opened but folders.
+every machine. Only folders are opened.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class InputFile:
     """An input."""
 
     name: str
@@ -42,35 +42,29 @@ class Found:
     mtime_ns: int
     """Time of the last change [ns since 1970]."""
     drive: str = ""
-    """What the files of one drive have in common, see :class:`Drives`.
-
-    The name of a file by itself.
-    """
+    """Name of the drive, see :class:`Drives`; of a single file, its name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
     """Contents of an archive."""
 
-    files: tuple[Found, ...]
+    files: tuple[InputFile, ...]
     """Inputs of this run, sorted by the bytes of their names.
 
-    Those of a drive together, in the order of its parts.
+    Files of one drive are together, in the order of its parts.
     """
     left_out: tuple[LeftOut, ...]
-    """Files and folders that no run takes although they look like inputs."""
+    """Files and folders that look like inputs but are not read."""
     n_not_selected: int
     """Inputs excluded from this run by patterns, times or the shard."""
     older: frozenset[str] = frozenset()
-    """Of these, the names of those that only ``--since`` excludes.
-
-    They are part of the archive all the same.
-    """
+    """Names of the inputs that only ``--since`` excludes; they belong to the archive."""
 
 
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
     """List the inputs of an archive."""
-    files: list[Found] = []
+    files: list[InputFile] = []
     parts: dict[str, tuple[str | int, ...]] = {}
     left_out: list[LeftOut] = []
     n_not_selected = 0
@@ -79,7 +73,7 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
     include = Patterns(settings.include)
     exclude = Patterns(settings.exclude)
     drives = Drives(settings.drives)
-    # all calls that may hang are made in the thread
+    # calls that may hang are made in a thread
     for item in _in_time(_walk(settings, exclude), settings.archive, patience_s):
         if isinstance(item, LeftOut):
             left_out.append(item)
@@ -111,7 +105,7 @@ def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
 
 
 def _folders(settings: BatchSettings) -> tuple[Path, Path]:
-    """Return archive and output folder with links resolved."""
+    # archive and output folder, without links
     try:
         archive = settings.archive.resolve(strict=True)
         out = settings.out.resolve()
@@ -133,13 +127,13 @@ def _folders(settings: BatchSettings) -> tuple[Path, Path]:
     return archive, out
 
 
-# -- walking ----------------------------------------------------------------------------------------------------------
+# -- walking ---------------------------------------------------------------------------------------
 
 _ItemT = TypeVar("_ItemT")
 
 
-def _walk(settings: BatchSettings, exclude: Patterns) -> Iterator[Found | LeftOut]:
-    """Visit all folders without recursion, because a hostile tree may be thousands of folders deep."""
+def _walk(settings: BatchSettings, exclude: Patterns) -> Iterator[InputFile | LeftOut]:
+    # no recursion: a hostile tree may be thousands of folders deep
     archive, out = _folders(settings)
     waiting: list[tuple[str, Path]] = [("", archive)]
     while waiting:
@@ -161,16 +155,16 @@ def _walk(settings: BatchSettings, exclude: Patterns) -> Iterator[Found | LeftOu
         for entry in entries:
             if entry.name.startswith("."):
                 continue
-            found = _look(entry, f"{prefix}{entry.name}", archive)
-            if not isinstance(found, str):
-                if found is not None:
-                    yield found
-            elif Path(entry.path) != out and not exclude.match(found.removesuffix("/")):
-                waiting.append((found, Path(entry.path)))
+            content = _look(entry, f"{prefix}{entry.name}", archive)
+            if not isinstance(content, str):
+                if content is not None:
+                    yield content
+            elif Path(entry.path) != out and not exclude.match(content.removesuffix("/")):
+                waiting.append((content, Path(entry.path)))
 
 
-def _look(entry: os.DirEntry[str], name: str, archive: Path) -> Found | LeftOut | str | None:
-    """Return an input, the reason why it is left out, the name prefix of a folder, or None for other files."""
+def _look(entry: os.DirEntry[str], name: str, archive: Path) -> InputFile | LeftOut | str | None:
+    """Return an input, or why it is left out, or the name of a folder and "/"; else None."""
     try:
         is_link = entry.is_symlink()
         if entry.is_dir(follow_symlinks=False):
@@ -188,15 +182,14 @@ def _look(entry: os.DirEntry[str], name: str, archive: Path) -> Found | LeftOut 
     if not stat.S_ISREG(status.st_mode):
         return LeftOut(name, "not a regular file")
     inside = PurePosixPath(entry.name)
-    if (
-        inside.stem.endswith(LABELS) and inside.suffix.lower() not in LAS_SUFFIXES
-    ):  # which are never labels alone
+    # LAS files are never label files
+    if inside.stem.endswith(LABELS) and inside.suffix.lower() not in LAS_SUFFIXES:
         return LeftOut(name, "labels that this program wrote")
-    return Found(name, Path(entry.path), status.st_size, status.st_mtime_ns)
+    return InputFile(name, Path(entry.path), status.st_size, status.st_mtime_ns)
 
 
 def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool) -> str | None:
-    """Return why a symbolic link is left out; None for a link to a readable file of the archive."""
+    # None for a link to a readable file of the archive
     try:
         target = Path(entry.path).resolve(strict=True)
     except (OSError, RuntimeError):
@@ -209,10 +202,7 @@ def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool)
 
 
 def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
-    """Run an iterator in a daemon thread, which may hang in a system call.
-
-    Raise if nothing comes for long.
-    """
+    """Run an iterator in a daemon thread, which may hang in a system call; raise on a timeout."""
     answers: queue.SimpleQueue[tuple[_ItemT] | BaseException | None] = queue.SimpleQueue()
 
     def run() -> None:
@@ -240,11 +230,11 @@ def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Itera
         yield answer[0]
 
 
-# -- patterns and times -----------------------------------------------------------------------------------------------
+# -- patterns and times ----------------------------------------------------------------------------
 
 
 class Patterns:
-    """Glob patterns of names; one without a slash is for the last part of a name.
+    """Glob patterns of names; a pattern without a slash is for the last part of a name.
 
     >>> Patterns(["*.laz"]).match("2026/a/b.laz"), Patterns(["2026/*.laz"]).match("2026/a/b.laz")
     (True, False)
@@ -261,7 +251,7 @@ class Patterns:
                     "pattern", f"found {pattern!r}, expected a glob such as *.laz or night/**/*.laz"
                 )
             parts = text.removeprefix("/").split("/")
-            # a part of its own, so that no star matches a slash; None for any folders
+            # by parts, so that no star matches a slash; None = any number of folders
             compiled = [
                 None if part == "**" else re.compile(fnmatch.translate(part)) for part in parts
             ]
@@ -271,40 +261,44 @@ class Patterns:
         return bool(self._patterns)
 
     def match(self, name: str) -> bool:
-        """Tell whether any pattern matches a name."""
+        """Check whether a pattern matches a name."""
         parts = name.split("/")
         return any(
-            _match(parts if whole else parts[-1:], pattern) for whole, pattern in self._patterns
+            _match(parts if has_slash else parts[-1:], pattern)
+            for has_slash, pattern in self._patterns
         )
 
 
 class Drives:
-    """Patterns of files of drives.
+    """Patterns of the files of drives.
 
-    The last wildcards stand for the part, all else is the same in one drive.
+    The last wildcards are the part. The files of one drive are equal in all other characters.
     """
 
     def __init__(self, patterns: Iterable[str]) -> None:
         self._patterns: list[tuple[Patterns, str, str, str]] = []
         for text in patterns:
-            found = re.fullmatch(
+            match = re.fullmatch(
                 r"(.*?)((?:[*?]|\[[^]]+\])+)([^]*?[]*)",
                 text.replace(os.sep, "/").rpartition("/")[2],
             )
-            if found is None or found[2] == "**":
-                problem = f"found {text!r}, expected a wildcard in the file's name that stands for the number of a part"
+            if match is None or match[2] == "**":
+                problem = (
+                    f"found {text!r}, "
+                    "expected a wildcard in the file's name that stands for the number of a part"
+                )
                 raise ConfigError("--drive", problem, "for example 'drive_*_??.laz'")
-            self._patterns.append((Patterns([text]), found[1], found[2], found[3]))
+            self._patterns.append((Patterns([text]), match[1], match[2], match[3]))
 
     def of(self, name: str) -> tuple[str, tuple[str | int, ...]]:
-        """Return the drive of a file and its part, numbers by their value.
+        """Return the drive of a file and its part, with numbers as int.
 
-        The name and () for one by itself.
+        Of a single file: its name and ().
         """
         folder, slash, last = name.rpartition("/")
         for pattern, before, part, after in self._patterns:
             middle = last.removesuffix(after)
-            # as little as possible is the part
+            # the part is as short as possible
             for i in range(len(middle), -1, -1) if pattern.match(name) else ():
                 if fnmatch.fnmatchcase(middle[:i], before) and fnmatch.fnmatchcase(
                     middle[i:], part
@@ -316,32 +310,32 @@ class Drives:
 
 
 def _match(parts: Sequence[str], pattern: Sequence[re.Pattern[str] | None]) -> bool:
-    """Tell whether a pattern matches all parts of a name.
+    """Check whether a pattern matches all parts of a name.
 
-    ``**`` stands for any number, at the end for one or more.
+    None (``**``) matches any number of parts, at the end one or more.
     """
-    reached = {0}
-    """Numbers of parts that the pattern so far may stand for."""
-    for i, one in enumerate(pattern):
-        if one is None:
-            reached = set(range(min(reached) + (i == len(pattern) - 1), len(parts) + 1))
+    # numbers of parts that the beginning of the pattern may match
+    matched = {0}
+    for i, part_pattern in enumerate(pattern):
+        if part_pattern is None:
+            matched = set(range(min(matched) + (i == len(pattern) - 1), len(parts) + 1))
         else:
-            reached = {n + 1 for n in reached if n < len(parts) and one.match(parts[n])}
-        if not reached:
+            matched = {n + 1 for n in matched if n < len(parts) and part_pattern.match(parts[n])}
+        if not matched:
             return False
-    return len(parts) in reached
+    return len(parts) in matched
 
 
 def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> int:
-    """Return the time that ``--since`` names [ns since 1970].
+    """Return the time of ``--since`` [ns since 1970].
 
     >>> parse_since("1970-01-02T00:00:00+00:00") // 10**9
     86400
     """
-    found = re.fullmatch(r"([0-9]{1,9})\s*(s|min|h|d|w)", text.strip())
-    if found is not None:
+    duration = re.fullmatch(r"([0-9]{1,9})\s*(s|min|h|d|w)", text.strip())
+    if duration is not None:
         try:
-            return _nanoseconds(now() - timedelta(seconds=int(found[1]) * _UNITS[found[2]]))
+            return _nanoseconds(now() - timedelta(seconds=int(duration[1]) * _UNITS[duration[2]]))
         except OverflowError:
             return 0
     try:
@@ -361,7 +355,7 @@ def _nanoseconds(time: datetime) -> int:
     return round(time.timestamp() * 10**6) * 1000
 
 
-# -- outputs ----------------------------------------------------------------------------------------------------------
+# -- outputs ---------------------------------------------------------------------------------------
 
 
 def collisions(names: Iterable[str]) -> frozenset[str]:

@@ -1,15 +1,15 @@
 """Journal of the finished files, in SQLite in the output folder.
 
-One for the whole archive, one per shard.
+There is one for the whole archive, or one for every shard.
 
-A row is written before a worker starts a file and when it has ended, each in a transaction that is
-on the disk when the call returns. A kill at any moment leaves the journal as it was before or after
-one of these steps. A file whose output may have been written without a final entry is still
-``running``.
+prc writes a row before a worker starts a file and after it has ended. Each write is a transaction
+that is on the disk when the call returns. A kill at any moment leaves the journal as it was before
+or after one of these steps. If an output may have been written without a final entry, its file is
+still ``running``.
 
-Only the owner of the lock writes (:mod:`prc_cli.jobs.batch.lock`). Anybody may read meanwhile, also
-from another machine: a rollback journal is kept, since SQLite's WAL needs memory that all who have
-the file open share.
+Only the owner of the lock writes (:mod:`prc_cli.jobs.batch.lock`). Other programs may read at the
+same time, also from another machine. So the journal has a rollback journal instead of SQLite's WAL,
+which needs memory that all readers and writers share.
 """
 
 from __future__ import annotations
@@ -46,35 +46,39 @@ from prc_cli.jobs.batch.types import (
 )
 
 SCHEMA = 2
-"""Version of the tables; a journal with another version is refused."""
+"""Version of the tables; prc refuses a journal with another version."""
 APPLICATION = 0x5052434A
 """``PRCJ`` in the header of the file, to recognise other databases."""
 WAIT_S = 30.0
-"""Time that a statement waits for another program that holds the file, such as a backup [s]."""
+"""How long a statement waits for another program that has locked the file, as a backup [s]."""
 
 _TABLES = (
     """CREATE TABLE runs (
-    id TEXT PRIMARY KEY, shard TEXT NOT NULL, version TEXT NOT NULL, owner TEXT NOT NULL, started TEXT NOT NULL,
-    finished TEXT, exit_code INTEGER, totals TEXT NOT NULL)""",
+    id TEXT PRIMARY KEY, shard TEXT NOT NULL, version TEXT NOT NULL, owner TEXT NOT NULL,
+    started TEXT NOT NULL, finished TEXT, exit_code INTEGER, totals TEXT NOT NULL)""",
     """CREATE TABLE files (
-    name BLOB PRIMARY KEY, state TEXT NOT NULL, config_sha256 TEXT NOT NULL, version TEXT NOT NULL, run TEXT NOT NULL,
-    attempts INTEGER NOT NULL, started TEXT NOT NULL, finished TEXT, owner TEXT NOT NULL, outcome TEXT,
-    owns_output INTEGER NOT NULL)""",
+    name BLOB PRIMARY KEY, state TEXT NOT NULL, config_sha256 TEXT NOT NULL, version TEXT NOT NULL,
+    run TEXT NOT NULL, attempts INTEGER NOT NULL, started TEXT NOT NULL, finished TEXT,
+    owner TEXT NOT NULL, outcome TEXT, owns_output INTEGER NOT NULL)""",
 )
 _SOURCES = "CREATE TABLE IF NOT EXISTS sources (name BLOB PRIMARY KEY, path BLOB NOT NULL)"
-"""Added in 1.2; versions before pass over it."""
+"""Added in 1.2; earlier versions ignore it."""
 _SOURCE = "INSERT OR REPLACE INTO sources (name, path) VALUES (:name, :source)"
-_ENTRY = "name, state, config_sha256, version, run, attempts, started, finished, owner, outcome, owns_output"
+_ENTRY = (
+    "name, state, config_sha256, version, run, attempts, started, finished, owner, outcome, "
+    "owns_output"
+)
 _START = """
 INSERT INTO files (name, state, config_sha256, version, run, attempts, started, owner, owns_output)
 VALUES (:name, 'running', :config, :version, :run, 1, :now, :owner, 1)
 ON CONFLICT (name) DO UPDATE SET
     attempts = CASE WHEN state = 'done' THEN 1 ELSE attempts + 1 END,
-    state = 'running', config_sha256 = :config, version = :version, run = :run, started = :now, finished = NULL,
-    owner = :owner, owns_output = 1
+    state = 'running', config_sha256 = :config, version = :version, run = :run, started = :now,
+    finished = NULL, owner = :owner, owns_output = 1
 """
 _FINISH = """
-INSERT INTO files (name, state, config_sha256, version, run, attempts, started, finished, owner, owns_output, outcome)
+INSERT INTO files (name, state, config_sha256, version, run, attempts, started, finished, owner,
+    owns_output, outcome)
 VALUES (:name, :state, '', :version, :run, 0, :now, :now, '', :owns, :outcome)
 ON CONFLICT (name) DO UPDATE SET
     state = :state, finished = :now, owns_output = min(owns_output, :owns), outcome = :outcome
@@ -82,22 +86,22 @@ ON CONFLICT (name) DO UPDATE SET
 
 
 def journal_paths(folder: Path) -> list[Path]:
-    """Return all journals of an output folder, that of the whole archive first."""
+    """Return all journals of an output folder, the journal of the whole archive first."""
     return sorted(
         folder.glob("journal*.sqlite"), key=lambda path: (path.name != "journal.sqlite", path.name)
     )
 
 
 class Journal:
-    """The journal of one run, written by it alone.
+    """The journal of one run, which only this run writes.
 
-    Newer entries of the folder's other journals count, too.
+    Newer entries in the other journals of the folder count, too.
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = folder / own_name("journal", shard, ".sqlite")
         self.run = ""
-        """Id of the run that was begun."""
+        """Id of the run, once it has begun."""
         self._folder = folder
         self._shard = shard
         self._others: dict[str, Entry] = {}
@@ -120,12 +124,12 @@ class Journal:
                 self._database.execute(_SOURCES)
             # shards of one count share no files
             siblings = "/" if self._shard is None else f"-of-{self._shard.count}.sqlite"
-            others = (
-                path for path in journal_paths(self._folder) if not path.name.endswith(siblings)
-            )
-            self._others = _newest(
-                entry for path in others if path != self.path for entry in _all_entries(path)
-            )
+            others = [
+                path
+                for path in journal_paths(self._folder)
+                if path != self.path and not path.name.endswith(siblings)
+            ]
+            self._others = _newest(entry for path in others for entry in _all_entries(path))
             self._stack = stack.pop_all()
         return self
 
@@ -133,7 +137,7 @@ class Journal:
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
-        at: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         self._stack.close()
 
@@ -143,7 +147,8 @@ class Journal:
         shard = "" if self._shard is None else str(self._shard)
         with _errors(self.path):
             self._database.execute(
-                "INSERT INTO runs (id, shard, version, owner, started, totals) VALUES (?, ?, ?, ?, ?, '{}')",
+                "INSERT INTO runs (id, shard, version, owner, started, totals) "
+                "VALUES (?, ?, ?, ?, ?, '{}')",
                 (self.run, shard, __version__, _text(owner), _now()),
             )
         return self.run
@@ -174,7 +179,7 @@ class Journal:
     def finish(self, outcome: Outcome) -> None:
         """Record the outcome of a file, tried or refused.
 
-        An output of somebody else does not become ours.
+        A file that failed because its output exists does not own that output.
         """
         foreign = isinstance(outcome, Failed) and outcome.problem.kind == "OutputExistsError"
         entry = None if isinstance(outcome, Done) else self.entry(outcome.name)
@@ -195,23 +200,25 @@ class Journal:
         """Return the newest entry of a file in all journals; None for a new file."""
         with _errors(self.path):
             rows = _select(self._database, "WHERE name = ?", os.fsencode(name))
-            found = [*map(_entry, rows), *([self._others[name]] if name in self._others else [])]
-        return max(found, key=lambda entry: entry.started, default=None)
+            entries = list(map(_entry, rows))
+        if name in self._others:
+            entries.append(self._others[name])
+        return max(entries, key=lambda entry: entry.started, default=None)
 
     def entries(self) -> list[Entry]:
         """Return all entries sorted by name.
 
-        Those of other journals as read when this one was opened.
+        Entries of other journals are as they were when this journal was opened.
         """
         with _errors(self.path):
-            own = list(map(_entry, _select(self._database)))
-        found = _newest([*self._others.values(), *own])
-        return [found[name] for name in sorted(found)]
+            own_entries = list(map(_entry, _select(self._database)))
+        newest = _newest([*self._others.values(), *own_entries])
+        return [newest[name] for name in sorted(newest)]
 
     def forget(self, names: Iterable[str]) -> int:
-        """Remove files from all journals, whose locks the caller holds.
+        """Remove files from all journals, and return how many of them a journal had.
 
-        Return how many were in one.
+        The caller holds the locks of all journals.
         """
         known = {entry.name for entry in self.entries()}.intersection(names)
         keys = [(os.fsencode(name),) for name in known]
@@ -227,19 +234,19 @@ class Journal:
 
 def read_entries(folder: Path) -> list[Entry]:
     """Return the newest entry of every file in all journals of a folder, sorted by name."""
-    found = _newest(entry for path in journal_paths(folder) for entry in _all_entries(path))
-    return [found[name] for name in sorted(found)]
+    newest = _newest(entry for path in journal_paths(folder) for entry in _all_entries(path))
+    return [newest[name] for name in sorted(newest)]
 
 
 def read_runs(folder: Path) -> list[Run]:
     """Return the runs of all journals of a folder, oldest first."""
     columns = "id, shard, version, owner, started, finished, exit_code, totals"
-    found: list[Run] = []
+    runs: list[Run] = []
     for path in journal_paths(folder):
         with _opened(path) as database, _errors(path):
             rows = database.execute(f"SELECT {columns} FROM runs") if _n_tables(database) else ()
-            found.extend(map(_run, rows))
-    return sorted(found, key=lambda run: (run.started, run.id))
+            runs.extend(map(_run, rows))
+    return sorted(runs, key=lambda run: (run.started, run.id))
 
 
 def _all_entries(path: Path) -> list[Entry]:
@@ -248,7 +255,7 @@ def _all_entries(path: Path) -> list[Entry]:
 
 
 def _select(database: sqlite3.Connection, condition: str = "", *values: bytes) -> sqlite3.Cursor:
-    """Return the rows of files, the last column the path of the input where it is known."""
+    # the last column is the path of the input, if the journal has it
     is_known = database.execute(
         "SELECT count(*) FROM sqlite_master WHERE name = 'sources'"
     ).fetchone()[0]
@@ -258,11 +265,11 @@ def _select(database: sqlite3.Connection, condition: str = "", *values: bytes) -
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a journal; to read it, too, since a transaction that was cut off is rolled back by the next who comes."""
+    # for reading and writing, since the next program that opens it rolls back a broken transaction
     if path.exists() and not path.is_file():
         raise InputError(str(path), "cannot be read (not a regular file)", "move it away")
     with _errors(path):
-        # autocommit: every statement is a transaction of its own, whole or not at all
+        # autocommit: every statement is a transaction
         database = sqlite3.connect(path, timeout=WAIT_S, isolation_level=None)
         try:
             _check(database, path)
@@ -277,26 +284,24 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _check(database: sqlite3.Connection, path: Path) -> None:
-    """Refuse what is no journal, or one of another version, or a damaged one."""
     application = database.execute("PRAGMA application_id").fetchone()[0]
     version = database.execute("PRAGMA user_version").fetchone()[0]
-    if not application and not _n_tables(
-        database
-    ):  # a run was killed when it had just made the file
+    if not application and not _n_tables(database):
+        # a run was killed just after it had created the file
         return
     if application != APPLICATION:
         hint = f"move it away: {shlex.join(['mv', str(path), f'{path}.other'])}"
         raise OutputError(str(path), "is a database of another program", hint)
     if version > SCHEMA:
-        problem = f"was written by a newer prc-cli (tables of version {version}, this program knows {SCHEMA})"
-        raise OutputError(
-            str(path),
-            problem,
-            "upgrade: pip install --upgrade prc-cli, or choose another output folder",
+        problem = (
+            f"was written by a newer prc-cli (tables of version {version}, "
+            f"this program knows {SCHEMA})"
         )
-    found = database.execute("PRAGMA quick_check(1)").fetchone()
-    if version < SCHEMA or found != ("ok",):
-        raise _damaged(path, f"tables of version {version}" if version < SCHEMA else str(found))
+        hint = "upgrade: pip install --upgrade prc-cli, or choose another output folder"
+        raise OutputError(str(path), problem, hint)
+    check = database.execute("PRAGMA quick_check(1)").fetchone()
+    if version < SCHEMA or check != ("ok",):
+        raise _damaged(path, f"tables of version {version}" if version < SCHEMA else str(check))
 
 
 def _n_tables(database: sqlite3.Connection) -> int:
@@ -318,7 +323,7 @@ def _transaction(database: sqlite3.Connection) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _errors(path: Path) -> Iterator[None]:
-    """Turn SQLite's errors, and those of rows that it can read and that make no sense, into ours."""
+    """Turn the errors of SQLite, and of rows with wrong values, into errors of prc."""
     try:
         yield
     except sqlite3.Error as error:
@@ -326,7 +331,7 @@ def _errors(path: Path) -> Iterator[None]:
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             problem = f"is held by another program ({error})"
             raise BusyError(
-                str(path), problem, "close what has the journal open, then run again"
+                str(path), problem, "close the program that has the journal open, then run again"
             ) from error
         why = why_not_written(path) if code == sqlite3.SQLITE_IOERR else 0
         if code == sqlite3.SQLITE_FULL or why == errno.ENOSPC:
@@ -356,27 +361,25 @@ def _errors(path: Path) -> Iterator[None]:
         RecursionError,
         OverflowError,
     ) as error:
-        said = (
-            error.reason
-            if isinstance(error, UnicodeDecodeError)
-            else str(error) or type(error).__name__
-        )
-        raise _damaged(path, f"a row makes no sense: {said}") from error
+        message = str(error) or type(error).__name__
+        if isinstance(error, UnicodeDecodeError):
+            message = error.reason
+        raise _damaged(path, f"a row makes no sense: {message}") from error
 
 
-def _damaged(path: Path, found: str) -> OutputError:
+def _damaged(path: Path, damage: str) -> OutputError:
     move = shlex.join(["mv", str(path), f"{path}.damaged"])
     hint = f"move it away ({move}) and run with --adopt: finished outputs are recognised"
-    return OutputError(str(path), f"is no whole journal ({found.splitlines()[0]})", hint)
+    return OutputError(str(path), f"is no whole journal ({damage.splitlines()[0]})", hint)
 
 
 def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:
-    """Return the entry of every file that was started last."""
-    found: dict[str, Entry] = {}
+    """Return the entry of every file with the latest start."""
+    newest: dict[str, Entry] = {}
     for entry in entries:
-        if entry.name not in found or found[entry.name].started <= entry.started:
-            found[entry.name] = entry
-    return found
+        if entry.name not in newest or newest[entry.name].started <= entry.started:
+            newest[entry.name] = entry
+    return newest
 
 
 _COUNTS = (
@@ -394,7 +397,7 @@ _TEXTS = ("kind", "where", "hint", "output_name")
 
 
 def _need(kind: type | tuple[type, ...], *values: Any) -> None:
-    """Refuse values of other types than were written: SQLite stores any value in any column."""
+    # SQLite stores values of any type in any column
     for value in values:
         if not isinstance(value, kind):
             message = f"found {str(value)[:40]!r}"
@@ -402,7 +405,7 @@ def _need(kind: type | tuple[type, ...], *values: Any) -> None:
 
 
 def _sound(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table of an outcome if its values have the types that were written."""
+    # refuse a table of an outcome with values of other types
     _need((int, float), *(table[key] for key in _COUNTS if key in table))
     _need(str, *(table[key] for key in _TEXTS if key in table))
     return table
@@ -428,7 +431,7 @@ def _entry(row: tuple[Any, ...]) -> Entry:
     if state not in get_args(State):
         message = f"state {str(state)[:40]!r}"
         raise ValueError(message)
-    found = None if outcome is None else _outcome(json.loads(outcome, object_hook=_sound))
+    last_outcome = None if outcome is None else _outcome(json.loads(outcome, object_hook=_sound))
     return Entry(
         os.fsdecode(name),
         state,
@@ -439,19 +442,19 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         started,
         finished,
         owner,
-        found,
+        last_outcome,
         bool(owns),
         os.fsdecode(source or b""),
     )
 
 
 def _outcome(table: dict[str, Any]) -> Outcome:
-    seen = None if table["input"] is None else InputPrint(**table["input"])
+    input_print = None if table["input"] is None else InputPrint(**table["input"])
     if "problem" in table:
-        return Failed(table["name"], seen, table["seconds"], Problem(**table["problem"]))
+        return Failed(table["name"], input_print, table["seconds"], Problem(**table["problem"]))
     labels = tuple((str(label), int(count)) for label, count in table["labels"])
     notices = tuple(map(str, table["notices"]))
-    return Done(**table | {"input": seen, "labels": labels, "notices": notices})
+    return Done(**table | {"input": input_print, "labels": labels, "notices": notices})
 
 
 def _run(row: tuple[Any, ...]) -> Run:
@@ -463,7 +466,7 @@ def _run(row: tuple[Any, ...]) -> Run:
 
 
 def _text(text: str) -> str:
-    """Return text that SQLite accepts: bytes of names that are not UTF-8 are escaped."""
+    # SQLite refuses the surrogates of names that are not UTF-8
     return text.encode("utf-8", "backslashreplace").decode()
 
 

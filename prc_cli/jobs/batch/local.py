@@ -1,10 +1,8 @@
-"""Worker processes of this machine, each used for many files.
+"""Worker processes of this machine, each for many files.
 
-a file that kills its worker fails alone.
-
-A worker (:mod:`prc_cli.jobs.batch.worker`) is started once, because loading the compiled loops
-takes a second. It gets the next task when it has finished the one before, so no task waits in a
-queue.
+If a file kills its worker, only this file fails. A worker (:mod:`prc_cli.jobs.batch.worker`) is
+started once, because loading the compiled loops takes a second. It gets the next task when it has
+finished the one before, so no task waits in a queue.
 """
 
 from __future__ import annotations
@@ -44,21 +42,21 @@ from prc_cli.jobs.batch.worker import MEMORY, READY, STOP_S
 START_S = 120.0
 """Time limit for a worker to get ready [s]."""
 FAILED_STARTS = 3
-"""The run ends when so many workers in a row did not get ready."""
+"""The run ends when this many workers in a row did not get ready."""
 KILL_S = 5.0
-"""How long the system may take to end a process that was killed [s]."""
+"""How long the system may take to end a killed process [s]."""
 LONGEST_CHECK_S = 1.0
 """Longest time between two checks of the workers, unless this process was paused [s]."""
 ABANDON_S = 10.0
-"""A worker that still exists so long after it was killed hangs in a system call [s]."""
+"""A worker that still exists this long after it was killed hangs in a system call [s]."""
 LAST_PRINTED = 400
-"""How much is kept of what a worker printed before it died [bytes]."""
+"""End of the text that a worker printed before it died, for the message [bytes]."""
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
-"""Libraries that would otherwise start a thread for every core in every worker."""
+"""Variables of libraries that would otherwise start a thread for every core in every worker."""
 
 
 def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[int, int]:
-    """Return how many files at a time, and how many threads a file.
+    """Return the number of files at a time, and of threads for each.
 
     >>> share_cores(2, 3, n_files=10), share_cores(4, 1, n_files=2)
     ((2, 3), (2, 1))
@@ -70,11 +68,11 @@ def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[in
 
 @dataclass(slots=True, eq=False)
 class _Worker:
-    """A process and what it is doing."""
+    """A process and its task."""
 
     process: subprocess.Popen[bytes]
     printed: Any
-    """File that holds what it prints."""
+    """File with the text that it prints."""
     name: str
     ready: bool = False
     retiring: bool = False
@@ -90,7 +88,7 @@ class _Worker:
     """When [s]."""
 
     def give(self, task: Task | Comparison) -> None:
-        """Send a task; a worker that has died meanwhile is noticed by its end of output."""
+        """Send a task; if the worker has died meanwhile, its end of output shows it."""
         self.task = task
         self.begun = self.seen = time.monotonic()
         with contextlib.suppress(OSError):
@@ -99,7 +97,7 @@ class _Worker:
             self.process.stdin.flush()
 
     def close_input(self) -> None:
-        """Close its input: no more tasks come, and it rolls back what it is doing."""
+        """Close its input: it rolls back its task and ends."""
         with contextlib.suppress(OSError):
             assert self.process.stdin is not None
             self.process.stdin.close()
@@ -111,7 +109,7 @@ class _Worker:
         self.process.kill()
 
     def clean_up(self) -> None:
-        """After its end: close its files, and remove its temporary ones."""
+        """Close its files after its end, and remove its temporary files."""
         self.close_input()
         with contextlib.suppress(OSError):
             self.printed.close()
@@ -119,7 +117,7 @@ class _Worker:
             remove_left(self.task)
 
     def last_printed(self) -> str:
-        """Return the end of what it printed, as one line."""
+        """Return the end of the text that it printed, as one line."""
         with contextlib.suppress(OSError):
             size = self.printed.seek(0, os.SEEK_END)
             self.printed.seek(max(0, size - LAST_PRINTED))
@@ -133,7 +131,10 @@ class LocalEngine:
     def run(
         self, tasks: Iterable[Task | Comparison], settings: EngineSettings
     ) -> Generator[Event, None, None]:
-        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`), or compare outputs with references."""
+        """Run tasks, or compare outputs with references.
+
+        See :class:`prc_cli.jobs.batch.types.Engine`.
+        """
         if settings.memory_limit_mib is not None and os.name != "posix":
             raise ConfigError(
                 "--memory-limit", "this system cannot limit the memory of a process", "leave it out"
@@ -163,7 +164,7 @@ class _Pool:
             while more and len(self._workers) < self._settings.jobs:
                 self._start()
             while more and (worker := self._free_worker()) is not None:
-                # asked for when a worker is free: what was asked for counts as begun
+                # not earlier: the journal records a task as started when the iterator yields it
                 if task is None and (task := next(tasks, None)) is None:
                     more = False
                 else:
@@ -186,9 +187,8 @@ class _Pool:
             if worker.process.poll() is None:
                 worker.process.kill()
         for worker in self._workers:
-            with contextlib.suppress(
-                subprocess.TimeoutExpired
-            ):  # it hangs in a system call: the kill takes effect later
+            # a worker that hangs in a system call ends later
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 worker.process.wait(KILL_S)
             worker.clean_up()
         self._workers.clear()
@@ -206,7 +206,8 @@ class _Pool:
         threads = self._settings.threads
         path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
         environment = {**{name: str(threads) for name in _POOLS}, **os.environ, "PYTHONPATH": path}
-        apart: dict[str, Any] = (
+        # Ctrl-C on the terminal is for this process only
+        group: dict[str, Any] = (
             {"process_group": 0} if os.name == "posix" else {"creationflags": _NEW_GROUP}
         )
         try:
@@ -224,7 +225,7 @@ class _Pool:
                 stdout=subprocess.PIPE,
                 stderr=printed,
                 env=environment,
-                **apart,  # Ctrl-C on the terminal is for this process, which knows what to do
+                **group,
             )
         except OSError as error:
             printed.close()
@@ -245,7 +246,7 @@ class _Pool:
         ).start()
 
     def _drain(self) -> Iterator[Event]:
-        """Wait a little for messages, and turn all that came into events."""
+        """Wait a little for messages, and turn them into events."""
         for worker, message in drain(self._messages):
             worker.seen = time.monotonic()
             if message is None:
@@ -258,14 +259,17 @@ class _Pool:
                     yield Progress(worker.task.name, message)
             else:
                 worker.task = None
-                if any(isinstance(one, Failed) and one.problem.kind == MEMORY for one in message):
+                if any(
+                    isinstance(outcome, Failed) and outcome.problem.kind == MEMORY
+                    for outcome in message
+                ):
                     worker.retiring = True  # its memory may be fragmented
                     worker.close_input()
                 yield from message
 
     def _reap(self, worker: _Worker) -> Iterator[Event]:
         """Remove a worker that has ended, and report its task as failed if it had one."""
-        if worker not in self._workers:  # it was given up before
+        if worker not in self._workers:  # it was abandoned before
             return
         code = worker.process.wait()
         self._workers.remove(worker)
@@ -277,11 +281,13 @@ class _Pool:
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
-                found = f"ended before it was ready, {FAILED_STARTS} times ({_how_ended(code, printed)})"
-                raise PrcError("worker process", found, "prc doctor checks the installation")
+                end = _how_ended(code, printed)
+                problem_of_starts = f"ended before it was ready, {FAILED_STARTS} times ({end})"
+                hint = "prc doctor checks the installation"
+                raise PrcError("worker process", problem_of_starts, hint)
 
     def _watch(self) -> Iterator[Event]:
-        """Kill workers silent for too long, not counting time in which this process was paused (Ctrl-Z)."""
+        """Kill workers that are silent for too long; a pause of prc (Ctrl-Z) does not count."""
         now = time.monotonic()
         stall_s = self._settings.stall_s
         paused_s = max(0.0, now - self._checked - LONGEST_CHECK_S)
@@ -299,9 +305,9 @@ class _Pool:
                 worker.kill(Problem("timeout", "worker process", f"not ready after {START_S:g} s"))
 
     def _abandon(self, worker: _Worker, kill_reason: Problem) -> Iterator[Event]:
-        """Go on without a worker that cannot be killed, because it hangs in a system call."""
+        """Continue without a worker that cannot be killed, because it hangs in a system call."""
         self._workers.remove(worker)
-        # its temporary files stay, as long as it is there
+        # its temporary files stay as long as it exists
         task = worker.task
         worker.task = None
         worker.clean_up()
@@ -333,25 +339,25 @@ def _death(task: Task | Comparison, code: int, printed: str) -> Problem:
     if isinstance(task, Comparison):
         hint = f"look at it and at {task.reference}"
     elif code == -getattr(signal, "SIGKILL", 9):
-        hint = "the system kills so when memory is short: fewer --jobs, or --memory-limit"
+        hint = "the system does this when memory is short: fewer --jobs, or --memory-limit"
     return Problem("killed", task.name, f"its worker process {_how_ended(code, printed)}", hint)
 
 
 def _how_ended(code: int, printed: str) -> str:
-    """Describe the exit code of a process, and what it said.
+    """Describe the exit code of a process, and its last output.
 
     >>> _how_ended(3, "")
     'ended with exit code 3'
     """
-    said = f"; it said: {printed}" if printed else ""
+    last = f"; it said: {printed}" if printed else ""
     if code >= 0:
-        return f"ended with exit code {code}{said}"
-    names = {item.value: f" ({item.name})" for item in signal.Signals}
-    return f"was killed by signal {-code}{names.get(-code, '')}{said}"
+        return f"ended with exit code {code}{last}"
+    names = {number.value: f" ({number.name})" for number in signal.Signals}
+    return f"was killed by signal {-code}{names.get(-code, '')}{last}"
 
 
 def remove_left(task: Task) -> None:
     """Remove the temporary files of a task whose worker died."""
-    outputs = [path for one in task.files for path in (one.output, record_path(one.output))]
+    outputs = [path for file in task.files for path in (file.output, record_path(file.output))]
     with contextlib.suppress(OSError):
         remove_unfinished(*outputs, keeps_whole=True)

@@ -1,12 +1,12 @@
 """One run at a time in an output folder, also when several machines share it.
 
-A run holds a lock of the operating system on the empty file ``lock``, a shard on ``lock.I-of-N``
-(:mod:`filelock`). The lock ends with its process, however that ends. A JSON file beside it names
-the owner, for messages and for ``prc batch status``. Both files are removed when the lock is
-released.
+A run holds a lock of the operating system on the empty file ``lock``; a shard holds one on
+``lock.I-of-N`` (:mod:`filelock`). The lock ends with its process, in any case. A JSON file beside
+it names the owner, for messages and for ``prc batch status``. Both files are removed when the lock
+is released.
 
-A run takes its own lock, writes the JSON file, and then looks for other runs that have files in
-common with it. Of two that start together at least one sees the other and stops.
+A run acquires its lock, writes the JSON file, and then looks for other runs that have files in
+common with it. If two runs start together, at least one of them sees the other and stops.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.types import Shard, own_name
 
 LOOK_S = 0.5
-"""How long to wait for a lock, because a process that only looks whether it is held holds it for a moment [s]."""
+"""How long to wait for a lock [s]: a process that checks a lock holds it for a moment."""
 STATUS_S = 0.02
-"""The same where the answer is only shown, and for a shard that started together with another run [s]."""
+"""How long to wait if the answer is only shown, or if a shard starts beside another run [s]."""
 _NO_LOCKS = frozenset({errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL})
-"""What systems answer where a file system has no locks, or its lock server does not run."""
+"""Errors of a file system without locks, or whose lock server does not run."""
 _MOST_BYTES = 1 << 16
 """Largest JSON file that is read [bytes]."""
 _file_lock = partial(FileLock, thread_local=False, poll_interval=0.01, fallback_to_soft=False)
@@ -58,7 +58,7 @@ def _user() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """Who holds a lock; by default this process."""
+    """The process that holds a lock; by default this one."""
 
     host: str = field(default_factory=platform.node)
     pid: int = field(default_factory=os.getpid)
@@ -69,7 +69,7 @@ class Owner:
     """``i/n``; empty for the whole archive."""
     version: str = __version__
     token: str = field(default_factory=lambda: secrets.token_hex(16))
-    """Differs from that of every other lock."""
+    """Random number that no other lock has."""
 
     def __str__(self) -> str:
         part = f", shard {self.shard}" if self.shard else ""
@@ -92,16 +92,16 @@ class Holder:
 
 
 class Lock:
-    """The right to work in an output folder, in a ``with`` block.
+    """The right to work in an output folder, as a context manager.
 
-    Shards of one number work side by side.
+    Shards with the same number of parts may run at the same time.
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = folder / own_name("lock", shard, ".json")
         self.owner = Owner(shard="" if shard is None else str(shard))
         self.inherited_from: Owner | None = None
-        """The dead owner that the lock was taken over from."""
+        """The dead run whose lock was taken over."""
         self._folder = folder
         self._shard = shard
         self._lock = _file_lock(self.path.with_suffix(""))
@@ -111,8 +111,8 @@ class Lock:
         make_folder(self._folder)
         try:
             with output_errors(self.path):
-                self._take()
-        except BaseException:  # a signal may come just after the lock was taken
+                self._acquire()
+        except BaseException:  # a signal may come just after the lock was acquired
             self._release()
             raise
         return self
@@ -121,24 +121,23 @@ class Lock:
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
-        at: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         self._release()
 
     def check(self) -> None:
-        """Make sure that the lock is still ours; called before each file."""
+        """Raise if this run has lost the lock; called before each file."""
         try:
-            found = _read(self.path)
+            owner = _read(self.path)
         except OSError:
-            # the network may come back; if it does not, reading or writing fails with its own
-            # message
+            # the network may come back; if it does not, reading or writing fails later
             return
-        if found is None or found.token != self.owner.token:
-            how = "its file is gone" if found is None else f"taken over by {found}"
-            hint = "this run stopped; run again to do what is left"
+        if owner is None or owner.token != self.owner.token:
+            how = "its file is gone" if owner is None else f"taken over by {owner}"
+            hint = "this run stopped; run again to do the other files"
             raise BusyError(str(self.path), f"the lock was lost: {how}", hint)
 
-    def _take(self) -> None:
+    def _acquire(self) -> None:
         remove_stale(self.path)
         self._refuse(LOOK_S)
         try:
@@ -148,7 +147,10 @@ class Lock:
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
-            problem = f"this file system has no file locks ({error.strerror}), which keep a second run out"
+            problem = (
+                f"this file system has no file locks ({error.strerror}), "
+                "which keep a second run out"
+            )
             hint = "choose an output folder on another disk; Lustre: mount it with -o flock"
             raise OutputError(str(self._folder), problem, hint) from error
         self.inherited_from = _read(self.path)
@@ -156,9 +158,8 @@ class Lock:
             temporary.write_text(
                 json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii"
             )
-        self._refuse(
-            LOOK_S if self._shard is None else STATUS_S
-        )  # so that a shard gives way to the whole archive
+        # a shard waits less, so that it gives way to a run of the whole archive
+        self._refuse(LOOK_S if self._shard is None else STATUS_S)
 
     def _refuse(self, wait_s: float) -> None:
         """Raise if a living run has files in common with this one."""
@@ -175,8 +176,8 @@ class Lock:
 
     def _release(self) -> None:
         with contextlib.suppress(OSError):  # Windows keeps files that are open
-            found = _read(self.path)
-            if found is not None and found.token == self.owner.token:
+            owner = _read(self.path)
+            if owner is not None and owner.token == self.owner.token:
                 self.path.unlink()
                 # before the release: filelock notices that the file it waited for was removed
                 Path(self._lock.lock_file).unlink(missing_ok=True)
@@ -185,15 +186,15 @@ class Lock:
 
 
 def holders(folder: Path) -> list[Holder]:
-    """Return who holds, or held, a lock of an output folder; for ``prc batch status``."""
-    found = ((path, _read(path)) for path in sorted(folder.glob("lock*.json")))
+    """Return the present and past owners of the locks of a folder, for ``prc batch status``."""
+    owners = ((path, _read(path)) for path in sorted(folder.glob("lock*.json")))
     return [
-        Holder(path, owner, _is_held(path, STATUS_S)) for path, owner in found if owner is not None
+        Holder(path, owner, _is_held(path, STATUS_S)) for path, owner in owners if owner is not None
     ]
 
 
 def has_locks(folder: Path) -> bool:
-    """Tell whether the file system of an empty folder has locks; for ``prc doctor``."""
+    """Check whether the file system of an empty folder has locks; for ``prc doctor``."""
     try:
         with _file_lock(folder / "lock").acquire(LOOK_S):
             return True
@@ -202,10 +203,7 @@ def has_locks(folder: Path) -> bool:
 
 
 def _is_held(path: Path, wait_s: float) -> bool:
-    """Tell whether a process holds the lock beside a JSON file.
-
-    Nobody does where the file system has no locks.
-    """
+    # whether a process holds the lock beside a JSON file; False on a file system without locks
     lock = path.with_suffix("")
     if not lock.exists():
         return False
@@ -214,23 +212,18 @@ def _is_held(path: Path, wait_s: float) -> bool:
             return False
     except Timeout:
         return True
-    except OSError as error:  # without permission to open the lock, what the JSON file says counts
+    except OSError as error:  # without permission to open the lock, the JSON file counts
         return error.errno not in _NO_LOCKS
 
 
 def _read(path: Path) -> Owner | None:
-    """Return the owner that a file names, unknown if it was cut or edited.
-
-    None if there is no such file.
-    """
+    """Return the owner that a file names, unknown if it was cut or edited; None without a file."""
     try:
         values = json.loads(read_small(path, _MOST_BYTES))
-        owner = Owner(**{item.name: values[item.name] for item in fields(Owner)})
-        if any(
-            type(getattr(owner, item.name)) is not type(getattr(_UNKNOWN, item.name))
-            for item in fields(Owner)
-        ):
-            return _UNKNOWN
+        owner = Owner(**{key.name: values[key.name] for key in fields(Owner)})
+        for key in fields(Owner):
+            if type(getattr(owner, key.name)) is not type(getattr(_UNKNOWN, key.name)):
+                return _UNKNOWN
         return owner
     except FileNotFoundError:
         return None

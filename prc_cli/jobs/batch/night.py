@@ -1,4 +1,4 @@
-"""The night's report: a page of a run whose outputs were compared with references, beside the nights before."""
+"""The report of a night: a page with the scores of a run, and of the nights before."""
 
 from __future__ import annotations
 
@@ -23,44 +23,44 @@ from prc_cli.jobs.drive import output_name
 from prc_cli.jobs.evaluate.pictures import class_pictures
 
 MOST_NIGHTS = 60
-"""Nights that are kept and drawn."""
+"""Nights in the report."""
 WORST = 3
-"""Files with pictures: those of the lowest accuracy."""
+"""Files with pictures: the files with the lowest accuracy."""
 LISTED = 500
-"""Files in the table, the worst first; all of them are in ``summary.json``."""
+"""Files in the table, the worst first; ``summary.json`` has all of them."""
 _LARGEST = 1 << 22
 """Largest file of earlier nights that is read [bytes]."""
 
 
 def write_night(summary: BatchSummary, to: str) -> Path | None:
-    """Write ``report.html`` and keep the scores for the next nights.
+    """Write ``report.html``, and save the scores for the next nights.
 
-    None where nothing was compared.
+    Return None if no output was compared.
     """
-    found = summary.evaluation
-    if found is None or not any(one.matrix is not None for one in found.files):
+    evaluation = summary.evaluation
+    if evaluation is None:
         return None
-    kept = summary.out / OWN_FOLDER / own_name("nights", summary.shard, ".json")
-    nights = [*_earlier(kept), _night(summary, found)][-MOST_NIGHTS:]
-    _write(kept, json.dumps(nights, indent=1, allow_nan=False) + "\n")
-    compared = [one for one in found.files if one.matrix is not None]
-    worst = sorted(
-        compared, key=lambda one: 0.0 if one.matrix is None else scores(one.matrix).accuracy
-    )
-    pooled = scores(found.matrix)
-    names = [
-        item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference
-    ]
+    files = [(file, scores(file.matrix)) for file in evaluation.files if file.matrix is not None]
+    if not files:
+        return None
+    history = summary.out / OWN_FOLDER / own_name("nights", summary.shard, ".json")
+    nights = [*_earlier(history), _night(summary, evaluation)][-MOST_NIGHTS:]
+    _write(history, json.dumps(nights, indent=1, allow_nan=False) + "\n")
+    files.sort(key=lambda file: file[1].accuracy)
+    pooled = scores(evaluation.matrix)
+    names = [row.name for row in pooled.classes if row.name in pooled.scored and row.n_reference]
     values = {
         "style": (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8"),
         "summary": summary,
-        "found": found,
+        "evaluation": evaluation,
         "pooled": pooled,
         "names": names,
         "trend": _trend(nights, names),
-        "files": [(one, scores(one.matrix)) for one in worst[:LISTED] if one.matrix is not None],
-        "n_more": max(len(worst) - LISTED, 0),
-        "pictures": [(one.name, _pictures(one, summary, to, found)) for one in worst[:WORST]],
+        "files": files[:LISTED],
+        "n_more": max(len(files) - LISTED, 0),
+        "pictures": [
+            (file.name, _pictures(file, summary, to, evaluation)) for file, _ in files[:WORST]
+        ],
     }
     page = render_page(
         "prc_cli.jobs.batch", "night.html", values, {"percent": percent, "colour": class_colour}
@@ -71,15 +71,14 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
 
 
 def _write(path: Path, text: str) -> None:
-    remove_stale(path)  # of a run that was killed just here
+    remove_stale(path)  # of a run that was killed here
     with atomic_output(path, overwrite=True) as temporary:
-        temporary.write_text(
-            text, encoding="utf-8", errors="backslashreplace", newline="\n"
-        )  # names may be any bytes
+        # names may be any bytes
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _earlier(path: Path) -> list[dict[str, Any]]:
-    """Return the nights before; none where there are none, or their file was damaged."""
+    # none if the file is missing or damaged
     with contextlib.suppress(OSError, ValueError, PrcError, RecursionError):
         nights = json.loads(read_own(path, _LARGEST))
         return [
@@ -90,11 +89,10 @@ def _earlier(path: Path) -> list[dict[str, Any]]:
     return []
 
 
-def _night(summary: BatchSummary, found: BatchEvaluation) -> dict[str, Any]:
-    pooled = scores(found.matrix)
-    f1 = {
-        item.name: float(item.f1) for item in pooled.classes if item.f1 == item.f1
-    }  # NaN where it is undefined
+def _night(summary: BatchSummary, evaluation: BatchEvaluation) -> dict[str, Any]:
+    pooled = scores(evaluation.matrix)
+    # without undefined scores, which are NaN
+    f1 = {row.name: float(row.f1) for row in pooled.classes if row.f1 == row.f1}
     return {
         "finished": summary.finished,
         "records": pooled.n_scored,
@@ -104,13 +102,13 @@ def _night(summary: BatchSummary, found: BatchEvaluation) -> dict[str, Any]:
 
 
 def _trend(nights: list[dict[str, Any]], names: list[str]) -> str:
-    """Draw the F1 of every class over the nights; empty for a first night."""
+    # F1 of every class by night; empty for a first night
     if len(nights) < 2:
         return ""
     dates = [str(night["finished"])[:10] for night in nights]
     curves = [
-        Curve(name, tuple(float(night["f1"].get(name, float("nan"))) for night in nights), place)
-        for place, name in enumerate(names)
+        Curve(name, tuple(float(night["f1"].get(name, float("nan"))) for night in nights), colour)
+        for colour, name in enumerate(names)
     ]
     ticks = [date if i in (0, len(dates) - 1) else "" for i, date in enumerate(dates)]
     return line_chart(
@@ -119,24 +117,28 @@ def _trend(nights: list[dict[str, Any]], names: list[str]) -> str:
 
 
 def _pictures(
-    one: Compared,
+    file: Compared,
     summary: BatchSummary,
     to: str,
-    found: BatchEvaluation,
+    evaluation: BatchEvaluation,
 ) -> list[tuple[str, str]]:
-    """Draw a file's classes beside those of its reference; none where its lines are not known."""
-    if one.reference is None or found.settings.mapping_name is None:
+    """Draw the classes of a file and its reference: captions and PNGs in base64.
+
+    Empty if the scan lines of the file are not known.
+    """
+    settings = evaluation.settings
+    if file.reference is None or settings.mapping_name is None:
         return []
-    predicted = summary.out / output_name(one.name, to)
-    mapping = load_mapping(found.settings.mapping_name)
+    predicted = summary.out / output_name(file.name, to)
+    mapping = load_mapping(settings.mapping_name)
     with contextlib.suppress(PrcError, OSError, ValueError, KeyError, TypeError):
         record = read_record(predicted)
         drawn = class_pictures(
             predicted,
-            found.settings.tree / one.reference,
+            settings.tree / file.reference,
             mapping,
             record["stream"]["points_per_line"],
-            points=(summary.archive / one.name, None),
+            points=(summary.archive / file.name, None),
         )
         return [(caption, base64.b64encode(png).decode()) for caption, png in drawn]
     return []

@@ -1,7 +1,4 @@
-"""What lies in an output folder.
-
-What dead runs left, and which outputs are as they were written.
-"""
+"""The contents of an output folder: files that dead runs left, and changed outputs."""
 
 from __future__ import annotations
 
@@ -23,29 +20,26 @@ from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.types import OWN_FOLDER, Done
 
 _SHARED = re.compile(r"shared-[0-9a-f]{16}")
-"""Empty files by which a run on Dask finds out whether its workers see OUT.
-
-No run is at work here now.
-"""
+"""Empty files with which a run on Dask checks whether its workers see OUT."""
 OTHER_MACHINE_S = 86_400.0
-"""A temporary file of another machine that was not written to for so long is taken for left behind [s]."""
+"""A temporary file of another machine that did not change for this time is removed [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cleaned:
-    """What was removed, or would be."""
+    """Files that were removed, or would be."""
 
     files: tuple[Path, ...]
     """Temporary files."""
     n_bytes: int
     forgotten: tuple[str, ...]
-    """Names that the journal forgot."""
+    """Names that were removed from the journal."""
     kept: tuple[Path, ...]
-    """Temporary files of other machines that may still be at work."""
+    """Temporary files of other machines, which may still be working."""
 
 
 def own_folder(out: Path) -> Path:
-    """Return our folder in an output folder."""
+    """Return the folder of prc in an output folder."""
     folder = out / OWN_FOLDER
     refuse_links(folder)
     if not journal_paths(folder):
@@ -54,18 +48,19 @@ def own_folder(out: Path) -> Path:
 
 
 def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> Cleaned:
-    """Remove what dead runs left; outputs stay."""
+    """Remove the files that dead runs left; outputs stay."""
     folder = own_folder(out)
-    # a lock is taken in the dry run too: while a run is at work its files look like left ones
+    # a dry run needs the lock, too: the files of a living run look like left ones
     with Lock(folder):
         forgotten = () if archive is None else tuple(_vanished(folder, archive))
         stale = []
         kept = []
         for part in _temporary_files(out):
-            left = True if _SHARED.fullmatch(part.name) else is_left_behind(part)
-            if left or (left is None and _is_old(part)):
+            # None = of another machine
+            is_left = True if _SHARED.fullmatch(part.name) else is_left_behind(part)
+            if is_left or (is_left is None and _is_old(part)):
                 stale.append(part)
-            elif left is None:
+            elif is_left is None:
                 kept.append(part)
         n_bytes = sum(_size(part) for part in stale)
         if not dry_run:
@@ -92,7 +87,7 @@ def _vanished(folder: Path, archive: Path) -> Iterator[str]:
 
 
 def _temporary_files(out: Path) -> Iterator[Path]:
-    """Yield files that are named like our temporary ones; links to folders are not followed."""
+    # by their names; links to folders are not followed
     for place, _, names in os.walk(out):
         for name in sorted(names):
             path = Path(place, name)
@@ -114,74 +109,72 @@ def _size(path: Path) -> int:
     return 0
 
 
-# -- which outputs are whole: for backups, restored archives and disks that are doubted -------------------------------
+# -- whole outputs: for backups, restored archives and doubtful disks ------------------------------
 
 Wholeness: TypeAlias = Literal["whole", "missing", "damaged", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What was found of an output."""
+    """The state of an output."""
 
     name: str
     """Name in the output folder."""
     state: Wholeness
     why: str = ""
-    """What was found and expected; empty if it is whole."""
+    """The difference; empty if it is whole."""
 
 
 def verify_outputs(out: Path) -> Iterator[Verified]:
-    """Compare outputs with size and hash in the journals, else in records beside them.
+    """Compare outputs with size and hash in the journals, else in the records beside them.
 
-    No lock is needed.
+    It needs no lock.
     """
     expected: dict[str, tuple[int, str | None] | None] = dict(_recorded(out))
     for entry in read_entries(out / OWN_FOLDER):
         if isinstance(entry.outcome, Done):
-            name = str(
-                Path(entry.name).with_name(entry.outcome.output_name or Path(entry.name).name)
-            )
+            path = Path(entry.name)
+            name = str(path.with_name(entry.outcome.output_name or path.name))
             if entry.state == "done":
                 expected[name] = entry.outcome.output_size, entry.outcome.output_sha256
             else:
                 expected.pop(name, None)
     if not expected:
         raise InputError(
-            str(out), "holds no outputs that prc wrote", "name the output folder of a run"
+            str(out), "contains no outputs that prc wrote", "name the output folder of a run"
         )
     for name in sorted(expected):
         yield _verified(out, name, expected[name])
 
 
 def _recorded(out: Path) -> Iterator[tuple[str, tuple[int, str | None] | None]]:
-    """Yield outputs by the records beside them; links to folders are not followed."""
+    # by the records beside the outputs; links to folders are not followed
     for place, folders, names in os.walk(out):
         if OWN_FOLDER in folders:
             folders.remove(OWN_FOLDER)
         for name in names:
             if name.endswith(RECORD_SUFFIX) and not name.startswith("."):
                 path = Path(place, name)
-                noted = None
+                recorded = None
                 with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-                    found = json.loads(read_small(path, LARGEST_RECORD))["output"]
-                    noted = int(found["size"]), str(found["sha256"])
-                yield str(path.relative_to(out)).removesuffix(RECORD_SUFFIX), noted
+                    output = json.loads(read_small(path, LARGEST_RECORD))["output"]
+                    recorded = int(output["size"]), str(output["sha256"])
+                yield str(path.relative_to(out)).removesuffix(RECORD_SUFFIX), recorded
 
 
 def _verified(out: Path, name: str, expected: tuple[int, str | None] | None) -> Verified:
     path = out / name
     if expected is None or expected[1] is None:
-        return Verified(name, "unknown", "nothing says what it was when it was written")
+        return Verified(name, "unknown", "prc has no record of its size and hash")
     try:
+        if not os.path.lexists(path):
+            return Verified(name, "missing", "is not there")
         if not path.is_file():
-            there = os.path.lexists(path)
-            return Verified(
-                name, *(("damaged", "is no file") if there else ("missing", "is not there"))
-            )
+            return Verified(name, "damaged", "is not a file")
         if (size := path.stat().st_size) != expected[0]:
             return Verified(name, "damaged", f"has {size:,} bytes, expected {expected[0]:,}")
         if fingerprint(path).sha256 != expected[1]:
-            return Verified(name, "damaged", "has other content than was written")
+            return Verified(name, "damaged", "its content has changed")
     except InputError as error:
         return Verified(name, "damaged", error.problem)
     return Verified(name, "whole")

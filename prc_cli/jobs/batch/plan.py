@@ -27,7 +27,7 @@ from prc_cli.core.files import is_same, parts_of, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.core.version import __version__
 from prc_cli.formats.writing.record import RunRecord, fingerprint, read_record, record_path
-from prc_cli.jobs.batch.discovery import Found, Patterns, collisions
+from prc_cli.jobs.batch.discovery import InputFile, Patterns, collisions
 from prc_cli.jobs.batch.types import (
     BatchSettings,
     ConfigLayers,
@@ -63,7 +63,7 @@ BEGIN_S = 2.0
 """Time that workers take to start and to load the compiled loops [s]."""
 
 
-# -- what a plan is ---------------------------------------------------------------------------------------------------
+# -- the plan --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +75,11 @@ class Planned:
     size: int
     """Size of the input [bytes]."""
     keeps: bool = False
-    """Whether the output that is there now is damaged, or somebody else's work, and is to be kept aside."""
+    """Whether the existing output is changed or damaged, so that it is moved away."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the files that are done together with it, and its own."""
+        """Names of the files that are classified together, with its name."""
         return self.task.drive or (self.task.name,)
 
 
@@ -94,7 +94,7 @@ class Estimate:
     sources: tuple[str, ...]
     """Source of the figures, one sentence per format."""
     n_unknown: int
-    """Number of files that are not in the figures, because nothing is known about their format."""
+    """Number of files of unknown formats, which are not in the figures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,29 +102,23 @@ class Plan:
     """Plan of a run."""
 
     todo: tuple[Planned, ...]
-    """Files to classify, sorted by name; those of a drive together."""
+    """Files to classify, sorted by name; files of one drive together."""
     done: tuple[str, ...] = ()
-    """Names of files that are already done with the same input, configuration and program version."""
+    """Names of files that are already done with the same input, configuration and version."""
     adopted: tuple[tuple[Task, Done], ...] = ()
-    """Outputs in no journal whose run record equals the one that would be written."""
+    """Outputs in no journal whose run record equals the record that this run would write."""
     confirmed: tuple[Done, ...] = ()
-    """Done files whose input has a new time but the same content.
-
-    Their names are also in ``done``.
-    """
+    """Done files with a new time but the same content; their names are also in ``done``."""
     refused: tuple[Failed, ...] = ()
     """Files that cannot be started."""
     left_out: tuple[LeftOut, ...] = ()
-    """Files and folders in the archive that no run takes."""
+    """Files and folders in the archive that prc does not read."""
     n_beyond_limit: int = 0
     """Number of files left for another run by ``--limit``."""
     n_not_selected: int = 0
     """Number of inputs excluded by patterns, times or the shard."""
     archive: frozenset[str] = frozenset()
-    """Names of all inputs, also of those that this run does not look at.
-
-    Their state decides the exit code.
-    """
+    """Names of all inputs, selected or not: their state decides the exit code."""
 
     @property
     def n_items(self) -> int:
@@ -143,7 +137,7 @@ class Plan:
         return len(self.todo) + known + self.n_beyond_limit
 
 
-# -- configuration of every file --------------------------------------------------------------------------------------
+# -- configuration of every file -------------------------------------------------------------------
 
 
 class BatchConfig:
@@ -165,7 +159,9 @@ class BatchConfig:
         overrides = table.pop("override", [])
         self._preset = table.pop("preset", None)
         self._table = self._placed(table)
-        if not isinstance(overrides, list) or not all(isinstance(item, dict) for item in overrides):
+        if not isinstance(overrides, list) or not all(
+            isinstance(table, dict) for table in overrides
+        ):
             raise ConfigError(
                 self._where, "override: expected tables, each beginning with [[override]]"
             )
@@ -180,22 +176,23 @@ class BatchConfig:
 
     def _override(self, number: int, table: dict[str, Any]) -> _Override:
         where = f"{self._where}: override {number}"
-        rest = dict(table)
-        preset = rest.pop("preset", None)
-        match = rest.pop("match", None)
+        keys = dict(table)
+        preset = keys.pop("preset", None)
+        match = keys.pop("match", None)
         patterns = [match] if isinstance(match, str) else match
         if (
             not isinstance(patterns, list)
             or not patterns
-            or not all(isinstance(item, str) for item in patterns)
+            or not all(isinstance(pattern, str) for pattern in patterns)
         ):
-            found = "" if match is None else f", found {match!r}"
-            problem = f"match: expected a pattern or a list of patterns{found}"
+            problem = "match: expected a pattern or a list of patterns"
+            if match is not None:
+                problem += f", found {match!r}"
             raise ConfigError(where, problem, 'for example match = "night/*.laz"')
-        return _Override(where, Patterns(patterns), preset, self._placed(rest))
+        return _Override(where, Patterns(patterns), preset, self._placed(keys))
 
     def _placed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Resolve a trajectory relative to the folder of the configuration file, unless it begins with ``{folder}``."""
+        # a trajectory is relative to the folder of the configuration file, unless {folder} is first
         rule = table["input"].get("range") if isinstance(table.get("input"), Mapping) else None
         if self._layers.path is None or (
             isinstance(rule, str) and rule.startswith(f"{TRAJECTORY}{{folder}}")
@@ -205,30 +202,28 @@ class BatchConfig:
 
     def _build(self, matching: tuple[int, ...]) -> LoadedConfig:
         if matching not in self._built:
-            given = self._layers
-            chosen = [self._overrides[number] for number in matching]
-            named = [item.preset for item in chosen if item.preset is not None]
-            preset = (
-                given.preset if given.preset is not None else (named[-1] if named else self._preset)
-            )
+            sources = self._layers
+            overrides = [self._overrides[number] for number in matching]
+            presets = [self._preset, *(override.preset for override in overrides), sources.preset]
+            preset = next((name for name in reversed(presets) if name is not None), None)
             layers: list[tuple[str, Mapping[str, Any]]] = []
+            files = sources.files
             if preset is not None:
                 layers.append((f"preset {preset}", preset_table(preset)))
-            if given.path is not None:
+            if sources.path is not None:
                 layers.append((self._where, self._table))
-            layers.extend((item.where, item.table) for item in chosen)
-            if given.options:
-                layers.append(("option", given.options))
-            files = (*([] if given.path is None else [given.path]), *given.files)
+                files = (sources.path, *files)
+            layers.extend((override.where, override.table) for override in overrides)
+            if sources.options:
+                layers.append(("option", sources.options))
             self._built[matching] = from_layers(layers, files)
             refuse_window(self._built[matching].config, "prc batch")
         return self._built[matching]
 
     def of(self, name: str, path: Path) -> tuple[LoadedConfig, str]:
         """Return the configuration of a file and its hash."""
-        loaded = self._build(
-            tuple(i for i, item in enumerate(self._overrides) if item.patterns.match(name))
-        )
+        matching = (i for i, item in enumerate(self._overrides) if item.patterns.match(name))
+        loaded = self._build(tuple(matching))
         rule = loaded.config.input.range
         if not rule.startswith(TRAJECTORY):
             is_base = loaded.config is self.base.config
@@ -238,10 +233,9 @@ class BatchConfig:
             inputs = loaded.config.input.model_copy(update={"range": filled})
             loaded = replace(loaded, config=loaded.config.model_copy(update={"input": inputs}))
         assert loaded.trajectory is not None
-        return loaded, config_hash(loaded.config, self._print(loaded.trajectory))
+        return loaded, config_hash(loaded.config, self._trajectory_hash(loaded.trajectory))
 
-    def _print(self, path: Path) -> str:
-        """Return the hash of a trajectory, computed once per run."""
+    def _trajectory_hash(self, path: Path) -> str:
         if path not in self._prints:
             if path.exists() and not path.is_file():
                 raise InputError(
@@ -266,24 +260,26 @@ class _Override(NamedTuple):
 
 
 def _fill(template: str, name: str, path: Path) -> str:
-    """Replace the placeholders of a template by the parts of a file's name, without escaping any character."""
     stem = path.name[: len(path.name) - len(suffix_of(path))]
     subfolder = name.rpartition("/")[0] or "."
     values = {"name": path.name, "stem": stem, "folder": str(path.parent), "subfolder": subfolder}
 
-    def value(found: re.Match[str]) -> str:
-        if found[1] not in values:
+    def value(placeholder: re.Match[str]) -> str:
+        if placeholder[1] not in values:
             known = ", ".join(f"{{{key}}}" for key in values)
             raise ConfigError(
-                "input.range", f"unknown placeholder {found[0]!r}, expected one of: {known}"
+                "input.range", f"unknown placeholder {placeholder[0]!r}, expected one of: {known}"
             )
-        return values[found[1]]
+        return values[placeholder[1]]
 
     return _PLACEHOLDER.sub(value, template)
 
 
 def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
-    """Return the hash of a configuration and its trajectory, without folders, other methods, accepted doubts."""
+    """Return the hash of a configuration and its trajectory.
+
+    Folders, the keys of other methods and accepted doubts do not change it.
+    """
     table = config.of_run()
     table["input"].pop("accept_doubts", None)
     if trajectory_sha256 is not None:
@@ -291,24 +287,24 @@ def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
     return sha256(json.dumps(table, sort_keys=True, ensure_ascii=True).encode("ascii")).hexdigest()
 
 
-# -- decisions --------------------------------------------------------------------------------------------------------
+# -- decisions -------------------------------------------------------------------------------------
 
 
 def make_plan(
     settings: BatchSettings,
-    files: Sequence[Found],
+    files: Sequence[InputFile],
     config: BatchConfig,
     known: Mapping[str, Entry],
 ) -> Plan:
-    """Decide what to do with every file; the files of a drive are done together or not at all."""
-    drives = [list(some) for _, some in groupby(files, key=lambda item: item.drive or item.name)]
+    """Decide what to do with every file; files of one drive are classified together."""
+    drives = [list(drive) for _, drive in groupby(files, key=lambda file: file.drive or file.name)]
     if settings.only_failed:
         drives = [
-            some
-            for some in drives
-            if any(item.name in known and known[item.name].state != "done" for item in some)
+            drive
+            for drive in drives
+            if any(file.name in known and known[file.name].state != "done" for file in drive)
         ]
-    names = {item.name: output_name(item.name, settings.to) for some in drives for item in some}
+    names = {file.name: output_name(file.name, settings.to) for drive in drives for file in drive}
     twice = collisions(names.values())
     limit = sum(map(len, drives)) if settings.limit is None else settings.limit
     todo: list[Planned] = []
@@ -317,32 +313,33 @@ def make_plan(
     confirmed: list[Done] = []
     refused: list[Failed] = []
     n_beyond_limit = 0
-    for some in drives:
+    for drive in drives:
         try:
-            tasks = list(_tasks(some, names, twice, config, settings))
-            found = [
-                _decide(item, task, known.get(item.name), settings)
-                for item, task in zip(some, tasks, strict=True)
+            tasks = list(_tasks(drive, names, twice, config, settings))
+            decisions = [
+                _decide(file, task, known.get(file.name), settings)
+                for file, task in zip(drive, tasks, strict=True)
             ]
         except (PrcError, OSError) as error:
-            for item in some:
-                seen = InputPrint(item.size, item.mtime_ns, None)
-                refused.append(Failed(item.name, seen, 0.0, Problem.of(error)))
+            for file in drive:
+                input_print = InputPrint(file.size, file.mtime_ns, None)
+                refused.append(Failed(file.name, input_print, 0.0, Problem.of(error)))
             continue
-        due = _together(some, tasks, found)
-        if len(due) + len(todo) > limit and (todo or len(some) == 1):
+        due = _due_of_drive(drive, tasks, decisions)
+        if len(due) + len(todo) > limit and (todo or len(drive) == 1):
             n_beyond_limit += len(due)
         else:
             todo += due
         if due:
             continue
-        for task, outcome in zip(tasks, found, strict=True):
+        for task, outcome in zip(tasks, decisions, strict=True):
             entry = known.get(task.name)
             if isinstance(outcome, Done) and (entry is None or not entry.owns_output):
                 adopted.append((task, outcome))
-            else:
-                done.append(task.name)
-                confirmed += [outcome] if isinstance(outcome, Done) else []
+                continue
+            done.append(task.name)
+            if isinstance(outcome, Done):
+                confirmed.append(outcome)
     return Plan(
         tuple(todo),
         tuple(done),
@@ -354,78 +351,69 @@ def make_plan(
 
 
 def _tasks(
-    some: Sequence[Found],
+    drive: Sequence[InputFile],
     names: Mapping[str, str],
     twice: Collection[str],
     config: BatchConfig,
     settings: BatchSettings,
 ) -> Iterator[Task]:
-    """Yield the tasks of the files of a drive, or of one alone.
-
-    Refuse another configuration than the first one's.
-    """
-    drive = tuple(one.name for one in some) if len(some) > 1 else ()
+    """Yield the tasks of the files of a drive, which must have one configuration."""
+    drive_names = tuple(file.name for file in drive) if len(drive) > 1 else ()
     first = ""
-    for item in some:
-        output = settings.out / names[item.name]
-        if names[item.name] in twice:
-            problem = "two inputs would write this output (upper and lower case may be the same on another disk)"
+    for file in drive:
+        output = settings.out / names[file.name]
+        if names[file.name] in twice:
+            problem = (
+                "two inputs would write this output "
+                "(upper and lower case may be the same on another disk)"
+            )
             raise OutputExistsError(str(output), problem, "rename one of them, or --exclude it")
-        loaded, digest = config.of(item.name, item.path)
+        loaded, digest = config.of(file.name, file.path)
         first = first or digest
         if digest != first:
-            problem = f"has another configuration than {some[0].name}, expected one for all files of a drive"
-            raise ConfigError(
-                item.name,
-                problem,
-                "look at the tables [[override]] and at the name of the trajectory",
+            problem = (
+                f"has another configuration than {drive[0].name}, "
+                "expected one for all files of a drive"
             )
+            hint = "look at the tables [[override]] and at the name of the trajectory"
+            raise ConfigError(file.name, problem, hint)
         yield Task(
-            item.name, item.path, output.absolute(), loaded, digest, settings.overwrite, drive
+            file.name, file.path, output.absolute(), loaded, digest, settings.overwrite, drive_names
         )
 
 
-def _together(
-    some: Sequence[Found], tasks: Sequence[Task], found: Sequence[Planned | Done | None]
+def _due_of_drive(
+    drive: Sequence[InputFile], tasks: Sequence[Task], decisions: Sequence[Planned | Done | None]
 ) -> list[Planned]:
-    """Return what is to be done of a drive: all of it, if one of its files is."""
-    if not any(isinstance(one, Planned) for one in found):
+    # if one file of a drive is to be classified, all are
+    if not any(isinstance(decision, Planned) for decision in decisions):
         return []
-    return [
-        one
-        if isinstance(one, Planned)
-        else Planned(replace(task, overwrite=True), "changed drive", item.size)
-        for item, task, one in zip(some, tasks, found, strict=True)
-    ]
+    due = []
+    for file, task, decision in zip(drive, tasks, decisions, strict=True):
+        if isinstance(decision, Planned):
+            due.append(decision)
+        else:
+            due.append(Planned(replace(task, overwrite=True), "changed drive", file.size))
+    return due
 
 
 def _decide(
-    item: Found,
+    file: InputFile,
     task: Task,
     entry: Entry | None,
     settings: BatchSettings,
 ) -> Planned | Done | None:
-    """Return the plan for a file, the outcome that adopts or confirms its output, or None if it is done."""
+    """Return the plan for a file; or the outcome to adopt or confirm; or None if it is done."""
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
         if written is not None and not settings.overwrite:
-            seen = InputPrint(item.size, item.mtime_ns, None)
-            found = outcome_of_record(task, seen, written) if settings.adopt else None
-            if found is None:
-                raise _foreign(task.output, adopt=settings.adopt)
-            if not is_whole(task.output, written, found):
-                return Planned(
-                    replace(task, overwrite=True), "changed output", item.size, keeps=True
-                )
-            if _is_accepted_otherwise(found, task.config.config, __version__):
-                return Planned(replace(task, overwrite=True), "changed config", item.size)
-            return found
-        return Planned(task, "new" if entry is None else "failed before", item.size)
-    reason, found = _compare(item, task, entry, written, settings)
+            return _decide_foreign(file, task, written, settings)
+        return Planned(task, "new" if entry is None else "failed before", file.size)
+    reason, confirmed = _compare(file, task, entry, written, settings)
     if reason is None:
-        return found
-    if written is not None and not settings.overwrite and _is_of_other(item, entry):
-        problem = f"was made of {entry.source}, not of {item.path}, which is another file"
+        return confirmed
+    if written is not None and not settings.overwrite and _has_other_source(file, entry):
+        problem = f"was made of {entry.source}, not of {file.path}, which is another file"
         raise OutputError(
             str(task.output), problem, "choose another OUT for this archive, or add --overwrite"
         )
@@ -438,34 +426,46 @@ def _decide(
     ):
         keeps = _is_changed(task.output, written, entry.outcome, settings)
     return Planned(
-        replace(task, overwrite=True), reason, item.size, keeps and not settings.overwrite
+        replace(task, overwrite=True), reason, file.size, keeps and not settings.overwrite
     )
 
 
-def _is_of_other(item: Found, entry: Entry) -> bool:
-    """Tell whether an output was made of a file elsewhere with another content.
+def _decide_foreign(
+    file: InputFile, task: Task, written: os.stat_result, settings: BatchSettings
+) -> Planned | Done:
+    # an output that no journal knows
+    input_print = InputPrint(file.size, file.mtime_ns, None)
+    outcome = outcome_of_record(task, input_print, written) if settings.adopt else None
+    if outcome is None:
+        raise _foreign(task.output, adopt=settings.adopt)
+    if not is_whole(task.output, written, outcome):
+        return Planned(replace(task, overwrite=True), "changed output", file.size, keeps=True)
+    if _accepts_other_doubts(outcome, task.config.config, __version__):
+        return Planned(replace(task, overwrite=True), "changed config", file.size)
+    return outcome
 
-    Of another archive.
+
+def _has_other_source(file: InputFile, entry: Entry) -> bool:
+    """Check whether an output was made of another file, as of another archive.
+
+    A copy elsewhere with the same content is the same file.
     """
-    if not entry.source or entry.source == os.path.realpath(item.path):
+    if not entry.source or entry.source == os.path.realpath(file.path):
         return False
     before = None if entry.outcome is None else entry.outcome.input
-    if before is None or before.size != item.size:
+    if before is None or before.size != file.size:
         return True
-    return before.mtime_ns != item.mtime_ns and before.sha256 != fingerprint(item.path).sha256
+    return before.mtime_ns != file.mtime_ns and before.sha256 != fingerprint(file.path).sha256
 
 
 def _compare(
-    item: Found,
+    file: InputFile,
     task: Task,
     entry: Entry,
     written: os.stat_result | None,
     settings: BatchSettings,
 ) -> tuple[Reason | None, Done | None]:
-    """Compare a file with its journal entry.
-
-    Return why it is to be done, or None and the outcome to note.
-    """
+    """Return why a file in the journal is to be done again; or None and the outcome to record."""
     before = entry.outcome
     if entry.state == "running" or (entry.state == "done" and not isinstance(before, Done)):
         return "unfinished", None
@@ -477,41 +477,38 @@ def _compare(
     # version
     if entry.version == __version__ and entry.config_sha256 != task.config_sha256:
         return "changed config", None
-    if _is_accepted_otherwise(before, task.config.config, entry.version):
+    if _accepts_other_doubts(before, task.config.config, entry.version):
         return "changed config", None
     if not is_of_drive(before.notices, task.drive_files):
         return "changed drive", None
-    if item.size != before.input.size:
+    if file.size != before.input.size:
         return "changed input", None
     if written is None:
         return "output missing", None
-    if (item.mtime_ns != before.input.mtime_ns or settings.verify) and (
-        fingerprint(item.path).sha256 != before.input.sha256
+    if (file.mtime_ns != before.input.mtime_ns or settings.verify) and (
+        fingerprint(file.path).sha256 != before.input.sha256
     ):
         return "changed input", None
     if _is_changed(task.output, written, before, settings):
         return "changed output", None
-    times = item.mtime_ns, written.st_mtime_ns
-    if times == (before.input.mtime_ns, before.output_mtime_ns):
-        return None, None
-    return None, replace(
-        before, input=replace(before.input, mtime_ns=times[0]), output_mtime_ns=times[1]
+    confirmed = replace(
+        before,
+        input=replace(before.input, mtime_ns=file.mtime_ns),
+        output_mtime_ns=written.st_mtime_ns,
     )
+    return None, None if confirmed == before else confirmed
 
 
-def _is_accepted_otherwise(done: Done, config: RunConfig, version: str) -> bool:
-    """Tell whether a doubt of an output is accepted now, or one that was accepted then is no more."""
+def _accepts_other_doubts(done: Done, config: RunConfig, version: str) -> bool:
+    """Check whether the configuration now accepts a doubt of the output, or no longer does."""
     now = set(accepted_by(config.input))
-    standing = {doubt.check for doubt in doubts_of(done)}
+    doubts = {doubt.check for doubt in doubts_of(done)}
     then = {check for notice in done.notices if (check := accepted_doubt_of(notice)) is not None}
-    return bool(standing & now) or (version == __version__ and not then <= now)
+    return bool(doubts & now) or (version == __version__ and not then <= now)
 
 
 def _stat(output: Path) -> os.stat_result | None:
-    """Return size and time of an output, of a link what it points to.
-
-    Of a link to nothing its own.
-    """
+    # follows a link, unless it is broken
     with contextlib.suppress(OSError):
         return output.stat()
     try:
@@ -537,10 +534,7 @@ def _is_changed(
     before: Done,
     settings: BatchSettings,
 ) -> bool:
-    """Tell whether an output is another than was written.
-
-    By size and time, by content where only the time differs.
-    """
+    # by size and time; by content if only the time differs
     if (
         written.st_size == before.output_size
         and written.st_mtime_ns == before.output_mtime_ns
@@ -550,11 +544,14 @@ def _is_changed(
     return not is_whole(output, written, before)
 
 
-# -- outputs that are there already -----------------------------------------------------------------------------------
+# -- existing outputs ------------------------------------------------------------------------------
 
 
 def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -> Done | None:
-    """Return the outcome of an output whose record is as it would be written, but for accepted doubts."""
+    """Return the outcome of an existing output whose record equals the one of this run.
+
+    The list of accepted doubts may differ. None = no record, another one, or a damaged one.
+    """
     try:
         record = read_record(task.output)
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
@@ -563,32 +560,22 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
             RunRecord(config.of_run(), content, "", 1, trajectory=trajectory).as_dict()
             for config in possible_configs(task.config)
         ]
-        for one in (record, *records):
-            one["config"].get("input", {}).pop("accept_doubts", None)
+        for table in (record, *records):
+            table["config"].get("input", {}).pop("accept_doubts", None)
         keys = ("program", "version", "config", "input", "trajectory")
-        wanted = next(
-            (one for one in records if all(record[key] == one[key] for key in keys)), None
-        )
-        if wanted is None or not is_of_drive(record["notices"], task.drive_files):
+        if not any(all(record[key] == table[key] for key in keys) for table in records):
+            return None
+        if not is_of_drive(record["notices"], task.drive_files):
             return None
         stream = record["stream"]
-        missing = ("missing", int(stream["n_missing"]))
-        labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
-        return Done(
-            name=task.name,
-            input=InputPrint(before.size, before.mtime_ns, wanted["input"]["sha256"]),
-            output_size=int(record["output"]["size"]),
-            output_mtime_ns=written.st_mtime_ns,
-            seconds=0.0,
-            cpu_seconds=0.0,
-            peak_mib=None,
-            n_lines=int(stream["n_lines"]),
+        labels = [(str(count["name"]), int(count["count"])) for count in record["classes"]]
+        return Done.of(
+            task,
+            record,
+            before.mtime_ns,
+            written.st_mtime_ns,
             n_shots=int(stream["n_lines"]) * int(stream["points_per_line"]),
-            n_records=int(stream["n_records"] or 0),
-            labels=(missing, *labels),
-            notices=tuple(str(text) for text in record["notices"]),
-            output_name=task.output.name,
-            output_sha256=str(record["output"]["sha256"]),
+            labels=(("missing", int(stream["n_missing"])), *labels),
         )
     except (
         OSError,
@@ -603,28 +590,34 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
 
 
 def is_whole(output: Path, written: os.stat_result, done: Done) -> bool:
-    """Tell whether an output has the size and the content that were recorded; reads it."""
+    """Check whether an output has the recorded size and content; reads it."""
     return written.st_size == done.output_size and fingerprint(output).sha256 == done.output_sha256
 
 
 def remove_unfinished(task: Task) -> bool:
-    """Remove an output whose process died before it finished (see :func:`prc_cli.core.files.place`), if it did."""
-    found = False
+    """Remove an output whose process died before it finished; return whether there was one.
+
+    See :func:`prc_cli.core.files.place`.
+    """
+    was_unfinished = False
     for path in (record_path(task.output), task.output):
         with contextlib.suppress(OSError):
             for part in tuple(parts_of(path)):
                 if is_same(part, path):
                     path.unlink()
                     part.unlink()
-                    found = True
-    return found
+                    was_unfinished = True
+    return was_unfinished
 
 
-# -- estimates --------------------------------------------------------------------------------------------------------
+# -- estimates -------------------------------------------------------------------------------------
 
 
 def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> Estimate:
-    """Estimate time and memory of a plan from earlier files of the archive, if there are some of its configuration."""
+    """Estimate time and memory of a plan from earlier files of the archive.
+
+    Files of the same configuration are preferred.
+    """
     wanted = {item.task.config_sha256 for item in todo}
     sizes: dict[str, list[int]] = {}
     for item in todo:
@@ -632,7 +625,7 @@ def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> 
     seconds: list[float] = []
     peaks: list[float] = []
     sources = []
-    for suffix, some in sorted(sizes.items()):
+    for suffix, sizes_of_suffix in sorted(sizes.items()):
         ended = [
             (entry.config_sha256 in wanted, entry.outcome)
             for name, entry in known.items()
@@ -642,19 +635,17 @@ def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> 
         ]
         same = [done for is_wanted, done in ended if is_wanted]
         used = same or [done for _, done in ended]
-        source = (
-            f"from {len(used)} earlier file{'s' * (len(used) != 1)} of this archive"
-            if used
-            else "nothing known"
-        )
-        another = ", of another configuration" if used and not same else ""
-        sources.append(f"{suffix.removeprefix('.')}: {source}{another}")
-        if used:
-            rate = sum(done.seconds for done in used) / max(
-                1, sum(done.input.size for done in used)
-            )
-            seconds += [rate * size for size in some]
-            peaks += [max(done.peak_mib or 0.0 for done in used)] * len(some)
+        if not used:
+            sources.append(f"{suffix.removeprefix('.')}: nothing known")
+            continue
+        source = f"from {len(used)} earlier file{'s' * (len(used) != 1)} of this archive"
+        if not same:
+            source += ", of another configuration"
+        sources.append(f"{suffix.removeprefix('.')}: {source}")
+        n_bytes = max(1, sum(done.input.size for done in used))
+        rate = sum(done.seconds for done in used) / n_bytes
+        seconds += [rate * size for size in sizes_of_suffix]
+        peaks += [max(done.peak_mib or 0.0 for done in used)] * len(sizes_of_suffix)
     # the longest file may take longer than its share
     work_s = max(sum(seconds) / max(1, jobs), max(seconds, default=0.0))
     return Estimate(

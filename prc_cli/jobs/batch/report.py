@@ -1,4 +1,4 @@
-"""What a batch run found: its summary and exit code, scores against a reference tree, files unlike earlier ones."""
+"""Results of a batch run: summary and exit code, scores against references, alarms of drift."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ from prc_cli.matching.pairs import stem_of
 SCHEMA = 1
 """Version of the form of :func:`as_dict`.
 
-Keys are added without a new number, never renamed or taken away.
+New keys do not change it. Keys are never renamed or removed.
 """
 Ended: TypeAlias = Literal["finished", "stopped", "interrupted"]
-"""How a run ended: with nothing left to do, early because of ``--fail-fast``, or by a signal."""
+"""How a run ended: complete, early because of ``--fail-fast``, or by a signal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,26 +71,23 @@ class BatchSummary:
     n_found: int
     """Inputs in the archive after ``--include``, ``--exclude``, ``--since`` and ``--shard``."""
     n_skipped: int
-    """Of these, done by an earlier run and not changed since."""
+    """Files of ``n_found`` that an earlier run did and that have not changed since."""
     done: tuple[Done, ...] = ()
-    """In the order of their names."""
+    """Sorted by name."""
     failed: tuple[Failed, ...] = ()
     """Files that have no output of this run."""
-    standing: tuple[Failed, ...] = ()
+    failed_before: tuple[Failed, ...] = ()
     """Files of the archive that failed in an earlier run and were not tried in this one."""
     n_waiting: int = 0
-    """Files that are due and were not begun or not ended.
-
-    ``--limit``, ``--fail-fast``, a signal.
-    """
+    """Files that are due but not finished, because of ``--limit``, ``--fail-fast`` or a signal."""
     reasons: tuple[tuple[str, int], ...] = ()
-    """Why files were done, or were to be done: ``new``, ``changed input``, ... and how many."""
+    """Number of files by reason: ``new``, ``changed input``, ..."""
     alarms: tuple[Alarm, ...] = ()
     doubts: tuple[Doubted, ...] = ()
-    """Of the archive's finished files, whichever run did them, in the order of their names."""
+    """Of all finished files of the archive, also of earlier runs, sorted by name."""
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
-    """What the run met beside the files: a lock taken over, temporary files removed."""
+    """Events that concern the run, such as a lock that was taken over."""
     ended: Ended = "finished"
     shard: Shard | None = None
     config_sha256: str = ""
@@ -99,10 +96,10 @@ class BatchSummary:
 
     @property
     def labels(self) -> tuple[tuple[str, int], ...]:
-        """Records by label name, all files of the run together, in the order of :class:`Label`."""
+        """Records by label name in all files of the run, in the order of :class:`Label`."""
         total: Counter[str] = Counter()
-        for found in self.done:
-            total.update(dict(found.labels))
+        for file in self.done:
+            total.update(dict(file.labels))
         return tuple(
             (label.name.lower(), total[label.name.lower()])
             for label in Label
@@ -117,20 +114,17 @@ class BatchSummary:
     @property
     def n_shots(self) -> int:
         """Shots that were classified in this run."""
-        return sum(found.n_shots for found in self.done)
+        return sum(file.n_shots for file in self.done)
 
     @property
     def shots_per_s(self) -> float | None:
-        """Shots by the clock of the run; None where nothing was done."""
+        """Shots per second of the run; None if it did nothing."""
         return self.n_shots / self.seconds if self.n_shots and self.seconds > 0 else None
 
     @property
     def exit_code(self) -> ExitCode:
-        """0 done, 1 a file of the archive failed, 3 a gate did, 4 doubt or drift.
-
-        The first of these.
-        """
-        if self.failed or self.standing:
+        """FAILED if a file of the archive failed, else GATE, else LOOK on doubt or drift."""
+        if self.failed or self.failed_before:
             return ExitCode.FAILED
         if self.evaluation is not None and not self.evaluation.passed:
             return ExitCode.GATE
@@ -140,7 +134,7 @@ class BatchSummary:
 def as_dict(summary: BatchSummary) -> dict[str, Any]:
     """Return a run as plain values, as in ``summary.json``.
 
-    Bytes that are no UTF-8 are surrogates.
+    Bytes of names that are not UTF-8 become surrogates.
     """
     return {
         "schema": SCHEMA,
@@ -155,14 +149,14 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "finished": summary.finished,
         "seconds": round(summary.seconds, 3),
         "ended": summary.ended,
-        # after a signal the program ends with the signal's own
+        # after a signal the program ends with the code of the signal
         "exit_code": None if summary.ended == "interrupted" else summary.exit_code,
         "counts": {
             "found": summary.n_found,
             "skipped": summary.n_skipped,
             "done": len(summary.done),
             "failed": len(summary.failed),
-            "failed_before": len(summary.standing),
+            "failed_before": len(summary.failed_before),
             "waiting": summary.n_waiting,
             "doubted": summary.n_doubted,
             "alarms": len(summary.alarms),
@@ -172,53 +166,53 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "shots": summary.n_shots,
         "shots_per_s": summary.shots_per_s,
         "labels": dict(summary.labels),
-        "done": [done_dict(found) for found in summary.done],
-        "failed": [failed_dict(found) for found in summary.failed],
-        "failed_before": [failed_dict(found) for found in summary.standing],
+        "done": [done_dict(file) for file in summary.done],
+        "failed": [failed_dict(file) for file in summary.failed],
+        "failed_before": [failed_dict(file) for file in summary.failed_before],
         "doubts": [asdict(doubt) for doubt in summary.doubts],
         "doubt_counts": dict(Counter(doubt.check for doubt in summary.doubts).most_common()),
         "alarms": [asdict(alarm) for alarm in summary.alarms],
-        "left_out": [asdict(found) for found in summary.left_out],
+        "left_out": [asdict(file) for file in summary.left_out],
         "notes": list(summary.notes),
         "evaluation": None if summary.evaluation is None else summary.evaluation.as_dict(),
     }
 
 
-def done_dict(found: Done) -> dict[str, Any]:
+def done_dict(file: Done) -> dict[str, Any]:
     """Return a finished file as plain values."""
     return {
-        "name": found.name,
-        "input": asdict(found.input),
-        "output": found.output_name,
-        "output_size": found.output_size,
-        "output_sha256": found.output_sha256,
-        "seconds": round(found.seconds, 3),
-        "cpu_seconds": round(found.cpu_seconds, 3),
-        "peak_mib": None if found.peak_mib is None else round(found.peak_mib, 1),
-        "lines": found.n_lines,
-        "shots": found.n_shots,
-        "records": found.n_records,
-        "labels": dict(found.labels),
-        "notices": list(found.notices),
+        "name": file.name,
+        "input": asdict(file.input),
+        "output": file.output_name,
+        "output_size": file.output_size,
+        "output_sha256": file.output_sha256,
+        "seconds": round(file.seconds, 3),
+        "cpu_seconds": round(file.cpu_seconds, 3),
+        "peak_mib": None if file.peak_mib is None else round(file.peak_mib, 1),
+        "lines": file.n_lines,
+        "shots": file.n_shots,
+        "records": file.n_records,
+        "labels": dict(file.labels),
+        "notices": list(file.notices),
     }
 
 
-def failed_dict(found: Failed) -> dict[str, Any]:
+def failed_dict(file: Failed) -> dict[str, Any]:
     """Return a failed file as plain values."""
-    return {"name": found.name, "seconds": round(found.seconds, 3), **asdict(found.problem)}
+    return {"name": file.name, "seconds": round(file.seconds, 3), **asdict(file.problem)}
 
 
 def write_summary(summary: BatchSummary) -> Path:
-    """Write the summary into the output folder, whole or not at all."""
+    """Write the summary into the output folder; it is complete or absent."""
     path = summary.out / own_name("summary", summary.shard, ".json")
-    remove_stale(path)  # of a run that was killed just here
+    remove_stale(path)  # of a run that was killed here
     with atomic_output(path, overwrite=True) as temporary:
         text = json.dumps(as_dict(summary), indent=1, allow_nan=False) + "\n"
         temporary.write_text(text, encoding="ascii", newline="\n")
     return path
 
 
-# -- references --------------------------------------------------------------------------------------------------------
+# -- references ------------------------------------------------------------------------------------
 
 
 NO_REFERENCE = "NoReference"
@@ -226,7 +220,7 @@ NO_REFERENCE = "NoReference"
 
 
 def check_reference(settings: ReferenceSettings) -> None:
-    """Refuse what makes no sense before any file is classified."""
+    """Refuse wrong settings of the reference before a file is classified."""
     if not settings.tree.is_dir():
         raise ConfigError(
             str(settings.tree),
@@ -237,35 +231,30 @@ def check_reference(settings: ReferenceSettings) -> None:
     if settings.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
         problem = f"found {settings.match!r}, expected one of: order, time, dimension:NAME, nearest"
         raise ConfigError("--match", problem)
-    names = (
-        (DEFAULT_MAPPING, *MAPPINGS.values())
-        if settings.mapping_name is None
-        else (settings.mapping_name,)
-    )
-    mappings = [load_mapping(name) for name in names]
+    names = [settings.mapping_name]
+    if settings.mapping_name is None:
+        # the outputs will decide which of these it is
+        names = [DEFAULT_MAPPING, *MAPPINGS.values()]
+    mappings = [load_mapping(name) for name in names if name is not None]
     for text in settings.gates:
-        # which of them it is, the outputs will say
         if all(_gate(text, mapping) is None for mapping in mappings):
             parse_gate(text, mappings[0])
 
 
 def _gate(text: str, mapping: ClassMapping) -> Gate | None:
-    """Return a gate, None if the mapping has no such score."""
+    # None = the mapping has no such score
     try:
         return parse_gate(text, mapping)
     except ConfigError:
         return None
 
 
-def _results(texts: Sequence[str], mapping: ClassMapping, found: Scores) -> Iterator[GateResult]:
-    """Yield every gate with its score.
-
-    One that the classes of the outputs do not have is not reached.
-    """
+def _results(texts: Sequence[str], mapping: ClassMapping, pooled: Scores) -> Iterator[GateResult]:
+    # a gate for a class that the outputs do not have has no score and fails
     for text in texts:
         gate = _gate(text, mapping)
         if gate is not None:
-            yield from check_gates(found, (gate,))
+            yield from check_gates(pooled, (gate,))
             continue
         name, _, limit = text.partition("=")
         yield GateResult(name.strip(), float(limit), math.nan)
@@ -273,7 +262,7 @@ def _results(texts: Sequence[str], mapping: ClassMapping, found: Scores) -> Iter
 
 @dataclass(frozen=True, slots=True)
 class BatchEvaluation:
-    """What came out for all files that were compared."""
+    """Scores of a run against references."""
 
     settings: ReferenceSettings
     files: tuple[Compared, ...]
@@ -283,13 +272,13 @@ class BatchEvaluation:
 
     @property
     def passed(self) -> bool:
-        """Whether every gate was reached; one that nothing could be compared for was not."""
+        """Whether every gate was reached; a gate without a score was not."""
         return all(gate.passed for gate in self.gates)
 
     @property
     def unpaired(self) -> tuple[Compared, ...]:
-        """Files that could not be compared, for whatever reason."""
-        return tuple(found for found in self.files if found.matrix is None)
+        """Files that could not be compared."""
+        return tuple(file for file in self.files if file.matrix is None)
 
     def as_dict(self) -> dict[str, Any]:
         """Return scores and counts as plain values; undefined scores are None."""
@@ -301,12 +290,12 @@ class BatchEvaluation:
             "gates": gate_dicts(self.gates),
             "files": [
                 {
-                    "name": found.name,
-                    "reference": found.reference,
-                    "scores": None if found.matrix is None else scores_as_dict(found.matrix),
-                    "problem": None if found.problem is None else asdict(found.problem),
+                    "name": file.name,
+                    "reference": file.reference,
+                    "scores": None if file.matrix is None else scores_as_dict(file.matrix),
+                    "problem": None if file.problem is None else asdict(file.problem),
                 }
-                for found in self.files
+                for file in self.files
             ],
         }
 
@@ -316,42 +305,43 @@ class Output:
     """An output that may be compared."""
 
     name: str
-    """Of the input in the archive."""
+    """Name of the input in the archive."""
     relative: str
-    """Of the output in its tree, POSIX slashes."""
+    """Name in the output folder, with POSIX slashes."""
     path: Path
     source: Path
-    """The input: the points that labels alone belong to."""
+    """The input, which has the points of a label file."""
 
 
 def evaluate_tree(
     outputs: Sequence[Output], settings: ReferenceSettings, *, jobs: int = 1
 ) -> BatchEvaluation:
-    """Compare outputs with their references, each alone in a process as ``prc evaluate`` does, and pool them."""
+    """Compare outputs with their references, each in a process of its own, and pool the results."""
     check_reference(settings)
     name = settings.mapping_name or mapping_of_runs([output.path for output in outputs])[0]
     settings = replace(settings, mapping_name=name)
     mapping = load_mapping(name)
-    found: dict[str, Compared] = {}
+    compared: dict[str, Compared] = {}
     todo: list[Comparison] = []
     folders: dict[Path, dict[str, list[Path]]] = {}
     for output in outputs:
         try:
             reference = _reference_of(output, settings.tree, folders)
         except InputError as error:
-            found[output.name] = Compared(output.name, None, None, Problem.of(error))
+            compared[output.name] = Compared(output.name, None, None, Problem.of(error))
             continue
         if reference is None:
-            problem = "no reference, expected a file of this name but for the suffix in the reference tree"
-            found[output.name] = Compared(
+            problem = (
+                "no reference, expected a file with this name and any suffix in the reference tree"
+            )
+            compared[output.name] = Compared(
                 output.name, None, None, Problem(NO_REFERENCE, output.name, problem)
             )
             continue
         options = EvaluateOptions(match=settings.match)
         if settings.match != "order" and output.path.suffix.lower() not in LAS_SUFFIXES:
-            options = replace(
-                options, predicted_points=output.source
-            )  # labels alone have neither time nor place
+            # label files have neither times nor coordinates
+            options = replace(options, predicted_points=output.source)
         shown = reference.relative_to(settings.tree).as_posix()
         todo.append(Comparison(output.name, output.path, reference, shown, mapping, options))
     shown_as = {item.name: item.shown for item in todo}
@@ -360,10 +350,12 @@ def evaluate_tree(
     ) as events:
         for event in events:
             if isinstance(event, Compared):
-                found[event.name] = event
+                compared[event.name] = event
             elif isinstance(event, Failed):
-                found[event.name] = Compared(event.name, shown_as[event.name], None, event.problem)
-    files = tuple(found[output.name] for output in outputs)
+                compared[event.name] = Compared(
+                    event.name, shown_as[event.name], None, event.problem
+                )
+    files = tuple(compared[output.name] for output in outputs)
     matrices = [item.matrix for item in files if item.matrix is not None]
     pooled = sum(matrices, ConfusionMatrix.empty(mapping))
     return BatchEvaluation(
@@ -374,46 +366,42 @@ def evaluate_tree(
 def _reference_of(
     output: Output, tree: Path, folders: dict[Path, dict[str, list[Path]]]
 ) -> Path | None:
-    """Return the reference named as the input, or as any run's output, but for the suffix.
-
-    None = none is.
-    """
+    """Return the reference with the name of the input or of an output, and any suffix; or None."""
     name = PurePosixPath(output.name)
     place = tree / name.parent
     if place not in folders:
         folders[place] = _by_stem(place)
     input_stem = name.name[: len(name.name) - len(suffix_of(Path(name.name)))]
     for stem in (stem_of(Path(output.relative)), name.name, input_stem):
-        found = folders[place].get(stem, [])
-        if len(found) > 1:
-            problem = (
-                f"{' and '.join(path.name for path in found[:2])} have one name, expected one file"
-            )
+        references = folders[place].get(stem, [])
+        if len(references) > 1:
+            names = " and ".join(path.name for path in references[:2])
+            problem = f"{names} have one name, expected one file"
             raise InputError(str(place), problem, "move one of them away")
-        if found:
-            return found[0]
+        if references:
+            return references[0]
     return None
 
 
 def _by_stem(folder: Path) -> dict[str, list[Path]]:
-    """Return the files of classes in a folder by their names without suffix."""
-    found: dict[str, list[Path]] = {}
+    """Return the class files of a folder by their names without suffix."""
+    files: dict[str, list[Path]] = {}
     try:
         for path in sorted(folder.iterdir()) if folder.exists() else ():
             if not path.name.startswith(".") and code_suffix_of(path) and path.is_file():
-                found.setdefault(stem_of(path), []).append(path)
+                files.setdefault(stem_of(path), []).append(path)
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(folder), problem, "check its permissions") from error
-    return found
+    return files
 
 
-# -- drift -------------------------------------------------------------------------------------------------------------
+# -- drift -----------------------------------------------------------------------------------------
 #
-# A sensor that loses range, a wrong preset or a covered window make no file fail, they change what
-# is found in it. The shares of the classes are compared with those of earlier files of the same
-# configuration. Robust statistics are taken, so that some earlier files that were odd as well
-# neither hide the next one nor raise an alarm for good ones.
+# A sensor that loses range, a wrong preset or a covered window does not make a file fail, but it
+# changes its classes. So prc compares the shares of the classes with earlier files of the same
+# configuration. The statistics are robust: a few unusual earlier files neither hide the next one
+# nor raise an alarm for good files.
 
 MIN_EARLIER = 8
 """Least number of earlier files for an alarm."""
@@ -422,24 +410,24 @@ FLOOR = 0.05
 SPREADS = 6.0
 """Least distance for an alarm, in robust standard deviations above the median distance."""
 KNOWN_FRACTION = 0.05
-"""An archive holds several kinds of drive.
+"""No alarm if this share of the earlier files is like the file.
 
-a file is not odd if so many earlier ones are like it.
+Archives have several kinds of drive.
 """
 KNOWN_FILES = 3
-"""The same, as the least number of files."""
+"""Least number of such files for no alarm."""
 _MAD_TO_SIGMA = 1.4826
 """Median absolute deviation to standard deviation, for a normal distribution."""
 
 
 def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> str | None:
-    """Compare the classes of a file with those of earlier ones.
+    """Compare the classes of a file with earlier files; return a sentence if they are unusual.
 
     The distance of two files is half the sum of the differences of their shares (total variation, 0
-    to 1): the part of the records that would have to change class. A file is odd if its distance
-    from the median of the earlier files is above :data:`FLOOR` and above the median of their own
-    distances by :data:`SPREADS` robust standard deviations, and there is no small group of earlier
-    files within :data:`FLOOR` of it.
+    to 1): the share of the records that would have to change class. A file is unusual if its
+    distance from the median of the earlier files is above :data:`FLOOR`, and above the median of
+    their distances by :data:`SPREADS` robust standard deviations, and if no small group of earlier
+    files is within :data:`FLOOR` of it.
     """
     known = [histogram for histogram in earlier if sum(histogram.values()) > 0]
     if len(known) < MIN_EARLIER:
@@ -448,29 +436,29 @@ def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> st
     if sum(labels.values()) <= 0:
         return f"there are no records, while {len(known)} earlier files have some"
     shares = _shares(known, names)
-    own = _shares([labels], names)[0]
+    file_shares = _shares([labels], names)[0]
     usual = np.median(shares, axis=0)
     distances = _distance(shares, usual)
-    distance = float(_distance(own, usual))
+    distance = float(_distance(file_shares, usual))
     middle = float(np.median(distances))
     spread = _MAD_TO_SIGMA * float(np.median(np.abs(distances - middle)))
     if distance <= max(FLOOR, middle + SPREADS * spread):
         return None
-    n_alike = int(np.count_nonzero(_distance(shares, own) <= FLOOR))
+    n_alike = int(np.count_nonzero(_distance(shares, file_shares) <= FLOOR))
     if n_alike >= max(KNOWN_FILES, KNOWN_FRACTION * len(known)):
         return None
-    # rounded, so that of two classes that moved by the same the first is named whatever the last
-    # bit says
-    moved = int(np.argmax(np.round(np.abs(own - usual), 9)))
+    # rounded, so that the first of two classes with the same change is named
+    moved = int(np.argmax(np.round(np.abs(file_shares - usual), 9)))
     low, high = 100.0 * np.quantile(shares[:, moved], [0.1, 0.9])
     return (
-        f"{names[moved]} is {100.0 * own[moved]:.1f} % of the records, in {len(known)} earlier files "
-        f"{100.0 * usual[moved]:.1f} % ({low:.1f} to {high:.1f} % in most)"
+        f"{names[moved]} is {100.0 * file_shares[moved]:.1f} % of the records, "
+        f"in {len(known)} earlier files {100.0 * usual[moved]:.1f} % "
+        f"({low:.1f} to {high:.1f} % in most)"
     )
 
 
 def _shares(histograms: list[Mapping[str, int]], names: list[str]) -> F64:
-    """Return the shares of the classes, (files, classes) float64, each row summing to 1."""
+    # (files, classes); every row sums to 1
     counts = np.array(
         [[histogram.get(name, 0) for name in names] for histogram in histograms], np.float64
     )
@@ -479,6 +467,6 @@ def _shares(histograms: list[Mapping[str, int]], names: list[str]) -> F64:
 
 
 def _distance(shares: F64, point: F64) -> F64:
-    """Return the total variation distance of every row from a point, float64, 0 to 1."""
+    # total variation of every row, 0 to 1
     distance: F64 = 0.5 * np.abs(shares - point).sum(axis=-1)
     return distance

@@ -50,9 +50,9 @@ from prc_cli.jobs.drive import output_name
 
 PAUSE_S = 1.0
 LONGEST_PAUSE_S = 30.0
-"""Before files are tried again; twice as long every time [s]."""
+"""Pause before files are tried again; it doubles every time [s]."""
 ALONE = frozenset({"killed", "memory"})
-"""Kinds of problems that a file has less often when no other is worked on."""
+"""Problems that are less likely if the file is the only one in work."""
 EARLIER_FILES = 500
 """Classes of files are compared with those of so many that were done last before this run."""
 
@@ -88,7 +88,7 @@ Listener: TypeAlias = Callable[[RunEvent], None]
 
 
 def _ignore(event: RunEvent) -> None:
-    """Do nothing with an event."""
+    pass
 
 
 def plan_batch(settings: BatchSettings) -> tuple[Plan, Estimate]:
@@ -112,21 +112,23 @@ def run_batch(
     folder = settings.out / OWN_FOLDER
     with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
         known = {entry.name: entry for entry in journal.entries()}
-        run = _Run(settings, engine or LocalEngine(), listener, lock, journal)
+        run = _BatchRun(settings, engine or LocalEngine(), listener, lock, journal)
         return run.execute(_plan(settings, config, known), config, known)
 
 
 def _plan(settings: BatchSettings, config: BatchConfig, known: dict[str, Entry]) -> Plan:
-    found = discover(settings)
-    plan = make_plan(settings, found.files, config, known)
-    names = found.older.union(item.name for item in found.files)
+    archive = discover(settings)
+    plan = make_plan(settings, archive.files, config, known)
     return replace(
-        plan, left_out=found.left_out, n_not_selected=found.n_not_selected, archive=names
+        plan,
+        left_out=archive.left_out,
+        n_not_selected=archive.n_not_selected,
+        archive=archive.older.union(file.name for file in archive.files),
     )
 
 
-class _Run:
-    """One run under its lock."""
+class _BatchRun:
+    """A run of a batch, which holds the lock of the output folder."""
 
     def __init__(
         self,
@@ -151,7 +153,7 @@ class _Run:
         self._clock = time.monotonic()
 
     def execute(self, plan: Plan, config: BatchConfig, known: Mapping[str, Entry]) -> BatchSummary:
-        """Do what is planned and return its summary."""
+        """Execute a plan and return the summary."""
         run = self._journal.begin_run(self._owner)
         if self._lock.inherited_from is not None:
             self._note(f"took over from a run that died: {self._lock.inherited_from}")
@@ -161,7 +163,7 @@ class _Run:
         try:
             self._settle(plan, known)
             self._classify(plan)
-            self._lock.check()  # somebody may have removed our folder, and with it the journal
+            self._lock.check()  # the folder may have been removed, and with it the journal
             self._compare_classes(plan, known)
             evaluation = self._evaluate(plan)
             if self._stopping:
@@ -169,9 +171,8 @@ class _Run:
         except (KeyboardInterrupt, SystemExit) as raised:
             ended = "interrupted"
             stop = raised
-            for name in (
-                self._running
-            ):  # what the journal calls running is cut off, and the next run does it
+            # these files stay "running" in the journal: the next run classifies them
+            for name in self._running:
                 self._outcomes.pop(name, None)
         except BusyError:  # the journal now belongs to another run
             raise
@@ -189,9 +190,8 @@ class _Run:
         self._journal.end_run(code, totals)
         write_summary(summary)
         if summary.evaluation is not None:
-            from prc_cli.jobs.batch.night import (
-                write_night,
-            )  # the page's modules take a while to load
+            # the modules of the page load slowly
+            from prc_cli.jobs.batch.night import write_night
 
             write_night(summary, self._settings.to)
         if stop is not None:
@@ -199,7 +199,7 @@ class _Run:
         return summary
 
     def _settle(self, plan: Plan, known: Mapping[str, Entry]) -> None:
-        """Note in the journal what needs no work, and tell the doubts about it."""
+        """Record in the journal the files that need no work, and report their doubts."""
         due = {item.task.name for item in plan.todo}
         for name in sorted(plan.archive.intersection(known) - due):
             self._doubt(known[name])
@@ -212,16 +212,17 @@ class _Run:
         if plan.adopted:
             n = len(plan.adopted)
             self._note(
-                f"{n} output{'' if n == 1 else 's'} taken as done: made of the same input in the same way"
+                f"{n} output{'' if n == 1 else 's'} taken as done: "
+                "made of the same input in the same way"
             )
         for failed in plan.refused:
             entry = self._journal.entry(failed.name)
-            # a done file stays done: it may only lack its trajectory tonight
+            # a done file stays done: perhaps only its trajectory is missing tonight
             if entry is None or entry.state != "done":
                 self._journal.finish(failed)
 
     def _classify(self, plan: Plan) -> None:
-        """Run the files; repeat those whose problem may pass."""
+        """Run the files, and repeat files whose problem may pass."""
         jobs, threads = share_cores(self._settings.jobs, self._settings.threads, plan.n_items)
         self._listener(Ready(plan, jobs, threads))
         for failed in plan.refused:
@@ -234,37 +235,34 @@ class _Run:
         )
         self._pass(plan.todo, settings, attempt=0)
         attempt = 1
-        while again := self._to_try_again(plan.todo, attempt):
-            if any(not alone for _, alone in again):
+        while retries := self._to_try_again(plan.todo, attempt):
+            together = [planned for planned, is_alone in retries if not is_alone]
+            alone = [planned for planned, is_alone in retries if is_alone]
+            if together:
                 time.sleep(min(LONGEST_PAUSE_S, PAUSE_S * 2 ** (attempt - 1)))
-            for alone in (False, True):
-                some = [item for item, is_alone in again if is_alone is alone]
-                self._pass(some, replace(settings, jobs=1) if alone else settings, attempt)
+            self._pass(together, settings, attempt)
+            self._pass(alone, replace(settings, jobs=1), attempt)
             attempt += 1
 
     def _to_try_again(self, todo: Sequence[Planned], attempt: int) -> list[tuple[Planned, bool]]:
-        """Return the files for another attempt, with all others of their drive, and which of them are to be alone."""
+        # the drives with a file to try again, and whether they must be the only work
         if self._stopping:
             return []
         again = {}
         for item in todo:
             outcome = self._outcomes.get(item.task.name)
-            if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
-                # the worker may have named its output just before it died: the next one sees that
-                # it is ours
+            if isinstance(outcome, Failed) and self._is_tried_again(outcome, attempt - 1):
                 again[item.names] = outcome.problem.kind in ALONE
         return [(item, again[item.names]) for item in todo if item.names in again]
 
-    def _may_go_on(self, failed: Failed, attempt: int) -> bool:
-        """Tell whether a file is tried again after an attempt.
-
-        One that died with its worker always, once.
-        """
+    def _is_tried_again(self, failed: Failed, attempt: int) -> bool:
+        # a file whose worker was killed gets a second attempt also without --retry: the worker may
+        # have renamed its output just before it died, and the next one recognises it
         allowed = max(self._settings.retry, 1 if failed.problem.kind == "killed" else 0)
         return attempt < allowed and may_pass(failed.problem)
 
     def _pass(self, items: Sequence[Planned], settings: EngineSettings, attempt: int) -> None:
-        """Run files once; no worker is left when this returns or raises."""
+        """Run files once; all workers have ended when this returns or raises."""
         if not items or self._stopping:
             return
         settings = replace(settings, jobs=min(settings.jobs, len({item.names for item in items})))
@@ -278,35 +276,33 @@ class _Run:
             close_items(events)
 
     def _feed(self, items: Iterable[Planned]) -> Iterator[Task]:
-        """Hand out files and drives; the journal knows of each before a worker may write anything."""
-        for _, some in groupby(items, key=lambda item: item.names):
+        """Yield files and drives; the journal has each of them before a worker writes anything."""
+        for _, drive in groupby(items, key=lambda item: item.names):
             self._lock.check()
             if self._stopping:
                 return
             tasks = []
-            for item in some:
+            for item in drive:
                 is_again = item.task.name in self._outcomes
                 if item.keeps and not is_again:
                     self._keep_aside(item.task)
                 self._journal.start(item.task, self._owner)
                 self._running.add(item.task.name)
                 # files of a drive may have been finished before it failed
-                is_ours = item.task.overwrite or bool(item.task.drive and is_again)
-                tasks.append(replace(item.task, overwrite=is_ours))
+                may_overwrite = item.task.overwrite or bool(item.task.drive and is_again)
+                tasks.append(replace(item.task, overwrite=may_overwrite))
             yield replace(tasks[0], others=tuple(tasks[1:]))
 
     def _keep_aside(self, task: Task) -> None:
-        """Move an output away that is not as it was written.
-
-        a link is moved, not what it points to.
-        """
+        """Move a changed or damaged output away; of a link, the link."""
         kept = self._settings.out / OWN_FOLDER / "changed" / task.name
         kept = kept.with_name(f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{task.output.name}")
         make_folder(kept.parent)
         with output_errors(kept), contextlib.suppress(FileNotFoundError):
             task.output.rename(kept)
             self._note(
-                f"{task.name}: its output was changed or damaged; it is done anew, the old one is kept: {kept}"
+                f"{task.name}: its output was changed or damaged; it is made again, "
+                f"and the old one is kept: {kept}"
             )
 
     def _end(self, outcome: Outcome, attempt: int) -> None:
@@ -314,16 +310,15 @@ class _Run:
         self._running.discard(outcome.name)
         self._outcomes[outcome.name] = outcome
         if isinstance(outcome, Failed):
-            if self._may_go_on(outcome, attempt):
+            if self._is_tried_again(outcome, attempt):
                 self._listener(Again(outcome.name, outcome.problem))
             elif self._settings.fail_fast:
                 self._stopping = True
         else:
             self._doubt(outcome)
 
-    def _doubt(self, found: Done | Entry) -> None:
-        """Tell the doubts about a file."""
-        for doubt in doubts_of(found):
+    def _doubt(self, file: Done | Entry) -> None:
+        for doubt in doubts_of(file):
             self._listener(doubt)
 
     def _compare_classes(self, plan: Plan, known: Mapping[str, Entry]) -> None:
@@ -331,24 +326,21 @@ class _Run:
         earlier = _earlier(known.values()) if self._settings.drift else {}
         for item in plan.todo:
             outcome = self._outcomes.get(item.task.name)
-            others = earlier.get(item.task.config_sha256, [])
+            if not isinstance(outcome, Done):
+                continue
             labels = [
                 dict(entry.outcome.labels)
-                for entry in others
+                for entry in earlier.get(item.task.config_sha256, [])
                 if isinstance(entry.outcome, Done) and entry.name != item.task.name
             ]
-            sentence = (
-                drift(dict(outcome.labels), labels[:EARLIER_FILES])
-                if isinstance(outcome, Done)
-                else None
-            )
+            sentence = drift(dict(outcome.labels), labels[:EARLIER_FILES])
             if sentence is not None:
                 alarm = Alarm(item.task.name, sentence)
                 self._alarms.append(alarm)
                 self._listener(alarm)
 
     def _evaluate(self, plan: Plan) -> BatchEvaluation | None:
-        """Compare all outputs of the archive that are done, whichever run wrote them, with the reference."""
+        """Compare all finished outputs of the archive, also of earlier runs, with the reference."""
         settings = self._settings
         if settings.reference is None:
             return None
@@ -390,7 +382,7 @@ class _Run:
             n_skipped=len(plan.done) + len(plan.adopted),
             done=tuple(item for item in outcomes if isinstance(item, Done)),
             failed=tuple(item for item in outcomes if isinstance(item, Failed)),
-            standing=tuple(item for item in before if isinstance(item, Failed)),
+            failed_before=tuple(item for item in before if isinstance(item, Failed)),
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
             reasons=tuple(Counter(item.reason for item in plan.todo).most_common()),
             alarms=tuple(self._alarms),
@@ -409,15 +401,11 @@ class _Run:
 
 
 def _earlier(known: Iterable[Entry]) -> dict[str, list[Entry]]:
-    """Return the files that were done last before this run, by configuration.
-
-    One more than are compared with.
-    """
+    # by configuration, latest first: one more than needed, since a file is not compared with itself
     files: dict[str, list[Entry]] = {}
     for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
-        if (
-            entry.state == "done"
-            and len(some := files.setdefault(entry.config_sha256, [])) <= EARLIER_FILES
-        ):
-            some.append(entry)
+        if entry.state == "done":
+            latest = files.setdefault(entry.config_sha256, [])
+            if len(latest) <= EARLIER_FILES:
+                latest.append(entry)
     return files

@@ -3,9 +3,9 @@
 Plain values, so that they can be sent to other processes.
 
 The *name* of a file is its path relative to the archive with POSIX slashes. Bytes of a name that
-are not UTF-8 are held as surrogates, as by :func:`os.fsdecode`. Sizes are bytes, times of files
-nanoseconds since 1970, durations seconds on the clock, hashes SHA-256 in hexadecimal, moments UTC
-in ISO 8601.
+are not UTF-8 become surrogates, as in :func:`os.fsdecode`. Sizes are in bytes, times of files in
+nanoseconds since 1970, durations in seconds of wall time. Hashes are SHA-256 in hexadecimal,
+moments are UTC in ISO 8601.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ OWN_FOLDER = ".prc"
 """Folder in the output tree for journal and lock."""
 
 State: TypeAlias = Literal["running", "done", "failed"]
-"""State of a file in the journal. ``running`` without a living run means that the run was stopped or killed."""
+"""State of a file in the journal.
+
+``running`` without a living run means that the run was stopped or killed.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,28 +56,23 @@ class Shard:
         >>> Shard.parse("3/8")
         Shard(index=3, count=8)
         """
-        found = re.fullmatch(r"\s*([0-9]{1,9})\s*/\s*([0-9]{1,9})\s*", text)
-        if found is None:
+        match = re.fullmatch(r"\s*([0-9]{1,9})\s*/\s*([0-9]{1,9})\s*", text)
+        if match is None:
             problem = f"{text!r}, expected i/n"
             raise ConfigError("--shard", problem, "for example 3/8, the third of eight parts")
-        return cls(int(found[1]), int(found[2]))
+        return cls(int(match[1]), int(match[2]))
 
     def holds(self, name: str) -> bool:
-        """Tell whether a file belongs to this shard.
-
-        The same on every machine and in every version.
-        """
-        return (
-            int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big") % self.count
-            == self.index - 1
-        )
+        """Check whether a file belongs to this shard; the same on every machine and version."""
+        number = int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big")
+        return number % self.count == self.index - 1
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
 
 
 def own_name(stem: str, shard: Shard | None, suffix: str) -> str:
-    """Return the name of a file that every shard has for itself, as they run at the same time.
+    """Return the name of a file that every shard has for itself: shards run at the same time.
 
     >>> own_name("journal", Shard(3, 8), ".sqlite"), own_name("lock", None, ".json")
     ('journal.3-of-8.sqlite', 'lock.json')
@@ -93,15 +91,15 @@ class Task:
     config_sha256: str
     """Hash of the effective configuration, including the fingerprints of the files it names."""
     overwrite: bool = False
-    """Whether the output may be replaced: the journal lists it as ours, or the user allows it."""
+    """Whether the output may be replaced: the journal lists it, or the user allows it."""
     drive: tuple[str, ...] = ()
     """Names of the files of its drive, in order; empty for a file by itself."""
     others: tuple[Task, ...] = ()
-    """The files of its drive after it, which are done with it as one stream."""
+    """The later files of its drive, which are classified with it as one stream."""
 
     @property
     def files(self) -> tuple[Task, ...]:
-        """All files that are done together, this one first."""
+        """All files that are classified together, this one first."""
         return (self, *self.others)
 
     @property
@@ -111,7 +109,7 @@ class Task:
 
     @property
     def names(self) -> list[str]:
-        """Names of all files that are done together."""
+        """Names of all files that are classified together."""
         return [task.name for task in self.files]
 
 
@@ -171,6 +169,41 @@ class Done:
     """Name of the output, in the folder of the same name as that of the input."""
     output_sha256: str | None = None
 
+    @classmethod
+    def of(
+        cls,
+        task: Task,
+        record: Mapping[str, Any],
+        input_mtime_ns: int,
+        output_mtime_ns: int,
+        *,
+        n_shots: int,
+        labels: tuple[tuple[str, int], ...],
+        seconds: float = 0.0,
+        cpu_seconds: float = 0.0,
+        peak_mib: float | None = None,
+    ) -> Done:
+        """Return the outcome of a task by the run record of its output, as plain values."""
+        stream = record["stream"]
+        return cls(
+            name=task.name,
+            input=InputPrint(
+                int(record["input"]["size"]), input_mtime_ns, record["input"]["sha256"]
+            ),
+            output_size=int(record["output"]["size"]),
+            output_mtime_ns=output_mtime_ns,
+            seconds=seconds,
+            cpu_seconds=cpu_seconds,
+            peak_mib=peak_mib,
+            n_lines=int(stream["n_lines"]),
+            n_shots=n_shots,
+            n_records=int(stream["n_records"] or 0),
+            labels=labels,
+            notices=tuple(str(notice) for notice in record["notices"]),
+            output_name=task.output.name,
+            output_sha256=str(record["output"]["sha256"]),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Failed:
@@ -217,12 +250,12 @@ class Comparison:
 
     @property
     def names(self) -> list[str]:
-        """Its name."""
+        """The name of the output, in a list."""
         return [self.name]
 
 
 def failed(task: Task | Comparison, seconds: float, problem: Problem) -> Iterator[Failed]:
-    """Yield that all files of a task failed, for one reason."""
+    """Yield a failure of every file of a task, all for one reason."""
     for name in task.names:
         yield Failed(name, None, seconds, problem)
 
@@ -260,12 +293,9 @@ class Entry:
     outcome: Outcome | None
     """Outcome of the last attempt that ended; a later attempt may have been cut off."""
     owns_output: bool = True
-    """Whether the output belongs to this program, because a worker was sent to write it.
-
-    False for refused files.
-    """
+    """Whether a worker of this program was sent to write the output; False for refused files."""
     source: str = ""
-    """Real path of the input that it was made of; empty in journals of versions before 1.2."""
+    """Real path of the input of the output; empty in journals of versions before 1.2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +309,7 @@ class Run:
     owner: str
     started: str
     finished: str | None
-    """None for a run that is at work or was killed."""
+    """None for a run that is running or was killed."""
     exit_code: int | None
     totals: tuple[tuple[str, int], ...] = ()
 
@@ -306,30 +336,29 @@ class Doubted:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Something in the archive that was not taken, and should be known."""
+    """A file or folder of the archive that prc does not read, although the user might expect it."""
 
     name: str
     reason: str
 
 
-def doubts_of(found: Done | Entry) -> tuple[Doubted, ...]:
-    """Return the doubts that the run record of a file holds.
-
-    Of an entry of the journal, if the file is done.
-    """
-    done = (found.outcome if found.state == "done" else None) if isinstance(found, Entry) else found
-    told = (doubt_of(notice) for notice in (done.notices if isinstance(done, Done) else ()))
-    return tuple(Doubted(found.name, *doubt) for doubt in told if doubt is not None)
+def doubts_of(file: Done | Entry) -> tuple[Doubted, ...]:
+    """Return the doubts in the run record of a finished file; none for other entries."""
+    outcome = file.outcome if isinstance(file, Entry) else file
+    if not isinstance(outcome, Done) or (isinstance(file, Entry) and file.state != "done"):
+        return ()
+    doubts = (doubt_of(notice) for notice in outcome.notices)
+    return tuple(Doubted(file.name, *doubt) for doubt in doubts if doubt is not None)
 
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """Settings of an engine; none of them changes a byte of an output."""
+    """Settings of an engine. They do not change the outputs."""
 
     jobs: int = 1
     threads: int = 1
     stall_s: float = 600.0
-    """A file is given up after this time without progress [s]."""
+    """A file fails after this time without progress [s]."""
     memory_limit_mib: int | None = None
 
 
@@ -337,7 +366,7 @@ class Engine(Protocol):
     """Runs the tasks."""
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks; an error in one ends no run.
+        """Run tasks; an error in one does not stop the others.
 
         Closing the iterator stops all workers within seconds.
         """
@@ -346,22 +375,22 @@ class Engine(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSettings:
-    """What outputs are compared with, and what they must reach."""
+    """The reference of a run and the scores to reach."""
 
     tree: Path
     """Folder of reference classes that mirrors the archive.
 
-    a file has the name of the input but for the suffix.
+    Its files have the names of the inputs, with any suffix.
     """
     mapping_name: str | None = None
     """Preset or file of the class mapping.
 
-    None = that of the method in the run records of the outputs, as
-    ``prc evaluate`` takes it."""
+    None = the mapping of the method in the run records of the outputs, as in ``prc evaluate``.
+    """
     match: str = "order"
     """How records find their partner, as ``prc evaluate --match``."""
     gates: tuple[str, ...] = ()
-    """Figures that all files together must reach, such as ``recall.ground=0.95``."""
+    """Scores that all files together must reach, such as ``recall.ground=0.95``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,7 +400,7 @@ class ConfigLayers:
     path: Path | None = None
     """TOML file, which may contain ``[[override]]`` tables."""
     preset: str | None = None
-    """Replaces every preset that the file names."""
+    """Replaces the presets of the file."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Nested table that overrides everything else."""
     files: tuple[Path, ...] = ()
@@ -389,7 +418,7 @@ class BatchSettings:
     exclude: tuple[str, ...] = ()
     since: str | None = None
     drives: tuple[str, ...] = ()
-    """Patterns of files that are parts of drives, see :class:`prc_cli.jobs.batch.discovery.Drives`."""
+    """Patterns of the files of drives, see :class:`prc_cli.jobs.batch.discovery.Drives`."""
     limit: int | None = None
     only_failed: bool = False
     shard: Shard | None = None
@@ -403,7 +432,7 @@ class BatchSettings:
     adopt: bool = False
     verify: bool = False
     stall_s: float = 600.0
-    """A file is given up after this time without progress."""
+    """A file fails after this time without progress [s]."""
     memory_limit_mib: int | None = None
     reference: ReferenceSettings | None = None
     drift: bool = True

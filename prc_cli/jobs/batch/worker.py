@@ -1,9 +1,8 @@
-"""A worker process of :mod:`prc_cli.jobs.batch.local`, which does one file after another.
+"""A worker process of :mod:`prc_cli.jobs.batch.local`, which classifies one file after another.
 
-Every error is an outcome.
-
-It reads tasks from its standard input and writes outcomes to its standard output. When its input
-ends, because the parent closed it or died, the current file is rolled back and the process ends.
+It reads tasks from its standard input and writes outcomes to its standard output. Every error is an
+outcome. When its input ends, because the parent closed it or died, the worker rolls back the
+current file and ends.
 """
 
 from __future__ import annotations
@@ -57,13 +56,13 @@ VANISHED = "vanished"
 """Kinds of problems that the content of the file does not cause."""
 
 
-# -- one file ---------------------------------------------------------------------------------------------------------
+# -- one file --------------------------------------------------------------------------------------
 
 
 def run_item(
     task: Task, *, threads: int = 1, progress: Progress | None = None
 ) -> tuple[Outcome, ...]:
-    """Classify one file, or the files of a drive as one stream; only interrupts are raised."""
+    """Classify a file, or the files of a drive as one stream; it raises only interrupts."""
     if not task.others:
         return (run_task(task, threads=threads, progress=progress),)
     begun = time.perf_counter()
@@ -72,42 +71,45 @@ def run_item(
     ended: list[tuple[Task, RunSummary]] = []
     failed: list[Failed] = []
     try:
-        for one in task.files:
-            before[one.name] = _stat_input(one.source)
+        for file in task.files:
+            before[file.name] = _stat_input(file.source)
         load_classifier(task.config)
         begun = time.perf_counter()
         cpu = time.process_time()
         runs = classify_drive(
-            [one.source for one in task.files],
-            [one.output for one in task.files],
+            [file.source for file in task.files],
+            [file.output for file in task.files],
             task.config,
             progress=progress,
-            overwrite=any(one.overwrite for one in task.files),
+            overwrite=any(file.overwrite for file in task.files),
             threads=threads,
         )
         for summary in runs:
             ended.append((task.files[len(ended)], summary))
     except Exception as error:
         seconds = time.perf_counter() - begun
-        for one in task.files[len(ended) :]:
-            problem = _problem_of(error, one, before.get(one.name))
-            failed.append(Failed(one.name, before.get(one.name), seconds, problem))
+        for file in task.files[len(ended) :]:
+            problem = _problem_of(error, file, before.get(file.name))
+            failed.append(Failed(file.name, before.get(file.name), seconds, problem))
     seconds = time.perf_counter() - begun
     cpu = time.process_time() - cpu
+    # every file gets its share of the time
     n_shots = sum(summary.counts.n_shots for _, summary in ended) or 1
-    return *(
+    done = [
         _done(
-            one,
-            before[one.name],
+            file,
+            before[file.name],
             summary,
-            *(each * summary.counts.n_shots / n_shots for each in (seconds, cpu)),
+            seconds * summary.counts.n_shots / n_shots,
+            cpu * summary.counts.n_shots / n_shots,
         )
-        for one, summary in ended
-    ), *failed
+        for file, summary in ended
+    ]
+    return (*done, *failed)
 
 
 def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
-    """Classify one file; only interrupts are raised."""
+    """Classify one file; it raises only interrupts."""
     begun = time.perf_counter()
     before: InputPrint | None = None
     try:
@@ -120,20 +122,20 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
     except Exception as error:
         if before is not None and isinstance(error, OutputExistsError):
-            # an attempt before this one finished and could not report: nobody else writes here, the
-            # run has the lock
+            # an earlier attempt finished but could not report: only this run, which has the lock,
+            # writes here
             with contextlib.suppress(OSError):
                 written = task.output.lstat()
-                found = outcome_of_record(task, before, written)
-                if found is not None and is_whole(task.output, written, found):
-                    return found
+                outcome = outcome_of_record(task, before, written)
+                if outcome is not None and is_whole(task.output, written, outcome):
+                    return outcome
         return Failed(
             task.name, before, time.perf_counter() - begun, _problem_of(error, task, before)
         )
 
 
 def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary:
-    """Classify; once more if an attempt before this one died just when its output had got its name."""
+    # again, if an earlier attempt died just after it had renamed its output
     while True:
         try:
             return classify(
@@ -150,7 +152,6 @@ def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary
 
 
 def _stat_input(path: Path) -> InputPrint:
-    """Return size and time of an input, without the hash of its content."""
     status = path.stat()
     return InputPrint(status.st_size, status.st_mtime_ns, None)
 
@@ -162,79 +163,75 @@ def _done(
     seconds: float,
     cpu_seconds: float,
 ) -> Done:
-    record = summary.record
     counts = summary.counts
-    written = task.output.stat()
     peak = peak_memory()
-    return Done(
-        name=task.name,
-        input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
-        output_size=written.st_size,
-        output_mtime_ns=written.st_mtime_ns,
+    return Done.of(
+        task,
+        summary.record.as_dict(),
+        before.mtime_ns,
+        task.output.stat().st_mtime_ns,
+        n_shots=counts.n_shots,
+        labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label),
         seconds=seconds,
         cpu_seconds=cpu_seconds,
         peak_mib=None if peak is None else peak / (1 << 20),
-        n_lines=counts.n_lines,
-        n_shots=counts.n_shots,
-        n_records=record.n_records or 0,
-        labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label),
-        notices=record.notices,
-        output_name=task.output.name,
-        output_sha256=None if record.output is None else record.output.sha256,
     )
 
 
 def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
-    """Return why a file failed: separates causes outside the file, which may pass, from faults of the file."""
-    found = Problem.of(error)
+    """Return why a file failed: by a cause outside the file, which may pass, or by its fault."""
+    problem = Problem.of(error)
     if isinstance(error, MemoryError) or (
         isinstance(error, RuntimeError) and "start new thread" in str(error)
     ):
         hint = "fewer --jobs or threads, or a higher --memory-limit"
-        return Problem(MEMORY, task.name, f"out of memory ({found.problem})", hint)
+        return Problem(MEMORY, task.name, f"out of memory ({problem.problem})", hint)
     if isinstance(error, OSError):
         where = os.fsdecode(error.filename) if error.filename is not None else task.name
-        found = Problem(
-            found.kind,
+        problem = Problem(
+            problem.kind,
             where,
             error.strerror or str(error),
             "check the disk, the name and its permissions",
         )
     elif isinstance(error, PrcError) and isinstance(error.__cause__, OSError):
-        found = Problem(type(error.__cause__).__name__, found.where, found.problem, found.hint)
+        problem = Problem(
+            type(error.__cause__).__name__, problem.where, problem.problem, problem.hint
+        )
     elif isinstance(error, ImportError):
-        found = Problem(
-            found.kind, task.name, f"a package cannot be loaded ({error})", "prc doctor says which"
+        problem = Problem(
+            problem.kind,
+            task.name,
+            f"a package cannot be loaded ({error})",
+            "prc doctor says which",
         )
     elif not isinstance(error, PrcError):
-        found = Problem(
-            found.kind,
+        problem = Problem(
+            problem.kind,
             task.name,
-            f"{found.kind}: {found.problem}",
+            f"{problem.kind}: {problem.problem}",
             "a fault of prc; please report it",
         )
     if before is None:
-        return found
+        return problem
     try:
         after = _stat_input(task.source)
-    except OSError as gone:
-        return Problem(
-            VANISHED,
-            found.where,
-            f"the input went away while it was read ({gone.strerror})",
-            found.hint,
-        )
+    except OSError as vanished:
+        why = f"the input went away while it was read ({vanished.strerror})"
+        return Problem(VANISHED, problem.where, why, problem.hint)
     if after != before:  # the change may have caused the error
         hint = "run again when the copy is complete"
         return Problem(CHANGED, str(task.source), "changed while it was read", hint)
-    return found
+    return problem
 
 
 def may_pass(problem: Problem) -> bool:
-    """Tell whether another attempt may help; not for damaged files and wrong configurations.
+    """Check whether another attempt may help: not for damaged files and wrong configurations.
 
-    >>> may_pass(Problem("killed", "a.laz", "")), may_pass(Problem("InputError", "a.laz", "cut short"))
-    (True, False)
+    >>> may_pass(Problem("killed", "a.laz", ""))
+    True
+    >>> may_pass(Problem("InputError", "a.laz", "cut short"))
+    False
     """
     if problem.kind in (
         "killed",
@@ -252,21 +249,22 @@ def may_pass(problem: Problem) -> bool:
 
 
 def _compare(pair: Comparison) -> Compared:
-    """Compare an output with its reference."""
     from prc_cli.jobs.evaluate import evaluate_all
 
     try:
-        found = evaluate_all([pair.predicted], [pair.reference], pair.mapping, options=pair.options)
+        evaluation = evaluate_all(
+            [pair.predicted], [pair.reference], pair.mapping, options=pair.options
+        )
     except (PrcError, OSError, MemoryError) as error:
         return Compared(pair.name, pair.shown, None, Problem.of(error))
-    return Compared(pair.name, pair.shown, found.matrix)
+    return Compared(pair.name, pair.shown, evaluation.matrix)
 
 
-# -- the process ------------------------------------------------------------------------------------------------------
+# -- the process -----------------------------------------------------------------------------------
 
 
 class _Interrupts:
-    """Raises SystemExit in the main thread, once, and again only where Python dropped it."""
+    """Raises SystemExit in the main thread once, and again only if Python dropped it."""
 
     def __init__(self) -> None:
         self._armed = True
@@ -285,10 +283,7 @@ class _Interrupts:
             sys.__unraisablehook__(dropped)
 
     def end(self) -> None:
-        """End the main thread's work, from another thread.
-
-        The process ends however long that takes.
-        """
+        """End the work of the main thread, from another thread; after STOP_S the process ends."""
         end = time.monotonic() + STOP_S
         main = threading.main_thread().ident
         while time.monotonic() < end:
@@ -310,7 +305,7 @@ class _Parent:
         self._last = 0.0
 
     def send(self, message: Any) -> None:
-        """Send a message; end the process when the parent is gone."""
+        """Send a message, or end the process if the parent has ended."""
         data = pickle.dumps(message)
         try:
             with self._lock:
@@ -339,16 +334,14 @@ def _serve(
     threads: int,
     limit_mib: int | None,
 ) -> None:
-    """Do one task after the other until no more come."""
     while (task := tasks.get()) is not None:
         if isinstance(task, Comparison):
             parent.send((_compare(task),))
             continue
         if limit_mib is not None:
-            with contextlib.suppress(
-                Exception
-            ):  # the same error comes again, and is reported, with the file
-                load_classifier(task.config)  # memory of the libraries does not count
+            # the limit does not count the memory of the libraries; an error comes again below
+            with contextlib.suppress(Exception):
+                load_classifier(task.config)
             _limit_memory(limit_mib)
             limit_mib = None
         outcomes = run_item(task, threads=threads, progress=parent.count)
@@ -357,37 +350,34 @@ def _serve(
 
 
 def _limit_memory(mib: int) -> None:
-    """Limit what this process may allocate: private memory on Linux, else address space."""
+    # private memory on Linux, else address space
     import resource
 
     kind = resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS
     _, hard = resource.getrlimit(kind)
-    wanted = mib << 20
-    resource.setrlimit(
-        kind, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
-    )
+    limit = mib << 20
+    if hard != resource.RLIM_INFINITY:
+        limit = min(limit, hard)
+    resource.setrlimit(kind, (limit, hard))
 
 
 def bytes_moved() -> Callable[[], int]:
-    """Return a function that tells how much this process has moved.
+    """Return a function that measures how much this process has read and written.
 
-    Bytes where the system tells, else CPU time.
+    It returns bytes if the system counts them, else CPU time in units of about the same effect.
     """
-    place = Path("/proc/self/io")
-    own = 0
+    counters = Path("/proc/self/io")
+    n_bytes_of_counters = 0
 
     def counted() -> int:
-        nonlocal own
-        text = place.read_text(encoding="ascii")
-        own += len(text)  # reading this moves bytes, too
-        return (
-            sum(
-                int(line.split()[1])
-                for line in text.splitlines()
-                if line.startswith(("rchar", "wchar"))
-            )
-            - own
-        )
+        nonlocal n_bytes_of_counters
+        text = counters.read_text(encoding="ascii")
+        n_bytes_of_counters += len(text)  # reading the counters moves bytes, too
+        n_bytes = 0
+        for line in text.splitlines():
+            if line.startswith(("rchar", "wchar")):
+                n_bytes += int(line.split()[1])
+        return n_bytes - n_bytes_of_counters
 
     try:
         counted()
@@ -396,10 +386,10 @@ def bytes_moved() -> Callable[[], int]:
     return counted
 
 
-def beat(tell: Callable[[], None], ended: threading.Event) -> None:
-    """Tell that data is moving although no line is finished, as at the end of a file.
+def beat(report: Callable[[], None], ended: threading.Event) -> None:
+    """Report that data is moving although no line is finished, as at the end of a file.
 
-    In a thread.
+    Runs in a thread.
     """
     moved = bytes_moved()
     last = 0
@@ -407,11 +397,11 @@ def beat(tell: Callable[[], None], ended: threading.Event) -> None:
         with contextlib.suppress(OSError, ValueError):
             if (now := moved()) - last >= MOVED:
                 last = now
-                tell()
+                report()
 
 
 def _receive(stream: IO[bytes], tasks: queue.SimpleQueue[Any], interrupts: _Interrupts) -> None:
-    """Receive tasks from the parent, in a thread; end the process when the parent is gone."""
+    """Receive tasks from the parent, in a thread; end the process when the parent has ended."""
     with contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
         while True:
             tasks.put(pickle.load(stream))
@@ -425,12 +415,11 @@ def main(threads: int, limit_mib: int | None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     hold_limits()
     claim_process()
-    return_memory()  # before any thread: else every file's threads keep memory of their own
-    with contextlib.suppress(
-        OSError
-    ):  # when memory is short, the system kills a worker, not its parent
+    return_memory()  # before any thread: else the threads of every file keep memory
+    # when memory is short, the system kills a worker, not its parent
+    with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
-    # what libraries print goes to stderr, which the parent keeps for error messages
+    # libraries print to stderr, which the parent keeps for error messages
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     parent = _Parent(out)

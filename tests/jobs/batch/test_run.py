@@ -320,7 +320,7 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
     for other in (settings, replace(settings, since="2999-01-01")):
         again = run_batch(other, Scripted(script))
         assert (again.exit_code, [doubt.name for doubt in again.doubts]) == (1, ["b.npz"])
-    assert [item.name for item in again.standing] == ["a.npz"], "it was not even looked at"
+    assert [item.name for item in again.failed_before] == ["a.npz"], "it was not even looked at"
     without = replace(settings, exclude=("a.npz",))
     assert run_batch(without, Scripted(script)).exit_code == 4
     accepting = replace(
