@@ -209,7 +209,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     )
     with pytest.raises(ConfigError, match="returns would be dropped, expected some to stay"):
         thin(labelled, out / "a.laz", everything)
-    with pytest.raises(ConfigError, match="the cells of shots follow from their order"):
+    with pytest.raises(ConfigError, match="the cell of a shot depends on the order of the records"):
         thin(labelled, out / "a.laz", config=config(columns="order"))
     np.savez(tmp_path / "bare.npz", range_m=street()[:, ::2])
     with pytest.raises(ConfigError, match="neither scan angles nor coordinates"):

@@ -1,1 +1,1 @@
-"""Classifies an archive of files with many workers; a run that was killed continues where it was."""
+"""Classifies an archive of files with many workers; a run that was killed continues."""

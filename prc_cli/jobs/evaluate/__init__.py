@@ -1,4 +1,4 @@
-"""Comparison of label files: match their records, count the pairs in one confusion matrix and in parts."""
+"""Compares label files: matches their records and counts the pairs, in all and in parts."""
 
 from __future__ import annotations
 
@@ -53,11 +53,9 @@ from prc_cli.matching.pairs import files_of, pair_files, stem_of
 from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SECONDS, Side, SideFile
 
 APART_M = 0.5
+"""Ranges of one cell that differ by more are not of one shot [m]."""
 MOST_APART = 0.25
-"""Ranges of one cell that differ by more are not one shot.
-
-The share of them in two scans of one street is .38 [m].
-"""
+"""Largest share of such cells; two scans of one street have a share of 0.38."""
 
 
 def open_pools(
@@ -76,25 +74,25 @@ def open_pools(
         pooled.append((files_of(predicted), files_of(reference)))
     elif len(predicted) != len(reference):
         if options.match == "order":
-            problem = f"found {len(predicted)} predicted and {len(reference)} reference files, expected as many"
+            problem = (
+                f"found {len(predicted)} predicted and {len(reference)} reference files, "
+                "expected as many"
+            )
             raise ConfigError(
                 "files", problem, "give pairs, or match by time, dimension or nearest"
             )
         pooled.append((files_of(predicted), files_of(reference)))
     else:
-        for one, other in zip(predicted, reference, strict=True):
-            pooled += _pair(one, other, options)
-    keys = _keys(options)
-    sides = (
-        (options.predicted_dimension, options.predicted_points),
-        (options.reference_dimension, options.reference_points),
-    )
+        for predicted_path, reference_path in zip(predicted, reference, strict=True):
+            pooled += _pair(predicted_path, reference_path, options)
+    left_key, right_key = _keys(options)
+    m = options.points_per_line
     pools = []
-    for pool in pooled:
-        left, right = (
-            Side(_open(files, *asked), key, options.points_per_line)
-            for files, asked, key in zip(pool, sides, keys, strict=True)
-        )
+    for left_files, right_files in pooled:
+        opened = _open(left_files, options.predicted_dimension, options.predicted_points)
+        left = Side(opened, left_key, m)
+        opened = _open(right_files, options.reference_dimension, options.reference_points)
+        right = Side(opened, right_key, m)
         if options.trajectory is not None:
             crs = next((crs for file in right.files if (crs := file.crs)), None)
             left = replace(left, files=[_placed(file, options, crs) for file in left.files])
@@ -116,7 +114,7 @@ def open_side(path: Path, options: EvaluateOptions, key: KeyRule | None) -> Side
 
 
 def _placed(file: SideFile, options: EvaluateOptions, crs: str | None) -> SideFile:
-    """Return a predicted file whose coordinates come from the drive, which may be the file itself, and its poses."""
+    # a predicted file with coordinates from the poses and the ranges of the drive
     assert options.trajectory is not None
     labels = Path(file.codes.path)
     drive = labels if file.points is None else Path(file.points.path)
@@ -124,44 +122,43 @@ def _placed(file: SideFile, options: EvaluateOptions, crs: str | None) -> SideFi
     return replace(file, table=None, points=source)
 
 
-def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[Path], list[Path]]]:
-    """Return pairs of files, or one pool of all files if names do not pair and records are matched by a key."""
+def _pair(
+    predicted: Path, reference: Path, options: EvaluateOptions
+) -> list[tuple[list[Path], list[Path]]]:
+    # one pool of all files if their names do not pair and records are matched by a key
     try:
-        return [([a], [b]) for a, b in pair_files(one, other, allow_missing=options.allow_missing)]
+        pairs = pair_files(predicted, reference, allow_missing=options.allow_missing)
     except InputError:
         if options.match == "order":
             raise
-    return [(files_of([one]), files_of([other]))]
+        return [(files_of([predicted]), files_of([reference]))]
+    return [([left], [right]) for left, right in pairs]
 
 
 def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
-    """Return the key of either side."""
     if options.match.startswith("dimension:"):
         left, _, right = options.match.removeprefix("dimension:").partition("=")
         return KeyRule("dimension", left), KeyRule("dimension", right or left)
-    key = {"order": None, "time": KeyRule("time"), "nearest": KeyRule("place", AXES[0])}[
-        options.match
-    ]
-    return key, key
+    keys = {"order": None, "time": KeyRule("time"), "nearest": KeyRule("place", AXES[0])}
+    return keys[options.match], keys[options.match]
 
 
 def _open(files: list[Path], dimension: str | None, points: Path | None) -> list[SideFile]:
-    """Open the files of one side, with the points of their labels."""
     if points is None:
         return [SideFile.open(path, dimension, None) for path in files]
     if not points.is_dir():
         if len(files) > 1:
             problem = f"one file of points for {len(files)} files of labels, expected a folder"
-            raise ConfigError(
-                str(points),
-                problem,
-                "give the folder with the points of every file, of the same name",
-            )
+            hint = "give the folder with the points of every file, of the same name"
+            raise ConfigError(str(points), problem, hint)
         return [SideFile.open(files[0], dimension, points)]
     named = {stem_of(path): path for path in files_of([points])}
     missing = [path.name for path in files if stem_of(path) not in named]
     if missing:
-        problem = f"no points for {', '.join(missing[:4])}, expected a file of the same name but for the suffix"
+        problem = (
+            f"no points for {', '.join(missing[:4])}, "
+            "expected a file of the same name but for the suffix"
+        )
         raise InputError(str(points), problem, "name the folder of the run's inputs")
     return [SideFile.open(path, dimension, named[stem_of(path)]) for path in files]
 
@@ -178,14 +175,14 @@ def evaluate_all(
     Parameters
     ----------
     predicted, reference : sequence of path
-        As many on either side: the k-th of one is compared with the k-th of the other. Two folders:
-        the files of one name (except the suffix). With ``pool``, or where files cannot be paired (a
-        file and a folder, different names or numbers) and the match is not by order, all files of a
-        side are compared as one, for example tiles.
+        As many on either side: file k of one is compared with file k of the other. Of two folders,
+        files with the same name (except the suffix) are compared. With ``pool``, all files of a
+        side are compared as one, for example tiles. The same happens if files cannot be paired (a
+        file and a folder, different names or numbers) and the match is not by order.
     mapping : ClassMapping, name or path, optional
-        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
-        Default: the one that fits the method in the run records beside the predicted files and the
-        reference's codes, else ``prc``.
+        The classes of the codes on either side: a preset name, a TOML file or a mapping. Default:
+        the preset that fits the method in the run records beside the predicted files and the codes
+        of the reference, else ``prc``.
     options : EvaluateOptions, optional
         How records are matched, which splits are computed, and how intervals are computed.
 
@@ -197,7 +194,7 @@ def evaluate_all(
     Raises
     ------
     ConfigError
-        Invalid options, or options that need what the files do not hold.
+        Invalid options, or options that need columns which the files do not have.
     InputError
         A damaged file; different counts (``order``), too few records with a partner, or different
         coordinate systems (``nearest``).
@@ -219,23 +216,24 @@ def evaluate_all(
         mapping, why = mapping_of_runs(
             files_of(paths[0]), files_of(paths[1]), options.reference_dimension
         )
-    found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
+    classes = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     pools = open_pools(*paths, options)
-    counts = Counts(
-        found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))}
-    )
+    parts = {name: GroupedCounts(classes, name) for name in ("all", *asked_parts(options))}
+    counts = Counts(classes, parts)
     if options.third is not None:
-        other = found if options.third_mapping is None else load_mapping(options.third_mapping)
-        counts.third = ThreeCounts(found, other)
+        third_classes = classes
+        if options.third_mapping is not None:
+            third_classes = load_mapping(options.third_mapping)
+        counts.third = ThreeCounts(classes, third_classes)
     if why:
         counts.note(f"class mapping {mapping}: {why}")
     # blocks are counted in lines only if the lines of every pool are known
     by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
     names: list[str] = []
-    how: list[str] = []
+    matches: list[str] = []
     for left, right in pools:
         try:
-            how.append(_compare(left, right, len(names), counts, options, by_lines=by_lines))
+            matches.append(_compare(left, right, len(names), counts, options, by_lines=by_lines))
         except UnlistedError as error:
             side = left if error.side == "predicted" else right
             codes = (
@@ -253,26 +251,24 @@ def evaluate_all(
     counts.fold()
     matrix = counts.parts["all"].matrix(0)
     if not matrix.counts.any():
-        problem = f"none of {counts.n_matched} records has a class to score: code 0, or codes that the mapping ignores"
-        raise InputError(
-            str(paths[1][0]),
-            problem,
-            "name the dimension with the codes: --reference-dimension NAME",
+        problem = (
+            f"none of {counts.n_matched} records has a class to score: "
+            "code 0, or codes that the mapping ignores"
         )
+        hint = "name the dimension with the codes: --reference-dimension NAME"
+        raise InputError(str(paths[1][0]), problem, hint)
     intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
-    files = (
-        dict.fromkeys(names),
-        dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files),
-    )
+    reference_names = dict.fromkeys(file.codes.path for _, side in pools for file in side.files)
     splits = {
         SPLITS[name]: scored_parts(counts, name, names, options)
         for name in asked_parts(options)
         if name in SPLITS
     }
     tolerance = max(counts.tolerances) if counts.tolerances else tolerance_of(options)
-    shown = "{:,}" if options.match == "nearest" else "{}"
-    notes = tuple(sentence.replace("{n}", shown.format(n)) for sentence, n in counts.notes.items())
-    n = (
+    number = "{:,}" if options.match == "nearest" else "{}"
+    notes = tuple(sentence.replace("{n}", number.format(n)) for sentence, n in counts.notes.items())
+    match = MatchReport(
+        " and ".join(dict.fromkeys(matches)),
         counts.n_predicted,
         counts.n_reference,
         counts.n_matched,
@@ -280,13 +276,12 @@ def evaluate_all(
         notes,
         counts.n_reference_matched,
     )
-    match = MatchReport(" and ".join(dict.fromkeys(how)), *n)
     label = "" if isinstance(mapping, ClassMapping) else str(mapping)
     three = None if counts.third is None else counts.third.result(str(options.third))
     plan = counts.plan.picture() if three is not None else None
     return Evaluation(
-        tuple(files[0]),
-        tuple(files[1]),
+        tuple(dict.fromkeys(names)),
+        tuple(reference_names),
         label,
         match,
         matrix,
@@ -311,18 +306,16 @@ def evaluate(
     Parameters
     ----------
     predicted, reference : path
-        Label files (``.npy``, ``.csv``, ``.parquet``), or any record file that carries codes.
+        Label files (``.npy``, ``.csv``, ``.parquet``), or any record file with codes.
     mapping : ClassMapping, name or path, optional
         As for :func:`evaluate_all`.
     predicted_dimension, reference_dimension : str, optional
-        Column or dimension that holds the codes; default ``class``, ``label`` or
-        ``classification``.
+        Column or dimension with the codes; default ``class``, ``label`` or ``classification``.
 
     Raises
     ------
     InputError
-        When the files hold different numbers of records, and one does not know the cells of its
-        records.
+        If the files have different numbers of records, and one has no cells of its records.
     """
     options = EvaluateOptions(
         predicted_dimension=predicted_dimension, reference_dimension=reference_dimension
@@ -333,19 +326,18 @@ def evaluate(
 def _note_missing(
     paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: Counts
 ) -> None:
-    """Report the files left out because they have no partner."""
     for k, side in enumerate(paths):
         used = {file.codes.path for pool in pools for file in pool[k].files}
         missing = [path.name for path in files_of(side) if str(path) not in used]
         if missing:
             shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
-            who = ("predicted", "reference")[k]
-            have = "file has" if len(missing) == 1 else "files have"
-            counts.note(f"{len(missing)} {who} {have} no partner, left out: {shown}")
+            side_name = ("predicted", "reference")[k]
+            files_have = "file has" if len(missing) == 1 else "files have"
+            counts.note(f"{len(missing)} {side_name} {files_have} no partner, left out: {shown}")
 
 
-def _with_own_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, Side]:
-    """Take the lines of the records where either side has them; M then divides nothing."""
+def _with_stored_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, Side]:
+    # if a side has a column of lines, M is not used
     bare = replace(left, points_per_line=None), replace(right, points_per_line=None)
     if left.points_per_line is None or not any(LINE in side.dimensions for side in bare):
         return left, right
@@ -363,7 +355,7 @@ def _compare(
     by_lines: bool,
 ) -> str:
     """Match one pool of files and count its pairs; return how they were matched."""
-    left, right = _with_own_lines(left, right, counts)
+    left, right = _with_stored_lines(left, right, counts)
     plan = _plan(left, right, options, by_lines=by_lines)
     for name in plan.reference:
         counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
@@ -380,12 +372,11 @@ def _compare(
             pairs = _pairs(left, right, plan, tally, on_disk, options, counts.mapping, third)
         try:
             n_apart = 0
-            for item in pairs:
-                counting.add(item)
-                if RANGE in item.one and RANGE in item.other:
-                    n_apart += int(
-                        np.count_nonzero(np.abs(item.one[RANGE] - item.other[RANGE]) > APART_M)
-                    )
+            for compared in pairs:
+                counting.add(compared)
+                if RANGE in compared.predicted and RANGE in compared.reference:
+                    step_m = compared.predicted[RANGE] - compared.reference[RANGE]
+                    n_apart += int(np.count_nonzero(np.abs(step_m) > APART_M))
         except _UnequalError as error:
             counts.note(f"the files hold other records, or others first: matched by {error.words}")
             options = replace(options, match=error.match)
@@ -399,7 +390,10 @@ def _compare(
         break
     counting.finish(left.path)
     if n_apart > MOST_APART * tally.n_pairs:
-        problem = f"{n_apart} of {tally.n_pairs} shots have other ranges than in {right.path}: another scan"
+        problem = (
+            f"{n_apart} of {tally.n_pairs} shots have other ranges than in {right.path}: "
+            "another scan"
+        )
         raise InputError(left.path, problem, "give both files of the same one")
     _report(left, right, tally, counts, options)
     outside = (0, 0)
@@ -417,7 +411,7 @@ def _keyed(left: Side, right: Side, key: KeyRule) -> tuple[Side, Side]:
 
 
 class _UnequalError(Exception):
-    """Files to be matched by order differ in length or in their order, but both know a key."""
+    """Files to match by order differ in length or order, but both have a key."""
 
     words = "cell (scan line, column)"
     match = "cell"
@@ -439,8 +433,8 @@ def _plan(
     *,
     by_lines: bool,
 ) -> Plan:
-    has = left.dimensions
-    other_has = right.dimensions
+    left_has = left.dimensions
+    right_has = right.dimensions
     asked = asked_parts(options)
     wanted = dict.fromkeys(
         LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines
@@ -448,36 +442,37 @@ def _plan(
     if options.window is not None:
         place = LINE if options.window.in_lines else SECONDS
         wanted[place] = None
-        if place not in (*has, *other_has):
+        if place not in (*left_has, *right_has):
             raise _no_place(left, right, options.window)
     if options.min_confidence is not None:
         wanted[CONFIDENCE] = None
     for name in wanted:
-        if name != CONFIDENCE and name not in (*has, *other_has) and name in asked:
+        if name != CONFIDENCE and name not in (*left_has, *right_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
             hint = "give -M, or --predicted-points with the points of the labels"
             raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
-    if CONFIDENCE in wanted and CONFIDENCE not in has:
+    if CONFIDENCE in wanted and CONFIDENCE not in left_has:
         problem = f"no confidence in {left.path}, expected a dimension or column of this name"
         hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
         raise ConfigError("--by-confidence, --min-confidence", problem, hint)
-    shared = {RANGE}.intersection(has, other_has) if options.match == "cell" else set()
-    predicted = [name for name in {**wanted, **dict.fromkeys(shared)} if name in has]
-    reference = [*shared, *(name for name in wanted if name not in has and name in other_has)]
+    shared = {RANGE}.intersection(left_has, right_has) if options.match == "cell" else set()
+    predicted = [name for name in {**wanted, **dict.fromkeys(shared)} if name in left_has]
+    only_right = [name for name in wanted if name not in left_has and name in right_has]
+    reference = [*shared, *only_right]
     if "blocks" in asked or LINE in asked:
         predicted += [FILE, ROW]
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
-    if options.match in ("time", "cell") and SAME in has and SAME in other_has:
+    if options.match in ("time", "cell") and SAME in left_has and SAME in right_has:
         keys = (KEY, SAME)
     return Plan(tuple(predicted), tuple(reference), keys)
 
 
 def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
-    what = "scan lines" if window.in_lines else "times"
-    problem = f"no {what} in {left.path} or {right.path}, expected them for {window.option}"
-    hint = "give --predicted-points with the points of the labels" + (
-        ", or -M" if window.in_lines else ""
-    )
+    values = "scan lines" if window.in_lines else "times"
+    problem = f"no {values} in {left.path} or {right.path}, expected them for {window.option}"
+    hint = "give --predicted-points with the points of the labels"
+    if window.in_lines:
+        hint += ", or -M"
     return ConfigError("window", problem, hint)
 
 
@@ -496,19 +491,16 @@ def _pairs(
         pairs = _in_order(left, right, plan, tally, third)
     else:
         tolerance = tolerance_of(options) or 0.0
-        one, other = (
-            columns_of(side, (CODE, *plan.keys, *names), sort=sort, with_record=False)
-            for side, names, sort in zip(
-                (left, right), (plan.predicted, plan.reference), on_disk, strict=True
-            )
-        )
-        joined = merge_join(
-            one, other, MutualKeys(tolerance), tolerance, tally, (left.path, right.path)
-        )
-        pairs = ((*item.pairs(), None) for item in joined)
-    for one_side, other_side, thirds in pairs:
-        rows = mapping.class_indices(other_side[CODE], "reference")
-        yield Compared(one_side, {name: other_side[name] for name in plan.reference}, rows, thirds)
+        names = (CODE, *plan.keys)
+        lefts = columns_of(left, (*names, *plan.predicted), sort=on_disk[0], with_record=False)
+        rights = columns_of(right, (*names, *plan.reference), sort=on_disk[1], with_record=False)
+        match = MutualKeys(tolerance)
+        joined = merge_join(lefts, rights, match, tolerance, tally, (left.path, right.path))
+        pairs = ((*matched.pairs(), None) for matched in joined)
+    for predicted, partners, third_codes in pairs:
+        rows = mapping.class_indices(partners[CODE], "reference")
+        reference = {name: partners[name] for name in plan.reference}
+        yield Compared(predicted, reference, rows, third_codes)
 
 
 def _in_order(
@@ -518,9 +510,9 @@ def _in_order(
     tally: JoinTally,
     third: Side | None,
 ) -> Iterator[tuple[Columns, Columns, I64 | None]]:
-    """Yield records of the same number.
+    """Yield predicted records, reference records and third codes of the same number.
 
-    Refuse sides of other lengths, or other cells where both know them.
+    Refuse sides of different lengths, or with different cells.
     """
     knows_cells = all(len(side.files) == 1 and side.files[0].knows_cells for side in (left, right))
     compared = knows_cells and any(side.files[0].has_cells for side in (left, right))
@@ -531,66 +523,58 @@ def _in_order(
         left, right = _keyed(left, right, _UnsortedRecordsError.key)
     keys = (CODE, KEY) if compared or numbered else (CODE,)
     asked = [(left, (*keys, *plan.predicted)), (right, (*keys, *plan.reference))]
-    asked += [] if third is None else [(third, (CODE,))]
+    if third is not None:
+        asked.append((third, (CODE,)))
     streams = [columns_of(side, names, sort=False, with_record=False) for side, names in asked]
 
     def check(n: Sequence[int]) -> None:
         if n[0] != n[1] and knows_cells:
             raise _UnequalError
-        for side, other in zip(n[1:], (right, third), strict=False):
+        for n_side, side in zip(n[1:], (right, third), strict=False):
             hint = _hint_for_registered(left, right)
-            refuse_poor_match(n[0], side, left.path, other.path if other else "", hint)
+            refuse_poor_match(n[0], n_side, left.path, side.path if side else "", hint)
 
     lengths = [_length_of(side) for side, _ in asked]
-    if None not in lengths:  # known before anything is read
+    if None not in lengths:  # before a file is read
         check([length or 0 for length in lengths])
-    off = None
-    for one, other, *more in in_step(streams, check):
-        if (compared or numbered) and len(one[KEY]):
-            # cells and records that are counted from other numbers are in the same order all the
-            # same
-            apart = other[KEY] - one[KEY]
-            off = apart[0] if off is None else off
-            if np.any(apart != off):
+    first_step = None
+    for predicted, reference, *others in in_step(streams, check):
+        if (compared or numbered) and len(predicted[KEY]):
+            # the files may count cells and records from different numbers
+            step = reference[KEY] - predicted[KEY]
+            first_step = step[0] if first_step is None else first_step
+            if np.any(step != first_step):
                 if numbered and third is not None:
                     problem = "rows are not in the order of their record numbers"
                     raise InputError(
                         left.path, problem, "sort them by record in all files, or leave --third out"
                     )
                 raise _UnsortedRecordsError if numbered else _UnequalError
-        tally.n_pairs += len(one[CODE])
-        tally.n_right += len(one[CODE])
-        yield one, other, more[0][CODE] if more else None
+        tally.n_pairs += len(predicted[CODE])
+        tally.n_right += len(predicted[CODE])
+        yield predicted, reference, others[0][CODE] if others else None
 
 
 def _hint_for_registered(left: Side, right: Side) -> str:
-    """Return how shots find their partners among registered points.
-
-    Empty where the reference has no coordinates.
-    """
+    # empty if the reference has no coordinates
     if not set(AXES) <= set(right.dimensions):
         return ""
-    points = (
-        ""
-        if set(AXES) <= set(left.dimensions)
-        else " --predicted-points INPUT, the file that was classified"
-    )
+    points = ""
+    if not set(AXES) <= set(left.dimensions):
+        points = " --predicted-points INPUT, the file that was classified"
     hint = f"if {right.path} holds registered points (CAR), add --match nearest{points}"
     times = {SECONDS} <= {*left.dimensions} & {*right.dimensions}
     return f"{hint}; if both hold times of one clock: --match time" if times else hint
 
 
 def _length_of(side: Side) -> int | None:
-    """Return how many codes the headers of all files of a side announce.
-
-    None where one does not.
-    """
+    # by the headers of all files; None if a header does not say
     lengths = [file.codes.n for file in side.files]
     return None if None in lengths else sum(length or 0 for length in lengths)
 
 
 def _know_records(left: Side, right: Side) -> bool:
-    """Tell whether rows of a file have record numbers and those of its partner have them too, or are counted."""
+    # rows of a side have record numbers, and rows of the other have them, too, or can be counted
     if any(len(side.files) != 1 for side in (left, right)):
         return False
     numbered = [side.files[0].find((RECORD,)) is not None for side in (left, right)]
@@ -605,14 +589,13 @@ def _know_records(left: Side, right: Side) -> bool:
 
 
 def _refuse_unsorted(side: Side) -> None:
-    """Refuse rows that are not in the order of their record numbers, where the partner has none."""
     side = replace(side, key=_UnsortedRecordsError.key)
-    off = None
+    first_step = None
     for values in columns_of(side, (KEY, ROW), sort=False, with_record=False):
         if len(values[KEY]):
-            apart = values[KEY] - values[ROW]
-            off = apart[0] if off is None else off
-            if np.any(apart != off):
+            step = values[KEY] - values[ROW]
+            first_step = step[0] if first_step is None else first_step
+            if np.any(step != first_step):
                 problem = (
                     "rows are not in the order of their record numbers, and the other file has none"
                 )
@@ -628,26 +611,25 @@ def _report(
     counts: Counts,
     options: EvaluateOptions,
 ) -> None:
-    """Add up the match counts, report what was left out, and refuse a poor match."""
+    """Add up the match counts, and note the records that were left out."""
     counts.n_predicted += left.tally.n_records
     counts.n_reference += right.tally.n_records
     counts.n_matched += tally.n_pairs
     counts.n_reference_matched += tally.n_right
     if options.match == "order":
         return
-    what = "coordinates" if options.match == "nearest" else options.match
-    for side, who in ((left, "predicted"), (right, "reference")):
-        counts.note(f"{{n}} {who} records have no finite {what}: left out", side.tally.n_not_finite)
+    keys = "coordinates" if options.match == "nearest" else options.match
+    for side, name in ((left, "predicted"), (right, "reference")):
+        counts.note(
+            f"{{n}} {name} records have no finite {keys}: left out", side.tally.n_not_finite
+        )
         if not side.tally.n_usable:
-            raise InputError(
-                side.path,
-                f"no record has finite {what}, expected them to match by",
-                "check the file",
-            )
+            problem = f"no record has finite {keys}, expected them to match by"
+            raise InputError(side.path, problem, "check the file")
     shared = {"nearest": "places", "time": "times", "cell": "cells"}.get(options.match, "ids")
     counts.note(
-        f"{{n}} predicted records share their {shared} with another number of reference records: which is which "
-        "cannot be told, left out",
+        f"{{n}} predicted records share their {shared} with another number of reference records: "
+        "which is which cannot be told, left out",
         tally.n_ambiguous,
     )
     counts.note(
@@ -658,14 +640,18 @@ def _report(
         counts.note("return numbers are not on both sides: not compared")
 
 
-def _refuse_other_scan(whole: Side, other: Side) -> None:
-    """Refuse records whose cells lie outside a grid that is whole: the files are of two scans."""
-    (lines, columns), (far, wide) = (
-        (one.tally.n_lines, one.tally.n_columns) for one in (whole, other)
-    )
-    if whole.tally.n_usable > (lines - 1) * columns and (far > lines or wide > columns):
-        problem = f"its records lie in {far} lines of {wide} shots, but {whole.path} has {lines} of {columns}"
-        raise InputError(other.path, f"{problem}: another scan", "give both files of the same one")
+def _refuse_other_scan(side: Side, partner: Side) -> None:
+    # if a side fills its grid, no record of its partner can be outside the grid
+    grid = side.tally
+    cells = partner.tally
+    if grid.n_usable <= (grid.n_lines - 1) * grid.n_columns:
+        return
+    if cells.n_lines > grid.n_lines or cells.n_columns > grid.n_columns:
+        problem = (
+            f"its records lie in {cells.n_lines} lines of {cells.n_columns} shots, "
+            f"but {side.path} has {grid.n_lines} of {grid.n_columns}: another scan"
+        )
+        raise InputError(partner.path, problem, "give both files of the same one")
 
 
 def _refuse_poor(
@@ -681,27 +667,31 @@ def _refuse_poor(
     n_left = left.tally.n_usable - outside[0]
     n_right = right.tally.n_usable - outside[1]
     smaller = left
-    other = right
-    found = tally.n_pairs
-    of = n_left
+    larger = right
+    n_matched = tally.n_pairs
+    n_records = n_left
     if n_right < n_left:
         smaller = right
-        other = left
-        found = tally.n_right
-        of = n_right
-    if found and found >= options.min_matched * of:
+        larger = left
+        n_matched = tally.n_right
+        n_records = n_right
+    if n_matched and n_matched >= options.min_matched * n_records:
         return
-    share = f"{found} of its {of} records found a partner in {other.path}"
-    if not found and np.isfinite([left.tally.low, right.tally.low]).all():
+    problem = f"{n_matched} of its {n_records} records found a partner in {larger.path}"
+    if not n_matched and np.isfinite([left.tally.low, right.tally.low]).all():
         name = "key" if left.key is None else left.key.dimension
         spans = [f"{name} {side.tally.low:.9g} to {side.tally.high:.9g}" for side in (left, right)]
-        share = f"{share}: {left.path} has {spans[0]}, {right.path} has {spans[1]}"
+        problem += f": {left.path} has {spans[0]}, {right.path} has {spans[1]}"
     else:
-        share = f"{share} ({100 * found / max(of, 1):.1f} %), expected at least {100 * options.min_matched:g} %"
+        problem += (
+            f" ({100 * n_matched / max(n_records, 1):.1f} %), "
+            f"expected at least {100 * options.min_matched:g} %"
+        )
     hints = {
-        "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
-        "nearest": f"register both in one coordinate system, or give a larger tolerance; {PLACE_BY_POSES}",
+        "time": "check that both clocks count alike (week seconds or standard time), "
+        "or give a larger tolerance",
+        "nearest": "register both in one coordinate system, or give a larger tolerance; "
+        f"{PLACE_BY_POSES}",
     }
-    raise InputError(
-        smaller.path, share, hints.get(options.match, "check that the ids come from one run")
-    )
+    hint = hints.get(options.match, "check that the ids come from one run")
+    raise InputError(smaller.path, problem, hint)

@@ -1,7 +1,4 @@
-"""Confusion counts of an evaluation.
-
-All pairs, parts of its splits, blocks of its intervals, and a plan of states.
-"""
+"""Confusion counts of an evaluation: of all pairs, of parts, of blocks, and a map of errors."""
 
 from __future__ import annotations
 
@@ -44,28 +41,29 @@ from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SCANNER
 
 MOST_CONFIDENCE = 100
 TOP_SHARE = 0.9
-"""The share of the pairs, those with the most confidence, that is reported on."""
+"""The notes report on this share of the pairs, the pairs with the highest confidence."""
 RECORDS_PER_LINE = 1000
 """Records that count as one scan line in the blocks of an input without known lines."""
 SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner", CONFIDENCE: "confidence"}
-
+"""Names of the splits by column."""
 
 EDGE_M = 0.5
+"""Side of a square of the map [m]."""
 _MOST_PIXELS = 1600
 _WHITE = (255, 255, 255)
 STATE_COLOURS = ((222, 222, 222), (0, 114, 178), (230, 159, 0), (180, 20, 40), (204, 121, 167))
-"""Colours of :data:`~prc_cli.evaluation.scores.STATES` (Okabe and Ito's, safe for the colour-blind)."""
+"""Colours of :data:`~prc_cli.evaluation.scores.STATES` (by Okabe and Ito, for the colour-blind)."""
 
 
 class StatePlan:
-    """Shots by square of the plan and state."""
+    """Map of the shots by state: counts of every square."""
 
     def __init__(self) -> None:
         self._keys = np.empty(0, np.int64)
         self._counts = np.empty((0, NO_STATE + 1), np.int64)
 
     def add(self, x: F64, y: F64, states: U8) -> None:
-        """Count shots."""
+        """Count shots, by their coordinates [m] and states, all (n,)."""
         keys, index = np.unique(cell_keys(x, y, EDGE_M), return_inverse=True)
         n = np.bincount(index * (NO_STATE + 1) + states, minlength=len(keys) * (NO_STATE + 1))
         both = np.concatenate([self._keys, keys])
@@ -75,10 +73,7 @@ class StatePlan:
         self._counts = counts
 
     def picture(self) -> bytes | None:
-        """Draw the most frequent error of every square, grey where none is.
-
-        None without coordinates.
-        """
+        """Draw the most frequent error of every square, or grey; None without coordinates."""
         from PIL import Image
 
         column, row = cell_places(self._keys)
@@ -101,43 +96,43 @@ class StatePlan:
 
 
 def _worst(counts: I64) -> U8:
-    """Return 0 for squares without shots, 1 for those mostly right, else 1 + the most frequent other state."""
+    # colour of a square: 0 = no shots, 1 = mostly right, else 1 + the most frequent other state
     n = counts.sum(axis=1)
     wrong = counts[:, 1:]
-    place = np.where(2 * wrong.sum(axis=1) > n, 2 + np.argmax(wrong, axis=1), 1)
-    return np.where(n > 0, place, 0).astype(np.uint8)
+    colour = np.where(2 * wrong.sum(axis=1) > n, 2 + np.argmax(wrong, axis=1), 1)
+    return np.where(n > 0, colour, 0).astype(np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Columns beside the codes, by the side they are read from."""
+    """Columns to read beside the codes, of either side."""
 
     predicted: tuple[str, ...]
     reference: tuple[str, ...]
     keys: tuple[str, ...]
-    """Columns of both sides that the match itself needs."""
+    """Columns of both sides that the match needs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """Predicted records and what they are compared with."""
+    """Predicted records and their partners."""
 
-    one: Columns
+    predicted: Columns
     """Columns of the predicted side."""
-    other: Columns
-    """Those of the partners that the plan asks for."""
+    reference: Columns
+    """Columns of the partners, as in the plan."""
     rows: I64
     """(n,) reference class, as an index of its names; negative = not scored."""
     third: I64 | None = None
-    """(n,) codes of the third labelling, -1 = none; None = there is none."""
+    """(n,) codes of the third labelling, -1 = none; None = no third labelling."""
 
     def kept(self, keep: Mask) -> Compared:
-        """Return some of the records."""
-        one, other = (
-            {name: values[keep] for name, values in side.items()} for side in (self.one, self.other)
-        )
+        """Return the records of a mask."""
         return Compared(
-            one, other, self.rows[keep], None if self.third is None else self.third[keep]
+            {name: values[keep] for name, values in self.predicted.items()},
+            {name: values[keep] for name, values in self.reference.items()},
+            self.rows[keep],
+            None if self.third is None else self.third[keep],
         )
 
 
@@ -147,7 +142,7 @@ class Counts:
 
     mapping: ClassMapping
     parts: dict[str, GroupedCounts]
-    """Grouped counts by split; ``all`` holds one group of all pairs, ``blocks`` those of the intervals."""
+    """Grouped counts by split; ``all`` has one group, ``blocks`` the blocks of the intervals."""
     n_predicted: int = 0
     n_reference: int = 0
     n_matched: int = 0
@@ -155,9 +150,9 @@ class Counts:
     third: ThreeCounts | None = None
     plan: StatePlan = field(default_factory=StatePlan)
     tolerances: set[float] = field(default_factory=set)
-    """Largest distances of pairs, where they were chosen from the data."""
+    """Largest distances of pairs, if they were chosen from the data."""
     notes: dict[str, int] = field(default_factory=dict)
-    """Sentences with ``{n}``, and the number of records of each; 0 for those without a number."""
+    """Sentences, and the numbers for their ``{n}``; 0 for sentences without a number."""
 
     def note(self, sentence: str, n: int = 0) -> None:
         """Add a sentence; numbers of equal sentences are added."""
@@ -165,26 +160,22 @@ class Counts:
             self.notes[sentence] = self.notes.get(sentence, 0) + n
 
     def fold(self) -> None:
-        """Count predicted classes as coarser ones where the reference never has them, as the mapping says."""
+        """Count predicted classes that the reference never has as coarser ones of the mapping."""
         matrix = self.parts["all"].matrix(0)
-        held = {
-            name
-            for name, n in zip(matrix.reference_names, matrix.counts.sum(axis=1), strict=True)
-            if n
+        n_reference = dict(zip(matrix.reference_names, matrix.counts.sum(axis=1), strict=True))
+        n_predicted = dict(zip(matrix.predicted_names, matrix.counts.sum(axis=0), strict=True))
+        folded = {
+            name: coarser
+            for name, coarser in self.mapping.coarser.items()
+            if not n_reference.get(name) and n_predicted[name]
         }
-        into = {name: to for name, to in self.mapping.coarser.items() if name not in held}
-        moved = {
-            name: to
-            for name, to in into.items()
-            if matrix.counts[:, matrix.predicted_names.index(name)].any()
-        }
-        if moved:
-            told = ", ".join(f"{name} as {to}" for name, to in moved.items())
-            self.note(f"the reference has no {', '.join(moved)}: counted {told}")
+        if folded:
+            pairs = ", ".join(f"{name} as {coarser}" for name, coarser in folded.items())
+            self.note(f"the reference has no {', '.join(folded)}: counted {pairs}")
         for part in self.parts.values():
-            part.fold(moved)
+            part.fold(folded)
         if self.third is not None:
-            self.third.fold(moved)
+            self.third.fold(folded)
 
 
 def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
@@ -196,11 +187,11 @@ def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
         CONFIDENCE: bool(options.split_confidence),
         "blocks": options.intervals,
     }
-    return tuple(name for name, wanted in asked.items() if wanted)
+    return tuple(name for name, is_asked in asked.items() if is_asked)
 
 
 class Counting:
-    """Counts of one pool of files, until its match has succeeded."""
+    """Counts of one pool of files; ``finish`` adds them to the others if the match succeeded."""
 
     def __init__(
         self,
@@ -220,47 +211,49 @@ class Counting:
         self._window = None if options.window is None else ScoredWindow(options.window)
         self._n_unsure = 0
 
-    def add(self, item: Compared) -> None:
+    def add(self, pairs: Compared) -> None:
         """Count pairs that are within the window and sure enough."""
-        beside = item.other | {name: item.one[name] for name in self._plan.predicted}
-        keep = np.ones(len(item.rows), np.bool_)
+        columns = pairs.reference | {name: pairs.predicted[name] for name in self._plan.predicted}
+        keep = np.ones(len(pairs.rows), np.bool_)
         if self._window is not None:
-            keep = self._window.keep(beside)
+            keep = self._window.keep(columns)
         if self._options.min_confidence is not None:
-            sure = beside[CONFIDENCE] >= self._options.min_confidence
+            sure = columns[CONFIDENCE] >= self._options.min_confidence
             self._n_unsure += int(np.count_nonzero(keep & ~sure))
             keep &= sure
         if not keep.all():
-            item = item.kept(keep)
-            beside = {name: values[keep] for name, values in beside.items()}
-        if FILE in beside:
-            beside[FILE] = beside[FILE] + self._first_file
-        self._count(beside, cells_of(self._counts.mapping, item.one[CODE], item.rows))
-        if self._counts.third is not None and item.third is not None:
-            states = self._counts.third.add(item.one[CODE], item.rows, item.third)
-            if "x" in item.one:
-                self._counts.plan.add(item.one["x"], item.one["y"], states)
+            pairs = pairs.kept(keep)
+            columns = {name: values[keep] for name, values in columns.items()}
+        if FILE in columns:
+            columns[FILE] = columns[FILE] + self._first_file
+        codes = pairs.predicted[CODE]
+        self._count(columns, cells_of(self._counts.mapping, codes, pairs.rows))
+        if self._counts.third is not None and pairs.third is not None:
+            states = self._counts.third.add(codes, pairs.rows, pairs.third)
+            if "x" in pairs.predicted:
+                self._counts.plan.add(pairs.predicted["x"], pairs.predicted["y"], states)
 
-    def _count(self, beside: Columns, cells: I64) -> None:
-        """Add pairs to the whole and to every part."""
-        found = self._parts
+    def _count(self, columns: Columns, cells: I64) -> None:
+        # cells: indices of a confusion matrix
+        parts = self._parts
         options = self._options
-        found["all"].add(np.zeros(len(cells), np.int64), cells)
-        if RANGE in found:
-            found[RANGE].add(range_groups(beside[RANGE], check_edges(options.split_range_m)), cells)
-        if LINE in found and options.split_lines is not None:
-            found[LINE].add(block_groups(beside[FILE], beside[LINE], options.split_lines), cells)
-        if SCANNER in found:
-            found[SCANNER].add(beside[SCANNER], cells)
-        if CONFIDENCE in found:
-            found[CONFIDENCE].add(np.minimum(beside[CONFIDENCE], MOST_CONFIDENCE), cells)
-        if "blocks" in found:
-            index = beside[LINE if self._by_lines else ROW]
+        parts["all"].add(np.zeros(len(cells), np.int64), cells)
+        if RANGE in parts:
+            edges = check_edges(options.split_range_m)
+            parts[RANGE].add(range_groups(columns[RANGE], edges), cells)
+        if LINE in parts and options.split_lines is not None:
+            parts[LINE].add(block_groups(columns[FILE], columns[LINE], options.split_lines), cells)
+        if SCANNER in parts:
+            parts[SCANNER].add(columns[SCANNER], cells)
+        if CONFIDENCE in parts:
+            parts[CONFIDENCE].add(np.minimum(columns[CONFIDENCE], MOST_CONFIDENCE), cells)
+        if "blocks" in parts:
+            index = columns[LINE if self._by_lines else ROW]
             per_block = options.interval_lines * (1 if self._by_lines else RECORDS_PER_LINE)
-            found["blocks"].add(block_groups(beside[FILE], index, per_block), cells)
+            parts["blocks"].add(block_groups(columns[FILE], index, per_block), cells)
 
     def finish(self, path: str) -> None:
-        """Add the counts to those of the other pools, and note what was left out."""
+        """Add the counts to the other pools, and note the pairs that were left out."""
         for name, part in self._parts.items():
             self._counts.parts[name].merge(part)
         if self._window is not None:
@@ -277,17 +270,15 @@ def scored_parts(
     files: Sequence[str],
     options: EvaluateOptions,
 ) -> tuple[SplitPart, ...]:
-    """Return the parts of a split that have scored records, and note the number of ignored records in the others."""
+    """Return the parts of a split with scored records; note the ignored records of the others."""
     parts = _parts(counts.parts[name], name, files, options)
     empty = [part for part in parts if not part.matrix.n_scored]
     if empty:
         n_ignored = sum(part.matrix.n_ignored for part in empty)
-        many = (
-            "1 part without scored records is"
-            if len(empty) == 1
-            else f"{len(empty)} parts without scored records are"
-        )
-        counts.note(f"by {SPLITS[name]}: {many} left out, with {n_ignored} ignored records")
+        parts_are = f"{len(empty)} parts without scored records are"
+        if len(empty) == 1:
+            parts_are = "1 part without scored records is"
+        counts.note(f"by {SPLITS[name]}: {parts_are} left out, with {n_ignored} ignored records")
     return tuple(part for part in parts if part.matrix.n_scored)
 
 
@@ -297,7 +288,7 @@ def _parts(
     files: Sequence[str],
     options: EvaluateOptions,
 ) -> tuple[SplitPart, ...]:
-    """Return the parts of a split in order, unknown ones last."""
+    # in order, the unknown part last
     if name == CONFIDENCE:
         return confidence_parts(counts, options.split_confidence)
     parts = []
@@ -308,46 +299,46 @@ def _parts(
         groups = [*below, *range(1, len(edges) + 1)]
     for group in groups:
         if name == RANGE:
-            shown, low, high = range_bounds(group, edges)
+            title, low, high = range_bounds(group, edges)
         elif name == LINE and options.split_lines is not None:
             file, block = file_and_block(group)
             first = block * options.split_lines
             low = float(first)
             high = float(first + options.split_lines)
             prefix = f"{Path(files[file]).name} " if len(files) > 1 else ""
-            shown = f"{prefix}lines {first}-{first + options.split_lines - 1}"
+            title = f"{prefix}lines {first}-{first + options.split_lines - 1}"
         else:
-            shown = f"scanner {group}"
+            title = f"scanner {group}"
             low = float(group)
             high = float(group + 1)
-        parts.append(SplitPart(shown, low, high, counts.matrix(group)))
+        parts.append(SplitPart(title, low, high, counts.matrix(group)))
     if UNKNOWN in counts.groups:
         parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
     return tuple(parts)
 
 
 def confidence_parts(counts: GroupedCounts, edges: Sequence[int]) -> tuple[SplitPart, ...]:
-    """Return the pairs of every span of confidence, from counts by its value.
+    """Return the pairs of every span of confidence, from counts by its value [per cent].
 
-    The last one includes 100.
+    The last span includes 100.
     """
     parts = []
     bounds = sorted({0, *edges, MOST_CONFIDENCE + 1})
     for low, end in pairwise(bounds):
-        whole = counts.matrix(low)
+        matrix = counts.matrix(low)
         for group in range(low + 1, end):
-            whole = whole + counts.matrix(group)
-        shown = f"{low} %" if end == low + 1 else f"{low}-{end - 1} %"
-        parts.append(SplitPart(shown, float(low), float(end), whole))
+            matrix = matrix + counts.matrix(group)
+        title = f"{low} %" if end == low + 1 else f"{low}-{end - 1} %"
+        parts.append(SplitPart(title, float(low), float(end), matrix))
     if UNKNOWN in counts.groups:
         parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
     return tuple(parts)
 
 
 def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
-    """Tell how well confidence meets the share of right pairs, those of one class name.
+    """Return sentences on how well the confidence agrees with the share of right pairs.
 
-    Means, difference.
+    A pair is right if both sides have one class name.
     """
     n = np.zeros(MOST_CONFIDENCE + 1)
     right = np.zeros(MOST_CONFIDENCE + 1)
@@ -360,14 +351,15 @@ def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
         return ()
     expected = np.arange(MOST_CONFIDENCE + 1) * n / 100.0
     error = np.abs(right - expected).sum() / n.sum()
-    said = f"confidence: {100 * expected.sum() / n.sum():.2f} % on the mean, {100 * right.sum() / n.sum():.2f} % are right"
-    # of equals, each counts in part
-    taken = np.clip(TOP_SHARE * n.sum() - (np.cumsum(n[::-1]) - n[::-1]), 0.0, n[::-1])
-    top = (
-        np.divide(right[::-1], n[::-1], out=np.zeros_like(n), where=n[::-1] > 0) * taken
-    ).sum() / taken.sum()
+    # highest confidence first; pairs of the last value count in part
+    n_down = n[::-1]
+    taken = np.clip(TOP_SHARE * n.sum() - (np.cumsum(n_down) - n_down), 0.0, n_down)
+    share = np.divide(right[::-1], n_down, out=np.zeros_like(n), where=n_down > 0)
+    top = (share * taken).sum() / taken.sum()
     return (
-        f"{said}; expected calibration error {100 * error:.2f} %",
+        f"confidence: {100 * expected.sum() / n.sum():.2f} % on the mean, "
+        f"{100 * right.sum() / n.sum():.2f} % are right; "
+        f"expected calibration error {100 * error:.2f} %",
         f"confidence: of the {100 * TOP_SHARE:g} % with the most, {100 * top:.2f} % are right",
     )
 
@@ -384,9 +376,10 @@ def intervals_of(
         return {}, ""
     blocks = counts.parts["blocks"].scored()
     names = matrix.reference_names, matrix.predicted_names
-    found = block_intervals(blocks, names)
+    intervals = block_intervals(blocks, names)
     unit = "scan lines" if by_lines else "records"
     size = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
-    few = "; few blocks, take them as rough" if len(blocks) < FEW_BLOCKS else ""
-    method = f"block jackknife, {len(blocks)} blocks of {size} {unit}, {100 * LEVEL:g} %{few}"
-    return found, method
+    method = f"block jackknife, {len(blocks)} blocks of {size} {unit}, {100 * LEVEL:g} %"
+    if len(blocks) < FEW_BLOCKS:
+        method += "; few blocks, take them as rough"
+    return intervals, method

@@ -1,7 +1,4 @@
-"""Cuts of an evaluation: lines or times, an area, heights above ground.
-
-And stems from a list of trees.
-"""
+"""Cuts of an evaluation: lines or times, an area, heights above ground, stems of listed trees."""
 
 from __future__ import annotations
 
@@ -28,14 +25,14 @@ GROUND_CELL_M = 1.0
 STEM_FROM_M = 0.3
 STEM_TO_M = 4.3
 STEM_DIAMETERS = 2.0
-"""Cylinders of Lehtola et al. (2019), sec.
+"""Cylinders of Lehtola et al. (2019), section III.
 
-III: 4 m from 1 m below breast height, radius twice the diameter there.
+4 m high from 1 m below breast height, with a radius of twice the diameter there.
 """
 
 
 class ScoredWindow:
-    """Leaves out pairs of records outside a window, and counts what is left."""
+    """Leaves out pairs of records outside a window, and counts the others."""
 
     def __init__(self, window: Window) -> None:
         self._window = window
@@ -44,9 +41,9 @@ class ScoredWindow:
         self._low = math.inf
         self._high = -math.inf
 
-    def keep(self, beside: Columns) -> Mask:
-        """Return which records are within the window."""
-        place = np.asarray(beside[LINE if self._window.in_lines else SECONDS], np.float64)
+    def keep(self, columns: Columns) -> Mask:
+        """Mark the records within the window."""
+        place = np.asarray(columns[LINE if self._window.in_lines else SECONDS], np.float64)
         known = np.isfinite(place) & ~(self._window.in_lines & (place < 0))
         if known.any():
             if self._origin_s is None:
@@ -62,9 +59,12 @@ class ScoredWindow:
     def outside(self, path: str) -> tuple[str, int]:
         """Return a sentence with the number of pairs that are not scored, and this number."""
         if not self._n_inside:
-            what = "lines" if self._window.in_lines else "times"
-            problem = f"found {what} from {self._low:.9g} to {self._high:.9g}, expected some in {self._window.option}"
-            raise InputError(path, problem, f"choose {what} that it has")
+            unit = "lines" if self._window.in_lines else "times"
+            problem = (
+                f"found {unit} from {self._low:.9g} to {self._high:.9g}, "
+                f"expected some in {self._window.option}"
+            )
+            raise InputError(path, problem, f"choose {unit} that it has")
         return (
             f"{self._window.option}: {{n}} records outside are not scored",
             self._n - self._n_inside,
@@ -72,7 +72,7 @@ class ScoredWindow:
 
 
 class Area:
-    """A rectangle ``X1,Y1,X2,Y2``, or the polygons of a GeoJSON file, in the coordinates of the points."""
+    """A rectangle ``X1,Y1,X2,Y2`` or the polygons of a GeoJSON file, as the points [m]."""
 
     def __init__(self, text: str) -> None:
         self._polygons: Any = None
@@ -89,7 +89,7 @@ class Area:
             raise ConfigError("--inside", problem, "both in the coordinates of the points")
 
     def holds(self, x: F64, y: F64) -> Mask:
-        """Return which points are inside."""
+        """Mark the points inside."""
         x0, y0, x1, y1 = self.bounds
         inside: Mask = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         if self._polygons is not None and inside.any():
@@ -126,14 +126,14 @@ def _polygons(path: Path) -> Any:
             str(path), "polygons need shapely", "pip install prc-cli[geo], or give X1,Y1,X2,Y2"
         ) from None
     try:
-        found = json.loads(read_small(path, _MOST_BYTES))
-        features = found["features"] if found["type"] == "FeatureCollection" else [found]
-        shapes = [
-            shape(item["geometry"] if item["type"] == "Feature" else item) for item in features
-        ]
-        area = shapely.union_all(
-            [item for item in shapes if item.geom_type in ("Polygon", "MultiPolygon")]
-        )
+        geojson = json.loads(read_small(path, _MOST_BYTES))
+        features = geojson["features"] if geojson["type"] == "FeatureCollection" else [geojson]
+        shapes = []
+        for feature in features:
+            geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+            shapes.append(shape(geometry))
+        polygons = [item for item in shapes if item.geom_type in ("Polygon", "MultiPolygon")]
+        area = shapely.union_all(polygons)
         if not np.isfinite(area.bounds).all() and not area.is_empty:
             message = "coordinates that are no numbers"
             raise ValueError(message)
@@ -159,7 +159,7 @@ class Ground:
         self._tree: Any = None
 
     def add(self, x: F64, y: F64, z: F64) -> None:
-        """Take points of the ground."""
+        """Add points of the ground [m]."""
         keys = np.concatenate([self._keys, cell_keys(x, y, GROUND_CELL_M)])
         heights = np.concatenate([self._z, z])
         order = np.lexsort((heights, keys))
@@ -196,7 +196,7 @@ class Trees:
 
     @classmethod
     def read(cls, path: Path) -> Trees:
-        """Read ``x,y,radius[,height]``, or ``x_m,y_m,dbh_m`` as ``prc simulate forest --stems`` writes them."""
+        """Read a table ``x,y,radius[,height]``, or one of ``prc simulate forest --stems``."""
         try:
             rows = list(csv.DictReader(io.StringIO(read_small(path, _MOST_BYTES).decode())))
             names = {name.strip().lower().removesuffix("_m"): name for name in rows[0] if name}
@@ -209,72 +209,77 @@ class Trees:
             top = np.array([float(row[names["height"]]) if asked else STEM_TO_M for row in rows])
             wrong = ~np.isfinite([x, y, width, top]).all(axis=0) | (width < 0)
             if wrong.any():
-                message = f"row {int(np.argmax(wrong)) + 1}: a number that is not finite, or a width below 0"
+                row_number = int(np.argmax(wrong)) + 1
+                message = f"row {row_number}: a number that is not finite, or a width below 0"
                 raise ValueError(message)
         except OSError as error:
             raise InputError(
                 str(path), f"cannot be read ({error.strerror or error})", "check the name"
             ) from error
         except (ValueError, LookupError, TypeError, csv.Error) as error:
-            problem = f"found no trees ({error}), expected a CSV file with the columns x,y,radius[,height] in metres"
+            problem = (
+                f"found no trees ({error}), "
+                "expected a CSV file with the columns x,y,radius[,height] in metres"
+            )
             raise InputError(str(path), problem, "write these columns, a tree a row") from error
         return cls(np.stack([x, y], axis=1), width * (STEM_DIAMETERS if by_diameter else 1.0), top)
 
     def holds(self, columns: Columns, height: F64) -> Mask:
-        """Return which points are inside a cylinder."""
+        """Mark the points inside a cylinder."""
         from scipy.spatial import cKDTree
 
-        found = np.zeros(len(height), np.bool_)
+        is_stem = np.zeros(len(height), np.bool_)
         low = np.flatnonzero((height >= STEM_FROM_M) & (height <= self.top.max(initial=0.0)))
         if not len(low) or not len(self.xy):
-            return found
+            return is_stem
         points = cKDTree(np.stack([columns["x"][low], columns["y"][low]], axis=1))
         for members, top in zip(
             points.query_ball_point(self.xy, self.radius), self.top.tolist(), strict=True
         ):
             inside = low[np.asarray(members, np.int64)]
-            found[inside[height[inside] <= top]] = True
-        return found
+            is_stem[inside[height[inside] <= top]] = True
+        return is_stem
 
 
 class Cover:
-    """Which squares of the plan the reference covers, and where predicted shots lie beside it."""
+    """The squares of the plan that the reference covers, and the predicted shots outside."""
 
     EDGE_M = SQUARE_M
     COARSE = 8
     FEW = 0.25
-    """Empty squares with fewer predicted shots than this share of the mean are air or sight behind a wall: noise."""
+    """Empty squares with fewer predicted shots than this share of the mean contain noise.
 
-    def __init__(self, ours: tuple[I64, I64], theirs: tuple[I64, I64]) -> None:
-        """Take the squares that hold predicted shots and those of the reference, and how many they hold."""
-        (self._ours, self._n) = ours
-        (self._held, _) = theirs
-        column, row = cell_places(self._held)
+    They are in the air, or seen through a window or a gap.
+    """
+
+    def __init__(self, predicted: tuple[I64, I64], reference: tuple[I64, I64]) -> None:
+        """Start with the squares of both sides: sorted keys and number of shots, (n,)."""
+        self._predicted, self._n = predicted
+        self._covered, _ = reference
+        column, row = cell_places(self._covered)
         self._coarse = np.unique(keys_of(column // self.COARSE, row // self.COARSE))
         self._empty: dict[int, int] = {}
         self.n_outside = 0
 
     def holds(self, x: F64, y: F64) -> Mask:
-        """Return which predicted shots lie where the reference covers the plan.
-
-        The others are counted.
-        """
+        """Mark the predicted shots where the reference has points; count the others."""
         if not len(x):
             return np.zeros(0, np.bool_)
         keys = cell_keys(x, y, self.EDGE_M)
         coarse = cell_keys(x, y, self.EDGE_M * self.COARSE)
-        held = np.isin(keys, self._held)
-        covered = self._n[np.isin(self._ours, self._held)]
-        most = self.FEW * float(covered.mean()) if len(covered) else 0.0
-        held |= np.isin(coarse, self._coarse) & (self._n[np.searchsorted(self._ours, keys)] < most)
-        cells, n = np.unique(coarse[~held], return_counts=True)
+        covered = np.isin(keys, self._covered)
+        n_of_covered = self._n[np.isin(self._predicted, self._covered)]
+        most = self.FEW * float(n_of_covered.mean()) if len(n_of_covered) else 0.0
+        n_of_square = self._n[np.searchsorted(self._predicted, keys)]
+        covered |= np.isin(coarse, self._coarse) & (n_of_square < most)
+        cells, n = np.unique(coarse[~covered], return_counts=True)
         self.n_outside += int(n.sum())
         for cell, count in zip(cells.tolist(), n.tolist(), strict=True):
             self._empty[cell] = self._empty.get(cell, 0) + count
-        return held
+        return covered
 
     def largest_gap(self) -> tuple[int, tuple[float, float, float, float]] | None:
-        """Return the shots in, and the bounds of, the largest group of squares full of shots without reference [m]."""
+        """Return the number of shots and the bounds [m] of the largest gap in the reference."""
         from scipy.ndimage import label
 
         edge = self.EDGE_M * self.COARSE
@@ -293,9 +298,9 @@ class Cover:
         grid[place] = [self._empty[cell] for cell in cells.tolist()]
         names = label(grid > 0)[0][place]
         n = np.bincount(names, grid[place])
-        mine = names == int(np.argmax(n))
-        x = column[mine] * edge
-        y = row[mine] * edge
+        in_gap = names == int(np.argmax(n))
+        x = column[in_gap] * edge
+        y = row[in_gap] * edge
         return int(n.max()), (
             float(x.min()),
             float(y.min()),

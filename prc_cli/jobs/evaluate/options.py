@@ -1,4 +1,4 @@
-"""Options of ``prc evaluate``, and the class mapping that fits predicted files where none is given."""
+"""Options of ``prc evaluate``, and the default class mapping of predicted files."""
 
 from __future__ import annotations
 
@@ -20,11 +20,13 @@ from prc_cli.formats.writing.record import PROGRAM, read_record
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s.
 
-Shots of scanners up to 1 MHz
-are further apart, so none is paired with its neighbour."""
+Shots of scanners up to 1 MHz are further apart, so no shot is paired with its neighbour."""
 
-PLACE_BY_POSES = "shots that are relative to the scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW"
-"""What makes raw shots find registered points."""
+PLACE_BY_POSES = (
+    "shots that are relative to the scanner: "
+    "add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW"
+)
+"""Hint: how raw shots are matched with registered points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +34,18 @@ class EvaluateOptions:
     """How two sides are compared."""
 
     match: str = "order"
-    """``order``; ``time``; ``dimension:NAME``, or ``dimension:PREDICTED=REFERENCE`` where the names differ; or
-    ``nearest``. Files of other length or order are matched by cell instead, where both know line
-    and column. The dimension ``record`` is the record's index where a file has no such column (not
-    in LAS)."""
-    tolerance: float | None = None
-    """Largest difference of a pair.
+    """``order``, ``time``, ``nearest`` or ``dimension:NAME``.
 
-    Seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`, or
-    chosen from the spacing of the reference and the distance of the two clouds."""
+    ``dimension:PREDICTED=REFERENCE`` is for different names. Files of other length or order are
+    matched by cell instead of order, if both have line and column. The dimension ``record`` is the
+    index of a record if a file has no such column (not in LAS).
+    """
+    tolerance: float | None = None
+    """Largest difference of a pair, [s] for ``time`` and [m] for ``nearest``.
+
+    None = :data:`TIME_TOLERANCE_S`, or chosen from the spacing of the reference and the distance of
+    the two clouds.
+    """
     min_matched: float = 0.5
     """Least share of the smaller side that must be matched."""
     predicted_dimension: str | None = None
@@ -48,19 +53,19 @@ class EvaluateOptions:
     reference_dimension: str | None = None
     """Column or dimension with the reference codes; None = found by name."""
     predicted_points: Path | None = None
-    """Points of predicted labels that have no coordinates, record by record.
+    """Points of predicted labels without coordinates, record by record: the input of the run.
 
-    The input of the run; or their folder.
+    Or the folder of the inputs.
     """
     reference_points: Path | None = None
-    """Points of reference labels that have no coordinates, or their folder."""
+    """Points of reference labels without coordinates, or their folder."""
     trajectory: Path | None = None
-    """Poses of the drive: predicted coordinates are made of its ranges and scan angles.
+    """Poses of the drive, for predicted coordinates from its ranges and scan angles.
 
-    None = the files have them.
+    None = the files have coordinates.
     """
     mount: tuple[float, ...] = ()
-    """Roll, pitch, yaw of the scanner on the vehicle [deg], and x, y, z from the trajectory's point to it [m]."""
+    """Scanner on the vehicle: roll, pitch, yaw [deg]; x, y, z from the trajectory's point [m]."""
     split_range_m: tuple[float, ...] = ()
     """Edges of range bins [m]; empty = not split."""
     split_lines: int | None = None
@@ -70,38 +75,36 @@ class EvaluateOptions:
     split_confidence: tuple[int, ...] = ()
     """Edges of spans of confidence [per cent]; empty = not split."""
     min_confidence: int | None = None
-    """Pairs whose prediction has less confidence are left out [per cent]; None = none is."""
+    """Pairs with less confidence are left out [per cent]; None = all pairs are scored."""
     points_per_line: int | None = None
-    """M, where records are shots of a dense stream: the line of record i is i // M."""
+    """M, if the records are all shots of a stream: the line of record i is i // M."""
     intervals: bool = False
     """Whether confidence intervals of the scores are computed."""
     interval_lines: int = 99
-    """Scan lines per block that is left out as a whole."""
+    """Scan lines per block of the jackknife."""
     unmatched: str = "leave"
-    """``nearest``: predicted shots without partner are left out (``leave``), or are ``noise`` in the reference where it
-    covers the ground."""
+    """``nearest``: predicted shots without partner are left out (``leave``) or ``noise``.
+
+    They are noise only where the reference has points."""
     inside: str | None = None
-    """``nearest``: only shots inside are compared.
+    """``nearest``: only shots in this area are compared.
 
     ``X1,Y1,X2,Y2`` or a GeoJSON file of polygons.
     """
     height: tuple[float, float] | None = None
-    """``nearest``: only shots between these heights above the reference's ground are scored [m]."""
+    """``nearest``: only shots between these heights above the reference ground are scored [m]."""
     trees: Path | None = None
     """``nearest``: a CSV file of trees; shots inside their cylinders are stems in the reference."""
     third: Path | None = None
     """A third labelling of the same shots: by ``order`` or ``nearest``."""
     third_mapping: str | Path | None = None
-    """Class mapping whose reference codes the third labelling has; None = that of the reference."""
+    """Class mapping of the third labelling, by its reference codes; None = as the reference."""
     allow_missing: bool = False
     """Whether files without partner in the other folder are left out instead of refused."""
     window: Window | None = None
-    """Only the records of these lines or times are scored.
-
-    Lines and times are those of the files.
-    """
+    """Only the records of these lines or times, as in the files, are scored."""
     pool: bool = False
-    """Whether all files of a side are compared as one, for example tiles with equal names but different bounds."""
+    """Whether all files of a side are compared as one, as tiles with other bounds."""
 
 
 def check_options(options: EvaluateOptions) -> None:
@@ -140,16 +143,16 @@ def check_options(options: EvaluateOptions) -> None:
 
 
 def _check_places(options: EvaluateOptions) -> None:
-    """Refuse options that need coordinates, or a match that has none."""
-    by_place = {
-        "unmatched": options.unmatched != "leave",
-        **{
-            key: getattr(options, key) is not None
-            for key in ("inside", "height", "trees", "trajectory")
-        },
-    }
-    for key, is_asked in by_place.items():
-        if is_asked and options.match != "nearest":
+    # some options need coordinates
+    needs_places = [
+        key
+        for key in ("inside", "height", "trees", "trajectory")
+        if getattr(options, key) is not None
+    ]
+    if options.unmatched != "leave":
+        needs_places.insert(0, "unmatched")
+    for key in needs_places:
+        if options.match != "nearest":
             problem = f"needs coordinates of both sides, records are matched by {options.match}"
             raise ConfigError(f"--{key}", problem, "give --match nearest")
     if options.third is not None and options.match not in ("order", "nearest"):
@@ -160,7 +163,6 @@ def _check_places(options: EvaluateOptions) -> None:
 
 
 def _check_confidence(options: EvaluateOptions) -> None:
-    """Refuse per cents that are none."""
     least = options.min_confidence
     if least is not None and not 0 <= least <= 100:
         raise ConfigError("min_confidence", f"found {least}, expected per cent, 0 to 100")
@@ -173,33 +175,35 @@ def _check_confidence(options: EvaluateOptions) -> None:
 
 
 def tolerance_of(options: EvaluateOptions) -> float | None:
-    """Return the largest difference of a pair, None where records are not matched by a tolerance."""
+    """Return the largest difference of a pair; None if the match has no tolerance."""
     if options.tolerance is None and options.match == "time":
         return TIME_TOLERANCE_S
     return options.tolerance
 
 
 DEFAULT_MAPPING = "prc"
-"""Where no run record says otherwise."""
+"""Preset without a run record."""
 
 MAPPINGS = {"sequential-angle": "street_scan", "fused": "street", "rings": "street"}
-"""Preset by method; forests have the classes of PRC, whatever the method."""
-
+"""Preset by method. Forests have the classes of PRC with every method."""
 
 COARSEST_FIRST = ("street_scan", "prc", "street")
-"""Presets that put two methods side by side, by the classes that they tell apart."""
+"""Presets for the comparison of two methods, fewest classes first."""
 
 
 def mapping_of_runs(
     predicted: Sequence[Path], reference: Sequence[Path] = (), dimension: str | None = None
 ) -> tuple[str, str]:
-    """Choose the preset with the classes of the methods that wrote the files, and the reference's codes."""
-    name, method = _asked_by_all(predicted)
-    other, other_method = _asked_by_all(reference)
-    if other_method and other != name:
-        # two methods are compared in the classes of both: the coarser ones
-        name = min(name, other, key=COARSEST_FIRST.index)
-        methods = " and ".join(filter(None, (method, other_method)))
+    """Choose the preset for the methods that wrote the files and the codes of the reference.
+
+    Return its name and the reason.
+    """
+    name, method = _preset_of_files(predicted)
+    reference_name, reference_method = _preset_of_files(reference)
+    if reference_method and reference_name != name:
+        # the coarser one has the classes of both
+        name = min(name, reference_name, key=COARSEST_FIRST.index)
+        methods = " and ".join(filter(None, (method, reference_method)))
         return name, f"the run records say {methods}: it has the classes of both"
     why = [f"the run record says {method}"] if method and name != DEFAULT_MAPPING else []
     if reference and (listing := _listing(load_mapping(name), reference[0], dimension)):
@@ -208,36 +212,32 @@ def mapping_of_runs(
     return name, ", ".join(why)
 
 
-def _asked_by_all(paths: Sequence[Path]) -> tuple[str, str]:
-    """Return the preset of some files and their method, the default one where they differ."""
-    asked = {_asked_by(path) for path in paths}
-    return asked.pop() if len(asked) == 1 else (DEFAULT_MAPPING, "")
+def _preset_of_files(paths: Sequence[Path]) -> tuple[str, str]:
+    # preset and method; the default preset if the methods differ
+    presets = {_preset_of_file(path) for path in paths}
+    return presets.pop() if len(presets) == 1 else (DEFAULT_MAPPING, "")
 
 
 def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> str:
-    """Return the likest preset that lists the first codes of a reference, where a mapping does not.
+    """Return the preset that lists the first codes of a reference, if the mapping does not.
 
-    Else empty.
+    Empty if no preset does, or several with different codes do.
     """
     try:
         codes = np.unique(next(iter(open_codes(reference, dimension).chunks()), ()))
-    except (PrcError, OSError):  # whoever compares the files says so
+    except (PrcError, OSError):  # the comparison reports it
         return ""
-    names = (
-        mapping.fitting(codes, "reference") if mapping.is_unlisted(codes, "reference").any() else []
-    )
-    # codes of one kind of data alone leave no doubt
+    if not mapping.is_unlisted(codes, "reference").any():
+        return ""
+    names = mapping.fitting(codes, "reference")
     kinds = {
         load_mapping(name).is_unlisted(np.arange(1 << 16), "reference").tobytes() for name in names
     }
     return names[0] if len(kinds) == 1 else ""
 
 
-def _asked_by(path: Path) -> tuple[str, str]:
-    """Return the preset for one file and its method.
-
-    a record that is missing or damaged asks for nothing.
-    """
+def _preset_of_file(path: Path) -> tuple[str, str]:
+    # preset and method by the run record; the default preset without a valid record
     try:
         record = read_record(path)
         config = record["config"]

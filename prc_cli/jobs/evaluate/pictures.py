@@ -1,4 +1,4 @@
-"""Pictures of the classes of two label files side by side, shot by shot, for the page of an evaluation."""
+"""Pictures of the classes of two label files side by side, for the page of an evaluation."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def class_pictures(
     dimensions: tuple[str | None, str | None] = (None, None),
     points: tuple[Path | None, Path | None] = (None, None),
 ) -> tuple[tuple[str, bytes], ...]:
-    """Draw the first lines as predicted, as in the reference, and where they differ.
+    """Draw the first lines as predicted, as in the reference, and their differences.
 
-    Time to the right, sky up.
+    Time runs to the right, the sky is up. Return captions and PNGs.
     """
     names = mapping.names("reference")
     names += tuple(name for name in mapping.names("predicted") if name not in names)
@@ -61,31 +61,31 @@ def class_pictures(
     most_lines = min(MAX_LINES, _MAX_CELLS // points_per_line)
     sides: tuple[tuple[SideName, Path], ...] = (("predicted", predicted), ("reference", reference))
     files = [
-        _with_points(path, dimension, where)
-        for (_, path), dimension, where in zip(sides, dimensions, points, strict=True)
+        _with_points(path, dimension, points_path)
+        for (_, path), dimension, points_path in zip(sides, dimensions, points, strict=True)
     ]
     cells = [_Cells.read(file, points_per_line, most_lines) for file in files]
-    # a side whose records are as many as those of the other has their cells
-    known = [_placed(one, other) for one, other in (cells, cells[::-1])]
-    if any(one.cell is None or not len(one.codes) for one in known):
+    # sides with equal numbers of records have the same cells
+    known = [_placed(cells[0], cells[1]), _placed(cells[1], cells[0])]
+    if any(cells_of_side.cell is None or not len(cells_of_side.codes) for cells_of_side in known):
         return ()
-    first_line = max(one.first_line for one in known)
-    n_lines = min(one.stop_line(points_per_line) for one in known) - first_line
+    first_line = max(cells_of_side.first_line for cells_of_side in known)
+    n_lines = min(cells_of_side.stop_line(points_per_line) for cells_of_side in known) - first_line
     if n_lines <= 0:
         return ()
-    found = []
-    for (side, _), one in zip(sides, known, strict=True):
-        # place 0: not scored
-        place = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
-        codes = one.image(first_line, n_lines, points_per_line)
-        found.append(place[mapping.class_indices(codes, side) + 1].astype(np.uint8))
+    images = []
+    for (side, _), cells_of_side in zip(sides, known, strict=True):
+        # 0: not scored
+        colour_of_class = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
+        codes = cells_of_side.image(first_line, n_lines, points_per_line)
+        images.append(colour_of_class[mapping.class_indices(codes, side) + 1].astype(np.uint8))
     beside = (
-        _points_of(path, where)
-        for (_, path), where in zip(sides, points, strict=True)
-        if where is not None
+        _points_of(path, points_path)
+        for (_, path), points_path in zip(sides, points, strict=True)
+        if points_path is not None
     )
     rows = _rows((*beside, predicted, reference), points_per_line, -(-points_per_line // _HEIGHT))
-    first, second = (places[:, rows].T for places in found)
+    first, second = (places[:, rows].T for places in images)
     differ = np.where(first == second, np.uint8(len(names) + 1), first)
     differ[(first == 0) | (second == 0)] = 0
     lines = f"lines {first_line}-{first_line + n_lines - 1}"
@@ -100,12 +100,11 @@ def class_pictures(
 
 
 def _points_of(labels: Path, where: Path) -> Path:
-    """Return the point file of a label file."""
     return next((path for path in files_of([where]) if stem_of(path) == stem_of(labels)), where)
 
 
 def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np.intp]:
-    """Return the columns that are drawn, from the top."""
+    # indices of the columns to draw, from the top
     config = LoadedConfig(RunConfig(input=InputConfig(points_per_line=points_per_line)))
     columns = np.arange(0, points_per_line, every)
     for path in paths:
@@ -120,7 +119,7 @@ def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np
 
 
 def _line_length(path: Path, dimension: str | None) -> int | None:
-    """Return M of a file that numbers its scan lines, None if lines are not known or not equally long."""
+    # None if the file has no line numbers, or lines of different length
     side = Side((SideFile.open(path, dimension, None),))
     if LINE not in side.dimensions:
         return None
@@ -134,16 +133,16 @@ def _line_length(path: Path, dimension: str | None) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class _Cells:
-    """Codes of the first lines of a file, (n,) int64, and the cells that they belong to."""
+    """Codes of the first lines of a file, (n,) int64, and their cells."""
 
     codes: I64
     cell: I64 | None
-    """Line times M, plus column; None = not known."""
+    """Line times M plus column; None = not known."""
     n_records: int | None
     """Number of records of the file; None = not known."""
     first_line: int = 0
     is_assumed: bool = False
-    """Whether nothing says that there is a code for every cell."""
+    """Whether prc only assumes a code for every cell."""
 
     @classmethod
     def read(cls, file: SideFile, points_per_line: int, most_lines: int) -> _Cells:
@@ -151,15 +150,15 @@ class _Cells:
         wanted = most_lines * points_per_line
         if not file.has_cells:
             codes = _first_codes(file, wanted)
-            # LAS holds no shots without return; of labels the run record says whether there is one
-            # for every cell
-            is_said = file.dense_line == points_per_line
+            # LAS has no shots without return; the run record of a label file may say that it has a
+            # code for every cell
+            is_dense = file.dense_line == points_per_line
             is_assumed = (
                 not isinstance(file.table, LasSource)
                 and not record_path(Path(file.codes.path)).is_file()
             )
-            cell = np.arange(len(codes)) if is_said or is_assumed else None
-            return cls(codes, cell, file.codes.n, is_assumed=not is_said)
+            cell = np.arange(len(codes)) if is_dense or is_assumed else None
+            return cls(codes, cell, file.codes.n, is_assumed=not is_dense)
         codes_read: list[I64] = []
         cells_read: list[I64] = []
         first: int | None = None
@@ -179,20 +178,14 @@ class _Cells:
         return cls(codes, cell, file.codes.n, first or 0)
 
     def stop_line(self, points_per_line: int) -> int:
-        """Return the line behind the last one.
-
-        An unfinished line of codes for every cell is left out.
-        """
+        """Return the number of the last line + 1, without an incomplete line of dense codes."""
         assert self.cell is not None
         if np.array_equal(self.cell, np.arange(len(self.cell))):
             return len(self.cell) // points_per_line
         return int(self.cell.max()) // points_per_line + 1
 
     def image(self, first_line: int, n_lines: int, points_per_line: int) -> I64:
-        """Return the code of every cell, (lines, M) int64, that of its first record.
-
-        -1 = it has none.
-        """
+        """Return the code of the first record of every cell, (lines, M) int64; -1 = none."""
         assert self.cell is not None
         image = np.full(n_lines * points_per_line, NO_CODE, np.int64)
         cell = self.cell - first_line * points_per_line
@@ -202,18 +195,22 @@ class _Cells:
         return image.reshape(n_lines, points_per_line)
 
 
-def _placed(one: _Cells, other: _Cells) -> _Cells:
-    """Return codes with the cells of the other side, if that knows them and has as many records."""
-    if (one.cell is not None and not one.is_assumed) or other.cell is None or other.is_assumed:
-        return one
-    if one.n_records is None or one.n_records != other.n_records:
-        return one
-    n = min(len(one.codes), len(other.codes))
-    return replace(other, codes=one.codes[:n], cell=other.cell[:n])
+def _placed(cells: _Cells, partner: _Cells) -> _Cells:
+    # codes with the cells of the partner, if only that has cells, and as many records
+    if (
+        (cells.cell is not None and not cells.is_assumed)
+        or partner.cell is None
+        or partner.is_assumed
+    ):
+        return cells
+    if cells.n_records is None or cells.n_records != partner.n_records:
+        return cells
+    n = min(len(cells.codes), len(partner.codes))
+    return replace(partner, codes=cells.codes[:n], cell=partner.cell[:n])
 
 
 def _with_points(path: Path, dimension: str | None, where: Path | None) -> SideFile:
-    """Open a side with the points that know its cells, if they can be read as records."""
+    # the points have the cells of the labels, if they can be read as records
     points = None if where is None else _points_of(path, where)
     if points is not None:
         with suppress(PrcError):
@@ -234,10 +231,7 @@ def _first_codes(file: SideFile, wanted: int) -> I64:
 
 
 def _png(places: U8, names: tuple[str, ...]) -> bytes:
-    """Draw places in the table of classes.
-
-    0 = white, the place after the last class = they agree.
-    """
+    # colour numbers: 0 = white, then the classes, then the colour of agreement
     colours = [_NONE, *(bytes.fromhex(class_colour(name)[1:]) for name in names), _AGREE]
     height, width = places.shape
     across = max(1, _WIDTH // width)

@@ -1,7 +1,4 @@
-"""A registered reference, compared by place.
-
-How it lies on the prediction, what it lacks, what that means.
-"""
+"""Comparison with a registered reference by coordinates: tolerance, shift, gaps and noise."""
 
 from __future__ import annotations
 
@@ -32,22 +29,24 @@ STEM = "stem"
 REACHES = 8.0
 """Shots without partner are compared with the spacing of the reference up to this many tolerances."""
 CLEAR = 1.5
-"""From this many tolerances on, shots without partner are noise: no thinning reaches so far.
+"""Shots without partner beyond this many tolerances are noise: no thinning reaches so far.
 
-Nearer, noise is taken to
-be as dense as in the next tolerance, down to the tolerance, and to thin out evenly from there to
-the surface: in all as many shots as that next tolerance holds."""
+Nearer shots are estimated: noise is assumed as dense as in the next tolerance, down to the
+tolerance, and from there thinner towards the surface. In all these are as many shots as the next
+tolerance has.
+"""
 _OVERLAP_M = 0.5
-"""Tiles that overlap by less are cut at one edge and rounded."""
+"""Tiles that overlap by less have one edge, rounded [m]."""
 _DEGREES_SPAN = 0.1
 _AROUND_M = 2.0
 MOSTLY = 0.4
-"""Where more of the shots without partner lie within the spacing of the reference, it was thinned at random."""
+"""A reference was thinned at random if more of the shots without partner are within its spacing."""
 _GAP_SHARE = 0.002
+"""Gaps with a larger share of the predicted shots are reported."""
 
 
 class Registered:
-    """Pairs of one prediction and its reference, and what is noted about them."""
+    """Pairs of a prediction and its registered reference, and the notes about them."""
 
     def __init__(
         self,
@@ -110,17 +109,15 @@ class Registered:
                 self._predicted(left, names),
                 self._reference(right, others, keep_file=FILE in plan.reference),
             )
-            ours, theirs = ordered(lambda k: Cloud(sides[k], files[k]), range(2), threads=2)
-            self._cover = Cover(ours.squares(), theirs.squares())
-            self._check(ours, theirs)
-            beside = (
-                None
-                if third is None
-                else Cloud(columns_of(third, (CODE, *AXES), sort=False), files[2])
-            )
+            predicted, reference = ordered(lambda k: Cloud(sides[k], files[k]), range(2), threads=2)
+            self._cover = Cover(predicted.squares(), reference.squares())
+            self._check(predicted, reference)
+            third_cloud = None
+            if third is not None:
+                third_cloud = Cloud(columns_of(third, (CODE, *AXES), sort=False), files[2])
             reach = REACHES * self.tolerance if self._options.unmatched == NOISE else None
-            for item in nearest_join(ours, theirs, self.tolerance, tally, reach):
-                yield from self._compared(item, plan, beside)
+            for tile in nearest_join(predicted, reference, self.tolerance, tally, reach):
+                yield from self._compared(tile, plan, third_cloud)
 
     def _predicted(self, side: Side, names: tuple[str, ...]) -> Iterator[Columns]:
         for columns in columns_of(side, names, sort=False, with_record=False):
@@ -153,10 +150,7 @@ class Registered:
             yield columns
 
     def _around(self, columns: Columns) -> Columns:
-        """Return the reference points that can be partners of shots in the area.
-
-        Count those inside.
-        """
+        """Return the reference points near the area; count the points outside it."""
         assert self._area is not None
         x = columns["x"]
         y = columns["y"]
@@ -170,146 +164,149 @@ class Registered:
         self.n_beside += len(x) - int(np.count_nonzero(self._area.holds(x, y)))
         return {name: values[near] for name, values in columns.items()}
 
-    def _check(self, ours: Cloud, theirs: Cloud) -> None:
-        """Refuse clouds that cannot lie on each other, note how they do, and choose the tolerance."""
+    def _check(self, predicted: Cloud, reference: Cloud) -> None:
+        """Refuse clouds that do not overlap, choose the tolerance, and note shift and overlaps."""
         left, right = self._sides
-        if not ours.n and self._area is not None and self.n_cut:
+        if not predicted.n and self._area is not None and self.n_cut:
             problem = f"none of the {self.n_cut:,} predicted shots is in {self._options.inside}"
             raise InputError(left.path, problem, "give the area in the coordinates of the points")
-        if not ours.n or not theirs.n:
+        if not predicted.n or not reference.n:
             return
-        _refuse_apart((left.path, ours), (right.path, theirs))
+        _refuse_apart(left.path, predicted, right.path, reference)
         if self._heights and self._ground.is_empty:
-            raise InputError(
-                right.path,
-                "no point has the class ground, expected some to measure heights from",
-                "check the class mapping",
-            )
-        fit = fit_of(ours, theirs)
+            problem = "no point has the class ground, expected some to measure heights from"
+            raise InputError(right.path, problem, "check the class mapping")
+        fit = fit_of(predicted, reference)
         self._is_thinned = fit is not None and fit.sparse > MOSTLY
         if self._options.tolerance is None and fit is not None:
             self.tolerance = fit.tolerance_m
             self._counts.note(
-                f"tolerance {self.tolerance:g} m, beyond which few more partners are found (median distance of the "
-                f"clouds {fit.spread_m:.3f} m, spacing of the reference {fit.spacing_m:.3f} m); --max-distance sets "
-                "another"
+                f"tolerance {self.tolerance:g} m, beyond which few more partners are found "
+                f"(median distance of the clouds {fit.spread_m:.3f} m, "
+                f"spacing of the reference {fit.spacing_m:.3f} m); --max-distance sets another"
             )
         elif self._options.tolerance is None:
             self.tolerance = 1.0
         self._is_narrow = fit is None or self.tolerance < fit.tolerance_m
-        shift = shift_of(ours, theirs)
+        shift = shift_of(predicted, reference)
         if shift is not None:
             self._counts.note(
-                f"the reference is shifted {shift_text(shift)} against the prediction: register both with one "
-                "trajectory before you trust these scores"
+                f"the reference is shifted {shift_text(shift)} against the prediction: "
+                "register both with one trajectory before you trust these scores"
             )
         for sentence in self._overlaps():
             self._counts.note(sentence)
 
     def _overlaps(self) -> Iterator[str]:
-        found = []
-        for (one, (low, high)), (other, (low2, high2)) in combinations(
+        overlaps = []
+        for (first, (low, high)), (second, (low2, high2)) in combinations(
             sorted(self._bounds.items()), 2
         ):
             width, depth = np.minimum(high, high2) - np.maximum(low, low2)
             if min(width, depth) > _OVERLAP_M:
-                found.append((width * depth, width, depth, one, other))
-        if found:
-            _, width, depth, one, other = max(found)
-            names = [Path(self._sides[1].files[index].codes.path).name for index in (one, other)]
-            more = f" ({len(found)} such pairs)" if len(found) > 1 else ""
+                overlaps.append((width * depth, width, depth, first, second))
+        if overlaps:
+            _, width, depth, first, second = max(overlaps)
+            names = [Path(self._sides[1].files[index].codes.path).name for index in (first, second)]
+            more = f" ({len(overlaps)} such pairs)" if len(overlaps) > 1 else ""
             yield (
-                f"reference files overlap: {names[0]} and {names[1]} by {width:.1f} m x {depth:.1f} m{more}; every "
-                "predicted shot is compared with one point all the same"
+                f"reference files overlap: {names[0]} and {names[1]} "
+                f"by {width:.1f} m x {depth:.1f} m{more}; "
+                "every predicted shot is compared with one point all the same"
             )
 
-    def _compared(self, item: Nearest, plan: Plan, third: Cloud | None) -> Iterator[Compared]:
+    def _compared(self, tile: Nearest, plan: Plan, third: Cloud | None) -> Iterator[Compared]:
         """Yield the shots of a tile that are scored."""
-        partner = item.to >= 0
-        # which shots without partner lie where the reference covers the plan, or in the area that
-        # is given
+        partner = tile.to >= 0
+        # shots without partner where the reference has points, or in the area of the options
         covered = np.zeros(len(partner), np.bool_)
-        place = [item.left[axis][~partner] for axis in "xy"]
+        place = [tile.left[axis][~partner] for axis in "xy"]
         covered[~partner] = self._cover.holds(*place) | (self._area is not None)
         chosen = partner
         if self._options.unmatched == NOISE:
-            chosen = partner | (covered & ~(item.sparse & self._is_thinned))
+            chosen = partner | (covered & ~(tile.sparse & self._is_thinned))
             self._n_left_out += int(np.count_nonzero(covered & ~chosen))
-        one = {name: values[chosen] for name, values in item.left.items()}
-        to = item.to[chosen]
-        sparse = item.sparse[chosen]
-        apart = item.distance[chosen]
-        codes = np.zeros(len(to), np.int64)
-        paired = to >= 0
-        codes[paired] = item.right[CODE][to[paired]]
-        rows = np.full(len(to), UNKNOWN)
+        shots = {name: values[chosen] for name, values in tile.left.items()}
+        points_at = tile.to[chosen]
+        sparse = tile.sparse[chosen]
+        distance = tile.distance[chosen]
+        codes = np.zeros(len(points_at), np.int64)
+        paired = points_at >= 0
+        codes[paired] = tile.right[CODE][points_at[paired]]
+        rows = np.full(len(points_at), UNKNOWN)
         rows[paired] = self._mapping.class_indices(codes[paired], "reference")
         names = self._mapping.names("reference")
         if self._options.unmatched == NOISE:
             rows[~paired] = names.index(NOISE)
         if self._heights:
-            height = self._ground.heights(one)
+            height = self._ground.heights(shots)
             if self._trees is not None:
-                rows[self._trees.holds(one, height)] = names.index(STEM)
+                rows[self._trees.holds(shots, height)] = names.index(STEM)
             if self._options.height is not None:
                 low, high = self._options.height
-                # the ground itself scatters by as much around its height of 0
+                # ground points scatter around their height of 0
                 kept = (height >= (low - self.tolerance if low <= 0.0 else low)) & (height <= high)
                 self._counts.note(
-                    f"{{n}} predicted shots are not from {low:g} to {high:g} m above ground: not scored",
+                    f"{{n}} predicted shots are not from {low:g} to {high:g} m above ground: "
+                    "not scored",
                     int(np.count_nonzero(~kept)),
                 )
-                one = {n: v[kept] for n, v in one.items()}
-                to = to[kept]
+                shots = {n: v[kept] for n, v in shots.items()}
+                points_at = points_at[kept]
                 rows = rows[kept]
                 sparse = sparse[kept]
-                apart = apart[kept]
-        self._count_noise(one, rows, sparse & (to < 0), np.where(to < 0, apart, 0.0))
+                distance = distance[kept]
+        self._count_noise(
+            shots, rows, sparse & (points_at < 0), np.where(points_at < 0, distance, 0.0)
+        )
         yield Compared(
-            one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third)
+            shots,
+            _taken(tile.right, points_at, plan.reference),
+            rows,
+            self._thirds(shots, tile, third),
         )
 
     def _count_noise(
         self,
-        one: Columns,
+        shots: Columns,
         rows: I64,
         sparse: Mask,
-        apart: F64,
+        distance: F64,
     ) -> None:
-        """Count what is noise in the reference and what is called so.
+        """Count noise in the reference and in the prediction.
 
-        ``apart`` is 0 for shots with a partner.
+        ``distance`` [m] is to the nearest reference point, and 0 for shots with a partner.
         """
         if self._options.unmatched != NOISE:
             return
         names = self._mapping.names("predicted")
-        column = self._mapping.class_indices(one[CODE], "predicted")
-        said = column == (names.index(NOISE) if NOISE in names else len(names))
+        column = self._mapping.class_indices(shots[CODE], "predicted")
+        is_noise = column == (names.index(NOISE) if NOISE in names else len(names))
         noise = (rows == self._mapping.names("reference").index(NOISE)) & (column >= 0)
-        clear = noise & (apart > CLEAR * self.tolerance)
-        n = np.where(clear, 1 + (apart <= (CLEAR + 1) * self.tolerance), 0)
+        clear = noise & (distance > CLEAR * self.tolerance)
+        n = np.where(clear, 1 + (distance <= (CLEAR + 1) * self.tolerance), 0)
         for name, mask in (
             ("reference", noise),
-            ("predicted", said & (rows >= 0)),
-            ("agreed", noise & said),
+            ("predicted", is_noise & (rows >= 0)),
+            ("agreed", noise & is_noise),
             ("sparse", sparse & noise),
-            ("sparse_agreed", sparse & noise & said),
+            ("sparse_agreed", sparse & noise & is_noise),
         ):
             self._noise[name] += int(np.count_nonzero(mask))
         self._noise["estimated"] += int(n.sum())
-        self._noise["estimated_agreed"] += int(n[said].sum())
+        self._noise["estimated_agreed"] += int(n[is_noise].sum())
 
-    def _thirds(self, one: Columns, item: Nearest, third: Cloud | None) -> I64 | None:
+    def _thirds(self, shots: Columns, tile: Nearest, third: Cloud | None) -> I64 | None:
         if third is None:
             return None
-        theirs, distance, found, _ = nearest_of(one, third, item.box, self.tolerance)
+        columns, distance, points_at, _ = nearest_of(shots, third, tile.box, self.tolerance)
         near = np.isfinite(distance)
         codes = np.full(len(near), LOST if self._options.unmatched == NOISE else UNKNOWN)
-        codes[near] = theirs[CODE][found[near]]
+        codes[near] = columns[CODE][points_at[near]]
         return codes
 
     def report(self, tally: JoinTally) -> None:
-        """Note what was left out, and how sure the noise is."""
+        """Note the shots that were left out, and how sure the noise is."""
         note = self._counts.note
         n_left = max(tally.n_left, 1)
         note(f"{{n}} predicted shots are outside {self._options.inside}: not scored", self.n_cut)
@@ -317,15 +314,16 @@ class Registered:
         if gap is not None and gap[0] > _GAP_SHARE * n_left:
             x0, y0, x1, y1 = gap[1]
             note(
-                f"the reference has no points at x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, where {gap[0]:,} predicted "
-                "shots lie: a tile may be missing"
+                f"the reference has no points at x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, "
+                f"where {gap[0]:,} predicted shots lie: a tile may be missing"
             )
         lone = tally.n_left - tally.n_pairs
         outside = self._cover.n_outside
         share = f"({lone / n_left:.1%}) have no partner within {self.tolerance:g} m"
         if self._options.unmatched != NOISE:
             note(
-                f"{{n}} predicted shots {share}: not scored; --unmatched noise counts them as noise",
+                f"{{n}} predicted shots {share}: not scored; "
+                "--unmatched noise counts them as noise",
                 lone,
             )
             return
@@ -338,92 +336,95 @@ class Registered:
         self._note_noise()
 
     def _note_noise(self) -> None:
-        """Note how much the noise depends on shots whose partner may only have been thinned away."""
+        # some of the noise may be shots whose partner was thinned away
         if self._is_thinned:
             self._counts.note(
-                "{n} of these lie no farther from the reference than its points there from each other, as most do: it "
-                "was thinned, so they are not scored",
+                "{n} of these lie no farther from the reference than its points there from each "
+                "other, as most do: it was thinned, so they are not scored",
                 self._n_left_out,
             )
             return
-        found = self._noise
-        sure = found["agreed"] - found["sparse_agreed"]
-        noise = found["reference"] - found["sparse"]
-        spans = [
-            f"{name} {min(both):.3f} to {max(both):.3f}"
-            for name, both in (
-                (
-                    "recall",
-                    [
-                        a / b if b else 0.0
-                        for a, b in ((found["agreed"], found["reference"]), (sure, noise))
-                    ],
-                ),
-                ("precision", [a / max(found["predicted"], 1) for a in (found["agreed"], sure)]),
-            )
-        ]
+        noise_counts = self._noise
+        sure = noise_counts["agreed"] - noise_counts["sparse_agreed"]
+        noise = noise_counts["reference"] - noise_counts["sparse"]
+        recalls = (
+            noise_counts["agreed"] / max(noise_counts["reference"], 1),
+            sure / max(noise, 1),
+        )
+        n_predicted = max(noise_counts["predicted"], 1)
+        precisions = (noise_counts["agreed"] / n_predicted, sure / n_predicted)
         self._counts.note(
-            "{n} of these lie no farther from the reference than its points there from each other, so that thinning "
-            f"may have taken their partner: noise {' and '.join(spans)}",
-            found["sparse"],
+            "{n} of these lie no farther from the reference than its points there from each "
+            "other, so that thinning may have taken their partner: "
+            f"noise recall {min(recalls):.3f} to {max(recalls):.3f} "
+            f"and precision {min(precisions):.3f} to {max(precisions):.3f}",
+            noise_counts["sparse"],
         )
         if self._is_narrow:
             return
-        recall = found["estimated_agreed"] / max(found["estimated"], 1)
-        precision = min(found["estimated_agreed"] / max(found["predicted"], 1), 1.0)
+        recall = noise_counts["estimated_agreed"] / max(noise_counts["estimated"], 1)
+        precision = min(noise_counts["estimated_agreed"] / max(noise_counts["predicted"], 1), 1.0)
         self._counts.note(
-            f"noise close to the reference estimated from that beyond {CLEAR * self.tolerance:.2g} m: noise recall "
-            f"{recall:.3f}, precision {precision:.3f}"
+            "noise close to the reference estimated from that beyond "
+            f"{CLEAR * self.tolerance:.2g} m: "
+            f"noise recall {recall:.3f}, precision {precision:.3f}"
         )
 
 
-def _taken(right: Columns, to: I64, names: tuple[str, ...]) -> Columns:
-    """Return columns of the partners, unknown where there is none."""
-    found: Columns = {}
+def _taken(right: Columns, points_at: I64, names: tuple[str, ...]) -> Columns:
+    # columns of the partners; NaN or UNKNOWN without a partner
+    columns: Columns = {}
     for name in names:
-        values = right[name][to] if len(right[name]) else np.zeros(len(to), right[name].dtype)
+        values = (
+            right[name][points_at]
+            if len(right[name])
+            else np.zeros(len(points_at), right[name].dtype)
+        )
         unknown = np.nan if values.dtype.kind == "f" else UNKNOWN
-        found[name] = np.where(to >= 0, values, unknown)
-    return found
+        columns[name] = np.where(points_at >= 0, values, unknown)
+    return columns
 
 
-def _refuse_apart(left: tuple[str, Cloud], right: tuple[str, Cloud]) -> None:
-    """Refuse coordinates in degrees, swapped axes and clouds at other places."""
-    spans = [cloud.high - cloud.low for _, cloud in (left, right)]
-    for (path, cloud), span in zip((left, right), spans, strict=True):
-        if (
-            (np.abs(cloud.high[:2]) <= (180.0, 180.0)).all()
-            and span[:2].max() < _DEGREES_SPAN
-            and span[2] > 1.0
-        ):
-            problem = f"x {cloud.low[0]:.7g} to {cloud.high[0]:.7g}, y {cloud.low[1]:.7g} to {cloud.high[1]:.7g} with "
-            problem += f"heights over {span[2]:.0f} m: coordinates in degrees, expected metres"
-            raise InputError(path, problem, "project them first")
-    (_, ours) = left
-    (path, theirs) = right
-    if (ours.low[:2] <= theirs.high[:2]).all() and (theirs.low[:2] <= ours.high[:2]).all():
+def _refuse_apart(
+    predicted_path: str, predicted: Cloud, reference_path: str, reference: Cloud
+) -> None:
+    """Refuse coordinates in degrees, swapped axes and clouds in other places."""
+    _refuse_degrees(predicted_path, predicted)
+    _refuse_degrees(reference_path, reference)
+    low = reference.low[:2]
+    high = reference.high[:2]
+    if (predicted.low[:2] <= high).all() and (low <= predicted.high[:2]).all():
         return
-    swapped = theirs.low[1::-1], theirs.high[1::-1]
-    is_swapped = bool((ours.low[:2] <= swapped[1]).all() and (swapped[0] <= ours.high[:2]).all())
     places = [
-        f"x {c.low[0]:.9g} to {c.high[0]:.9g}, y {c.low[1]:.9g} to {c.high[1]:.9g}"
-        for c in (theirs, ours)
+        f"x {cloud.low[0]:.9g} to {cloud.high[0]:.9g}, y {cloud.low[1]:.9g} to {cloud.high[1]:.9g}"
+        for cloud in (reference, predicted)
     ]
-    problem = f"{places[0]}, but {left[0]} has {places[1]}: nothing overlaps"
-    hint = (
-        "x and y are swapped in one of them"
-        if is_swapped
-        else f"check that both are registered in one system; {PLACE_BY_POSES}"
+    problem = f"{places[0]}, but {predicted_path} has {places[1]}: nothing overlaps"
+    hint = f"check that both are registered in one system; {PLACE_BY_POSES}"
+    if (predicted.low[:2] <= high[::-1]).all() and (low[::-1] <= predicted.high[:2]).all():
+        hint = "x and y are swapped in one of them"
+    raise InputError(reference_path, problem, hint)
+
+
+def _refuse_degrees(path: str, cloud: Cloud) -> None:
+    span = cloud.high - cloud.low
+    if (np.abs(cloud.high[:2]) > 180.0).any() or span[:2].max() >= _DEGREES_SPAN or span[2] <= 1.0:
+        return
+    problem = (
+        f"x {cloud.low[0]:.7g} to {cloud.high[0]:.7g}, y {cloud.low[1]:.7g} to {cloud.high[1]:.7g} "
+        f"with heights over {span[2]:.0f} m: coordinates in degrees, expected metres"
     )
-    raise InputError(path, problem, hint)
+    raise InputError(path, problem, "project them first")
 
 
 def check_crs(sides: tuple[Side, ...], counts: Counts) -> None:
     """Refuse coordinates of different systems."""
     named = [(file.codes.path, crs) for side in sides for file in side.files if (crs := file.crs)]
-    for (path, crs), (other_path, other) in pairwise(named):
-        if not same_crs(crs, other):
-            problem = f"coordinates in {short_crs(crs)}, but {other_path} has {short_crs(other)}"
+    for (path, crs), (other_path, other_crs) in pairwise(named):
+        if not same_crs(crs, other_crs):
+            problem = (
+                f"coordinates in {short_crs(crs)}, but {other_path} has {short_crs(other_crs)}"
+            )
             raise InputError(
                 path, problem, "reproject one of them, or match by time or by a dimension"
             )

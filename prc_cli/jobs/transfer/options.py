@@ -47,7 +47,7 @@ class TransferOptions:
     trajectory: Path | None = None
     """``nearest``: poses from which the shots of the labels' input get their coordinates."""
     mount: tuple[float, ...] = ()
-    """Scanner on the vehicle: roll, pitch, yaw [deg] and x, y, z from the trajectory's point [m]."""
+    """Scanner on the vehicle: roll, pitch, yaw [deg]; x, y, z from the trajectory's point [m]."""
     min_matched: float = 0.5
     """Least share of the smaller side that must be matched.
 

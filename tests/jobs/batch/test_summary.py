@@ -319,22 +319,20 @@ def rules(**given: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("keys", "basis"),
     [
-        ({"lines": "fixed"}, "their order"),
-        ({"columns": "order"}, "their order"),
-        ({"columns": "time"}, "the first return of their line"),
-        (None, "the records around them"),
+        ({"lines": "fixed"}, "the order of the records"),
+        ({"columns": "order"}, "the order of the records"),
+        ({"columns": "time"}, "the first return of its line"),
+        (None, "the records around it"),
         ({}, None),
         ({"columns": "time", "line_hz": 50.0}, None),
     ],
 )
-def test_cells_that_would_move(given: dict[str, Any] | None, said: str | None) -> None:
-    opened: Any = SimpleNamespace(grid=None if given is None else rules(**given))
-    if said is None:
+def test_cells_that_would_move(keys: dict[str, Any] | None, basis: str | None) -> None:
+    opened: Any = SimpleNamespace(grid=None if keys is None else rules(**keys))
+    if basis is None:
         _check_lines(Path("a.las"), opened)
     else:
-        with pytest.raises(
-            ConfigError, match=f"the cells of shots follow from {said}, so that leaving"
-        ):
+        with pytest.raises(ConfigError, match=f"the cell of a shot depends on {basis}:"):
             _check_lines(Path("a.las"), opened)

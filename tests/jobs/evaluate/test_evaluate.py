@@ -165,9 +165,9 @@ def run(
     return evaluate_all(*sides, MAPPING, options=EvaluateOptions(**options))  # type: ignore[arg-type]
 
 
-def assert_same(found: Evaluation, expected: ConfusionMatrix) -> None:
-    np.testing.assert_array_equal(found.matrix.counts, expected.counts)
-    assert found.matrix.n_ignored == expected.n_ignored
+def assert_same(evaluation: Evaluation, expected: ConfusionMatrix) -> None:
+    np.testing.assert_array_equal(evaluation.matrix.counts, expected.counts)
+    assert evaluation.matrix.n_ignored == expected.n_ignored
 
 
 EXACT = {"match": "nearest", "tolerance": 0.001}
@@ -182,17 +182,17 @@ def by(match: str) -> dict[str, object]:
 def test_labels_alone_against_filtered_and_shuffled_tiles(
     drive: Drive, folder: Path, match: str
 ) -> None:
-    found = run(
+    evaluation = run(
         folder / "labels.npy", folder / "tiles", **by(match), predicted_points=folder / "raw.csv.gz"
     )
-    assert_same(found, drive.matrix())
+    assert_same(evaluation, drive.matrix())
     n_kept = int(drive.kept.sum())
-    assert (found.match.n_predicted, found.match.n_reference) == (drive.n, n_kept)
-    assert (found.match.n_matched, found.match.n_reference_matched) == (n_kept, n_kept)
+    assert (evaluation.match.n_predicted, evaluation.match.n_reference) == (drive.n, n_kept)
+    assert (evaluation.match.n_matched, evaluation.match.n_reference_matched) == (n_kept, n_kept)
     if match == "nearest":
         assert (
             f"{drive.missing.sum():,} predicted records have no finite coordinates: left out"
-            in found.match.notes
+            in evaluation.match.notes
         )
 
 
@@ -211,28 +211,28 @@ def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) 
         range_m=drive.range_m.reshape(shape),
     )
     for match in ("time", "nearest"):
-        found = run(
+        evaluation = run(
             tmp_path / "image.npz",
             folder / "tiles",
             **by(match),
             split_lines=100,
             split_range_m=(20.0,),
         )
-        assert_same(found, drive.matrix())
-        assert [part.name for part in found.splits["lines"]] == [
+        assert_same(evaluation, drive.matrix())
+        assert [part.name for part in evaluation.splits["lines"]] == [
             "lines 0-99",
             "lines 100-199",
             "lines 200-299",
         ]
-        for part in found.splits["lines"]:
+        for part in evaluation.splits["lines"]:
             chosen = drive.kept & (drive.line >= part.low) & (drive.line < part.high)
             np.testing.assert_array_equal(part.matrix.counts, drive.matrix(chosen).counts)
-        near, far = found.splits["range"]
+        near, far = evaluation.splits["range"]
         assert (near.name, far.name) == ("0-20 m", "from 20 m")
         np.testing.assert_array_equal(
             near.matrix.counts, drive.matrix(drive.kept & (drive.range_m < 20)).counts
         )
-        np.testing.assert_array_equal((near.matrix + far.matrix).counts, found.matrix.counts)
+        np.testing.assert_array_equal((near.matrix + far.matrix).counts, evaluation.matrix.counts)
 
 
 def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
@@ -245,9 +245,9 @@ def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
         las.return_number = number[chosen]
         las.classification = np.array([2, 5, 2, 6, 2], np.uint8)[chosen]
         las.write(tmp_path / f"{name}.las")
-    found = run(tmp_path / "a.las", tmp_path / "b.las", match="time")
-    assert found.match.n_matched == 3
-    assert np.trace(found.matrix.counts[:3]) == 3
+    evaluation = run(tmp_path / "a.las", tmp_path / "b.las", match="time")
+    assert evaluation.match.n_matched == 3
+    assert np.trace(evaluation.matrix.counts[:3]) == 3
 
 
 @pytest.mark.slow
@@ -256,22 +256,22 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
 ) -> None:
     np.save(folder / "truth.npy", drive.truth)
     options = {"predicted_points": folder / "raw.csv.gz", "split_range_m": (20.0, 40.0, 99.0)}
-    found = run(folder / "labels.npy", folder / "truth.npy", **options)
-    names = [part.name for part in found.splits["range"]]
+    evaluation = run(folder / "labels.npy", folder / "truth.npy", **options)
+    names = [part.name for part in evaluation.splits["range"]]
     assert names == ["0-20 m", "20-40 m", "40-99 m"]
-    assert sum(part.matrix.n_scored for part in found.splits["range"]) == found.matrix.n_scored
+    assert sum(part.matrix.n_scored for part in evaluation.splits["range"]) == evaluation.matrix.n_scored
     # nothing is farther; ranges are unknown of missing shots alone, none of which is scored
     note = (
         f"by range: 2 parts without scored records are left out, with {drive.missing.sum()} "
         "ignored records"
     )
-    assert note in found.match.notes
+    assert note in evaluation.match.notes
     # a part of their own where they are scored
     truth = np.where(drive.missing, 2, 6).astype(np.uint8)
     np.save(folder / "all.npy", truth)
-    found = run(folder / "all.npy", folder / "all.npy", **{**options, "split_range_m": (20.0,)})
-    assert [part.name for part in found.splits["range"]][-1] == "unknown"
-    assert found.splits["range"][-1].matrix.n_scored == drive.missing.sum()
+    evaluation = run(folder / "all.npy", folder / "all.npy", **{**options, "split_range_m": (20.0,)})
+    assert [part.name for part in evaluation.splits["range"]][-1] == "unknown"
+    assert evaluation.splits["range"][-1].matrix.n_scored == drive.missing.sum()
     # the reference may be the one that knows
     np.save(folder / "truth.npy", drive.truth)
     swapped = run(
@@ -288,13 +288,13 @@ def test_intervals_hold_the_score_and_do_not_depend_on_the_match(
     drive: Drive, folder: Path
 ) -> None:
     options = {"intervals": True, "interval_lines": 10, "predicted_points": folder / "raw.csv.gz"}
-    found = run(folder / "labels.npy", folder / "tiles", match="time", **options)
-    assert found.interval_method.startswith("block jackknife, 30 blocks of 10 scan lines")
-    recall = found.intervals["recall.ground"]
-    assert recall.low < found.matrix.row_shares()[0, 0] < recall.high < recall.low + 0.1
+    evaluation = run(folder / "labels.npy", folder / "tiles", match="time", **options)
+    assert evaluation.interval_method.startswith("block jackknife, 30 blocks of 10 scan lines")
+    recall = evaluation.intervals["recall.ground"]
+    assert recall.low < evaluation.matrix.row_shares()[0, 0] < recall.high < recall.low + 0.1
     assert (
         run(folder / "labels.npy", folder / "tiles", **EXACT, **options).intervals
-        == found.intervals
+        == evaluation.intervals
     )
     np.save(folder / "truth.npy", drive.truth)
     records = run(folder / "labels.npy", folder / "truth.npy", intervals=True, interval_lines=1)
@@ -334,8 +334,8 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
     here, there = (drive.write_tiles(tmp_path / str(crs), crs)[:1] for crs in (32635, 3067))
     mapping = ClassMapping(ignore=[0], predicted=MAPPING.reference, reference=MAPPING.reference)
 
-    def act(match: str, one: list[Path] = here, other: list[Path] = there) -> Evaluation:
-        return evaluate_all(one, other, mapping, options=EvaluateOptions(match=match))
+    def act(match: str, predicted: list[Path] = here, reference: list[Path] = there) -> Evaluation:
+        return evaluate_all(predicted, reference, mapping, options=EvaluateOptions(match=match))
 
     message = refused(InputError, lambda: act("nearest"))
     assert "UTM zone 35N" in message
@@ -461,11 +461,11 @@ def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
 def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
     options = EvaluateOptions(**by(match), predicted_points=oakland / "timed.csv", min_matched=1.0)  # type: ignore[arg-type]
-    found = evaluate_all([oakland / "labels.npy"], [oakland / "tiles"], options=options)
+    evaluation = evaluate_all([oakland / "labels.npy"], [oakland / "tiles"], options=options)
     expected = evaluate_all([oakland / "labels_kept.npy"], [oakland / "truth_kept.npy"])
-    assert found.match.n_matched == found.match.n_reference == expected.match.n_matched > 50_000
-    np.testing.assert_array_equal(found.matrix.counts, expected.matrix.counts)
-    assert found.matrix.n_ignored == expected.matrix.n_ignored
+    assert evaluation.match.n_matched == evaluation.match.n_reference == expected.match.n_matched > 50_000
+    np.testing.assert_array_equal(evaluation.matrix.counts, expected.matrix.counts)
+    assert evaluation.matrix.n_ignored == expected.matrix.n_ignored
 
 
 def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
@@ -483,14 +483,14 @@ def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
         tmp_path / "part.npy",
         load_config(options={"input": {"only_lines": "20:120"}}),
     )
-    for one, other, said in (
+    for predicted, reference, message in (
         ("b.npy", "a.laz", "137 lines of 180 shots, but .* has 100 of 180: another scan"),
         ("a.laz", "b.npy", "137 lines of 180 shots, but .* has 100 of 180: another scan"),
         ("a.laz", "c.laz", "shots have other ranges than in .*: another scan"),
         ("part.npy", "a.laz", "matched by order needs equal counts"),
     ):
-        with pytest.raises(InputError, match=said):
-            evaluate_all([tmp_path / one], [tmp_path / other])
+        with pytest.raises(InputError, match=message):
+            evaluate_all([tmp_path / predicted], [tmp_path / reference])
 
 
 @pytest.mark.slow
@@ -509,14 +509,14 @@ def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
         convert(cloud, left)
     else:
         classify(tmp_path / "s.npz", left, config)
-    for one, two in ((left, cloud), (cloud, left)):
-        found = evaluate_all([one], [two])
-        assert (found.match.method, found.match.n_matched) == (
+    for predicted, reference in ((left, cloud), (cloud, left)):
+        evaluation = evaluate_all([predicted], [reference])
+        assert (evaluation.match.method, evaluation.match.n_matched) == (
             "cell",
             int((~np.isnan(image)).sum()),
         )
-        assert found.matrix.counts.trace() == found.matrix.counts.sum() > 0
-        assert "matched by cell (scan line, column)" in " ".join(found.match.notes)
+        assert evaluation.matrix.counts.trace() == evaluation.matrix.counts.sum() > 0
+        assert "matched by cell (scan line, column)" in " ".join(evaluation.match.notes)
     assert evaluate_all([cloud], [cloud]).match.method == "order"
 
 
@@ -540,19 +540,19 @@ def draw(
     paths = tmp_path / "predicted.npy", tmp_path / "reference.npy"
     for path, codes in zip(paths, (predicted, reference), strict=True):
         np.save(path, np.asarray(codes, np.uint8))
-    found = class_pictures(*paths, GROUND_CAR, m)
+    pictures = class_pictures(*paths, GROUND_CAR, m)
     return [
         (title, np.asarray(Image.open(io.BytesIO(content)).convert("RGB")))
-        for title, content in found
+        for title, content in pictures
     ]
 
 
 def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
     # three lines of two shots; records of an unfinished line are left out
-    (one, first), (_, second), (_, differ) = draw(
+    (title, first), (_, second), (_, differ) = draw(
         tmp_path, [2, 7, 2, 2, 0, 2, 2], [2, 2, 65, 0, 2, 2, 2], 2
     )
-    assert one == "Predicted, lines 0-2 of predicted.npy"
+    assert title == "Predicted, lines 0-2 of predicted.npy"
     assert first.shape == second.shape == differ.shape
     rows = np.array([0, -1])
     columns = np.array([0, first.shape[1] // 2, -1])
@@ -637,8 +637,8 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
         predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)}
     )
     where = points if folder else points / "labels.csv"
-    found = class_pictures(*pair, mapping, m, points=(where, None))
-    image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
+    pictures = class_pictures(*pair, mapping, m, points=(where, None))
+    image = np.asarray(Image.open(io.BytesIO(pictures[0][1])).convert("RGB"))
     assert tuple(image[0, 0].tolist()) == colour("noise")
     assert tuple(image[-1, 0].tolist()) == colour("ground")
 
@@ -646,7 +646,7 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
 @pytest.mark.data
 def test_a_street_stands_as_in_its_rendering(real_data: Path) -> None:
     street = real_data / "oakland" / "oakland_1.csv.gz"
-    found = class_pictures(
+    pictures = class_pictures(
         street,
         street,
         ClassMapping(
@@ -656,7 +656,7 @@ def test_a_street_stands_as_in_its_rendering(real_data: Path) -> None:
         ),
         229,
     )
-    image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
+    image = np.asarray(Image.open(io.BytesIO(pictures[0][1])).convert("RGB"))
     ground = (image == np.array(colour("ground"))).all(axis=2).sum(axis=1)
     tenth = len(ground) // 10
     assert ground[-tenth:].max() > 1000

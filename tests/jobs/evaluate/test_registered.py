@@ -49,9 +49,9 @@ class Town:
         self.codes = np.repeat([2, 6, 64, 65, 65, 65, 65, 7], [len(part) for part in parts])
         self.error = random.normal(0, 0.004, self.xyz.shape)
         # of the noise, four in five are found; of the ground, one in a hundred is called noise
-        found = random.random(len(self.codes))
-        self.labels = np.where((self.codes == 7) & (found > 0.8), 6, self.codes)
-        self.labels[(self.codes == 2) & (found < 0.01)] = 7
+        has_return = random.random(len(self.codes))
+        self.labels = np.where((self.codes == 7) & (has_return > 0.8), 6, self.codes)
+        self.labels[(self.codes == 2) & (has_return < 0.01)] = 7
 
 
 def write(path: Path, xyz: F64, codes: I64) -> Path:
@@ -100,8 +100,8 @@ def run(folder: Path, reference: Path | None = None, **options: Any) -> Evaluati
     return evaluate_all(*sides, MAPPING, options=EvaluateOptions(match="nearest", **options))
 
 
-def noted(found: Evaluation, text: str) -> str:
-    return next((note for note in found.match.notes if text in note), "")
+def noted(evaluation: Evaluation, text: str) -> str:
+    return next((note for note in evaluation.match.notes if text in note), "")
 
 
 @pytest.mark.slow
@@ -110,10 +110,10 @@ def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
     said = town.labels == 7
     true = (noise & said).sum() / noise.sum(), (noise & said).sum() / said.sum()
     for options in ({"max": 0.5}, {"max": 0.5, "inside": "0,0,100,21"}):
-        found = run(folder, unmatched="noise", tolerance=options.pop("max"), **options)
-        item = next(item for item in as_dict(found)["classes"].items() if item[0] == "noise")[1]
+        evaluation = run(folder, unmatched="noise", tolerance=options.pop("max"), **options)
+        item = next(item for item in as_dict(evaluation)["classes"].items() if item[0] == "noise")[1]
         assert (item["recall"], item["precision"]) == pytest.approx(true, abs=0.02)
-        assert noted(found, "have no partner within 0.5 m: noise in the reference")
+        assert noted(evaluation, "have no partner within 0.5 m: noise in the reference")
     text = noted(run(folder, unmatched="noise"), "noise close to the reference")
     estimate = re.search(r"noise recall ([.\d]+), precision ([.\d]+)$", text)
     assert estimate is not None
@@ -149,24 +149,24 @@ def test_an_area_leaves_out_the_rest(
     x = np.round(town.xyz[:, 0], 3)
     y = np.round(town.xyz[:, 1], 3)
     n = int(((x >= 10) & (x <= 30) & (y >= 0) & (y <= 12)).sum())
-    found = run(folder, inside=area, unmatched="noise", tolerance=0.3)
-    assert found.match.n_predicted == len(x)
-    assert abs(found.matrix.n_scored - n) <= 3
-    assert noted(found, f"predicted shots are outside {area}: not scored")
+    evaluation = run(folder, inside=area, unmatched="noise", tolerance=0.3)
+    assert evaluation.match.n_predicted == len(x)
+    assert abs(evaluation.matrix.n_scored - n) <= 3
+    assert noted(evaluation, f"predicted shots are outside {area}: not scored")
 
 
 @pytest.mark.slow
 def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
-    found = run(folder, height=(1.0, 3.0), tolerance=0.3)
-    rows = dict(zip(found.matrix.reference_names, found.matrix.counts.sum(axis=1), strict=True))
+    evaluation = run(folder, height=(1.0, 3.0), tolerance=0.3)
+    rows = dict(zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True))
     assert rows["ground"] == 0
     assert rows["building"] == pytest.approx(10_000, rel=0.05)
     with (tmp_path / "trees.csv").open("w", newline="") as handle:
         csv.writer(handle).writerows(
             [["x", "y", "radius", "height"], [50.5, 10, 0.4, 2.0], [20.25, 4.25, 0.5, 9]]
         )
-    found = run(folder, trees=tmp_path / "trees.csv", tolerance=0.3)
-    rows = dict(zip(found.matrix.reference_names, found.matrix.counts.sum(axis=1), strict=True))
+    evaluation = run(folder, trees=tmp_path / "trees.csv", tolerance=0.3)
+    rows = dict(zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True))
     # half of the post is higher than its cylinder, and a block stands in the other one
     assert rows["stem"] == pytest.approx(3_000 + 1_500 * 1.7 / 2, rel=0.05)
 
@@ -179,10 +179,10 @@ def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_pa
         ("wide", {"wide": 5.0}, "overlap: tile_"),
     )
     for name, wrong, expected in cases:
-        found = run(
+        evaluation = run(
             folder, tiles(town, tmp_path / name, **wrong), unmatched="noise", min_matched=0.3
         )
-        assert noted(found, expected), found.match.notes
+        assert noted(evaluation, expected), evaluation.match.notes
     for name, xyz, expected in (
         (
             "degrees",
@@ -210,9 +210,9 @@ def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
         options = EvaluateOptions(
             match=match, third=path, tolerance=0.001 if match == "nearest" else None
         )
-        found = evaluate_all([folder / "run.las"], [truth], MAPPING, options=options)
-        assert found.three is not None
-        states = found.three.states()
+        evaluation = evaluate_all([folder / "run.las"], [truth], MAPPING, options=options)
+        assert evaluation.three is not None
+        states = evaluation.three.states()
         right = town.labels == town.codes, third == town.codes
         assert states["both right"] == np.sum(right[0] & right[1])
         assert (
@@ -222,10 +222,10 @@ def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
         )
         assert states["only third right"] == np.sum(~right[0] & right[1])
         assert sum(states.values()) == len(town.codes)
-        assert "three labellings" in as_markdown(found).lower()
-        assert as_dict(found)["three"]["file"] == str(path)
-        assert "only third right" in as_html(found)
-        assert (found.plan is None) == (match == "order")
+        assert "three labellings" in as_markdown(evaluation).lower()
+        assert as_dict(evaluation)["three"]["file"] == str(path)
+        assert "only third right" in as_html(evaluation)
+        assert (evaluation.plan is None) == (match == "order")
 
 
 @pytest.mark.parametrize(
@@ -370,10 +370,10 @@ def evaluate(drive: Path, *arguments: str, poses: str = "poses.csv") -> Any:
 def test_every_shot_finds_its_own_point(drive: Path, poses: str) -> None:
     done = evaluate(drive, "--mount", MOUNT, "--max-distance", "0.01", poses=poses)
     assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
+    scores = json.loads(done.stdout)
     n = int(np.isfinite(np.load(drive / "drive.npz")["range_m"]).sum())
-    assert found["match"]["n_matched"] == n
-    assert found["classes"]["ground"]["f1"] == found["classes"]["building"]["f1"] == 1.0
+    assert scores["match"]["n_matched"] == n
+    assert scores["classes"]["ground"]["f1"] == scores["classes"]["building"]["f1"] == 1.0
 
 
 def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
@@ -461,8 +461,8 @@ def test_sbet_and_csv_of_one_drive_turn_alike(tmp_path: Path) -> None:
         arguments += ["--set", "frame.crs=EPSG:32635", "--trajectory", str(tmp_path / name)]
         done = runner().invoke(cli, arguments)
         assert done.exit_code == 0, done.output
-    one, other = (read_turns(tmp_path / name, "EPSG:32635") for name in ("a.csv", "a.sbet"))
-    assert np.abs((one * other).sum(axis=1)).min() > 1 - 1e-12
+    csv_turns, sbet_turns = (read_turns(tmp_path / name, "EPSG:32635") for name in ("a.csv", "a.sbet"))
+    assert np.abs((csv_turns * sbet_turns).sum(axis=1)).min() > 1 - 1e-12
 
 
 def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_it(
