@@ -259,7 +259,10 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     evaluation = run(folder / "labels.npy", folder / "truth.npy", **options)
     names = [part.name for part in evaluation.splits["range"]]
     assert names == ["0-20 m", "20-40 m", "40-99 m"]
-    assert sum(part.matrix.n_scored for part in evaluation.splits["range"]) == evaluation.matrix.n_scored
+    assert (
+        sum(part.matrix.n_scored for part in evaluation.splits["range"])
+        == evaluation.matrix.n_scored
+    )
     # nothing is farther; ranges are unknown of missing shots alone, none of which is scored
     note = (
         f"by range: 2 parts without scored records are left out, with {drive.missing.sum()} "
@@ -269,7 +272,9 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     # a part of their own where they are scored
     truth = np.where(drive.missing, 2, 6).astype(np.uint8)
     np.save(folder / "all.npy", truth)
-    evaluation = run(folder / "all.npy", folder / "all.npy", **{**options, "split_range_m": (20.0,)})
+    evaluation = run(
+        folder / "all.npy", folder / "all.npy", **{**options, "split_range_m": (20.0,)}
+    )
     assert [part.name for part in evaluation.splits["range"]][-1] == "unknown"
     assert evaluation.splits["range"][-1].matrix.n_scored == drive.missing.sum()
     # the reference may be the one that knows
@@ -463,7 +468,12 @@ def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
     options = EvaluateOptions(**by(match), predicted_points=oakland / "timed.csv", min_matched=1.0)  # type: ignore[arg-type]
     evaluation = evaluate_all([oakland / "labels.npy"], [oakland / "tiles"], options=options)
     expected = evaluate_all([oakland / "labels_kept.npy"], [oakland / "truth_kept.npy"])
-    assert evaluation.match.n_matched == evaluation.match.n_reference == expected.match.n_matched > 50_000
+    assert (
+        evaluation.match.n_matched
+        == evaluation.match.n_reference
+        == expected.match.n_matched
+        > 50_000
+    )
     np.testing.assert_array_equal(evaluation.matrix.counts, expected.matrix.counts)
     assert evaluation.matrix.n_ignored == expected.matrix.n_ignored
 

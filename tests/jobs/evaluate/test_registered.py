@@ -111,7 +111,9 @@ def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
     true = (noise & said).sum() / noise.sum(), (noise & said).sum() / said.sum()
     for options in ({"max": 0.5}, {"max": 0.5, "inside": "0,0,100,21"}):
         evaluation = run(folder, unmatched="noise", tolerance=options.pop("max"), **options)
-        item = next(item for item in as_dict(evaluation)["classes"].items() if item[0] == "noise")[1]
+        item = next(item for item in as_dict(evaluation)["classes"].items() if item[0] == "noise")[
+            1
+        ]
         assert (item["recall"], item["precision"]) == pytest.approx(true, abs=0.02)
         assert noted(evaluation, "have no partner within 0.5 m: noise in the reference")
     text = noted(run(folder, unmatched="noise"), "noise close to the reference")
@@ -158,7 +160,9 @@ def test_an_area_leaves_out_the_rest(
 @pytest.mark.slow
 def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
     evaluation = run(folder, height=(1.0, 3.0), tolerance=0.3)
-    rows = dict(zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True))
+    rows = dict(
+        zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True)
+    )
     assert rows["ground"] == 0
     assert rows["building"] == pytest.approx(10_000, rel=0.05)
     with (tmp_path / "trees.csv").open("w", newline="") as handle:
@@ -166,7 +170,9 @@ def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
             [["x", "y", "radius", "height"], [50.5, 10, 0.4, 2.0], [20.25, 4.25, 0.5, 9]]
         )
     evaluation = run(folder, trees=tmp_path / "trees.csv", tolerance=0.3)
-    rows = dict(zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True))
+    rows = dict(
+        zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True)
+    )
     # half of the post is higher than its cylinder, and a block stands in the other one
     assert rows["stem"] == pytest.approx(3_000 + 1_500 * 1.7 / 2, rel=0.05)
 
@@ -461,7 +467,9 @@ def test_sbet_and_csv_of_one_drive_turn_alike(tmp_path: Path) -> None:
         arguments += ["--set", "frame.crs=EPSG:32635", "--trajectory", str(tmp_path / name)]
         done = runner().invoke(cli, arguments)
         assert done.exit_code == 0, done.output
-    csv_turns, sbet_turns = (read_turns(tmp_path / name, "EPSG:32635") for name in ("a.csv", "a.sbet"))
+    csv_turns, sbet_turns = (
+        read_turns(tmp_path / name, "EPSG:32635") for name in ("a.csv", "a.sbet")
+    )
     assert np.abs((csv_turns * sbet_turns).sum(axis=1)).min() > 1 - 1e-12
 
 
