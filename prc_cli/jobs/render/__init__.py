@@ -75,7 +75,7 @@ def render(
         problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
         raise ConfigError(str(output), problem, "rename the output")
     inputs = config.inputs(source, chosen.labels, chosen.reference)
-    prepare_outputs(output, overwrite=overwrite, inputs=inputs, beside=_pages_there(output))
+    prepare_outputs(output, overwrite=overwrite, inputs=inputs, beside=_further_pages(output))
     check_input(source)
     refuse_window(config.config, "prc render")
     config = _decided(source, config, chosen)
@@ -115,7 +115,7 @@ def render(
 def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> LoadedConfig:
     """Return a configuration that names a method.
 
-    PRC where its steps are asked for, or no method is needed.
+    It names PRC if the options ask for its steps, or if no method is needed.
     """
     if config.config.is_decided or options.view != "scan":
         return config
@@ -127,7 +127,7 @@ def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> Load
 
 
 def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
-    """Distribute the strips over pages, each with its heading."""
+    # headings and panels
     pages = []
     per_page = drawing.strips_per_page
     part = drawing.part
@@ -142,11 +142,8 @@ def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
     return pages
 
 
-def _pages_there(output: Path) -> tuple[Path, ...]:
-    """Return the further pages beside an output, in their order.
-
-    a run that was killed may have left them.
-    """
+def _further_pages(output: Path) -> tuple[Path, ...]:
+    """Return the further pages beside an output, in order; a killed run may have left them."""
     number = re.compile(re.escape(output.stem) + r"_([0-9]{1,6})" + re.escape(output.suffix))
     known = [
         (int(match[1]), path)
@@ -167,7 +164,7 @@ def _write(
     overwrite: bool,
     inputs: tuple[Path, ...],
 ) -> RenderResult:
-    """Write all pages or none."""
+    # all pages or none
     if output.suffix.lower() == ".html":
         text = html_page(name, result.drawn, pages, key, f"prc {__version__}")
         with atomic_output(output, overwrite=overwrite) as temporary:

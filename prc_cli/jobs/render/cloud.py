@@ -48,9 +48,9 @@ HIGHEST_FROM_ABOVE = 1.5
 """Largest height of a picture, relative to its largest width."""
 _HINT = "draw the scan (leave --view out), or give a file that has x, y, z"
 _VALUES = ("range", "intensity", "confidence")
-"""Values that colour points, where the input has them."""
+"""Values that colour points, if the input has them."""
 _LABELS = "labels.npy"
-"""Name of the classes that are made for the picture."""
+"""Name of the label file that is written for the picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,9 @@ class Points:
     record: I64
     """(n,) int64, record of the input; -1 = none."""
     values: dict[str, F64]
-    """(n,) float64 by name: ``range``, ``intensity``, ``classification``, where the input has them."""
+    """(n,) float64 by name: ``range``, ``intensity``, ``classification``, if the input has them."""
     n_without: int = 0
-    """Number of further returns and records outside the lines, whose coordinates the stream does not hold."""
+    """Number of further returns and of records outside the lines: the stream has no coordinates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +75,15 @@ class Cloud:
     loaded: LoadedConfig
     station: int | None
     records: RecordSource | None
-    """Records with the file's coordinates.
-
-    None = use those of the stream, relative to the scanner.
-    """
+    """Records with the coordinates of the file; None = coordinates of the stream."""
 
     @classmethod
     def open(cls, source: Path, loaded: LoadedConfig, station: int | None) -> Cloud:
-        """Choose the coordinates: those of the file, or of the stream if ranges are read from sensor coordinates."""
+        """Open a file.
+
+        The points get the coordinates of the file, or of the stream if the ranges are read from
+        sensor coordinates.
+        """
         records = open_source(source, loaded.config.layout)
         rules = loaded.config.input
         by_sensor = rules.range == "sensor-xyz" or rules.lines == "rings"
@@ -97,12 +98,12 @@ class Cloud:
         return cls(source, loaded, station, None)
 
     @property
-    def has_own_classes(self) -> bool:
-        """Whether the file holds class codes itself."""
+    def has_class_codes(self) -> bool:
+        """Whether the file can have class codes."""
         return self.records is not None and self.source.suffix.lower() in LAS_SUFFIXES
 
     def points(self, names: tuple[str, ...]) -> Iterator[Points]:
-        """Read the points, with the named values where the input has them."""
+        """Read the points, with the named values if the input has them."""
         if self.records is None:
             yield from self._of_stream(names)
             return
@@ -154,12 +155,12 @@ def draw_cloud(
     colour = options.colour
     if colour is None:
         # inputs other than LAS are scans that can be classified now
-        given = options.labels is not None or options.reference is not None
-        colour = "class" if given or has_classes or not cloud.has_own_classes else "height"
+        has_labels = options.labels is not None or options.reference is not None
+        colour = "class" if has_labels or has_classes or not cloud.has_class_codes else "height"
     words = vocabulary(options, loaded.config.classes)
     classes = None
     if colour == "class" or options.hide:
-        classes = _classes(cloud, options, words, folder, progress, has_own=has_classes)
+        classes = _classes(cloud, options, words, folder, progress, has_classes=has_classes)
         classes.check(None if cloud.records is None else cloud.records.n_records)
     framed = _framed(kept, classes, words)
     camera = _camera(framed, options)
@@ -180,7 +181,7 @@ def draw_cloud(
     bar = None if colour == "class" else SCALES[colour].bar(limits)
     head = heading(
         source.name,
-        _labelled(cloud, options, colour, folder, own=has_classes),
+        _labelled(cloud, options, colour, folder, has_classes=has_classes),
         _seen_from(camera),
         f"{sample.n_seen - n_hidden:,} points by {colour}",
         f"without {', '.join(options.hide)}" if options.hide else "",
@@ -189,7 +190,8 @@ def draw_cloud(
     notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
     if not np.ptp(kept[:, 2]):
         notes.append(
-            "all points have one height, as in the scan plane: --html draws lines one behind the other"
+            "all points have one height, as in the scan plane: "
+            "--html draws lines one behind the other"
         )
     if n_without:
         notes.append(
@@ -212,13 +214,13 @@ def draw_cloud(
 
 
 def _check_options(options: RenderOptions) -> None:
-    for name, given in (
+    for name, value in (
         ("--steps", options.steps),
         ("--block", options.block),
         ("--only-lines", options.lines),
         ("--figure1", options.figure1 or None),
     ):
-        if given is not None:
+        if value is not None:
             raise ConfigError(
                 name,
                 f"belongs to the scan view, found --view {options.view}",
@@ -231,11 +233,12 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
-    """Return a sample (x, y, z, range, intensity, confidence, record), if it has classes, points without place."""
+    # a sample (x, y, z, range, intensity, confidence, record), whether the file has classes, and
+    # the number of points without coordinates
     sample = Sample(7)
     has_classes = False
     n_without = 0
-    for points in cloud.points((*_VALUES, "classification") if cloud.has_own_classes else _VALUES):
+    for points in cloud.points((*_VALUES, "classification") if cloud.has_class_codes else _VALUES):
         none = np.full(len(points.xyz), np.nan)
         rows = np.column_stack(
             [points.xyz, *(points.values.get(name, none) for name in _VALUES), points.record]
@@ -254,17 +257,14 @@ def _classes(
     folder: Path,
     progress: Progress | None,
     *,
-    has_own: bool,
+    has_classes: bool,
 ) -> RecordClasses:
-    """Return the class of every record.
-
-    From the label file, else from the file itself, else by classifying it.
-    """
+    # from a label file, else from the input, else by classifying it
     if options.reference is not None:
         return words.read(options.reference, options.reference_dimension, "reference", folder)
     if options.labels is not None:
         return words.read(options.labels, options.labels_dimension, "predicted", folder)
-    if has_own:
+    if has_classes:
         return words.read(cloud.source, options.labels_dimension, "las", folder)
     classify(cloud.source, folder / _LABELS, cloud.loaded, progress=progress)
     return words.read(folder / _LABELS, None, "predicted", folder)
@@ -276,25 +276,22 @@ def _labelled(
     colour: ColourBy,
     folder: Path,
     *,
-    own: bool,
+    has_classes: bool,
 ) -> str:
-    """Return what the classes are from, for the headline."""
+    # source of the classes, for the headline
     if colour != "class":
         return ""
     if options.reference is not None:
         return f"reference {options.reference.name}"
     if options.labels is not None:
         return labels_of(options.labels)
-    if own:
+    if has_classes:
         return made_by(cloud.source)
     return made_with(cloud.loaded) if cloud.loaded.config.is_decided else made_by(folder / _LABELS)
 
 
 def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
-    """Return the points of a sample that a view must hold, (n, 3) float64.
-
-    Neither noise nor hidden ones, if any.
-    """
+    # (n, 3), points that the view must contain: not noise, not hidden
     if classes is None:
         return kept[:, :3]
     inside = ~np.isin(
@@ -321,11 +318,11 @@ def _seen_from(camera: Camera) -> str:
         return "from above"
     back = -camera.axes[2]
     azimuth = math.degrees(math.atan2(-camera.axes[0, 1], camera.axes[0, 0])) + 180.0
-    return f"from azimuth {round(azimuth, 3) % 360:g}°, {round(math.degrees(math.asin(back[2])), 3):g}° up"
+    up = math.degrees(math.asin(back[2]))
+    return f"from azimuth {round(azimuth, 3) % 360:g}°, {round(up, 3):g}° up"
 
 
 def _limits(colour: ColourBy, sample: F64, source: Path) -> tuple[float, float]:
-    """Return the ends of the colour scale."""
     if colour == "class":
         return 0.0, 1.0
     values = sample[:, 2 if colour == "height" else 3 + _VALUES.index(colour)]
@@ -343,7 +340,7 @@ def _add(
     labels: tuple[Vocabulary, RecordClasses | None],
     counts: I64,
 ) -> None:
-    """Draw some points that are not hidden, and count the classes of all of them."""
+    # hidden points are counted but not drawn
     (colour, limits) = scale
     (words, classes) = labels
     xyz = points.xyz[part]
@@ -365,7 +362,7 @@ def _panel(
     bar: Bar | None,
     colour: ColourBy,
 ) -> Panel:
-    """Frame a picture: axes around a view from above, none around a perspective."""
+    # axes for a view from above, none for a perspective
     caption = f"Points coloured by {colour}; steps in depth are shaded."
     if isinstance(camera, FromAbove):
         metres = camera.metres
@@ -389,11 +386,10 @@ def _panel(
 
 
 def _draw_scale(picture: U8, length: int) -> None:
-    """Draw a scale bar into the lower left corner."""
     height, width = picture.shape[:2]
     if length + 60 > width or height < 60:
         return
     picture[height - 44 : height - 20, 20 : 40 + length] = 255
     picture[height - 32 : height - 26, 30 : 30 + length] = 20
-    for at in (30, 30 + length - 2):
-        picture[height - 38 : height - 20, at : at + 2] = 20
+    for left in (30, 30 + length - 2):
+        picture[height - 38 : height - 20, left : left + 2] = 20

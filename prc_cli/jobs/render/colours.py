@@ -1,7 +1,4 @@
-"""What the colours of a picture mean.
-
-Tables of classes, label files, scales of values, and what made the labels.
-"""
+"""Colours of pictures: class tables, label files, scales of values, sources of labels."""
 
 from __future__ import annotations
 
@@ -44,7 +41,7 @@ from prc_cli.jobs.render.options import RenderOptions
 NOT_SCORED = "not scored"
 MAX_CLASSES = 250
 LARGEST_RECORD = 4 << 20
-"""Run records beyond are not looked at [bytes]."""
+"""Larger run records are not read [bytes]."""
 
 
 class Scale(NamedTuple):
@@ -61,14 +58,14 @@ SCALES = {
     "intensity": Scale(value_limits, value_picture, partial(value_bar, unit="")),
     "ground": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
     "height": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
-    # per cent; less is drawn as the lower one
+    # per cent; lower values are drawn as 50
     "confidence": Scale(lambda _: (50.0, 100.0), value_picture, partial(value_bar, unit="%")),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class ClassTable:
-    """Names and colours of classes; index 0 means none."""
+    """Names and colours of classes; index 0 = no class."""
 
     names: tuple[str, ...]
     colours: U8
@@ -103,7 +100,7 @@ class ClassTable:
         return [i for i in range(1, len(self.names)) if counts[i] and i not in self.hidden]
 
     def key(self, counts: I64) -> Key:
-        """Return names and colours of the classes that occur, with their shares of all classified records."""
+        """Return names, shares of the classified records, and colours of the classes that occur."""
         total = max(int(counts[self.drawn(counts)].sum()), 1)
         return tuple(
             (f"{self.names[i]} {share_text(int(counts[i]), total)}", self.colour(i))
@@ -126,7 +123,7 @@ def share_text(count: int, total: int) -> str:
 
 
 LABEL_TABLE = ClassTable(LABEL_NAMES, np.array([LABEL_COLOURS[label] for label in Label], np.uint8))
-"""The program's own classes, in the order of :class:`~prc_cli.core.classes.Label`."""
+"""The classes of prc, in the order of :class:`~prc_cli.core.classes.Label`."""
 ASPRS = {
     3: Label.VEGETATION,
     4: Label.VEGETATION,
@@ -137,12 +134,12 @@ ASPRS = {
     11: Label.GROUND,
     18: Label.NOISE,
 }
-"""Codes of LAS 1.4, table 17, that have a counterpart among the program's classes."""
+"""Codes of LAS 1.4, table 17, that have a counterpart among the classes of prc."""
 
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """The classes used to show and compare two sides."""
+    """The classes to show and compare two sides."""
 
     table: ClassTable
     mapping: ClassMapping | None
@@ -159,43 +156,43 @@ class Vocabulary:
         return {i for i, name in enumerate(self.table.names) if name == LABEL_NAMES[Label.NOISE]}
 
     def mark_unscored(self, places: U8, seen: Mask) -> U8:
-        """Give returns without a class their own index, (...) uint8 and (...) bool to (...) uint8."""
+        """Give returns without a class the last index; all arrays have one shape."""
         return np.where((places == 0) & seen, np.uint8(self.unscored), places)
 
     def turn(self, codes: I64, side: Side) -> U8:
         """Convert class codes of a side to indices of the table."""
         if self.mapping is None:
-            return self._own(codes, side)
-        places = np.array(
-            [0, *(self.table.names.index(name) for name in self.mapping.names(side))], np.uint8
-        )
-        found: U8 = places[self.mapping.class_indices(codes, side) + 1]
-        return found
+            return self._turn_configured(codes, side)
+        names = self.mapping.names(side)
+        places = np.array([0, *(self.table.names.index(name) for name in names)], np.uint8)
+        turned: U8 = places[self.mapping.class_indices(codes, side) + 1]
+        return turned
 
-    def _own(self, codes: I64, side: Side) -> U8:
+    def _turn_configured(self, codes: I64, side: Side) -> U8:
+        # by the codes of [classes]
         known = np.full(257, 255, np.uint8)
         for label in reversed(Label):  # the first label of a code wins
             known[self.codes.code(label)] = label
         known[256] = Label.MISSING
         inside = (codes >= NO_CODE) & (codes < 256)
-        found: U8 = known[np.where(inside, np.where(codes == NO_CODE, 256, codes), 255)]
-        wrong = ~inside | ((found == 255) & (codes != NO_CODE))
+        turned: U8 = known[np.where(inside, np.where(codes == NO_CODE, 256, codes), 255)]
+        wrong = ~inside | ((turned == 255) & (codes != NO_CODE))
         if wrong.any():
             distinct = np.unique(codes[wrong])
-            shown = ", ".join(str(code) for code in distinct[:8]) + (
-                ", ..." if distinct.size > 8 else ""
+            shown = ", ".join(str(code) for code in distinct[:8])
+            if distinct.size > 8:
+                shown += ", ..."
+            problem = (
+                f"found {np.count_nonzero(wrong)} records with codes that are none of [classes]: "
+                f"{shown}"
             )
-            problem = f"found {np.count_nonzero(wrong)} records with codes that are none of [classes]: {shown}"
             raise InputError(
                 f"{side} codes", problem, "add --mapping NAME|FILE.toml, which says what they mean"
             )
-        return found
+        return turned
 
     def turn_las(self, codes: I64) -> U8:
-        """Convert classes of a LAS file.
-
-        The program's own codes first, then ASPRS codes; others are unclassified.
-        """
+        """Convert classes of a LAS file: codes of prc, then of ASPRS; others are unclassified."""
         if self.mapping is not None:
             return self.turn(codes, "predicted")
         table = np.full(256, Label.UNCLASSIFIED, np.uint8)
@@ -203,11 +200,11 @@ class Vocabulary:
             table[code] = label
         for label in reversed(Label):
             table[self.codes.code(label)] = label
-        found: U8 = table[np.clip(codes, 0, 255)]
-        return found
+        turned: U8 = table[np.clip(codes, 0, 255)]
+        return turned
 
     def turn_labels(self, labels: U8) -> U8:
-        """Convert labels of the program to indices of the table, as on the predicted side."""
+        """Convert labels of prc to indices of the table, as on the predicted side."""
         if self.mapping is None:
             return labels
         lookup = self.codes.lookup().astype(np.int64)
@@ -215,8 +212,8 @@ class Vocabulary:
         for label in np.flatnonzero(np.bincount(labels.ravel(), minlength=len(Label))):
             if label != Label.MISSING:
                 turned[label] = self.turn(lookup[label : label + 1], "predicted")[0]
-        found: U8 = turned[labels]
-        return found
+        labels_of_table: U8 = turned[labels]
+        return labels_of_table
 
     def read(
         self,
@@ -239,27 +236,25 @@ class Vocabulary:
 
 
 def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
-    """Return the classes of a run: the program's own, or those of a mapping."""
+    """Return the classes of prc, or of the mapping."""
     mapping = None
     names = LABEL_NAMES[1:]
     if options.mapping is not None:
         mapping = load_mapping(options.mapping)
-        found = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
-        # the program's own classes first, in their order, then unknown ones
-        names = tuple(
-            sorted(
-                found,
-                key=lambda one: LABEL_NAMES.index(one) if one in LABEL_NAMES else len(LABEL_NAMES),
-            )
+        mapped = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
+        # the classes of prc first, in their order
+        names = (
+            *(name for name in LABEL_NAMES if name in mapped),
+            *(name for name in mapped if name not in LABEL_NAMES),
         )
         if len(names) > MAX_CLASSES:
             raise InputError(
                 "class mapping", f"found {len(names)} classes, at most {MAX_CLASSES} can be drawn"
             )
-    own = {LABEL_NAMES[label]: LABEL_COLOURS[label] for label in Label}
+    colour_of = {LABEL_NAMES[label]: LABEL_COLOURS[label] for label in Label}
     colours = [
         MISSING_COLOUR,
-        *(own.get(name, LABEL_COLOURS[Label.UNCLASSIFIED]) for name in names),
+        *(colour_of.get(name, LABEL_COLOURS[Label.UNCLASSIFIED]) for name in names),
         NOT_SCORED_COLOUR,
     ]
     table = ClassTable(
@@ -293,34 +288,39 @@ class RecordClasses:
                 f"found {len(self.places):,} labels, but the input has record {last:,}",
                 _HINT,
             )
-        found: U8 = np.where(record >= 0, self.places[np.maximum(record, 0)], np.uint8(0))
-        return found
+        classes: U8 = np.where(record >= 0, self.places[np.maximum(record, 0)], np.uint8(0))
+        return classes
 
     def check(self, n_records: int | None) -> None:
         """Refuse labels of another length than the input."""
         if n_records is not None and n_records != len(self.places):
-            problem = f"found {len(self.places):,} labels, expected {n_records:,}, one a record of the input"
+            problem = (
+                f"found {len(self.places):,} labels, expected {n_records:,}, "
+                "one a record of the input"
+            )
             raise InputError(self.path, problem, _HINT)
 
 
 EPOCH = "SOURCE_DATE_EPOCH"
-"""Variable that sets the day, so that equal runs give equal bytes on any day [seconds since 1970, UTC] (specification
-of reproducible-builds.org)."""
+"""Variable with the day, so that equal runs give equal bytes [seconds since 1970, UTC].
+
+Specified by reproducible-builds.org.
+"""
 
 
 def today() -> str:
-    """Return the day in UTC, of ``SOURCE_DATE_EPOCH`` if it is set.
+    """Return the day in UTC, or the day of ``SOURCE_DATE_EPOCH`` if it is set.
 
     >>> len(today())
     10
     """
-    given = os.environ.get(EPOCH)
-    if not given:
+    seconds = os.environ.get(EPOCH)
+    if not seconds:
         return f"{datetime.now(UTC):%Y-%m-%d}"
     try:
-        return f"{datetime.fromtimestamp(int(given), UTC):%Y-%m-%d}"
+        return f"{datetime.fromtimestamp(int(seconds), UTC):%Y-%m-%d}"
     except (ValueError, OverflowError, OSError) as error:
-        problem = f"found {given!r}, expected whole seconds since 1970"
+        problem = f"found {seconds!r}, expected whole seconds since 1970"
         raise ConfigError(EPOCH, problem, "unset the variable, or set it to a number") from error
 
 
@@ -330,7 +330,7 @@ def heading(*parts: str) -> str:
 
 
 def thinned(step: tuple[int, int]) -> str:
-    """Say which lines and columns are drawn.
+    """Describe the lines and columns that are drawn.
 
     >>> thinned((3, 2))
     '1 line of 3 and 1 column of 2'
@@ -341,7 +341,7 @@ def thinned(step: tuple[int, int]) -> str:
 
 
 def made_with(loaded: LoadedConfig) -> str:
-    """Return the preset, or the method where there is none, that a file is classified with.
+    """Return the preset, or else the method, that classifies a file.
 
     >>> from prc_cli.config import load_config
     >>> made_with(load_config(preset="forest")), made_with(load_config(options={"method": "prc"}))
@@ -355,49 +355,46 @@ def made_with(loaded: LoadedConfig) -> str:
 
 
 def made_by(labels: Path) -> str:
-    """Return what labelled a file according to the run record beside it.
-
-    Empty where there is none.
-    """
+    """Return the method in the run record beside a label file; empty without a record."""
     return _method_of(_record_of(labels))
 
 
 def labels_of(labels: Path) -> str:
-    """Return the name of a label file, and what made it as far as its run record says."""
+    """Return the name of a label file, and the method in its run record."""
     return ", ".join(filter(None, (f"labels of {labels.name}", made_by(labels))))
 
 
 def origin(labels: Sequence[Path]) -> tuple[str, ...]:
-    """Return what made a page about label files.
+    """Return day, version, methods and inputs for a page about label files.
 
-    Day and version, method and input as far as run records name them.
+    Methods and inputs are those of the run records.
     """
-    found = [_record_of(path) for path in labels]
-    methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
-    inputs = dict.fromkeys(filter(None, (_text(record, "input", "name", 200) for record in found)))
-    source = (
-        f"{len(inputs):,} inputs"
-        if len(inputs) > 1
-        else "".join(f"input {name}" for name in inputs)
+    records = [_record_of(path) for path in labels]
+    methods = dict.fromkeys(filter(None, (_method_of(record) for record in records)))
+    inputs = dict.fromkeys(
+        filter(None, (_text(record, "input", "name", 200) for record in records))
     )
+    source = "".join(f"input {name}" for name in inputs)
+    if len(inputs) > 1:
+        source = f"{len(inputs):,} inputs"
     return tuple(filter(None, (today(), f"prc {__version__}", ", ".join(methods), source)))
 
 
 def _record_of(labels: Path) -> Mapping[str, Any]:
-    """Return a run record; empty where it is absent or cannot be read, which is no reason to refuse a picture."""
+    # empty without a readable record: a picture does not need it
     with suppress(OSError, ValueError, RecursionError):
         path = record_path(labels)
         if path.stat().st_size <= LARGEST_RECORD:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(found, Mapping) and found.get("program") == PROGRAM:
-                return found
+            record = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(record, Mapping) and record.get("program") == PROGRAM:
+                return record
     return {}
 
 
 def _method_of(record: Mapping[str, Any]) -> str:
-    for one in record.get("assumptions") or ():
-        if isinstance(one, Mapping) and one.get("key") == "method":
-            return str(one.get("value", ""))[:80]
+    for assumption in record.get("assumptions") or ():
+        if isinstance(assumption, Mapping) and assumption.get("key") == "method":
+            return str(assumption.get("value", ""))[:80]
     return _text(record, "config", "method", 80)
 
 
@@ -407,6 +404,6 @@ def _text(
     key: str,
     most: int,
 ) -> str:
-    found = record.get(table)
-    text = found.get(key) if isinstance(found, Mapping) else None
+    values = record.get(table)
+    text = values.get(key) if isinstance(values, Mapping) else None
     return text[:most] if isinstance(text, str) else ""

@@ -31,32 +31,34 @@ FIGURE_1 = ("range", *(step for step in PRC_STEPS if step != "critical"), "class
 CAPTIONS: dict[str, tuple[str, str]] = {
     "range": (
         "range",
-        "Slant range of every shot, near bright, far dark, on a logarithmic scale; white: no return.",
+        "Slant range of every shot, near bright, far dark, on a logarithmic scale; white: no "
+        "return.",
     ),
     "intensity": ("intensity", "Strength of the return as the input gives it; white: none."),
     "support": (
         "supported S (white)",
-        "Shots that a neighbour in time supports (Lehtola et al. 2019, II-B); black: noise, or no return.",
+        "Shots that a neighbour in time supports (Lehtola et al. 2019, II-B); black: noise, or "
+        "no return.",
     ),
     "background": (
         "extended background G (white)",
-        "Supported shots whose neighbourhood is not smooth (Lehtola et al. 2019, II-C): where one surface ends or all "
-        "is rough.",
+        "Supported shots whose neighbourhood is not smooth (Lehtola et al. 2019, II-C): where "
+        "one surface ends or all is rough.",
     ),
     "critical": (
         "critical zeta (black: never)",
-        "Range difference from which on a shot has the support of its neighbours, the larger of the two thresholds "
-        "(Lehtola et al. 2019, V-A), on a logarithmic scale; white: no return.",
+        "Range difference from which on a shot has the support of its neighbours, the larger of "
+        "the two thresholds (Lehtola et al. 2019, V-A), on a logarithmic scale; white: no return.",
     ),
     "components": (
         "components before filling",
-        "Connected components of S without G (Lehtola et al. 2019, Fig. 3(c)), before holes are filled and labels of "
-        "the block before are taken over.",
+        "Connected components of S without G (Lehtola et al. 2019, Fig. 3(c)), before holes are "
+        "filled and labels of the block before are taken over.",
     ),
     "segments": (
         "smooth segments H",
-        "Connected components of S without G, holes filled (Lehtola et al. 2019, II-D). A colour a segment, kept from "
-        "block to block.",
+        "Connected components of S without G, holes filled (Lehtola et al. 2019, II-D). A colour "
+        "a segment, kept from block to block.",
     ),
     "surfaces": (
         "non-smooth surfaces V",
@@ -64,8 +66,8 @@ CAPTIONS: dict[str, tuple[str, str]] = {
     ),
     "segmentation": (
         "segmentation R",
-        "H and V together (Lehtola et al. 2019, II-E): every supported shot with its final segment. A colour a "
-        "segment; black: noise, or no return.",
+        "H and V together (Lehtola et al. 2019, II-E): every supported shot with its final "
+        "segment. A colour a segment; black: noise, or no return.",
     ),
     "coarse": (
         "coarse classes T, H, V",
@@ -73,38 +75,41 @@ CAPTIONS: dict[str, tuple[str, str]] = {
     ),
     "dense": (
         "dense vegetation T' (green)",
-        "Vegetation of the less sensitive test, from which the car stage starts (Stamos et al. 2012, sec. 7.1).",
+        "Vegetation of the less sensitive test, from which the car stage starts (Stamos et al. "
+        "2012, sec. 7.1).",
     ),
     "ground": (
         "height of the ground",
-        "Height of the ground that was tracked at every line, relative to the scanner (Stamos et al. 2012, sec. 5); "
-        "white: unknown, or no return.",
+        "Height of the ground that was tracked at every line, relative to the scanner (Stamos et "
+        "al. 2012, sec. 5); white: unknown, or no return.",
     ),
     "triggers": (
         "triggers (dark) on T', H, V",
-        "Where the test for suspicious lines fires (Stamos et al. 2012, sec. 7.2 and Fig. 3), over the classes of the "
-        "car stages, which are paler. A line without a mark is not searched for cars.",
+        "Where the test for suspicious lines fires (Stamos et al. 2012, sec. 7.2 and Fig. 3), "
+        "over the classes of the car stages, which are paler. A line without a mark is not "
+        "searched for cars.",
     ),
     "dividers": (
         "intervals between dividers",
-        "Intervals that may be cars, in two colours in turn (Stamos et al. 2012, sec. 7.3 and Fig. 4), before anything "
-        "is taken out of them.",
+        "Intervals that may be cars, in two colours in turn (Stamos et al. 2012, sec. 7.3 and "
+        "Fig. 4), before anything is taken out of them.",
     ),
     "tests": (
         "what became of the intervals",
-        "Which test took a shot of an interval out of it, or the car that is left (Stamos et al. 2012, sec. 7.3 to 8; "
-        "Fig. 4, bottom).",
+        "Which test took a shot of an interval out of it, or the car that is left (Stamos et al. "
+        "2012, sec. 7.3 to 8; Fig. 4, bottom).",
     ),
     "classes": ("classes", "The class of every shot."),
     "confidence": (
         "confidence",
-        "How sure the class is: per cent of such shots that are right on simulated scans; white: no return.",
+        "How sure the class is: per cent of such shots that are right on simulated scans; white: "
+        "no return.",
     ),
     "reference": ("reference", "Classes of the reference."),
     "difference": (
         "differences, in the colour of the predicted class",
-        "Pale grey where prediction and reference agree; else the colour of what was predicted; pale violet where "
-        "either is not scored, white where there is no return.",
+        "Pale grey where prediction and reference agree; else the colour of what was predicted; "
+        "pale violet where either is not scored, white where there is no return.",
     ),
 }
 """Title and caption of every step."""
@@ -127,7 +132,7 @@ class RenderOptions:
     lines: tuple[int, int] | None = None
     """First line, and last line + 1, from 0."""
     figure1: bool = False
-    """The sequence of the paper's Fig. 1, for one block (the second one, or the only one, if none is given)."""
+    """The sequence of the paper's Fig. 1, for one block; default: the second, or the only one."""
     station: int | None = None
     """Scanner, or scan of the file; None = the first one."""
     labels: Path | None = None
@@ -137,7 +142,7 @@ class RenderOptions:
     """Class codes to compare with."""
     reference_dimension: str | None = None
     mapping: str | Path | None = None
-    """Which codes mean which class on either side; None = the codes of ``[classes]`` on both."""
+    """Classes of the codes on either side; None = the codes of ``[classes]`` on both."""
     colour: ColourBy | None = None
     """Value that colours a cloud; None = class if available, else height."""
     hide: tuple[str, ...] = ()
@@ -145,20 +150,19 @@ class RenderOptions:
     azimuth_deg: float | None = None
     """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg].
 
-    None = the side from which the
-    points fill the picture best."""
+    None = the side from which the points fill the picture best."""
     elevation_deg: float = 30.0
     """Elevation of the viewpoint, seen from the points [deg]."""
     width: int = 2200
-    """Widest picture [pixels], frame not counted."""
+    """Widest picture without frame [pixels]."""
     height: int = 6000
     """Highest page [pixels]."""
     pages: int = 1
     """Most pages; longer scans are thinned."""
     shots: int = 1_500_000
-    """Most shots that a viewer page holds; of longer scans every n-th line and column is kept."""
+    """Most shots of a viewer page; of longer scans every n-th line and column is kept."""
     line_spacing_m: float | None = None
-    """Distance of scan lines in a viewer page, where the input has no coordinates [m].
+    """Distance of scan lines in a viewer page, if the input has no coordinates [m].
 
     None = assumed.
     """
@@ -168,10 +172,7 @@ class RenderOptions:
     None = coordinates of the input, else lines one behind the other.
     """
     mount: tuple[float, ...] = ()
-    """Roll, pitch, yaw of the scanner on the vehicle [deg].
-
-    And x, y, z from the trajectory's point to it [m].
-    """
+    """Scanner on the vehicle: roll, pitch, yaw [deg]; x, y, z from the trajectory's point [m]."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -192,7 +193,7 @@ class RenderResult(Brief):
     n_compared: int = 0
     """Shots with a class on both sides."""
     n_differing: int = 0
-    """Those of them whose classes differ."""
+    """Shots whose classes differ."""
     n_points: int = 0
     """Points of a cloud inside the picture."""
     notes: tuple[str, ...] = ()
@@ -200,38 +201,42 @@ class RenderResult(Brief):
 
 
 def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
-    """Return the steps to draw: the requested ones, else all for a part, and only the result for a whole drive.
+    """Return the steps to draw; default: all for a part, only the result for a whole drive.
 
     >>> choose_steps("prc", RenderOptions())
     ('range', 'classes')
     """
-    own = {
+    steps_of_method = {
         "sequential-angle": (*SEQUENTIAL_STEPS, "classes"),
         "fused": ("classes", "confidence"),
         "rings": ("classes",),
     }
     # label files hold no intermediate images
-    steps = ("classes",) if options.labels is not None else own.get(method, (*PRC_STEPS, "classes"))
+    steps = (
+        ("classes",)
+        if options.labels is not None
+        else steps_of_method.get(method, (*PRC_STEPS, "classes"))
+    )
     of_reference = () if options.reference is None else REFERENCE_STEPS
     possible = ("range", "intensity", *steps, *of_reference)
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
-        whole = options.block is None and options.lines is None and method != "sequential-angle"
-        chosen = (
-            ("range", "classes", *of_reference)
-            if whole
-            else tuple(s for s in possible if s not in ON_REQUEST)
+        is_whole_drive = (
+            options.block is None and options.lines is None and method != "sequential-angle"
         )
+        chosen = tuple(step for step in possible if step not in ON_REQUEST)
+        if is_whole_drive:
+            chosen = ("range", "classes", *of_reference)
     elif options.figure1 and of_reference:
         chosen = (*chosen, "reference")
     hint = f"possible here: {', '.join(possible)}"
-    for step in (one for one in chosen if one not in possible):
-        holder = (
-            "which a label file does not hold"
-            if options.labels is not None
-            else f"which is no step of {method}"
-        )
-        problem = f"found {step!r}, {holder if step in CAPTIONS else 'which is no step'}"
+    for step in (wrong for wrong in chosen if wrong not in possible):
+        why = f"which is no step of {method}"
+        if step not in CAPTIONS:
+            why = "which is no step"
+        elif options.labels is not None:
+            why = "which a label file does not hold"
+        problem = f"found {step!r}, {why}"
         if step in REFERENCE_STEPS:
             problem = f"{step!r} needs a reference, expected --reference FILE"
         raise ConfigError("--steps", problem, hint)

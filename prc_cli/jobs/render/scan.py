@@ -1,7 +1,4 @@
-"""Scan pictures of lines and columns.
-
-a block as in the paper, a static scan upright, a drive in strips.
-"""
+"""Scan pictures of lines and columns: a block as in the paper, a static scan, a drive in strips."""
 
 from __future__ import annotations
 
@@ -73,9 +70,9 @@ SEGMENT_COLOURS = 1 << 30
 STRIP_HEIGHT = 380
 PANEL_HEIGHT = 800
 UPRIGHT_HEIGHT = 1100
-"""Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
+"""Highest picture: a strip of a folded drive, an unfolded drive, an upright scan [pixels]."""
 FOLD_FROM = 2
-"""Length, in picture widths, above which vertical lines without rotation are folded into strips."""
+"""Drives of more picture widths are folded into strips, unless the scanner turns."""
 PAGE_ROOM = 140
 """Space for headline and key of a page [pixels]."""
 NOT_LABELLED = {"range", "intensity", "reference"}
@@ -114,20 +111,16 @@ TESTS = ClassTable(
         np.uint8,
     ),
 )
-"""What became of the shots of intervals.
-
-:class:`~prc_cli.core.classes.CarTest` plus 1; 0 = missing.
-"""
+"""Results of the tests of intervals: :class:`~prc_cli.core.classes.CarTest` + 1, 0 = missing."""
 STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
 
 
 def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
-    """Open a stream, with beam angles wherever they can be found, for any classifier."""
+    """Open a stream, with beam angles if they can be computed, for any classifier."""
     stream = open_stream(path, loaded)
     if loaded.config.needs_beams:
         return stream
-    # without a vertical direction pictures lie on their side; damage is reported when the stream is
-    # read
+    # without beam angles the picture lies on its side; damage is reported when the stream is read
     with suppress(InputError, ConfigError):
         return with_beams(stream, loaded.config.input)
     return stream
@@ -136,7 +129,7 @@ def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
 def of_station(
     stream: ScanStream, station: int | None, met: dict[int, None] | None = None
 ) -> Iterator[ScanBlock]:
-    """Yield the blocks of one scanner, by default the first; note in ``met`` all that are met."""
+    """Yield the blocks of one scanner, by default the first; add all scanners to ``met``."""
     met = {} if met is None else met
     for block in stream.blocks():
         met.setdefault(block.scanner)
@@ -163,7 +156,7 @@ def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
 
 
 def turns(block: ScanBlock) -> float:
-    """Return how a scanner turns from line to line, seen from above."""
+    """Return the turn of a scanner from line to line, seen from above [rad]; 0 = none."""
     if block.xyz_m is None or block.n_lines < 2:
         return 0.0
     x, y = (block.xyz_m[: TURN_LINES + 1, :, axis].astype(np.float64) for axis in (0, 1))
@@ -181,13 +174,13 @@ def frames(
     *,
     classify: bool,
 ) -> Iterator[tuple[ScanBlock, Images]]:
-    """Classify blocks as far as the steps need it; yield them with the images of the steps."""
-    found: Iterator[tuple[ScanBlock, Images]] = ((block, {}) for block in blocks)
+    """Yield blocks with the images of the steps; classify them if the steps need it."""
+    images: Iterator[tuple[ScanBlock, Images]] = ((block, {}) for block in blocks)
     if classify and isinstance(params, PrcParams) and set(steps) & set(PRC_STEPS):
-        found = _traced(blocks, params, steps)
+        images = _traced(blocks, params, steps)
     elif classify:
-        found = _labelled(blocks, params, steps)
-    for block, planes in found:
+        images = _labelled(blocks, params, steps)
+    for block, planes in images:
         if "intensity" in steps:
             if block.intensity is None:
                 raise ConfigError("--steps", "found 'intensity', but the input has none")
@@ -200,10 +193,7 @@ def _ids(segments: NDArray[np.int64]) -> Plane:
 
 
 def _critical(trace: PrcTrace) -> Plane:
-    """Return the larger critical threshold of every shot.
-
-    From there on both neighbourhoods support it.
-    """
+    # (lines, M) [m]: from here on both neighbourhoods support a shot
     assert trace.critical is not None
     return np.maximum(trace.critical.in_line_m, trace.critical.adjacent_m)
 
@@ -212,7 +202,7 @@ _TRACED: Mapping[str, Callable[[PrcTrace], Plane]] = {
     "support": lambda trace: trace.supported,
     "background": lambda trace: trace.background,
     "critical": _critical,
-    # filling gives labels to shots of G alone, so without them the components are those before it
+    # filling labels only shots of G: without them these are the components before filling
     "components": lambda trace: np.where(
         trace.supported & ~trace.background, trace.components.image, np.int32(0)
     ),
@@ -238,7 +228,7 @@ _STAGES: Mapping[str, Callable[[StageLabels, Mask], Plane]] = {
 def _traced(
     blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ...]
 ) -> Iterator[tuple[ScanBlock, Images]]:
-    """Run PRC over the blocks of one scanner, and keep its intermediate images."""
+    # runs PRC and keeps its intermediate images
     turn: OneByOne[PrcState] | None = None
     for block in regroup(blocks, params.lines_per_block):
         turn = turn or OneByOne(initial_state(block.points_per_line))
@@ -281,7 +271,7 @@ class Part:
     n_lines: int
     """Lines of the whole stream."""
     scanner: str = ""
-    """Which it is of several."""
+    """Name of the scanner, if there are several."""
 
     @property
     def is_whole(self) -> bool:
@@ -289,10 +279,9 @@ class Part:
         return self.stop - self.first == self.n_lines
 
     def inside(self, block: ScanBlock) -> tuple[int, int]:
-        """Return which lines of a block are drawn: the first, and the last + 1."""
-        return max(self.first - block.first_line, 0), min(
-            self.stop - block.first_line, block.n_lines
-        )
+        """Return the first line of a block that is drawn, and the last + 1."""
+        first = max(self.first - block.first_line, 0)
+        return first, min(self.stop - block.first_line, block.n_lines)
 
     def sentence(self) -> str:
         """Name the lines for a headline."""
@@ -302,7 +291,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Pictures of a scan, ready to be put on pages."""
+    """Pictures of a scan, before they are put on pages."""
 
     strips: tuple[tuple[Panel, ...], ...]
     """Pictures of every strip, from top to bottom."""
@@ -321,10 +310,8 @@ class _Layout:
     """Arrangement of lines and columns on the page."""
 
     kind: str
-    """``paper``: columns across, lines down.
-
-    ``upright``: lines across, the sky at the top; ``strips``: lines
-    across, columns down, folded."""
+    """``paper``: columns across, lines down. ``upright``: lines across, the sky at the top.
+    ``strips``: lines across, columns down, folded."""
     line_step: int
     column_step: int
     strip: int
@@ -345,7 +332,7 @@ def draw_scan(
     steps = choose_steps(method, options)
     words = vocabulary(options, loaded.config.classes)
     stream = open_for_pictures(loaded, source)
-    # labels are checked first: they are small, and classifying takes long
+    # labels first: they are small, and classifying takes long
     sides: dict[Side, RecordClasses] = {}
     if options.labels is not None:
         sides["predicted"] = words.read(
@@ -355,15 +342,15 @@ def draw_scan(
         sides["reference"] = words.read(
             options.reference, options.reference_dimension, "reference", folder
         )
-    for given in sides.values():
-        given.check(stream.info.n_records)
+    for classes in sides.values():
+        classes.check(stream.info.n_records)
     part = choose_part(options, loaded, stream)
     first = next(of_station(stream, options.station), None)
     if first is None:
         raise InputError(str(source), "found no scan lines, expected at least one")
     layout = _choose_layout(first, part, len(steps), options)
-    own = words.table if "predicted" in sides else LABEL_TABLE.without(options.hide)
-    sheet = _Sheet(part, layout, steps, words, own, first.beam_rad, turns(first))
+    table = words.table if "predicted" in sides else LABEL_TABLE.without(options.hide)
+    sheet = _Sheet(part, layout, steps, words, table, first.beam_rad, turns(first))
     classify = "predicted" not in sides and bool(set(steps) - NOT_LABELLED)
     info = stream.info
     tally = ReadTally()
@@ -384,8 +371,8 @@ def draw_scan(
         and stream.info.n_records is None
         and options.station is None
     ):
-        for given in sides.values():
-            given.check(max(tally.n_records, n_read))
+        for classes in sides.values():
+            classes.check(max(tally.n_records, n_read))
     return sheet.drawing()
 
 
@@ -404,7 +391,7 @@ def _check_part(method: str, options: RenderOptions) -> None:
 
 
 def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream) -> Part:
-    """Return the lines to draw; reads the stream where its number of lines is not known otherwise."""
+    """Return the lines to draw; reads the stream if its header has no number of lines."""
     info = stream.info
     many = (
         loaded.config.input.scanner != "none"
@@ -419,9 +406,9 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
     if len(met) > 1:
         number = next(iter(met)) if options.station is None else options.station
         names = info.facts.scanners
-        scanner = f"scanner {number} of {len(met)}" + (
-            f": {names[number]}" if number < len(names) else ""
-        )
+        scanner = f"scanner {number} of {len(met)}"
+        if number < len(names):
+            scanner += f": {names[number]}"
     k = loaded.config.prc.lines_per_block
     n_blocks = -(-n_lines // k)
     block = options.block
@@ -476,11 +463,11 @@ def _add_sides(
     words: Vocabulary,
     sides: Mapping[Side, RecordClasses],
 ) -> None:
-    """Add the classes of label files, and the classifier's classes in the vocabulary of both sides."""
+    # adds the classes of label files and of the classifier, as indices of the class table
     record = block.records()
     seen = ~np.isnan(block.range_m)
-    for side, given in sides.items():
-        planes[side] = words.mark_unscored(given.look_up(record), seen)
+    for side, classes in sides.items():
+        planes[side] = words.mark_unscored(classes.look_up(record), seen)
     if "predicted" in sides:
         planes["classes"] = planes["predicted"]
     elif sides and "classes" in planes:
@@ -489,13 +476,13 @@ def _add_sides(
 
 @dataclass(slots=True)
 class _Sheet:
-    """Thinned images and full counts, collected while the stream is read, then coloured on scales common to all."""
+    """Thinned images and full counts, collected while the stream is read and then coloured."""
 
     part: Part
     layout: _Layout
     steps: tuple[str, ...]
     words: Vocabulary
-    own: ClassTable
+    class_table: ClassTable
     """Table of the step ``classes``."""
     beam_rad: F64 | None
     turn_rad: float
@@ -508,10 +495,10 @@ class _Sheet:
     @property
     def tables(self) -> dict[str, ClassTable]:
         """Classes of pictures, by step."""
-        return {"classes": self.own, "reference": self.words.table, **STAGE_TABLES}
+        return {"classes": self.class_table, "reference": self.words.table, **STAGE_TABLES}
 
     def keep(self, block: ScanBlock, planes: Images) -> None:
-        """Count the part's shots, and keep the lines and columns to draw."""
+        """Count the shots of the part, and keep the lines and columns to draw."""
         low, high = self.part.inside(block)
         if low >= high:
             return
@@ -523,16 +510,13 @@ class _Sheet:
                     inside[side].ravel(), minlength=size
                 ) + self.counts.get(side, 0)
         if "predicted" in inside and "reference" in inside:
-            one = inside["predicted"]
-            other = inside["reference"]
-            both = (
-                (one > 0)
-                & (one != self.words.unscored)
-                & (other > 0)
-                & (other != self.words.unscored)
-            )
+            predicted = inside["predicted"]
+            reference = inside["reference"]
+            unscored = self.words.unscored
+            both = (predicted > 0) & (predicted != unscored)
+            both &= (reference > 0) & (reference != unscored)
             self.n_compared += int(np.count_nonzero(both))
-            self.n_differing += int(np.count_nonzero(both & (one != other)))
+            self.n_differing += int(np.count_nonzero(both & (predicted != reference)))
         start = (self.part.first - block.first_line - low) % self.layout.line_step
         wanted = {*self.steps, *(("predicted", "reference") if "difference" in self.steps else ())}
         for name in wanted & set(inside):
@@ -564,7 +548,9 @@ class _Sheet:
                 )
             strips.append(tuple(panels))
         side, table = (
-            ("classes", self.own) if "classes" in self.counts else ("reference", self.words.table)
+            ("classes", self.class_table)
+            if "classes" in self.counts
+            else ("reference", self.words.table)
         )
         counts = table.count_by_name(self.counts.get(side, np.zeros(len(table.names), np.int64)))
         return Drawing(
@@ -580,7 +566,7 @@ class _Sheet:
         )
 
     def _keys(self) -> dict[str, Key]:
-        """Return the key of every class picture: classes that occur, with shares."""
+        # the key of every class picture: classes that occur, with shares
         keys: dict[str, Key] = {}
         for step, table in self.tables.items():
             counts = self.counts.get(step)
@@ -601,10 +587,7 @@ class _Sheet:
         return keys
 
     def _shared_key(self, keys: dict[str, Key]) -> Key:
-        """Return one key for a sheet of strips.
-
-        With shares only if they belong to a single picture.
-        """
+        # one key for a sheet of strips, with shares only for a single picture
         shown = [step for step in self.steps if step in keys]
         if len(shown) == 1:
             return keys[shown[0]]
@@ -617,7 +600,7 @@ class _Sheet:
                 else _names(table, self.counts[step][: len(table.names)])
             )
             entries |= dict.fromkeys(key)
-        # entries that are no class go last
+        # entries that are not classes go last
         last = (NOT_SCORED, _AGREE, _NO_RETURN)
         return tuple(
             sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1)
@@ -626,7 +609,7 @@ class _Sheet:
     def _paint(
         self, step: str, planes: Images, scales: Mapping[str, tuple[float, float]]
     ) -> tuple[U8, Bar | None]:
-        """Return the (lines, columns, 3) picture of some of the drawn lines, and its colour bar."""
+        # the (lines, columns, 3) picture of some of the drawn lines, and its colour bar
         if step == "difference":
             table = self.words.table.shown
             unscored = self.words.unscored
@@ -657,7 +640,8 @@ class _Sheet:
         (n, m) = picture.shape[:2]
         note = ""
         if step == "difference" and self.n_compared:
-            note = f"{share_text(self.n_differing, self.n_compared)} of {self.n_compared:,} shots differ"
+            share = share_text(self.n_differing, self.n_compared)
+            note = f"{share} of {self.n_compared:,} shots differ"
         along = Axis("line", *lines)
         across = Axis("column", 0, m * layout.column_step)
         beam_rad = None if self.beam_rad is None else self.beam_rad[:: layout.column_step]
@@ -687,10 +671,7 @@ class _Sheet:
         )
 
     def _shape(self) -> float | None:
-        """Return the ratio of height to width of a drawn cell, as angles from the scanner.
-
-        None = unknown.
-        """
+        # ratio of height to width of a drawn cell, as angles from the scanner; None = unknown
         if not self.turn_rad or self.beam_rad is None or len(self.beam_rad) < 2:
             return None
         step = float(np.median(np.abs(np.diff(self.beam_rad))))
@@ -698,13 +679,13 @@ class _Sheet:
 
 
 def _names(table: ClassTable, counts: I64) -> Key:
-    """Return the classes that occur, without shares, which differ between pictures."""
+    # without shares, which differ between pictures
     no_return = ((_NO_RETURN, table.colour(0)),) if counts[0] else ()
     return (*((table.names[i], table.colour(i)) for i in table.drawn(counts)), *no_return)
 
 
 def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
-    """Return enlargement factors that keep the aspect ratio, if known, and make scans of few rings high enough.
+    """Return enlargement factors that keep a known aspect ratio and make few rings high enough.
 
     >>> _upright_zoom(720, 501, 0.5), _upright_zoom(345, 1074, 0.5), _upright_zoom(2198, 64, 2.4)
     ((2, 1), (2, 1), (1, 4))
@@ -718,10 +699,7 @@ def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
 
 
 def _elevations(beam_rad: F64, order: NDArray[np.intp], n_columns: int) -> Axis:
-    """Return the vertical axis of an upright picture.
-
-    Elevations if rows are evenly spaced, else columns.
-    """
+    # elevations if rows are evenly spaced, else columns
     elevation = np.rad2deg(np.abs(beam_rad[order])) - 90.0
     if len(elevation) > 2:
         step = (elevation[-1] - elevation[0]) / (len(elevation) - 1)
@@ -740,7 +718,7 @@ def describe(
     options: RenderOptions,
     name: str,
 ) -> str:
-    """Return the headline of a picture: file, what labelled it, lines, day."""
+    """Return the headline of a picture: file, source of the labels, lines, day."""
     part = drawing.part
     labelled = ""
     if options.labels is not None:

@@ -1,4 +1,4 @@
-"""``prc render --html``: the page to look into a scan."""
+"""``prc render --html``: a page with the cloud and the range image of a scan."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from prc_cli.methods.base import Wanted
 from prc_cli.methods.reasons import sentences
 
 _FLAT = 1e-3
-"""Extent across a plane, as a share of that within, below which all lines are thought to lie in one plane."""
+"""All lines lie in one plane if the extent across is below this share of the extent within."""
 _NONE = np.empty(0)
 STAGES: dict[str, Values] = {
     "height_above_ground": Values("height above ground", _NONE, 0.001),
@@ -63,7 +63,7 @@ STAGES: dict[str, Values] = {
         1.0,
         1,
         "",
-        words={one.value: one.name.lower() for one in Surface if one},
+        words={surface.value: surface.name.lower() for surface in Surface if surface},
     ),
     "dense_vegetation": Values("dense vegetation", _NONE, 1.0, 1, "", words={0: "no", 1: "yes"}),
     "segment_id": Values("segment", _NONE, 1.0, 4, "", is_scale=False),
@@ -75,14 +75,11 @@ STAGES: dict[str, Values] = {
 
 @dataclass(slots=True)
 class _Kept:
-    """Shots that the page holds, collected while the stream is read.
-
-    Every n-th shot, but the counts of all.
-    """
+    """Shots of the page (every n-th), collected while the stream is read, and counts of all."""
 
     part: Part
     words: Vocabulary
-    given: RecordClasses | None
+    classes: RecordClasses | None
     counts: I64
     """Shots by class over all lines, before thinning."""
     step: tuple[int, int] = (1, 1)
@@ -102,8 +99,8 @@ class _Kept:
         seen = ~np.isnan(block.range_m)
         classes = (
             self.words.turn_labels(item.labels)
-            if self.given is None
-            else self.given.look_up(record)
+            if self.classes is None
+            else self.classes.look_up(record)
         )
         classes = self.words.mark_unscored(np.where(seen, classes, np.uint8(0)), seen)
         self.counts += np.bincount(classes[low:high].ravel(), minlength=len(self.counts))
@@ -128,9 +125,9 @@ class _Kept:
                 self.parts.setdefault(name, []).append(np.array(plane[cells]))
 
     def take(self, name: str) -> NDArray[Any] | None:
-        """Return what was collected, if every block had it, and forget it."""
-        found = self.parts.pop(name, [])
-        return np.concatenate(found) if found and len(found) == len(self.parts["range"]) else None
+        """Remove and return a collected column; None unless every block had it."""
+        parts = self.parts.pop(name, [])
+        return np.concatenate(parts) if parts and len(parts) == len(self.parts["range"]) else None
 
 
 def render_viewer(
@@ -142,7 +139,7 @@ def render_viewer(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RenderResult:
-    """Write a page with a scan's cloud and range image, to turn, zoom and click."""
+    """Write a page with the cloud and the range image of a scan, to turn, zoom and click."""
     source = Path(source)
     output = Path(output)
     chosen = RenderOptions() if options is None else options
@@ -152,14 +149,14 @@ def render_viewer(
     check_input(source)
     with temporary_folder("prc-render-") as scratch:
         words = vocabulary(chosen, config.config.classes)
-        given, origin = _given(source, config, chosen, words, scratch)
-        if given is None:
+        classes, origin = _existing_classes(source, config, chosen, words, scratch)
+        if classes is None:
             config = config if config.config.is_decided else decide(source, config)
             origin = made_with(config)
         stream = open_for_pictures(config, source)
-        if given is not None:
-            given.check(stream.info.n_records)
-        kept = _collect(stream, config, chosen, words, given, progress)
+        if classes is not None:
+            classes.check(stream.info.n_records)
+        kept = _collect(stream, config, chosen, words, classes, progress)
         shots, notes = _shots(source, config, chosen, stream, kept)
     part = kept.part
     head = heading(origin, f"{part.sentence()} lines", part.scanner, thinned(kept.step))
@@ -169,7 +166,7 @@ def render_viewer(
         head=head,
         notes=notes,
         foot=f"Written by prc render {__version__}.",
-        why="" if given is not None else _explain(source, config, chosen),
+        why="" if classes is not None else _explain(source, config, chosen),
     )
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
@@ -186,16 +183,15 @@ def render_viewer(
 
 
 def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
-    """Return the command that tells why a shot has its class, without the place of the shot."""
+    # the command that explains the class of a shot, without the place of the shot
+    words = ["prc", "explain", source.name]
     preset = preset_of(loaded)
-    station = options.station
-    words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
-    words += [
-        *options_of(loaded),
-        *([] if station is None else ["--station", str(station)]),
-        "--at",
-    ]
-    return shlex.join(words)
+    if preset is not None:
+        words += ["--preset", preset]
+    words += options_of(loaded)
+    if options.station is not None:
+        words += ["--station", str(options.station)]
+    return shlex.join([*words, "--at"])
 
 
 def _check(output: Path, options: RenderOptions) -> None:
@@ -203,7 +199,7 @@ def _check(output: Path, options: RenderOptions) -> None:
         raise ConfigError(
             str(output), f"found the suffix {output.suffix!r}, expected .html", "rename the output"
         )
-    for name, given in (
+    for name, value in (
         ("--steps", options.steps),
         ("--figure1", options.figure1 or None),
         ("--reference", options.reference),
@@ -211,27 +207,27 @@ def _check(output: Path, options: RenderOptions) -> None:
         ("--block", options.block),
         ("--view", None if options.view == "scan" else options.view),
     ):
-        if given is not None:
+        if value is not None:
             raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
 
 
-def _given(
+def _existing_classes(
     source: Path,
     loaded: LoadedConfig,
     options: RenderOptions,
     words: Vocabulary,
     folder: Path,
 ) -> tuple[RecordClasses | None, str]:
-    """Return the classes that exist, those of a label file or of the input itself, and where they are from."""
+    # classes of a label file or of the input, and their source
     if options.labels is not None:
-        found = words.read(options.labels, options.labels_dimension, "predicted", folder)
-        return found, labels_of(options.labels)
+        classes = words.read(options.labels, options.labels_dimension, "predicted", folder)
+        return classes, labels_of(options.labels)
     records = (
         open_source(source, loaded.config.layout) if source.suffix.lower() in LAS_SUFFIXES else None
     )
     name = "classification"
     if records is None or not any(
-        (~np.isin(one.values[name], NO_CLASSES)).any() for one in records.chunks((name,))
+        (~np.isin(chunk.values[name], NO_CLASSES)).any() for chunk in records.chunks((name,))
     ):
         return None, ""
     return words.read(source, options.labels_dimension, "las", folder), made_by(
@@ -240,16 +236,18 @@ def _given(
 
 
 def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
-    """Return every how many lines and columns a shot is kept, about the same for both.
+    """Return the steps in lines and columns that keep at most ``most`` shots, about equal steps.
 
-    >>> _steps(600, 2154, 1_500_000), _steps(6_000, 2154, 1_500_000), _steps(1_000_000, 100, 1_000_000)
-    ((1, 1), (3, 3), (10, 10))
+    >>> _steps(600, 2154, 1_500_000), _steps(6_000, 2154, 1_500_000)
+    ((1, 1), (3, 3))
+    >>> _steps(1_000_000, 100, 1_000_000)
+    (10, 10)
     """
     if n_lines * n_columns <= most:
         return 1, 1
     columns = min(math.isqrt((n_lines * n_columns - 1) // most) + 1, n_columns)
     lines = min(-(-n_lines * -(-n_columns // columns) // most), n_lines)
-    # few lines are all thinned out before their columns are
+    # with few lines, thin the columns more
     columns = max(columns, -(-n_columns // max(1, most // -(-n_lines // lines))))
     return lines, columns
 
@@ -259,13 +257,13 @@ def _collect(
     loaded: LoadedConfig,
     options: RenderOptions,
     words: Vocabulary,
-    given: RecordClasses | None,
+    classes: RecordClasses | None,
     progress: Progress | None,
 ) -> _Kept:
-    """Read, and classify unless classes are given."""
+    # classifies unless classes exist
     part = choose_part(options, loaded, stream)
-    kept = _Kept(part, words, given, np.zeros(len(words.table.names), np.int64))
-    for item in _labelled(stream, loaded, options, classify=given is None):
+    kept = _Kept(part, words, classes, np.zeros(len(words.table.names), np.int64))
+    for item in _labelled(stream, loaded, options, classify=classes is None):
         block = item.block
         if not kept.parts:
             kept.step = _steps(part.stop - part.first, block.points_per_line, options.shots)
@@ -305,7 +303,7 @@ def _shots(
     stream: ScanStream,
     kept: _Kept,
 ) -> tuple[Shots, tuple[str, ...]]:
-    """Put together what the page shows, and what it says of it."""
+    # the data of the page, and its notes
     words = kept.words
     step = kept.step
     classes, range_m, record = (
@@ -313,9 +311,9 @@ def _shots(
     )
     range_m = range_m.astype(np.float64)
     seen = classes > 0
-    found = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
+    planes = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
     values: dict[str, F64] = {
-        name: each.astype(np.float64) for name, each in found.items() if each is not None
+        name: plane.astype(np.float64) for name, plane in planes.items() if plane is not None
     }
     sensor_m = values.pop("xyz", None)
     values |= _of_files(source, loaded, options, record)
@@ -330,17 +328,18 @@ def _shots(
         spacing_m, assumed = spacing(
             stream.info, values.get("time"), in_forest=in_forest, step=step[0]
         )
-    told = f"{spacing_m:.2g} m apart" + (
-        f" ({assumed}; --line-spacing tells it)" if assumed else ""
-    )
-    how = f"The input has no trajectory: its lines are drawn one behind the other, {told}."
+    distance = f"{spacing_m:.2g} m apart"
+    if assumed:
+        distance += f" ({assumed}; --line-spacing tells it)"
+    notice = f"The input has no trajectory: its lines are drawn one behind the other, {distance}."
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
     xyz_m, is_measured = _place(range_m, beam_rad, (file_m, sensor_m), spacing_m * step[0], seen)
-    notes = [] if is_measured else [how]
+    notes = [] if is_measured else [notice]
     if step != (1, 1):
         n_all = (kept.part.stop - kept.part.first) * stream.info.points_per_line
         notes.append(
-            f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; --shots sets the most."
+            f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; "
+            "--shots sets the most."
         )
     order = upright(beam_rad)
     left_out = sorted(words.table.hidden | words.noise)
@@ -353,9 +352,9 @@ def _shots(
         step,
         _entries(words, kept.counts, left_out),
         {
-            name: _values(name, each, seen)
-            for name, each in values.items()
-            if np.isfinite(each[seen]).any()
+            name: _values(name, plane, seen)
+            for name, plane in values.items()
+            if np.isfinite(plane[seen]).any()
         },
         None if order is None else order.tolist(),
         order is not None and kept.turn_rad > 0,
@@ -386,14 +385,8 @@ def _values(name: str, values: F64, seen: Mask) -> Values:
         return replace(STAGES[name], values=np.where(seen, values, np.nan))
     if name == "time":
         span = float(np.nanmax(values) - np.nanmin(values))
-        return Values(
-            "time",
-            values,
-            max(1e-7, 10.0 ** math.ceil(math.log10(max(span, 1e-3) / 4e9))),
-            4,
-            "s",
-            False,
-        )
+        step_s = max(1e-7, 10.0 ** math.ceil(math.log10(max(span, 1e-3) / 4e9)))
+        return Values("time", values, step_s, 4, "s", False)
     known = values[np.isfinite(values)]
     step = 1.0 if (known == np.rint(known)).all() else max(float(np.ptp(known)), 1e-9) / 60_000
     return Values(name, values, step, 2, "")
@@ -405,8 +398,8 @@ def _of_files(
     options: RenderOptions,
     record: I64,
 ) -> dict[str, F64]:
-    """Return coordinates and stages that files hold, by name, each in the shape of ``record``."""
-    found: dict[str, F64] = {}
+    # coordinates and stages in the files, by name, each with the shape of record
+    values: dict[str, F64] = {}
     cloud: RecordSource | None = None
     labels = None
     if options.trajectory is not None:
@@ -416,25 +409,25 @@ def _of_files(
     else:
         with suppress(InputError):
             cloud = Cloud.open(source, loaded, options.station).records
-    # a label file that is no list of records, such as .npy, holds no stages
+    # a label file that is not a list of records, such as .npy, has no stages
     with suppress(PrcError):
         labels = None if options.labels is None else open_source(options.labels, None)
-    own = open_source(source, loaded.config.layout)
-    for records, names in ((cloud, AXES), (own, tuple(STAGES)), (labels, tuple(STAGES))):
-        wanted = (
+    stored = open_source(source, loaded.config.layout)
+    for records, names in ((cloud, AXES), (stored, tuple(STAGES)), (labels, tuple(STAGES))):
+        present = (
             () if records is None else tuple(name for name in names if name in records.dimensions)
         )
-        if records is not None and wanted and (names is not AXES or wanted == AXES):
-            found |= _look_up(records, wanted, record)
-    return found
+        if records is not None and present and (names is not AXES or present == AXES):
+            values |= _look_up(records, present, record)
+    return values
 
 
 def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict[str, F64]:
-    """Read columns of the records of some cells; NaN where a cell has none."""
+    # columns of the records of some cells; NaN for cells without a record
     flat = record.ravel()
     order = np.argsort(flat, kind="stable")
     sorted_ids = flat[order]
-    found = {name: np.full(flat.shape, np.nan) for name in names}
+    columns = {name: np.full(flat.shape, np.nan) for name in names}
     for chunk in records.chunks(names):
         ids = chunk.records()
         low, high = np.searchsorted(sorted_ids, (ids.min(initial=0), ids.max(initial=-1) + 1))
@@ -444,10 +437,10 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
         place = np.minimum(np.searchsorted(ids[by_id], sorted_ids[low:high]), len(ids) - 1)
         hit = ids[by_id][place] == sorted_ids[low:high]
         for name in names:
-            found[name][order[low:high][hit]] = np.asarray(chunk.values[name], np.float64)[by_id][
+            columns[name][order[low:high][hit]] = np.asarray(chunk.values[name], np.float64)[by_id][
                 place[hit]
             ]
-    return {name: values.reshape(record.shape) for name, values in found.items()}
+    return {name: values.reshape(record.shape) for name, values in columns.items()}
 
 
 def _place(
@@ -457,7 +450,7 @@ def _place(
     apart_m: float,
     seen: Mask,
 ) -> tuple[F64 | None, bool]:
-    """Return where shots are, (lines, columns, 3) float64 [m], and whether that is as measured, or not known."""
+    # (lines, columns, 3) [m], and False if lines are drawn one behind the other
     behind_m = np.arange(len(range_m)) * apart_m
     for xyz_m in measured_m:
         if xyz_m is None:
@@ -466,7 +459,7 @@ def _place(
         across = _normal(placed[np.isfinite(placed).all(axis=2)])
         if across is None:
             return placed, True
-        # upright planes only: those of scan-plane coordinates say nothing of up and down
+        # only upright planes: scan-plane coordinates have no up and down
         if abs(across[2]) < 0.5:
             return placed + behind_m[:, None, None] * across, False
     if beam_rad is None:
@@ -475,9 +468,9 @@ def _place(
 
 
 def _normal(points: F64) -> F64 | None:
-    """Return the normal of a plane that holds all points, (3,) float64, None where they fill space."""
+    # (3,) normal of the plane of all points; None if they fill space
     if len(points) < 3:
         return None
-    some = points[:: max(1, len(points) // 20_000)]
-    _, extents, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
+    sample = points[:: max(1, len(points) // 20_000)]
+    _, extents, axes = np.linalg.svd(sample - sample.mean(axis=0), full_matrices=False)
     return None if extents[2] > _FLAT * extents[1] else np.asarray(axes[2])
