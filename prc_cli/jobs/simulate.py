@@ -1,6 +1,6 @@
-"""Whole simulated scans to files: ``prc simulate``.
+"""``prc simulate``: writes simulated scans to files.
 
-A scene, a scanner and its platform produce a stream, some lines at a time; the stream is written to
+A scene, a scanner and its platform produce a stream, some lines at a time. The stream is written to
 any format of ``prc convert``, with the reference class of every shot. Memory does not grow with the
 length of the drive.
 """
@@ -57,7 +57,7 @@ from prc_cli.simulation.trajectory import WORLD, Frame, Trajectory, check_frame,
 TRAJECTORY_HZ = 200.0
 """Positions per second in trajectory files."""
 STEM_MARGIN_M = 30.0
-"""Greatest distance from the path of trees that are listed [m]."""
+"""Greatest distance of listed trees from the path [m]."""
 STEM_STEP_M = 10.0
 """Spacing of the places along the path from which trees are searched [m]."""
 
@@ -85,18 +85,14 @@ class Beside:
     trajectory: Path | None = None
     """Trajectory of the scanner: ``.sbet`` or ``.out`` for SBET, ``.csv``."""
     labels: Path | None = None
-    """``.npy``: the reference class of every record.
-
-    Written without being asked for if the output holds no classes.
-    """
+    """``.npy``: the reference class of every record; the default if the output has no classes."""
     stems: Path | None = None
     """``.csv``: the trees beside the path."""
-
     frames: Path | None = None
-    """Folder for the turns of a spinning scanner as KITTI's frames, with classes, poses and times."""
+    """Folder of KITTI frames: turns of a spinning scanner with classes, poses and times."""
 
     def paths(self) -> tuple[Path, ...]:
-        """Return those that have a name."""
+        """Return the files that have a name."""
         return tuple(
             path for path in (self.trajectory, self.labels, self.stems) if path is not None
         )
@@ -113,18 +109,15 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> SimulationSummary:
-    """Simulate a scan into a file, with the reference class of every shot.
-
-    All files are complete or absent.
+    """Simulate a scan into files, which are complete or absent.
 
     Parameters
     ----------
     kind : {"street", "forest", "street-scan"}
         What is simulated.
     output : path
-        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57 .bag .db3 .mcap``. Where
-        there is a return, the point clouds and tables hold its registered coordinates from the true
-        pose.
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57 .bag .db3 .mcap``. Point
+        clouds and tables have the registered coordinates of every return, from the true pose.
     settings : optional
         From :func:`load_settings`.
     beside : Beside, optional
@@ -150,44 +143,44 @@ def simulate(
     output = Path(output)
     form = stream_format(output)
     chosen = load_settings(kind) if settings is None else settings
-    wanted = check_simulation(kind, output, chosen.scanner, beside, overwrite=overwrite)
-    frame = _frame(chosen, wanted)
-    check_frame(wanted.trajectory or output, frame)
+    files = check_simulation(kind, output, chosen.scanner, beside, overwrite=overwrite)
+    frame = _frame(chosen, files)
+    check_frame(files.trajectory or output, frame)
     is_static = chosen.scanner.is_static
-    # where a ring looks cannot be told from its line alone
+    # the direction of a ring does not follow from its line
     in_cells = chosen.scanner.spins and "relative" in form.holds and not form.holds_all
     simulation = open_simulation(
         kind,
         chosen,
         reference=reference,
         threads=threads,
-        with_xyz=is_static or form.makes_xyz or wanted.frames is not None or in_cells,
+        with_xyz=is_static or form.makes_xyz or files.frames is not None or in_cells,
         with_world=not is_static and (form.holds_all or reference == "cylinders"),
     )
     with whole_set(), contextlib.ExitStack() as stack:
-        if wanted.trajectory is not None:
-            temporary = stack.enter_context(atomic_output(wanted.trajectory))
+        if files.trajectory is not None:
+            temporary = stack.enter_context(atomic_output(files.trajectory))
             platform = simulation.scan.platform
             end_s = simulation.end_s
             write_trajectory(
-                wanted.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary
+                files.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary
             )
-        if wanted.stems is not None:
-            temporary = stack.enter_context(atomic_output(wanted.stems))
+        if files.stems is not None:
+            temporary = stack.enter_context(atomic_output(files.stems))
             temporary.write_text(
                 "".join(f"{row}\n" for row in _stem_rows(simulation)),
                 encoding="utf-8",
                 newline="\n",
             )
         codes_file: NpyFile | None = None
-        if wanted.labels is not None:
+        if files.labels is not None:
             handle = stack.enter_context(
-                stack.enter_context(atomic_output(wanted.labels)).open("w+b")
+                stack.enter_context(atomic_output(files.labels)).open("w+b")
             )
             codes_file = NpyFile(handle, "|u1")
-        frames = None if wanted.frames is None else stack.enter_context(FrameFolder(wanted.frames))
+        frames = None if files.frames is None else stack.enter_context(FrameFolder(files.frames))
         record, counts = _write(simulation, output, codes_file, frame, frames, progress)
-    return SimulationSummary(output, record, counts, (*outputs_of(output), *wanted.paths()))
+    return SimulationSummary(output, record, counts, (*outputs_of(output), *files.paths()))
 
 
 def _write(
@@ -198,7 +191,6 @@ def _write(
     frames: FrameFolder | None,
     progress: Progress | None,
 ) -> tuple[RunRecord, Counts]:
-    """Simulate and write the stream, and the codes beside it."""
     scan = simulation.scan
     suffix = stream_suffix(output)
     form = stream_format(output)
@@ -219,8 +211,8 @@ def _write(
     )
     with open_stream_writer(output, shape) as writer:
 
-        def put(found: SimulatedBlock) -> None:
-            item = _item(found, lookup, frame.origin() if shape.registered else None)
+        def put(simulated: SimulatedBlock) -> None:
+            item = _item(simulated, lookup, frame.origin() if shape.registered else None)
             writer.add_item(item)
             if codes_file is not None:
                 codes_file.append(codes_in_order(item, output))
@@ -228,30 +220,27 @@ def _write(
                 frames.add(item, _pose_of(simulation, item))
 
         with write_behind(put) as queue:
-            for found in scan.simulated():
-                queue.put(found)
-                counts = counts.add(found.labelled)
+            for simulated in scan.simulated():
+                queue.put(simulated)
+                counts = counts.add(simulated.labelled)
                 if progress is not None:
-                    progress(found.labelled.block.n_lines)
+                    progress(simulated.labelled.block.n_lines)
         record = _record(simulation, counts)
-        told = list(writer.losses)
+        texts = list(writer.losses)
         if counts.n_extra and "returns" not in form.holds:
-            told.append(
+            texts.append(
                 f"not kept: {counts.n_extra} further returns: a range image has one range a cell"
             )
         if form.is_dump:
-            told.append(f"read it with --config {output.name}.toml")
+            texts.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
-            is_lost = suffix in LAS_SUFFIXES and find_spec("pyproj") is None
-            lost = (
-                "; the file does not name it without pyproj: pip install prc-cli[crs]"
-                if is_lost
-                else ""
-            )
-            told.append(f"registered coordinates are those of {frame.crs}{lost}")
+            text = f"registered coordinates are those of {frame.crs}"
+            if suffix in LAS_SUFFIXES and find_spec("pyproj") is None:
+                text += "; the file does not name it without pyproj: pip install prc-cli[crs]"
+            texts.append(text)
         if format_of(output) is None:
-            told.append(f"prc reads no stream from {suffix}; it is for other programs")
-        record = writer.finish(replace(record, notices=(*record.notices, *told)))
+            texts.append(f"prc reads no stream from {suffix}; it is for other programs")
+        record = writer.finish(replace(record, notices=(*record.notices, *texts)))
         if codes_file is not None:
             codes_file.finish()
         if frames is not None:
@@ -260,37 +249,34 @@ def _write(
 
 
 def _pose_of(simulation: Simulation, item: StreamItem) -> F64:
-    """Return where the scanner is, and how it is turned, in the middle of a block's time, (4, 4) float64."""
+    # (4, 4), position and orientation of the scanner in the middle of the time of a block
     time_s = item.block.time_s
     assert time_s is not None
     pose = simulation.scan.platform.pose(np.array([(time_s[0].min() + time_s[-1].max()) / 2.0]))
-    found = np.eye(4)
-    found[:3, :3] = pose.turn()[0]
-    found[:3, 3] = pose.position[0]
-    return found
+    matrix = np.eye(4)
+    matrix[:3, :3] = pose.turn()[0]
+    matrix[:3, 3] = pose.position[0]
+    return matrix
 
 
-def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem:
-    labelled = found.labelled
+def _item(simulated: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem:
+    labelled = simulated.labelled
     item = StreamItem(
         labelled.block,
         codes=lookup[labelled.labels].astype(np.int32),
         extra_codes=lookup[labelled.extra_labels].astype(np.int32),
     )
-    if origin_m is None or found.world_m is None or found.extra_world_m is None:
+    if origin_m is None or simulated.world_m is None or simulated.extra_world_m is None:
         return item
     return replace(
         item,
-        registered_m=found.world_m + origin_m,
-        extra_registered_m=found.extra_world_m + origin_m,
+        registered_m=simulated.world_m + origin_m,
+        extra_registered_m=simulated.extra_world_m + origin_m,
     )
 
 
 def codes_in_order(item: StreamItem, output: Path) -> U8:
-    """Return the class codes of the records that an output has, in their order, (records,) uint8.
-
-    0 = no return.
-    """
+    """Return the class codes of the records of an output, (records,) uint8; 0 = no return."""
     assert item.codes is not None
     assert item.extra_codes is not None
     block = item.block
@@ -298,24 +284,20 @@ def codes_in_order(item: StreamItem, output: Path) -> U8:
     extra = block.extra
     suffix = stream_suffix(output)
     if "returns" not in stream_format(output).holds or not len(extra):
-        found = codes if suffix not in LAS_SUFFIXES else codes[~np.isnan(block.range_m.ravel())]
-        return found.astype(np.uint8)
+        if suffix in LAS_SUFFIXES:
+            codes = codes[~np.isnan(block.range_m.ravel())]
+        return codes.astype(np.uint8)
     # further returns follow the main return of their shot, nearer ones first
     cell = extra.line.astype(np.int64) * block.points_per_line + extra.column
-    own = (
-        np.flatnonzero(~np.isnan(block.range_m.ravel()))
-        if suffix in LAS_SUFFIXES
-        else np.arange(len(codes))
-    )
-    owner = np.concatenate([own, cell])
-    rank = np.concatenate(
-        [
-            np.full(len(own), -np.inf),
-            extra.range_m if suffix in LAS_SUFFIXES else np.zeros(len(cell)),
-        ]
-    )
-    order = np.lexsort((np.arange(len(owner)), rank, owner))
-    return np.concatenate([codes[own], item.extra_codes])[order].astype(np.uint8)
+    main = np.arange(len(codes))
+    extra_rank: F64 = np.zeros(len(cell))
+    if suffix in LAS_SUFFIXES:
+        main = np.flatnonzero(~np.isnan(block.range_m.ravel()))
+        extra_rank = extra.range_m.astype(np.float64)
+    shot = np.concatenate([main, cell])
+    rank = np.concatenate([np.full(len(main), -np.inf), extra_rank])
+    order = np.lexsort((np.arange(len(shot)), rank, shot))
+    return np.concatenate([codes[main], item.extra_codes])[order].astype(np.uint8)
 
 
 def _record(simulation: Simulation, counts: Counts) -> RunRecord:
@@ -331,7 +313,7 @@ def _record(simulation: Simulation, counts: Counts) -> RunRecord:
     )
     return RunRecord(
         config={"simulation": table},
-        # there is no input file: the record's input is the simulation's parameters
+        # there is no input file: the input is the parameters of the simulation
         input=Fingerprint(scan.name, len(text), hashlib.sha256(text).hexdigest()),
         format="simulation",
         points_per_line=scan.scanner.points_per_line,
@@ -344,10 +326,10 @@ def _record(simulation: Simulation, counts: Counts) -> RunRecord:
 
 
 def _frame(settings: Settings, beside: Beside) -> Frame:
-    """Return the coordinate frame: as configured, or the default one if an SBET is written."""
-    asked = None if isinstance(settings, StationSettings) else settings.frame
-    if asked is not None:
-        return asked
+    # as configured, or the default frame for an SBET
+    configured = None if isinstance(settings, StationSettings) else settings.frame
+    if configured is not None:
+        return configured
     is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in SBET_SUFFIXES
     return Frame() if is_sbet else WORLD
 
@@ -363,21 +345,16 @@ def check_simulation(
     """Refuse outputs before any work is done."""
     beside = beside or Beside()
     form = stream_format(output)
-    # where no classes are held, or none that can be compared, they go to a file of their own
+    # if the output cannot have classes that prc reads, they go to a file beside it
     has_codes = "codes" in form.holds and format_of(output, "codes") is not None
     if beside.labels is None and not has_codes:
         beside = replace(beside, labels=reference_path(output))
     if form.name == BAG and (scanner.is_static or beside.labels is not None):
-        refused = (
-            "a scan from a tripod"
-            if scanner.is_static
-            else "labels beside it, which it holds itself"
-        )
-        raise ConfigError(
-            str(output),
-            f"a bag, asked for {refused}",
-            "write .npz, or leave out what it cannot hold",
-        )
+        refused = "labels beside it, which it holds itself"
+        if scanner.is_static:
+            refused = "a scan from a tripod"
+        hint = "write .npz, or leave out what it cannot hold"
+        raise ConfigError(str(output), f"a bag, asked for {refused}", hint)
     if beside.stems is not None and kind != "forest":
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":
@@ -411,7 +388,7 @@ def reference_path(output: Path) -> Path:
 
 
 def _stem_rows(simulation: Simulation) -> Iterator[str]:
-    """Yield the trees beside the path, each once, as lines of CSV."""
+    # lines of CSV, every tree once
     scene = simulation.scene
     platform = simulation.scan.platform
     assert isinstance(scene, ForestScene)

@@ -106,9 +106,11 @@ def measured(image: F32, **known: Any) -> SensorEstimate:
     ("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)]
 )
 def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: float) -> None:
-    found = measured(corridor(sigma_m, per_m))
+    estimate = measured(corridor(sigma_m, per_m))
     for range_m in (2.5, 6.5, 15.0):
-        assert found.noise_at(range_m) == pytest.approx(np.hypot(sigma_m, per_m * range_m), rel=0.2)
+        assert estimate.noise_at(range_m) == pytest.approx(
+            np.hypot(sigma_m, per_m * range_m), rel=0.2
+        )
 
 
 def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
@@ -134,16 +136,16 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     source, reference = labelled(tmp_path)
     trials: list[tuple[int, float]] = []
     options = SearchOptions(reference, budget=120)
-    found = calibrate(source, BLOCKS, options, tried=lambda n, best: trials.append((n, best)))
-    assert found.search is not None
-    before, _, after = found.search.judged
+    calibration = calibrate(source, BLOCKS, options, tried=lambda n, best: trials.append((n, best)))
+    assert calibration.search is not None
+    before, _, after = calibration.search.judged
     assert (after.held_out["kappa"] or 0.0) > (before.held_out["kappa"] or 0.0)
-    assert len(trials) == found.search.n_trials <= 120
+    assert len(trials) == calibration.search.n_trials <= 120
     bests = [best for _, best in trials]
     assert bests == sorted(bests)
-    assert found.search.n_training_groups + found.search.n_held_out_groups == 7
+    assert calibration.search.n_training_groups + calibration.search.n_held_out_groups == 7
     again = calibrate(source, BLOCKS, options)
-    assert as_json(again) == as_json(found)
+    assert as_json(again) == as_json(calibration)
     other = calibrate(
         source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4)
     )
@@ -158,15 +160,15 @@ def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
         preset="street-scan", options={"prc": {"lines_per_block": 30}, "input": inputs}
     )
     classify(source, tmp_path / "reference.npy", loaded)
-    found = calibrate(
+    calibration = calibrate(
         source,
         loaded,
         SearchOptions(
             tmp_path / "reference.npy", "sequential_angle", budget=3, objective="accuracy"
         ),
     )
-    assert found.search is not None
-    assert set(found.search.values) == {"sequential_angle.angles.range_noise_m"}
+    assert calibration.search is not None
+    assert set(calibration.search.values) == {"sequential_angle.angles.range_noise_m"}
 
 
 def test_unusable_streams_are_refused(tmp_path: Path) -> None:
@@ -223,13 +225,13 @@ def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) ->
     from prc_cli.jobs.evaluate import evaluate
 
     first, *others = (real_data / "oakland" / f"oakland_{n}.csv.gz" for n in (1, 2, 3))
-    found = calibrate(first, load_config(preset="urban"), SearchOptions(first, "oakland"))
-    assert found.sensor.noise_at(2.5) == pytest.approx(0.0068, rel=0.2)
-    assert found.search is not None
-    kappa = [item.held_out["kappa"] or 0.0 for item in found.search.judged]
+    calibration = calibrate(first, load_config(preset="urban"), SearchOptions(first, "oakland"))
+    assert calibration.sensor.noise_at(2.5) == pytest.approx(0.0068, rel=0.2)
+    assert calibration.search is not None
+    kappa = [item.held_out["kappa"] or 0.0 for item in calibration.search.judged]
     assert kappa[0] < 0.5 < kappa[1] < 0.7 < kappa[2]
     for section, least in zip(others, (0.80, 0.80), strict=True):
-        classify(section, tmp_path / "labels.npy", found.config, overwrite=True)
+        classify(section, tmp_path / "labels.npy", calibration.config, overwrite=True)
         assert (
             gate_value(scores(evaluate(tmp_path / "labels.npy", section, "oakland")), "kappa")
             > least
@@ -304,10 +306,10 @@ def test_thresholds_stay_where_they_support_a_share_of_the_plateau(
 def test_the_length_is_the_largest_that_is_asked_for(
     known: dict[str, float], value: float, reason: str
 ) -> None:
-    found = advised(replace(SENSOR, **known))["prc.background.d_c"]  # type: ignore[arg-type]
-    assert found.value == pytest.approx(value)
-    assert found.reason.startswith(reason)
-    assert "; marks 1.0% of the returns" in found.reason
+    advice = advised(replace(SENSOR, **known))["prc.background.d_c"]  # type: ignore[arg-type]
+    assert advice.value == pytest.approx(value)
+    assert advice.reason.startswith(reason)
+    assert "; marks 1.0% of the returns" in advice.reason
 
 
 @pytest.mark.parametrize(
@@ -323,13 +325,10 @@ def test_the_length_is_the_largest_that_is_asked_for(
 def test_a_threshold_takes_the_other_along(
     searched: set[str],
     key: str,
-    given: tuple[float | None, float | None],
+    start: tuple[float | None, float | None],
     expected: tuple[float | None, float | None],
 ) -> None:
-    """zeta_s stays at least zeta_p.
-
-    One that is not searched stays where it is configured, here at 2 m and 1.5 m.
-    """
+    """zeta_s stays at least zeta_p; without a search they stay at 2 m and 1.5 m."""
     config = with_values(RunConfig(), {ZETA_S: 2.0, ZETA_P: 1.5})
     mapping = load_mapping("oakland")
     searcher = Searcher(
@@ -337,8 +336,8 @@ def test_a_threshold_takes_the_other_along(
     )
     values = {
         name: value
-        for name, value in zip((ZETA_S, ZETA_P), given, strict=True)
+        for name, value in zip((ZETA_S, ZETA_P), start, strict=True)
         if value is not None
     }
-    found = searcher._advisable(values, key)
-    assert (found.get(ZETA_S), found.get(ZETA_P)) == expected
+    values_of_step = searcher._advisable(values, key)
+    assert (values_of_step.get(ZETA_S), values_of_step.get(ZETA_P)) == expected

@@ -129,8 +129,8 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
     source = two_scanners(tmp_path / "two.las")
     read = config(preset="urban", scanner="point_source_id")
     for number, station in enumerate((None, 8)):
-        found = render(source, tmp_path / f"{number}.png", read, RenderOptions(station=station))
-        assert f"scanner {station or 3} of 2" in found.drawn, found.drawn
+        picture = render(source, tmp_path / f"{number}.png", read, RenderOptions(station=station))
+        assert f"scanner {station or 3} of 2" in picture.drawn, picture.drawn
 
 
 @pytest.mark.parametrize(
@@ -243,12 +243,12 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
         planes["range"], np.where(codes > 0, street(), np.nan), atol=0.001, equal_nan=True
     )
     assert result.counts is not None
-    assert {one["name"]: one["place"] for one in about["classes"]}["ground"] == Label.GROUND
+    assert {entry["name"]: entry["place"] for entry in about["classes"]}["ground"] == Label.GROUND
     assert (result.lines, result.thinned_by) == ((0, N_LINES), (1, 1))
     assert "preset urban · all" in result.drawn
     # a result beside its input is shown, not made again
-    given = RenderOptions(labels=tmp_path / "labels.npy")
-    render_viewer(source, tmp_path / "b.html", config, given)
+    options = RenderOptions(labels=tmp_path / "labels.npy")
+    render_viewer(source, tmp_path / "b.html", config, options)
     assert np.array_equal(
         decoded(read(tmp_path / "b.html"))[1]["class"], planes["class"], equal_nan=True
     )
@@ -267,7 +267,7 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(
             assert np.allclose(planes[axis][seen], scan["xyz"][..., k][seen], atol=0.01)
     assert {"surface", "dense_vegetation", "ground_height", "height_above_ground"} <= set(planes)
     assert about["planes"]["surface"]["words"]["3"] == "vertical"
-    assert [one["name"] for one in about["classes"] if one["hidden"]] == ["vegetation"]
+    assert [entry["name"] for entry in about["classes"] if entry["hidden"]] == ["vegetation"]
     # the values of a result that was written with its stages
     stages = load_config(preset="street-scan", options={"output": {"stages": True}})
     classify(static[0], tmp_path / "out.csv", stages)
@@ -323,7 +323,7 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
             why
             == f"Why this class? prc explain static.npz --preset street-scan --at {line},{column}"
         )
-        names = {one["place"]: one["name"] for one in about["classes"]}
+        names = {entry["place"]: entry["name"] for entry in about["classes"]}
         assert shown[2] == names[int(planes["class"][line, column])]
         press = (
             "document.getElementById('image').dispatchEvent(new KeyboardEvent('keydown', {key: "
@@ -381,6 +381,6 @@ def test_what_only_some_blocks_have_is_not_shown() -> None:
         "class": [np.ones(3), np.zeros(2)],
     }
     assert kept.take("time") is None
-    found = kept.take("class")
-    assert found is not None
-    assert found.tolist() == [1, 1, 1, 0, 0]
+    column = kept.take("class")
+    assert column is not None
+    assert column.tolist() == [1, 1, 1, 0, 0]

@@ -185,9 +185,9 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
         settings = small("street", lines=lines, trajectory={"stop_every_m": 0.0, "speed_m_s": 1.0})
         tracemalloc.start()
         simulate("street", tmp_path / "a.npz", settings, threads=1, overwrite=True)
-        found = tracemalloc.get_traced_memory()[1]
+        peak_bytes = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        return found
+        return peak_bytes
 
     peak(LINES)
     assert peak(20 * LINES) < 1.5 * peak(5 * LINES)

@@ -1,7 +1,8 @@
-"""Calibration: estimates the sensor's properties from a stream, and derives parameters from them.
+"""Calibration: estimates properties of the sensor from a stream, and parameters from them.
 
-:mod:`.sensor` measures noise and steps, :mod:`.implied` counts support and background at all thresholds and turns both
-into parameters, :mod:`.search` tries parameters against a reference in a second pass.
+:mod:`.sensor` measures noise and steps. :mod:`.implied` counts support and background at all
+thresholds, and derives parameters from both. :mod:`.search` tries parameters against a reference in
+a second pass.
 """
 
 from __future__ import annotations
@@ -51,13 +52,19 @@ from prc_cli.methods.prc.surfaces import area_threshold
 from prc_cli.streams.evidence.watch import watched
 
 SHOTS_AT_ONCE = 1 << 18
-"""Shots measured at a time; affects results only through the few pairs of lines across two chunks."""
+"""Shots measured at a time; it changes only the pairs of lines across two chunks."""
 LEAST_LINES = 3
-"""Scan lines that a support decision needs: the shot's own and both neighbours."""
+"""Scan lines that a support decision needs: the line of the shot and both neighbours."""
 GROUPS = 40
 """Number of line groups for training and held-out lines, unless they become too large."""
-NOTHING = "fused measures the sensor in every run: there is nothing to calibrate, and the configuration changes nothing"
-STAYS_OPEN = "the configuration leaves the method open: where the angles of the beams are known, fused is taken all the same"
+NOTHING = (
+    "fused measures the sensor in every run: there is nothing to calibrate, "
+    "and the configuration changes nothing"
+)
+STAYS_OPEN = (
+    "the configuration leaves the method open: "
+    "where the angles of the beams are known, fused is taken all the same"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +74,7 @@ class SearchOptions:
     reference: Path
     mapping: ClassMapping | str | Path = "prc"
     dimension: str | None = None
-    """Column or dimension that holds the reference codes."""
+    """Column or dimension with the reference codes."""
     objective: str = MEAN_F1
     training_share: float = 0.6
     """Share of the line groups used for training."""
@@ -98,7 +105,7 @@ class Calibration(Doubted):
     search: SearchResult | None = None
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
-    """Answers of all checks of the stream."""
+    """Results of all checks of the stream."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON."""
@@ -133,11 +140,10 @@ def calibrate(
     source : path
         Any readable input.
     config : LoadedConfig, optional
-        How the stream is read, and the initial parameters. Where no method is named it stays open,
-        and what is calibrated is the method that would be chosen: PRC's parameters, or nothing for
-        ``fused``.
+        How the stream is read, and the initial parameters. If it names no method, the method that
+        would be chosen is calibrated: the parameters of PRC, or nothing for ``fused``.
     search : SearchOptions, optional
-        Reference and options of the search; without it, parameters are those implied by the sensor.
+        Reference and options of the search. Without it the sensor implies the parameters.
     progress : callable, optional
         Called with the number of lines that were just read.
     tried : callable, optional
@@ -150,12 +156,12 @@ def calibrate(
     Raises
     ------
     InputError
-        When the stream is damaged, has fewer than three lines or no range; when the reference holds
+        If the stream is damaged, has fewer than three lines or no range; if the reference has
         another number of records, codes that the mapping does not list, or no scored record.
     EvidenceError
-        When the evidence is against the stream; ``input.accept_doubts`` names what is accepted.
+        If a check of the stream fails; ``input.accept_doubts`` lists accepted checks.
     ConfigError
-        When the objective or an option of the search is invalid.
+        If the objective or an option of the search is invalid.
     """
     loaded = config if config is not None else LoadedConfig(RunConfig())
     prepared = None if search is None else _prepare(search, loaded.config)
@@ -165,7 +171,7 @@ def calibrate(
     watch = watched(stream, run.input)
     sensor, curves, lines, n_records = _measure(watch, run, progress)
     advice, notes = _implied(sensor, curves, decided)
-    found = None
+    result = None
     if not advice and search is not None:
         notes = (*notes, f"{search.reference.name} was not used")
     elif prepared is not None and search is not None:
@@ -174,36 +180,34 @@ def calibrate(
         training, held_out = _groups(
             stream, run, (codes, mapping), search, lines, n_records, progress
         )
-        found, doubted = _search(run, advice, mapping, (training, held_out), search, tried)
-        advice = _found_advice(advice, found, run)
-        notes = (*notes, *doubted)
+        result, search_notes = _search(run, advice, mapping, (training, held_out), search, tried)
+        advice = _found_advice(advice, result, run)
+        notes = (*notes, *search_notes)
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
     return Calibration(
-        str(source), sensor, curves, advice, calibrated, found, notes, watch.findings()
+        str(source), sensor, curves, advice, calibrated, result, notes, watch.findings()
     )
 
 
 def _implied(
     sensor: SensorEstimate, curves: Curves, decided: LoadedConfig
 ) -> tuple[tuple[Advice, ...], tuple[str, ...]]:
-    """Return what the sensor implies for the method, nothing for fused, and what the user has to know."""
+    # advice for the method (none for fused), and notes
     run = decided.config
     choice = decided.choice
     if run.method == "fused":
         why = "" if choice is None else f" (taken because {choice.why})"
         return (), (f"{NOTHING}{why}; for PRC's parameters give --method prc", *_notes(sensor))
-    notes = (
-        _notes(sensor)
-        if choice is None
-        else (f"{choice.why}: PRC is calibrated; {STAYS_OPEN}", *_notes(sensor))
-    )
+    notes = _notes(sensor)
+    if choice is not None:
+        notes = (f"{choice.why}: PRC is calibrated; {STAYS_OPEN}", *notes)
     return imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m), notes
 
 
 def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:
-    """Check everything that can be checked before reading the stream."""
+    # checks the options before the stream is read
     mapping = (
         search.mapping if isinstance(search.mapping, ClassMapping) else load_mapping(search.mapping)
     )
@@ -236,7 +240,10 @@ def _measure(
         advance(progress, block, info, config.input.window)
     path = stream.info.path
     if max(lines.values(), default=0) < LEAST_LINES:
-        problem = f"found {sum(lines.values())} scan lines, expected {LEAST_LINES} or more: support needs lines around"
+        problem = (
+            f"found {sum(lines.values())} scan lines, expected {LEAST_LINES} or more: "
+            "support needs lines around"
+        )
         raise InputError(path, problem, "check -M and --lines, or calibrate on a longer piece")
     if meter.n_missing == meter.n_shots:
         problem = f"all of {meter.n_shots} shots are missing, expected ranges"
@@ -266,13 +273,13 @@ def _groups(
     groups: list[Group] = []
     with tempfile.TemporaryFile(prefix="prc-calibrate-") as spool:
         classes = _spool(*reference, spool, n_records, stream.info.path)
-        at = 0
+        number = 0
         for block in regroup(stream.blocks(), length):
             if progress is not None:
                 progress(block.n_lines)
             if 2 * block.n_lines < length:
                 continue
-            if at in kept:
+            if number in kept:
                 record = block.records().ravel()
                 truth: I64 = np.where(record >= 0, classes[np.maximum(record, 0)], -1).astype(
                     np.int64
@@ -290,7 +297,7 @@ def _groups(
                     is_last=True,
                 )
                 groups.append(Group(light, truth))
-            at += 1
+            number += 1
         del classes
     return tuple(groups[i] for i in training), tuple(groups[i] for i in held_out)
 
@@ -308,15 +315,18 @@ def _spool(
     """
     n = n_scored = 0
     for chunk in codes.chunks():
-        found = mapping.class_indices(chunk, "reference").astype("<i2")
-        n += len(found)
-        n_scored += int(np.count_nonzero(found >= 0))
+        rows = mapping.class_indices(chunk, "reference").astype("<i2")
+        n += len(rows)
+        n_scored += int(np.count_nonzero(rows >= 0))
         if n <= n_records:
             with output_errors(Path(tempfile.gettempdir()) / "prc-calibrate"):
-                spool.write(found.tobytes())
+                spool.write(rows.tobytes())
     refuse_poor_match(n, n_records, codes.path, path)
     if not n_scored:
-        problem = f"none of {n} records has a class that is scored, expected a reference that overlaps the stream"
+        problem = (
+            f"none of {n} records has a class that is scored, "
+            "expected a reference that overlaps the stream"
+        )
         raise InputError(codes.path, problem, "check --mapping and --reference-dimension")
     with output_errors(Path(tempfile.gettempdir()) / "prc-calibrate"):
         spool.flush()
@@ -331,7 +341,7 @@ def _search(
     search: SearchOptions,
     tried: Tried | None,
 ) -> tuple[SearchResult, tuple[str, ...]]:
-    """Search, and judge what was found; also return what the user has to know of it."""
+    # searches, evaluates the result, and notes its limits
     training, held_out = groups
     for name, side in (("training", training), ("held-out", held_out)):
         if not any((group.reference >= 0).any() for group in side):
@@ -352,10 +362,14 @@ def _search(
     tables = {"configured": {}, "from the sensor": implied, "search": {**implied, **values}}
     judged = []
     has_noise = False
-    for name, these in tables.items():
-        sides = [scores(confusion(side, with_values(config, these), mapping)) for side in groups]
+    for name, configured_values in tables.items():
+        sides = [
+            scores(confusion(side, with_values(config, configured_values), mapping))
+            for side in groups
+        ]
         has_noise = has_noise or any(
-            one.name == "noise" and one.n_reference for one in sides[0].classes
+            class_scores.name == "noise" and class_scores.n_reference
+            for class_scores in sides[0].classes
         )
         judged.append(Judged(name, *(figures(side, search.objective) for side in sides)))
     notes = (*_blind(values, has_noise=has_noise), *_doubts(judged, search.objective))
@@ -382,27 +396,28 @@ def _configured(config: RunConfig, key: str, points_per_line: int) -> float:
 
 
 def _found_advice(
-    advice: tuple[Advice, ...], found: SearchResult, config: RunConfig
+    advice: tuple[Advice, ...], result: SearchResult, config: RunConfig
 ) -> tuple[Advice, ...]:
     """Replace values implied by the sensor with those of the search."""
     by_key = {item.key: item for item in advice}
-    rest = tuple(item for item in advice if item.key not in found.values)
+    unchanged = tuple(item for item in advice if item.key not in result.values)
     new = []
-    for key, value in found.values.items():
+    for key, value in result.values.items():
         before = by_key[key].before if key in by_key else _configured(config, key, 1)
-        reason = f"best of {found.n_trials} trials for {found.objective} on the training lines"
+        reason = f"best of {result.n_trials} trials for {result.objective} on the training lines"
         if key in by_key:
             reason += f"; the sensor alone implies {by_key[key].value:g}: {by_key[key].reason}"
         new.append(Advice(key, before, value, reason))
-    return (*rest, *new)
+    return (*unchanged, *new)
 
 
 def _notes(sensor: SensorEstimate) -> tuple[str, ...]:
     notes = []
     if (middle := sensor.range_quantiles_m["50%"]) > FAR_M:
         notes.append(
-            f"the median range is some {middle / 1000:.0f} km: beyond {FAR_M / 1000:g} km the origin of the "
-            "scanner is wrong, or the unit; see prc info, and do not use these parameters"
+            f"the median range is some {middle / 1000:.0f} km: beyond {FAR_M / 1000:g} km the "
+            "origin of the scanner is wrong, or the unit; see prc info, and do not use these "
+            "parameters"
         )
     if sensor.sigma_m is None:
         notes.append("no stretch of the stream is flat: the noise of the sensor was not measured")
@@ -416,8 +431,9 @@ def _blind(values: Iterable[str], *, has_noise: bool) -> tuple[str, ...]:
     if has_noise or not any(key.startswith("prc.support.") for key in values):
         return ()
     return (
-        "the reference holds no noise, so nothing speaks against wide thresholds: where noise matters, "
-        "keep those of the sensor with --keep prc.support.zeta_p --keep prc.support.zeta_s",
+        "the reference holds no noise, so nothing speaks against wide thresholds: where noise "
+        "matters, keep those of the sensor with --keep prc.support.zeta_p "
+        "--keep prc.support.zeta_s",
     )
 
 
@@ -425,9 +441,10 @@ def _doubts(judged: Sequence[Judged], objective: str) -> tuple[str, ...]:
     """Warn if the result of the search is worse on held-out lines than its start."""
     value = {item.name: figure(item.held_out, objective) for item in judged}
     return tuple(
-        f"on the held-out lines the values {'as configured' if name == 'configured' else name} reach "
-        f"{objective} {value[name]:.3f}, those of the search {value['search']:.3f}: the training lines are too "
-        "few or too unlike them"
+        "on the held-out lines the values "
+        f"{'as configured' if name == 'configured' else name} reach {objective} "
+        f"{value[name]:.3f}, those of the search {value['search']:.3f}: "
+        "the training lines are too few or too unlike them"
         for name in list(value)[:-1]
         if value[name] > value["search"]
     )

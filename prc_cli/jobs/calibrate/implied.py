@@ -1,4 +1,4 @@
-"""Shares of supported shots and of background over many thresholds, and the parameters that they and the sensor imply.
+"""Shares of supported shots and of background over many thresholds, and parameters from them.
 
 The curves of Lehtola et al. (2019), Fig. 4, for every pair of zeta_p and zeta_s at once, from one
 pass over the stream.
@@ -32,14 +32,14 @@ PER_DECADE = 10
 """Thresholds per decade."""
 
 
-def thresholds(*also: float) -> F64:
-    """Return ascending thresholds from 1 mm to 100 m, logarithmically spaced, including the given ones [m]."""
+def thresholds(*further_m: float) -> F64:
+    """Return ascending thresholds from 1 mm to 100 m in logarithmic steps, and further ones [m]."""
     first, last = DECADES
     tenths = np.arange(first * PER_DECADE, last * PER_DECADE + 1)
     # 10 ** n of whole numbers is exact, so that 1 m is there as 1.0
-    decade, rest = np.divmod(tenths, PER_DECADE)
-    grid = np.array([float(f"1e{d}") for d in decade]) * 10 ** (rest / PER_DECADE)
-    return np.unique(np.concatenate([grid, [value for value in also if value > 0]]))
+    decade, tenth = np.divmod(tenths, PER_DECADE)
+    grid = np.array([float(f"1e{d}") for d in decade]) * 10 ** (tenth / PER_DECADE)
+    return np.unique(np.concatenate([grid, [value for value in further_m if value > 0]]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,10 +62,7 @@ class Curves:
     n_shots: int
 
     def share(self, zeta_p: float, zeta_s: float) -> float | None:
-        """Return the supported share of the returns at thresholds of the grid.
-
-        None off the grid.
-        """
+        """Return the supported share of the returns at thresholds; None for one off the grid."""
         p = np.flatnonzero(self.zetas_p == zeta_p)
         q = np.flatnonzero(self.zetas_s == zeta_s)
         return float(self.supported[p[0], q[0]] / self.n_returns) if p.size and q.size else None
@@ -81,12 +78,12 @@ class Curves:
         return row
 
     def background_share(self) -> F64:
-        """Return the share of background over d_c, (D,) float64, of the returns between two returns."""
+        """Return the share of background over d_c, (D,) float64, among returns between returns."""
         shares: F64 = self.background / max(1, self.n_between)
         return shares
 
     def as_dict(self, zeta_p: float, zeta_s: float) -> dict[str, Any]:
-        """Return the curves as plain lists, zeta_p swept at the given zeta_s and the other way round."""
+        """Return the curves as plain lists, over one zeta with the other one fixed."""
         return {
             "n_shots": self.n_shots,
             "n_returns": self.n_returns,
@@ -122,7 +119,7 @@ class CurveCounter:
 
     def __post_init__(self) -> None:
         support = self.params.support
-        # either curve is taken with the other threshold at 1 m, as published
+        # the curve over one threshold has the other one at 1 m, as published
         self.zetas_p = thresholds(1.0, support.zeta_p)
         self.zetas_s = thresholds(1.0, support.zeta_s)
         self.lengths = thresholds(self.params.background.d_c)
@@ -165,14 +162,13 @@ class CurveCounter:
 D_C_SIGMAS = 17.0
 """d_c in standard deviations of the noise.
 
-The deviation in eq. 9 on a flat has 1.22 of them, 0.2 d_c should be 2.8
-times that."""
+The deviation in eq. 9 on a flat surface is 1.22 of them, and 0.2 d_c should be 2.8 times that."""
 D_C_STEPS = 2.0
 """d_c in distances between successive shots: eq. 9 compares three of them."""
 ZETA_SIGMAS = 6.0
 """Least zeta in standard deviations.
 
-The difference of two ranges has 1.41 of them, and must nearly always agree.
+The difference of two ranges is 1.41 of them, and must nearly always be accepted.
 """
 PLATEAU_M = 10.0
 """Threshold beyond which the supported share no longer rises (Fig. 4, upper end of both ranges)."""
@@ -219,7 +215,10 @@ def imply(
 
 def _block(sensor: SensorEstimate, params: PrcParams) -> Advice:
     k = params.lines_per_block
-    spacing = "without the speed of the platform no stream tells how far apart lines are, so k stays as configured"
+    spacing = (
+        "without the speed of the platform no stream tells how far apart lines are, "
+        "so k stays as configured"
+    )
     if sensor.line_hz:
         spacing = (
             f"{sensor.line_hz:.4g} lines a second are {10 / sensor.line_hz:.3g} m apart at 10 m/s; "
@@ -234,28 +233,30 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
     support = params.support
     need = PLATEAU_SHARE[params.environment]
     noise = sensor.noise_at(sensor.range_quantiles_m["75%"]) or 0.0
-    # each threshold is examined with the other at its widest, so that a narrow one does not hide
-    # the other
+    # each threshold is tested with the other one at its widest
     rows = (
         ("zeta_s", support.zeta_s, curves.zetas_s, curves.over_zeta_s(PLATEAU_M)),
         ("zeta_p", support.zeta_p, curves.zetas_p, curves.over_zeta_p(PLATEAU_M)),
     )
-    found = []
+    advice = []
     for name, configured, grid, shares in rows:
         plateau = float(shares[np.searchsorted(grid, PLATEAU_M)])
         good = (shares >= need * plateau) & (grid >= ZETA_SIGMAS * noise)
-        at = float(
+        share = float(
             shares[np.searchsorted(grid, configured if configured in grid else grid[0])]
         )  # zero is not on it
         if plateau < LEAST_PLATEAU:
             value = configured
             reason = (
-                f"as configured: the curve has no plateau, since {PLATEAU_M:g} m supports no more than {plateau:.1%} "
-                "of the returns"
+                f"as configured: the curve has no plateau, since {PLATEAU_M:g} m supports "
+                f"no more than {plateau:.1%} of the returns"
             )
         elif configured > 0 and good[np.searchsorted(grid, configured)]:
             value = configured
-            reason = f"on the plateau of its curve: supports {at:.1%} of the returns, {PLATEAU_M:g} m {plateau:.1%}"
+            reason = (
+                f"on the plateau of its curve: supports {share:.1%} of the returns, "
+                f"{PLATEAU_M:g} m {plateau:.1%}"
+            )
         else:
             place = int(np.argmax(good)) if good.any() else len(grid) - 1
             value = round_up(float(grid[place]))
@@ -263,11 +264,12 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
                 f"{need:.0%} of that and {ZETA_SIGMAS:g} times the noise of {1000 * noise:.2g} mm"
             )
             reason = (
-                f"{configured:g} m supports {at:.1%} of the returns, {PLATEAU_M:g} m {plateau:.1%}; this is the "
-                f"least threshold that reaches {least}"
+                f"{configured:g} m supports {share:.1%} of the returns, "
+                f"{PLATEAU_M:g} m {plateau:.1%}; "
+                f"this is the least threshold that reaches {least}"
             )
-        found.append(Advice(f"prc.support.{name}", configured, value, reason))
-    zeta_s, zeta_p = found
+        advice.append(Advice(f"prc.support.{name}", configured, value, reason))
+    zeta_s, zeta_p = advice
     if float(zeta_s.value) < float(zeta_p.value):
         reason = (
             f"raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B); by itself: {zeta_s.reason}"
@@ -281,8 +283,11 @@ def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice
     mid = sensor.range_quantiles_m["75%"]
     bounds = [(published, "the published value; neither noise, rounding nor steps ask for more")]
     if (noise := sensor.noise_at(mid)) is not None:
-        text = f"{D_C_SIGMAS:g} times the deviation of flat stretches, {1000 * noise:.2g} mm at {mid:.3g} m"
-        bounds.append((D_C_SIGMAS * noise, f"{text} (three quarters of the returns are nearer)"))
+        text = (
+            f"{D_C_SIGMAS:g} times the deviation of flat stretches, "
+            f"{1000 * noise:.2g} mm at {mid:.3g} m (three quarters of the returns are nearer)"
+        )
+        bounds.append((D_C_SIGMAS * noise, text))
     if sensor.rounding_m:
         text = f"ranges are stored in steps of {sensor.rounding_m:g} m"
         bounds.append((D_C_SIGMAS * sensor.rounding_m / math.sqrt(12), text))
@@ -294,7 +299,9 @@ def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice
         )
         bounds.append((length, text))
     value, reason = max(bounds, key=lambda item: item[0])
-    others = "; ".join(f"{other:.2g} m for: {text}" for other, text in bounds[1:] if other != value)
+    others = "; ".join(
+        f"{length_m:.2g} m for: {text}" for length_m, text in bounds[1:] if length_m != value
+    )
     value = round_up(value)
     share = float(np.interp(math.log(value), np.log(curves.lengths), curves.background_share()))
     reason += f"; marks {share:.1%} of the returns" + (
@@ -307,9 +314,15 @@ def _area(sensor: SensorEstimate, params: PrcParams) -> Advice:
     k = params.lines_per_block
     m = sensor.points_per_line
     scaled = PUBLISHED_AREA * k * m / PUBLISHED_BLOCK
-    text = f"the published share of a block, {PUBLISHED_AREA} of 99 x 2154 pixels, is {scaled:.3g} of {k} x {m}"
+    text = (
+        f"the published share of a block, {PUBLISHED_AREA} of 99 x 2154 pixels, "
+        f"is {scaled:.3g} of {k} x {m}"
+    )
     if scaled < LEAST_AREA:
-        reason = f"{text}, fewer than three lines of four shots, the smallest patch whose middle is supported"
+        reason = (
+            f"{text}, fewer than three lines of four shots, "
+            "the smallest patch whose middle is supported"
+        )
         return Advice("prc.surfaces.area", params.surfaces.area, LEAST_AREA, reason)
     return Advice("prc.surfaces.area", params.surfaces.area, round(scaled, 1), text)
 
@@ -334,5 +347,5 @@ def round_up(value: float) -> float:
     if value <= 0:
         return value
     unit = 1 - math.floor(math.log10(value))
-    # a value with no more digits stays as it is, despite rounding errors in the last bit
+    # a value with two digits stays, despite rounding errors in the last bit
     return round(math.ceil(round(value * 10.0**unit, 6)) / 10.0**unit, max(0, unit))

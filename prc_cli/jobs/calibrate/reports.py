@@ -20,28 +20,29 @@ _MARK = "prc calibrate: "
 _WIDTH = 112
 
 
-def as_json(found: Calibration) -> str:
+def as_json(calibration: Calibration) -> str:
     """Return everything as JSON, undefined figures as null."""
-    return json.dumps(finite(found.as_dict()), indent=2, allow_nan=False)
+    return json.dumps(finite(calibration.as_dict()), indent=2, allow_nan=False)
 
 
-def as_toml(found: Calibration) -> str:
+def as_toml(calibration: Calibration) -> str:
     """Return the calibrated configuration as TOML, with the reason of every examined value."""
     lines = [
-        f"# Calibrated by prc {__version__} on {_plain(found.path)}",
-        *(f"#   {name}: {value}" for name, value in sensor_rows(found.sensor)),
+        f"# Calibrated by prc {__version__} on {_plain(calibration.path)}",
+        *(f"#   {name}: {value}" for name, value in sensor_rows(calibration.sensor)),
     ]
-    if found.search is not None:
-        for judged in found.search.judged:
+    if calibration.search is not None:
+        for judged in calibration.search.judged:
             sides = {"training": judged.training, "held-out": judged.held_out}
-            told = (
-                f"{name} {figure(side, found.search.objective):.3f}" for name, side in sides.items()
+            figures = (
+                f"{name} {figure(side, calibration.search.objective):.3f}"
+                for name, side in sides.items()
             )
-            lines.append(f"#   {found.search.objective} {judged.name}: {', '.join(told)}")
-    lines += [f"# note: {_plain(note)}" for note in found.notes]
-    lines += [f"# doubt: {_plain(doubt.sentence())}" for doubt in found.doubts]
+            lines.append(f"#   {calibration.search.objective} {judged.name}: {', '.join(figures)}")
+    lines += [f"# note: {_plain(note)}" for note in calibration.notes]
+    lines += [f"# doubt: {_plain(doubt.sentence())}" for doubt in calibration.doubts]
     lines.append("")
-    for line in to_toml(found.config).splitlines():
+    for line in to_toml(calibration.config).splitlines():
         setting, mark, reason = line.partition(f"  # from: {_MARK}")
         if mark:
             lines += [
@@ -91,42 +92,47 @@ def sensor_rows(sensor: SensorEstimate) -> Iterator[tuple[str, str]]:
     if sensor.line_hz:
         yield (
             "line spacing",
-            f"{1 / sensor.line_hz:.3g} m for every m/s of speed ({sensor.line_hz:.4g} lines a second)",
+            f"{1 / sensor.line_hz:.3g} m for every m/s of speed "
+            f"({sensor.line_hz:.4g} lines a second)",
         )
     else:
         yield "line spacing", "unknown: the stream holds neither times nor speed"
 
 
-def advice_rows(found: Calibration) -> Iterator[tuple[str, str, str, str]]:
+def advice_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
     """Yield key, value before, value and reason."""
-    for item in found.advice:
+    for item in calibration.advice:
         yield item.key, _value(item.before), _value(item.value), item.reason
 
 
-def judged_rows(found: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def judged_rows(calibration: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the header and the rows of the figures on training and held-out lines."""
-    if found.search is None:
+    if calibration.search is None:
         return (), []
     rows = [
         (judged.name, *side)
-        for judged in found.search.judged
+        for judged in calibration.search.judged
         for side in (("training", judged.training), ("held-out", judged.held_out))
     ]
     names = list(dict.fromkeys(name for *_, values in rows for name in values))
     cells = [
-        (name, side, *("-" if (v := values.get(one)) is None else f"{v:.3f}" for one in names))
+        (
+            name,
+            side,
+            *("-" if (v := values.get(column)) is None else f"{v:.3f}" for column in names),
+        )
         for name, side, values in rows
     ]
     return ("values", "lines", *(name.replace("_", " ") for name in names)), cells
 
 
-def curve_rows(found: Calibration) -> Iterator[tuple[str, str, str, str]]:
-    """Yield threshold, share over zeta_p, share over zeta_s and share of background over d_c, three per decade."""
-    curves = found.curves
+def curve_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
+    """Yield threshold and shares over zeta_p, zeta_s and d_c (background), three per decade."""
+    curves = calibration.curves
     wanted = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {
         100.0
     }
-    # thresholds are a tenth of a decade apart: the nearest ones are shown for 2 and 5
+    # thresholds are a tenth of a decade apart: 2 and 5 get the nearest ones
     for target in sorted(wanted):
         cells = []
         for grid, shares in (
@@ -147,23 +153,24 @@ CURVE_HEADER = (
 )
 
 
-def as_markdown(found: Calibration) -> str:
+def as_markdown(calibration: Calibration) -> str:
     """Return everything as Markdown tables."""
     parts = [
-        f"# Calibration on {_plain(found.path)}",
-        _table(("measured", ""), list(sensor_rows(found.sensor))),
+        f"# Calibration on {_plain(calibration.path)}",
+        _table(("measured", ""), list(sensor_rows(calibration.sensor))),
     ]
-    parts.append(_table(("key", "before", "value", "reason"), list(advice_rows(found))))
-    header, rows = judged_rows(found)
-    if header and found.search is not None:
+    parts.append(_table(("key", "before", "value", "reason"), list(advice_rows(calibration))))
+    header, rows = judged_rows(calibration)
+    if header and calibration.search is not None:
         parts.append(
-            f"{found.search.n_trials} trials on {found.search.n_training_shots:,} training shots; "
-            f"{found.search.n_held_out_shots:,} shots held out."
+            f"{calibration.search.n_trials} trials on "
+            f"{calibration.search.n_training_shots:,} training shots; "
+            f"{calibration.search.n_held_out_shots:,} shots held out."
         )
         parts.append(_table(header, rows))
-    parts.append(_table(CURVE_HEADER, list(curve_rows(found))))
-    parts += [f"Note: {note}" for note in found.notes]
-    parts += [f"Doubt: {_plain(doubt.sentence())}" for doubt in found.doubts]
+    parts.append(_table(CURVE_HEADER, list(curve_rows(calibration))))
+    parts += [f"Note: {note}" for note in calibration.notes]
+    parts += [f"Doubt: {_plain(doubt.sentence())}" for doubt in calibration.doubts]
     return "\n\n".join(parts) + "\n"
 
 
@@ -182,10 +189,10 @@ _BOTTOM = HEIGHT - 88
 """Edges of the curves in the figure."""
 
 
-def as_svg(found: Calibration) -> str:
-    """Draw the supported share over zeta_p and zeta_s (Lehtola et al. 2019, Fig. 4) and the background over d_c."""
-    curves = found.curves
-    prc = found.config.config.prc
+def as_svg(calibration: Calibration) -> str:
+    """Draw the supported share over both zetas (Lehtola et al. 2019, Fig. 4) and the background."""
+    curves = calibration.curves
+    prc = calibration.config.config.prc
     grids = (curves.zetas_p, curves.zetas_s, curves.lengths)
     first = float(min(grid[0] for grid in grids))
     last = float(max(grid[-1] for grid in grids))
@@ -227,6 +234,7 @@ def as_svg(found: Calibration) -> str:
     zeta_p = prc.support.zeta_p
     zeta_s = prc.support.zeta_s
     d_c = prc.background.d_c
+    name = _plain(calibration.path).rsplit("/", 1)[-1]
     values = {
         "width": WIDTH,
         "height": HEIGHT,
@@ -234,7 +242,7 @@ def as_svg(found: Calibration) -> str:
         "right": _RIGHT,
         "top": _TOP,
         "bottom": _BOTTOM,
-        "title": f"{_plain(found.path).rsplit('/', 1)[-1]}: share of {curves.n_returns:,} returns",
+        "title": f"{name}: share of {curves.n_returns:,} returns",
         "shares": [(y(tenth / 10), f"{tenth * 10} %") for tenth in range(0, 11, 2)],
         "thresholds": [
             (x(10.0**n), f"{10.0**n:g}") for n in range(math.ceil(low), math.floor(high) + 1)

@@ -117,20 +117,22 @@ class Searcher:
     _best: float = -math.inf
 
     def run(self, starts: tuple[dict[str, float], ...]) -> dict[str, float | int]:
-        """Search from the best start, all pairs of d_c and A first, then one parameter after the other, ever finer."""
+        """Search all pairs of d_c and A, then one parameter after the other in finer steps."""
         axes = self.axes
         best = max((self._advisable(values, ZETA_P) for values in starts), key=self._try)
         if axes[:2] == PRC_AXES[:2]:
             first, second = axes[:2]
-            for one in first.grid[::2]:
-                for other in second.grid[::2]:
-                    best = self._better(best, {**best, first.key: one, second.key: other})
+            for first_value in first.grid[::2]:
+                for second_value in second.grid[::2]:
+                    best = self._better(
+                        best, {**best, first.key: first_value, second.key: second_value}
+                    )
         for level in range(REFINEMENTS + 1):
             best = self._descend(best, level)
         return {axis.key: int(best[axis.key]) if axis.whole else best[axis.key] for axis in axes}
 
     def _descend(self, best: dict[str, float], level: int) -> dict[str, float]:
-        """Change one parameter at a time, along its grid and then in finer steps, until a round gains nothing."""
+        """Change one parameter at a time, until a round gains nothing."""
         while True:
             before = best
             for axis in self.axes:
@@ -154,8 +156,8 @@ class Searcher:
             return {**values, ZETA_P: zeta_s}
         return {**values, ZETA_S: zeta_p}
 
-    def _better(self, best: dict[str, float], other: dict[str, float]) -> dict[str, float]:
-        return other if self._try(other) > self._try(best) + LEAST_GAIN else best
+    def _better(self, best: dict[str, float], values: dict[str, float]) -> dict[str, float]:
+        return values if self._try(values) > self._try(best) + LEAST_GAIN else best
 
     def _try(self, values: dict[str, float]) -> float:
         point = tuple(values[axis.key] for axis in self.axes)
@@ -239,14 +241,16 @@ def confusion(
     return ConfusionMatrix(*names, matrix, ignored)
 
 
-def objective_value(found: Scores, objective: str) -> float:
+def objective_value(side_scores: Scores, objective: str) -> float:
     """Return the figure that is maximised."""
     if objective == MEAN_F1:
         values = [
-            item.f1 for item in found.classes if item.n_reference and item.name in _scored(found)
+            item.f1
+            for item in side_scores.classes
+            if item.n_reference and item.name in _scored(side_scores)
         ]
         return sum(values) / len(values) if values else math.nan
-    return gate_value(found, objective)
+    return gate_value(side_scores, objective)
 
 
 def check_objective(objective: str, mapping: ClassMapping) -> None:
@@ -273,25 +277,25 @@ def figure(figures: dict[str, float | None], name: str) -> float:
     return math.nan if value is None else value
 
 
-def figures(found: Scores, objective: str) -> dict[str, float | None]:
+def figures(side_scores: Scores, objective: str) -> dict[str, float | None]:
     """Return the objective, the overall figures and F1 by class that the reference holds."""
     values = {
-        objective: objective_value(found, objective),
-        MEAN_F1: objective_value(found, MEAN_F1),
-        "balanced_accuracy": found.balanced_accuracy,
-        "kappa": found.kappa,
+        objective: objective_value(side_scores, objective),
+        MEAN_F1: objective_value(side_scores, MEAN_F1),
+        "balanced_accuracy": side_scores.balanced_accuracy,
+        "kappa": side_scores.kappa,
         **{
             f"f1.{item.name}": item.f1
-            for item in found.classes
-            if item.n_reference and item.name in _scored(found)
+            for item in side_scores.classes
+            if item.n_reference and item.name in _scored(side_scores)
         },
     }
     return {name: None if math.isnan(value) else value for name, value in values.items()}
 
 
-def _scored(found: Scores) -> set[str]:
+def _scored(side_scores: Scores) -> set[str]:
     # classes on one side only have no F1
-    return {item.name for item in found.classes if not math.isnan(item.f1)}
+    return {item.name for item in side_scores.classes if not math.isnan(item.f1)}
 
 
 def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
@@ -300,7 +304,7 @@ def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
     near = (
         (value - 1, value + 1) if axis.whole else (_round(value / factor), _round(value * factor))
     )
-    return tuple(other for other in near if low <= other <= high)
+    return tuple(candidate for candidate in near if low <= candidate <= high)
 
 
 def _round(value: float) -> float:
@@ -317,7 +321,10 @@ def split_groups(n_groups: int, share: float, seed: int) -> tuple[tuple[int, ...
     """
     if n_groups < 2:
         where = "calibration"
-        problem = "the stream is too short to hold lines back: found one group of lines, expected two or more"
+        problem = (
+            "the stream is too short to hold lines back: "
+            "found one group of lines, expected two or more"
+        )
         raise InputError(where, problem, "lower prc.lines_per_block, or leave out --reference")
     order = np.random.default_rng(seed).permutation(n_groups)
     n = min(n_groups - 1, max(1, round(share * n_groups)))

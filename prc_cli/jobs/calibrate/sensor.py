@@ -1,8 +1,6 @@
-"""Estimates sensor properties from a stream of ranges.
+"""Estimates noise, angular step, rounding and missing shots from a stream of ranges.
 
-Noise, angular step, rounding, missing shots.
-
-All estimates use histograms accumulated block by block, in bounded memory.
+All estimates use histograms that are accumulated block by block, in bounded memory.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ MIN_STRETCHES = 50
 FLAT_M = 0.1
 """Deviation above which a stretch is foliage, not a noisy flat surface [m]."""
 MAX_GROWTH = 2.0
-"""A range bin whose deviation exceeds that of the nearest flat bin, scaled by range, by this factor is not flat."""
+"""A flat range bin has at most this multiple of the deviation of its neighbour, scaled by range."""
 
 TIMED_LINES = 20_000
 """Lines from the start whose times give the line frequency."""
@@ -104,16 +102,13 @@ class SensorEstimate:
         return self.n_missing / self.n_shots
 
     def noise_at(self, range_m: float) -> float | None:
-        """Return the standard deviation about a plane at a range [m], None if there is no flat stretch."""
+        """Return the standard deviation about a plane at a range [m]; None if it is unknown."""
         if self.sigma_m is None or self.sigma_per_m is None:
             return None
         return math.hypot(self.sigma_m, self.sigma_per_m * range_m)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values.
-
-        The share of missing shots, and the step in degrees.
-        """
+        """Return everything as plain values; missing shots as a share, the step in degrees."""
         shown = {
             "n_missing": ("missing_share", self.missing_share),
             "step_rad": (
@@ -143,7 +138,7 @@ class SensorMeter:
     _n_blocks: int = 0
     _angle_rad: F64 | None = None
     _lines: LineSample | None = None
-    """Lines of the first scanner, which tell the angular step."""
+    """Lines of the first scanner, for the angular step."""
     _scanner: int = 0
     _line_times: list[F64] = field(default_factory=list)
 
@@ -209,14 +204,16 @@ class SensorMeter:
         angle = self._angle_rad if self._angle_rad is not None else self.info.angle_rad
         windows = self._lines.windows() if self._lines is not None else ()
         measured = (
-            measure_step(np.concatenate([one.range_m for one in windows])) if windows else None
+            measure_step(np.concatenate([window.range_m for window in windows]))
+            if windows
+            else None
         )
         shown = "" if measured is None else measured.shown(windows[0].range_m.shape[1])
         if angle is not None and len(angle) > 1:
-            told = "the angles in the file"
+            source = "the angles in the file"
             if shown:
-                told += f"; the ranges show {shown}"
-            return float(np.median(np.abs(np.diff(np.unwrap(angle))))), told
+                source += f"; the ranges show {shown}"
+            return float(np.median(np.abs(np.diff(np.unwrap(angle))))), source
         if measured is None:
             return None, "the file holds no angles, and too few planes are seen to measure the step"
         return measured.step_rad, f"planes in the ranges, {shown}"
@@ -240,7 +237,7 @@ class SensorMeter:
 
 
 def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
-    """Measure the deviation of stretches of successive shots from a plane, for any slope and angular step.
+    """Measure the deviation of stretches of shots from a plane, for any slope and angular step.
 
     On a plane the reciprocal of the range is a cosine of the scan angle, approximated by a parabola
     over a few shots. The residual of the reciprocals, times range squared, is the range noise.
@@ -277,7 +274,7 @@ def _log_counts(values: F32 | F64, edges: F64) -> I64:
 
 
 def _quantile(counts: I64, edges: F64, share: float) -> float | None:
-    """Return a quantile of binned values as the middle of its bin; None without values."""
+    # the middle of the bin; None without values
     total = int(counts.sum())
     if not total:
         return None
@@ -293,37 +290,37 @@ def _log_mode(counts: I64, edges: F64, smooth: int) -> float:
 
 
 def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
-    """Return the most frequent deviation by range, and whether it is that of a flat surface.
+    """Return the most frequent deviation by range, and whether the surface there is flat.
 
     The mode of the logarithm of sample standard deviations is that of the population, even for
     small samples. Foliage and edges are frequent, but spread over decades.
     """
-    found: list[tuple[float, float, int]] = []
+    bins: list[tuple[float, float, int]] = []
     for low, high, row in zip(_RANGE_EDGES[:-1], _RANGE_EDGES[1:], counts, strict=True):
         n = int(row.sum())
         if n >= MIN_STRETCHES:
-            found.append((math.sqrt(low * high), _log_mode(row, _NOISE_EDGES, smooth=11), n))
-    if not found:
+            bins.append((math.sqrt(low * high), _log_mode(row, _NOISE_EDGES, smooth=11), n))
+    if not bins:
         return ()
     # start at the flattest well-filled bin relative to its range, then go outwards on either side
-    most = max(n for _, _, n in found)
+    most = max(n for _, _, n in bins)
     start = min(
-        (place for place, (_, _, n) in enumerate(found) if n >= most / 10),
-        key=lambda i: found[i][1],
+        (place for place, (_, _, n) in enumerate(bins) if n >= most / 10),
+        key=lambda i: bins[i][1],
     )
-    flat = {start} if found[start][1] < FLAT_M else set()
-    for order in (range(start + 1, len(found)), range(start - 1, -1, -1)):
+    flat = {start} if bins[start][1] < FLAT_M else set()
+    for order in (range(start + 1, len(bins)), range(start - 1, -1, -1)):
         last = start
         for place in order:
-            scale = max(1.0, found[place][0] / found[last][0])
+            scale = max(1.0, bins[place][0] / bins[last][0])
             if (
                 flat
-                and found[place][1] <= MAX_GROWTH * scale * found[last][1]
-                and found[place][1] < FLAT_M
+                and bins[place][1] <= MAX_GROWTH * scale * bins[last][1]
+                and bins[place][1] < FLAT_M
             ):
                 flat.add(place)
                 last = place
-    return tuple(NoiseBin(*item, flat=place in flat) for place, item in enumerate(found))
+    return tuple(NoiseBin(*item, flat=place in flat) for place, item in enumerate(bins))
 
 
 def _fit_noise(bins: tuple[NoiseBin, ...]) -> tuple[float | None, float | None]:

@@ -27,7 +27,7 @@ from prc_cli.matching.sides import FILE, SECONDS, UNKNOWN, Side
 GROUND = "ground"
 STEM = "stem"
 REACHES = 8.0
-"""Shots without partner are compared with the spacing of the reference up to this many tolerances."""
+"""Up to this many tolerances, shots without partner are compared with the spacing there."""
 CLEAR = 1.5
 """Shots without partner beyond this many tolerances are noise: no thinning reaches so far.
 
@@ -97,7 +97,7 @@ class Registered:
                 )
 
     def pairs(self, plan: Plan, tally: JoinTally, third: Side | None) -> Iterator[Compared]:
-        """Yield the predicted shots with the class of their nearest reference point, tile by tile."""
+        """Yield the predicted shots with the class of the nearest reference point, tile by tile."""
         left, right = self._sides
         check_crs((left, right, *([third] if third else [])), self._counts)
         timed = (SECONDS,) if all(SECONDS in side.dimensions for side in (left, right)) else ()
