@@ -226,26 +226,29 @@ def _write(
                 if progress is not None:
                     progress(simulated.labelled.block.n_lines)
         record = _record(simulation, counts)
-        texts = list(writer.losses)
-        if counts.n_extra and "returns" not in form.holds:
-            texts.append(
-                f"not kept: {counts.n_extra} further returns: a range image has one range a cell"
-            )
-        if form.is_dump:
-            texts.append(f"read it with --config {output.name}.toml")
-        if shape.registered and frame.crs:
-            text = f"registered coordinates are those of {frame.crs}"
-            if suffix in LAS_SUFFIXES and find_spec("pyproj") is None:
-                text += "; the file does not name it without pyproj: pip install prc-cli[crs]"
-            texts.append(text)
-        if format_of(output) is None:
-            texts.append(f"prc reads no stream from {suffix}; it is for other programs")
-        record = writer.finish(replace(record, notices=(*record.notices, *texts)))
+        texts = _notices(output, counts.n_extra, frame.crs if shape.registered else None)
+        record = writer.finish(replace(record, notices=(*record.notices, *writer.losses, *texts)))
         if codes_file is not None:
             codes_file.finish()
         if frames is not None:
             frames.finish()
     return record, counts
+
+
+def _notices(output: Path, n_extra: int, registered_crs: str | None) -> Iterator[str]:
+    form = stream_format(output)
+    suffix = stream_suffix(output)
+    if n_extra and "returns" not in form.holds:
+        yield f"not kept: {n_extra} further returns: a range image has one range a cell"
+    if form.is_dump:
+        yield f"read it with --config {output.name}.toml"
+    if registered_crs:
+        text = f"registered coordinates are those of {registered_crs}"
+        if suffix in LAS_SUFFIXES and find_spec("pyproj") is None:
+            text += "; the file does not name it without pyproj: pip install prc-cli[crs]"
+        yield text
+    if format_of(output) is None:
+        yield f"prc reads no stream from {suffix}; it is for other programs"
 
 
 def _pose_of(simulation: Simulation, item: StreamItem) -> F64:
