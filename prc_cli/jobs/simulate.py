@@ -192,7 +192,6 @@ def _write(
     progress: Progress | None,
 ) -> tuple[RunRecord, Counts]:
     scan = simulation.scan
-    suffix = stream_suffix(output)
     form = stream_format(output)
     lookup = simulation.settings.classes.lookup()
     counts = Counts.none()
