@@ -171,18 +171,18 @@ class Batch:
 
     def members(self) -> list[int]:
         """Return all living processes of the run."""
-        found = []
+        members = []
         for path in Path("/proc").iterdir():
             if path.name.isdecimal():
                 with contextlib.suppress(OSError):
                     if self._mark.encode() in (path / "environ").read_bytes():
-                        found.append(int(path.name))
-        return found
+                        members.append(int(path.name))
+        return members
 
     def workers(self) -> list[int]:
         """Return all living processes of the run but the first, and the one that does its work."""
-        own = {self.process.pid, self.work()}
-        return [pid for pid in self.members() if pid not in own]
+        own_pids = {self.process.pid, self.work()}
+        return [pid for pid in self.members() if pid not in own_pids]
 
     def work(self) -> int:
         """Return the process that does the work: the first one, or the child that it guards."""
@@ -248,13 +248,13 @@ def hooked(variable: str, value: str) -> dict[str, str]:
 
 def tree(out: Path) -> dict[str, bytes]:
     """Return every file under its final name, without our own folder and the summaries."""
-    found = {}
+    content = {}
     for path in out.rglob("*"):
         name = path.relative_to(out).as_posix()
         ours = name.startswith((OWN_FOLDER, "summary."))
         if path.is_file() and not ours and path.suffix != ".part":
-            found[name] = path.read_bytes()
-    return found
+            content[name] = path.read_bytes()
+    return content
 
 
 def parts(out: Path) -> list[Path]:
@@ -274,14 +274,14 @@ def entries(out: Path) -> dict[str, Entry]:
 
 def check_nothing_half(archive: Archive, out: Path) -> None:
     """What has its final name is whole, and the journal promises nothing that is not there."""
-    found = tree(out) if out.exists() else {}
-    for name, content in found.items():
+    files = tree(out) if out.exists() else {}
+    for name, content in files.items():
         assert archive.whole.get(name) == content, f"{name!r} is not what an undisturbed run writes"
     for entry in entries(out).values() if (out / OWN_FOLDER).exists() else ():
         if entry.state == "done":
             outputs = [
                 name
-                for name in found
+                for name in files
                 if name.startswith(entry.name) and not name.endswith(".prc.json")
             ]
             assert len(outputs) == 1, f"{entry.name!r} is done, its output is {outputs}"
@@ -313,15 +313,15 @@ def _unknown(archive: Archive, out: Path) -> list[str]:
     except BusyError as error:
         return [str(error)]
     state = re.compile(r"journal\.sqlite(-wal|-shm|-journal)?|command\.json|lock|lock\.json")
-    found = []
+    unknown = []
     for path in out.rglob("*"):
         name = path.relative_to(out).as_posix()
         is_ours = path.parent == out / OWN_FOLDER and state.fullmatch(path.name) is not None
         is_ours = is_ours or name in archive.whole or name == "summary.json"
         is_kept = path.suffix == ".part" and path not in parts(out)
         if path.is_file() and not (is_ours or is_kept or path in removed):
-            found.append(name)
-    return found
+            unknown.append(name)
+    return unknown
 
 
 def check_whole(archive: Archive, out: Path) -> None:
@@ -334,8 +334,8 @@ def check_whole(archive: Archive, out: Path) -> None:
     known_to_clean = set(
         clean(out, dry_run=True).files
     )  # what runs on Dask asked their workers for
-    found = set((out / OWN_FOLDER).rglob("*")) - known_to_clean
-    left = {path.name for path in found if not path.name.endswith(("-wal", "-shm"))}
+    files = set((out / OWN_FOLDER).rglob("*")) - known_to_clean
+    left = {path.name for path in files if not path.name.endswith(("-wal", "-shm"))}
     assert left <= {"journal.sqlite", "command.json"}, left
 
 

@@ -42,16 +42,16 @@ class Machines:
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
-        at: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         self.close()
 
     def start(self) -> None:
         """Start what is not running."""
-        found = self._folder / "scheduler.json"
+        scheduler_file = self._folder / "scheduler.json"
         if self._scheduler is None or self._scheduler.poll() is not None:
             self.close()
-            found.unlink(missing_ok=True)
+            scheduler_file.unlink(missing_ok=True)
             words = (
                 "distributed.cli.dask_scheduler",
                 "--host",
@@ -60,9 +60,9 @@ class Machines:
                 "0",
                 "--no-dashboard",
             )
-            self._scheduler = self._begin(*words, "--scheduler-file", str(found))
-            wait_until(lambda: found.exists() and found.read_text().endswith("}"))
-            self.address = json.loads(found.read_text())["address"]
+            self._scheduler = self._begin(*words, "--scheduler-file", str(scheduler_file))
+            wait_until(lambda: scheduler_file.exists() and scheduler_file.read_text().endswith("}"))
+            self.address = json.loads(scheduler_file.read_text())["address"]
         self._workers = [worker for worker in self._workers if worker.poll() is None]
         while len(self._workers) < 2:
             words = (

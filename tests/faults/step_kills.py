@@ -32,7 +32,7 @@ NAMES = ("2026/day 1/drive.npz", "2026/day 2/drive.laz")
 class Strike:
     """What is killed when."""
 
-    at: int
+    step: int
     """Number of the step, or of the name; 0 for none."""
     victims: str
     """``all`` processes of the run, or ``self``: the one that is at work."""
@@ -45,7 +45,7 @@ def run_to(archive: Archive, out: Path, strike: Strike) -> tuple[Batch, int]:
     counter = out.with_name("steps")
     counter.unlink(missing_ok=True)
     variable = "PRC_FAULTS_NAMES" if strike.names else "PRC_FAULTS_STEPS"
-    environment = hooked(variable, f"{out}|{counter}|{strike.at}|{strike.victims}")
+    environment = hooked(variable, f"{out}|{counter}|{strike.step}|{strike.victims}")
     batch = Batch(archive.folder, out, archive.config, jobs=1, environment=environment)
     code, said = batch.end()
     # the guard of the process that did the work lives on and tells

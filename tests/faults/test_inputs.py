@@ -104,22 +104,22 @@ def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_l
     out = tmp_path / "out"
     rng = random.Random(5)
     path = few.folder / "2026/day 2/drive.laz"
-    one = tmp_path / "one.laz"
-    other = tmp_path / "other.laz"
-    shutil.copy(path, one)
-    other.write_bytes(one.read_bytes()[:-1])
+    first = tmp_path / "one.laz"
+    second = tmp_path / "other.laz"
+    shutil.copy(path, first)
+    second.write_bytes(first.read_bytes()[:-1])
     for _ in range(4):
         batch = Batch(few.folder, out, few.config, jobs=1)
         while batch.process.poll() is None:
             new = tmp_path / "new.laz"
-            shutil.copy(rng.choice([one, other]), new)
+            shutil.copy(rng.choice([first, second]), new)
             new.replace(path)
             with contextlib.suppress(Exception):
                 batch.process.wait(rng.random() * 0.3)
         code, said = batch.end()
         assert code in (0, 1), said
         check_nothing_half(few, out)
-    shutil.copy2(one, path)
+    shutil.copy2(first, path)
     resume(few, out)
 
 
@@ -185,11 +185,11 @@ def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(
         assert (
             sum(f"bad/{shown}" in line.split(": ")[0] for line in lines) == 1 or "flipped" in name
         ), (name, said)
-    found = tree(out)
+    outputs = tree(out)
     assert {
-        name: content for name, content in found.items() if not name.startswith("bad/")
+        name: content for name, content in outputs.items() if not name.startswith("bad/")
     } == few.whole
-    assert not [name for name in found if name.startswith("bad/") and "flipped" not in name]
+    assert not [name for name in outputs if name.startswith("bad/") and "flipped" not in name]
     assert parts(out) == []
     shutil.rmtree(bad)
     shutil.rmtree(out / "bad", ignore_errors=True)

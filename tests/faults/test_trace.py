@@ -61,11 +61,11 @@ def calls(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
             continue
         if text.startswith("<..."):
             text = begun.pop(process, "") + text.partition("resumed>")[2]
-        found = _CALL.match(text)
-        if found is None:
+        match = _CALL.match(text)
+        if match is None:
             continue
-        call = found["call"]
-        words = found["words"]
+        call = match["call"]
+        words = match["words"]
         names = (_QUOTED if call.startswith(("link", "rename")) else _OPEN).findall(words)
         # bytes that are not ASCII are octal
         yield (
@@ -77,30 +77,34 @@ def calls(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
         )
 
 
-def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
+def check_order(traced_calls: list[tuple[str, list[str]]], out: Path) -> set[str]:
     """Check every name that is given in a folder; return the names."""
-    given = set()
-    for number, (call, names) in enumerate(found):
+    named = set()
+    for number, (call, names) in enumerate(traced_calls):
         if not call.startswith(("link", "rename")) or not names[-1].startswith(f"{out}{os.sep}"):
             continue
         source = names[0]
         target = names[-1]
-        before = [(each, of[0]) for each, of in found[:number] if of and of[0] == source]
+        before = [(name, of[0]) for name, of in traced_calls[:number] if of and of[0] == source]
         assert before, f"{target}: nothing was written"
         assert before[-1][0] in ("fsync", "fdatasync"), (
             f"{target}: {before[-1][0]} after the last flush"
         )
         folder = str(Path(target).parent)
-        after = [each for each, of in found[number + 1 :] if each == "fsync" and of[:1] == [folder]]
+        after = [
+            name
+            for name, of in traced_calls[number + 1 :]
+            if name == "fsync" and of[:1] == [folder]
+        ]
         assert after, f"{target}: its folder was not flushed"
         written = [
-            each
-            for each, of in found[number + 1 :]
-            if of[:1] in ([source], [target]) and "write" in each
+            name
+            for name, of in traced_calls[number + 1 :]
+            if of[:1] in ([source], [target]) and "write" in name
         ]
         assert not written, f"{target}: written to after it had its name"
-        given.add(Path(target).relative_to(out).as_posix())
-    return given
+        named.add(Path(target).relative_to(out).as_posix())
+    return named
 
 
 @pytest.mark.parametrize(
@@ -139,10 +143,10 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
         folder.mkdir()
     for name in ("pf6.laz", "pf6.las", "a.npz", "a.csv"):
         (seeds / name).write_bytes(seed(name))
-    found = traced(tmp_path, *(word.format(seeds=seeds, out=out) for word in words))
-    given = check_order(found, out)
-    assert set(outputs) <= given, given
-    assert {path.name for path in out.iterdir()} <= given
+    traced_calls = traced(tmp_path, *(word.format(seeds=seeds, out=out) for word in words))
+    named = check_order(traced_calls, out)
+    assert set(outputs) <= named, named
+    assert {path.name for path in out.iterdir()} <= named
 
 
 @pytest.mark.long
@@ -152,10 +156,12 @@ def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
     SQLite flushes its journal by itself.
     """
     out = tmp_path / "out"
-    found = traced(tmp_path, "batch", few.folder, out, "--config", few.config, "--jobs", "2", "-q")
-    given = check_order(found, out)
-    assert set(few.whole) <= given
-    assert "summary.json" in given
+    traced_calls = traced(
+        tmp_path, "batch", few.folder, out, "--config", few.config, "--jobs", "2", "-q"
+    )
+    named = check_order(traced_calls, out)
+    assert set(few.whole) <= named
+    assert "summary.json" in named
 
 
 def test_what_is_out_of_order_is_seen(tmp_path: Path) -> None:

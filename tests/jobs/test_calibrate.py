@@ -313,7 +313,7 @@ def test_the_length_is_the_largest_that_is_asked_for(
 
 
 @pytest.mark.parametrize(
-    ("searched", "key", "given", "expected"),
+    ("searched", "key", "start", "expected"),
     [
         ({ZETA_S, ZETA_P}, ZETA_P, (1.0, 3.0), (3.0, 3.0)),
         ({ZETA_S, ZETA_P}, ZETA_S, (0.3, 1.0), (0.3, 0.3)),

@@ -95,11 +95,11 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
                 log.write("inherited\n" if lock.inherited_from else "entered\n")
                 mark = folder / "inside" / f"{os.getpid()}.{_word(kind)}"
                 mark.touch()
-                for other in (folder / "inside").iterdir():
+                for sibling in (folder / "inside").iterdir():
                     if (
-                        other != mark
-                        and _alive(int(other.name.split(".")[0]))
-                        and _excludes(mark, other)
+                        sibling != mark
+                        and _alive(int(sibling.name.split(".")[0]))
+                        and _excludes(mark, sibling)
                     ):
                         log.write("VIOLATION\n")
                 time.sleep(rng.random() * 0.01)
@@ -125,11 +125,11 @@ def _word(kind: Shard | None) -> str:
     return "whole" if kind is None else f"{kind.index}-of-{kind.count}"
 
 
-def _excludes(mark: Path, other: Path) -> bool:
+def _excludes(mark: Path, mark_of_rival: Path) -> bool:
     """Tell whether two that are inside may not be: all but two different shards of one division."""
     return (
-        mark.suffix == other.suffix
-        or mark.suffix.partition("-")[2] != other.suffix.partition("-")[2]
+        mark.suffix == mark_of_rival.suffix
+        or mark.suffix.partition("-")[2] != mark_of_rival.suffix.partition("-")[2]
     )
 
 

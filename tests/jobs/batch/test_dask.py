@@ -62,8 +62,8 @@ def cluster(quiet: None) -> Iterator[Any]:
     """A scheduler and two workers inside this process."""
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0", memory_limit=0
-    ) as own:
-        yield own
+    ) as scheduler:
+        yield scheduler
 
 
 def scene(n_lines: int, seed: int, m: int = M) -> Any:
@@ -94,9 +94,9 @@ def tasks_in(folder: Path, lines: dict[str, int], m: int = M) -> list[Task]:
 
 
 def outcomes(events: list[Event]) -> dict[str, Done | Failed]:
-    found = [event for event in events if isinstance(event, (Done, Failed))]
-    assert len({event.name for event in found}) == len(found), "one outcome a file"
-    return {event.name: event for event in found}
+    ended = [event for event in events if isinstance(event, (Done, Failed))]
+    assert len({event.name for event in ended}) == len(ended), "one outcome a file"
+    return {event.name: event for event in ended}
 
 
 def run(engine: DaskEngine, tasks: list[Task], **settings: Any) -> list[Event]:
@@ -127,18 +127,21 @@ def test_files(cluster: Any, tmp_path: Path) -> None:
     tasks.insert(3, Task("bad.npy", bad, tmp_path / "out" / "bad.npy", config(), "c0ffee"))
     notices: list[str] = []
     events = run(DaskEngine(cluster.scheduler_address, notice=notices.append), tasks)
-    found = outcomes(events)
-    failed = found.pop("bad.npy")
+    results = outcomes(events)
+    failed = results.pop("bad.npy")
     assert isinstance(failed, Failed)
     assert failed.problem.kind == "InputError"
-    assert all(isinstance(outcome, Done) for outcome in found.values())
+    assert all(isinstance(outcome, Done) for outcome in results.values())
     tasks.pop(3)
     check_bytes(tasks, tmp_path)
     for task in tasks:
-        own = [event for event in events if event.name == task.name]
-        assert isinstance(own[0], Started)
-        assert isinstance(own[-1], Done)
-        assert sum(event.n_lines for event in own if isinstance(event, Progress)) <= own[-1].n_lines
+        events_of_task = [event for event in events if event.name == task.name]
+        assert isinstance(events_of_task[0], Started)
+        assert isinstance(events_of_task[-1], Done)
+        assert (
+            sum(event.n_lines for event in events_of_task if isinstance(event, Progress))
+            <= events_of_task[-1].n_lines
+        )
     assert len(left_in(tmp_path / "out")) == 18
 
 
@@ -174,12 +177,12 @@ def test_file_that_hangs_is_given_up(
     let_go = threading.Event()
     stall_s = 1e5
     ahead_s = iter(range(0, 10**12, 200_000))
-    found: dict[str, Done | Failed] = {}
+    results: dict[str, Done | Failed] = {}
 
     def clock() -> float:
         """Once all other files are done, the one that hangs is silent for too long whenever it is
         looked at."""
-        return time.monotonic() + (next(ahead_s) if len(found) == 4 else 0)
+        return time.monotonic() + (next(ahead_s) if len(results) == 4 else 0)
 
     def hangs(task: Task, **how: Any) -> Any:
         if task.name == "hangs.npy":
@@ -196,15 +199,15 @@ def test_file_that_hangs_is_given_up(
         iter(tasks), EngineSettings(stall_s=stall_s)
     ):
         events.append(event)
-        found = outcomes(events)
+        results = outcomes(events)
         if isinstance(event, Failed):
             let_go.set()
     let_go.set()
-    failed = found.pop("hangs.npy")
+    failed = results.pop("hangs.npy")
     assert isinstance(failed, Failed)
     assert failed.problem.kind == "timeout"
     assert "no progress for 100000 s" in failed.problem.problem
-    assert all(isinstance(outcome, Done) for outcome in found.values()), found
+    assert all(isinstance(outcome, Done) for outcome in results.values()), results
     assert any("cannot be restarted from here" in text for text in notices)
 
 
@@ -273,8 +276,8 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
     task.output.parent.mkdir(parents=True, exist_ok=True)
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    own = temporary_name(task.output)
-    left = own.with_name(own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-"))
+    temporary = temporary_name(task.output)
+    left = temporary.with_name(temporary.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-"))
     left.write_bytes(b"half")
     report = dask_engine.Report(
         "tcp://b", (Failed("a.npy", None, 1.0, Problem("damaged", "a.npy", "cut", "")),)
@@ -317,7 +320,7 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(getattr(request, "param", 3)),
         "DASK_LOGGING__DISTRIBUTED": "critical",
     }
-    found = tmp_path / "scheduler.json"
+    scheduler_file = tmp_path / "scheduler.json"
     dask = [
         sys.executable,
         "-m",
@@ -332,12 +335,12 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
         "-m",
         "distributed.cli.dask_worker",
         "--scheduler-file",
-        str(found),
+        str(scheduler_file),
         "--nthreads",
         "1",
     ]
     commands = [
-        [*dask, "--scheduler-file", str(found), "--no-dashboard"],
+        [*dask, "--scheduler-file", str(scheduler_file), "--no-dashboard"],
         *(
             [*work, "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path / f"w{i}")]
             for i in range(2)
@@ -356,7 +359,7 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
             stack.callback(end, process)
             started.append(process)
         client = distributed.Client(
-            scheduler_file=str(found), timeout=HANGS_S, set_as_default=False
+            scheduler_file=str(scheduler_file), timeout=HANGS_S, set_as_default=False
         )
         stack.callback(client.close)
         client.wait_for_workers(2, timeout=HANGS_S)
@@ -392,10 +395,10 @@ def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
             if isinstance(event, Progress) and event.name == "first.npy" and not killed:
                 killed.append(owner["first.npy"])
                 os.kill(pids[killed[0]], signal.SIGKILL)
-    found = outcomes(events)
+    results = outcomes(events)
     assert killed
-    assert set(found) == set(lines)
-    assert all(isinstance(outcome, Done) for outcome in found.values()), found
+    assert set(results) == set(lines)
+    assert all(isinstance(outcome, Done) for outcome in results.values()), results
     check_bytes(tasks, tmp_path)
     # what the killed one was writing is not taken for an output
     assert len(
@@ -426,13 +429,13 @@ def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None
         events.append(event)
         if isinstance(event, Started) and event.name == "poison.npy":
             os.kill(pids[event.worker], signal.SIGKILL)
-    found = outcomes(events)
-    failed = found.pop("poison.npy")
+    results = outcomes(events)
+    failed = results.pop("poison.npy")
     assert isinstance(failed, Failed)
     assert failed.problem.kind == "killed"
     assert 0 <= failed.seconds < HANGS_S
     assert "1 workers died" in failed.problem.problem
-    assert len([outcome for outcome in found.values() if isinstance(outcome, Done)]) >= 3
+    assert len([outcome for outcome in results.values() if isinstance(outcome, Done)]) >= 3
 
 
 @pytest.mark.long
@@ -474,9 +477,9 @@ def test_lines_are_reported_once_whatever_attempt_comes_to_them(tmp_path: Path) 
     watch = dask_engine._Run(client, "tcp://x", EngineSettings(), lambda _: None)
     watch._pending["k"] = dask_engine._Job(task, None)
     reports = [("first", 5), ("first", 8), ("second", 3), ("second", 9)]
-    found = [
+    n_lines = [
         event
         for worker, n in reports
         for event in watch._on_event(dask_engine.LINES, "k", worker, n)
     ]
-    assert found == [Progress("a.npy", 5), Progress("a.npy", 3), Progress("a.npy", 1)]
+    assert n_lines == [Progress("a.npy", 5), Progress("a.npy", 3), Progress("a.npy", 1)]

@@ -87,9 +87,9 @@ def labels_in(settings: BatchSettings) -> list[bytes]:
 
 def test_a_drive_has_the_labels_of_the_joined_file(settings: BatchSettings, tmp_path: Path) -> None:
     engine = Here()
-    found = run_batch(settings, engine)
+    summary = run_batch(settings, engine)
     names = tuple(f"drive_{i}.bin" for i in range(3))
-    assert (found.exit_code, found.n_found, engine.items) == (0, 3, [names])
+    assert (summary.exit_code, summary.n_found, engine.items) == (0, 3, [names])
     classify(tmp_path / "whole.bin", tmp_path / "whole.npy", WITH_M)
     labels = [np.load(settings.out / f"{name}.labels.npy") for name in names]
     assert np.array_equal(np.concatenate(labels), np.load(tmp_path / "whole.npy"))
@@ -97,9 +97,9 @@ def test_a_drive_has_the_labels_of_the_joined_file(settings: BatchSettings, tmp_
     assert labels_in(settings) == [
         path.read_bytes() for path in sorted((tmp_path / "once").glob("*.npy"))
     ]
-    assert [done.n_records for done in found.done] == np.diff(CUTS).tolist()
+    assert [done.n_records for done in summary.done] == np.diff(CUTS).tolist()
     assert all(
-        "one drive of 3 files, drive_0.bin to drive_2.bin" in done.notices for done in found.done
+        "one drive of 3 files, drive_0.bin to drive_2.bin" in done.notices for done in summary.done
     )
     again = Here()
     assert run_batch(settings, again).n_skipped == 3
@@ -139,12 +139,12 @@ def test_a_damaged_part_fails_its_drive_and_nothing_else(settings: BatchSettings
     (settings.archive / "other.bin").write_bytes(
         (settings.archive.parent / "whole.bin").read_bytes()
     )
-    found = run_batch(settings, Here())
-    assert (found.exit_code, [done.name for done in found.done]) == (1, ["other.bin"])
-    assert [failed.name for failed in found.failed] == [f"drive_{i}.bin" for i in range(3)]
+    summary = run_batch(settings, Here())
+    assert (summary.exit_code, [done.name for done in summary.done]) == (1, ["other.bin"])
+    assert [failed.name for failed in summary.failed] == [f"drive_{i}.bin" for i in range(3)]
     assert all(
         failed.problem.where.startswith(str(settings.archive / "drive_1.bin"))
-        for failed in found.failed
+        for failed in summary.failed
     )
     assert sorted(path.name for path in settings.out.glob("drive_*")) == []
     (settings.archive / "drive_1.bin").write_bytes(whole)
@@ -155,8 +155,8 @@ def test_a_damaged_part_fails_its_drive_and_nothing_else(settings: BatchSettings
 
 def test_a_drive_whose_worker_died_is_done_again_as_a_whole(settings: BatchSettings) -> None:
     engine = Here(dies=True)
-    found = run_batch(settings, engine)
-    assert (found.exit_code, len(found.done), len(engine.items)) == (0, 3, 2)
+    summary = run_batch(settings, engine)
+    assert (summary.exit_code, len(summary.done), len(engine.items)) == (0, 3, 2)
     assert {entry.state for entry in read_entries(settings.out / OWN_FOLDER)} == {"done"}
 
 
@@ -170,10 +170,10 @@ def test_streams_before_a_gap_stay_where_a_later_one_fails(tmp_path: Path) -> No
         config=ConfigLayers(preset="urban"),
         drives=("drive_?.laz",),
     )
-    found = run_batch(settings, Here())
-    assert found.exit_code == 0
+    summary = run_batch(settings, Here())
+    assert summary.exit_code == 0
     assert any(
-        "a stream of its own begins with this file" in notice for notice in found.done[2].notices
+        "a stream of its own begins with this file" in notice for notice in summary.done[2].notices
     )
     parts = sorted((tmp_path / "in").glob("*.laz"))
     list(classify_drive(parts, tmp_path / "once", URBAN))
@@ -211,7 +211,10 @@ def test_drives_are_selected_as_a_whole(settings: BatchSettings) -> None:
         [item.name for item in discover(replace(settings, shard=Shard(i, 2))).files] for i in (1, 2)
     ]
     assert sum(map(len, names)) == 7
-    assert all(len([name for name in some if name.startswith("a_")]) in (0, 4) for some in names)
+    assert all(
+        len([name for name in names_of_shard if name.startswith("a_")]) in (0, 4)
+        for names_of_shard in names
+    )
     os.utime(settings.archive / "drive_2.bin", (2e9, 2e9))
     since = discover(replace(settings, since="2030-01-01"))
     assert [item.name for item in since.files] == ["drive_0.bin", "drive_1.bin", "drive_2.bin"]
@@ -226,9 +229,9 @@ def test_files_of_one_drive_need_one_configuration(settings: BatchSettings, tmp_
 
 
 def test_labels_alone_come_out_of_dumps(settings: BatchSettings) -> None:
-    found = run_batch(replace(settings, to="laz"), Here())
+    summary = run_batch(replace(settings, to="laz"), Here())
     assert all(
-        "would make points of the ranges" in failed.problem.problem for failed in found.failed
+        "would make points of the ranges" in failed.problem.problem for failed in summary.failed
     )
     assert run_batch(replace(settings, to="csv"), Here()).exit_code == 0
 

@@ -228,12 +228,12 @@ def test_a_journal_that_somebody_holds_is_busy(
 ) -> None:
     monkeypatch.setattr(subject, "WAIT_S", 0.05)
     with Journal(folder) as journal:
-        other = sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
-        other.execute("BEGIN IMMEDIATE")
+        database = sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
+        database.execute("BEGIN IMMEDIATE")
         with pytest.raises(BusyError, match="held by another program"):
             journal.begin_run("me")
-        other.execute("ROLLBACK")
-        other.close()
+        database.execute("ROLLBACK")
+        database.close()
         journal.begin_run("me")
 
 
@@ -358,8 +358,8 @@ def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
         journal.finish(done("a"))
         with contextlib.closing(
             sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
-        ) as own:
-            own.execute(f"UPDATE files SET {change}")
+        ) as database:
+            database.execute(f"UPDATE files SET {change}")
         with pytest.raises(OutputError, match="a row makes no sense"):
             journal.entries()
         with pytest.raises(OutputError, match="a row makes no sense"):

@@ -49,12 +49,12 @@ class Clock:
         """Do so when a worker has got a task of this name."""
         give = local._Worker.give
 
-        def given(worker: local._Worker, task: Task) -> None:
+        def give_and_turn_on(worker: local._Worker, task: Task) -> None:
             give(worker, task)
             if task.name == name:
                 self.turn_on()
 
-        patch.setattr(local._Worker, "give", given)
+        patch.setattr(local._Worker, "give", give_and_turn_on)
 
 
 def count_pauses_as_silence(patch: pytest.MonkeyPatch) -> None:
@@ -80,15 +80,15 @@ def is_running(process: int) -> bool:
 
 def children(process: int) -> list[int]:
     """Processes that a process has begun and that run."""
-    found = []
+    processes = []
     for place in Path("/proc").glob("[0-9]*/stat"):
         try:
             parent = place.read_text().rpartition(")")[2].split()[1]
         except OSError:
             continue
         if int(parent) == process:
-            found.append(int(place.parent.name))
-    return found
+            processes.append(int(place.parent.name))
+    return processes
 
 
 @pytest.fixture(scope="module")
@@ -101,12 +101,12 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
     names = ["a", "damaged", "killed", "b", "hangs", "gone", "c"]
     sources = {"damaged": damaged, "gone": folder / "gone.npz"}
     tasks = [task(folder, name, sources.get(name, sound)) for name in names]
-    found: list[Event] = []
+    events_of_run: list[Event] = []
     with pytest.MonkeyPatch.context() as patch:
         clock = Clock(patch)
         count_pauses_as_silence(patch)
         for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
-            found.append(event)
+            events_of_run.append(event)
             # the task is sent when the next event is asked for: the process dies, or sleeps, with
             # the task before it
             if isinstance(event, Started) and event.name == "killed":
@@ -114,10 +114,10 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
             if isinstance(event, Started) and event.name == "hangs":
                 os.kill(process_of(event), signal.SIGSTOP)
             if (
-                len(outcomes(found)) == len(tasks) - 1 and not clock.ahead_s
+                len(outcomes(events_of_run)) == len(tasks) - 1 and not clock.ahead_s
             ):  # all but the one that hangs
                 clock.turn_on()
-    return folder, found
+    return folder, events_of_run
 
 
 def outcomes(events: list[Event]) -> dict[str, Done | Failed]:
@@ -151,18 +151,18 @@ def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Ev
 
 
 def test_a_dead_worker_says_which_signal_killed_it(events: tuple[Path, list[Event]]) -> None:
-    found = outcomes(events[1])["killed"]
-    assert isinstance(found, Failed)
-    assert found.problem.kind == "killed"
-    assert "signal 9 (SIGKILL)" in found.problem.problem
-    assert "--jobs" in found.problem.hint
+    outcome = outcomes(events[1])["killed"]
+    assert isinstance(outcome, Failed)
+    assert outcome.problem.kind == "killed"
+    assert "signal 9 (SIGKILL)" in outcome.problem.problem
+    assert "--jobs" in outcome.problem.hint
 
 
 def test_a_file_without_progress_is_given_up(events: tuple[Path, list[Event]]) -> None:
-    found = outcomes(events[1])["hangs"]
-    assert isinstance(found, Failed)
-    assert found.problem.kind == "timeout"
-    assert found.seconds >= STALL_S
+    outcome = outcomes(events[1])["hangs"]
+    assert isinstance(outcome, Failed)
+    assert outcome.problem.kind == "timeout"
+    assert outcome.seconds >= STALL_S
 
 
 def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
@@ -208,17 +208,19 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
 
 def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "a.npz", street(80))
-    found: list[Event] = []
+    events_of_run: list[Event] = []
     for event in LocalEngine().run(
         [task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1)
     ):
-        found.append(event)
+        events_of_run.append(event)
         if isinstance(event, Started):
             assert os.getpgid(process_of(event)) != os.getpgid(
                 0
             )  # the terminal sends it to a group
             os.kill(process_of(event), signal.SIGINT)
-    assert [type(event) for event in found if not isinstance(event, Started | Progress)] == [
+    assert [
+        type(event) for event in events_of_run if not isinstance(event, Started | Progress)
+    ] == [
         Done,
         Done,
     ]
@@ -230,11 +232,11 @@ def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: 
     np.lib.format.open_memmap(wide, mode="w+", dtype=np.float32, shape=(40, 4_000_000)).flush()
     small = write_npz(tmp_path / "small.npz", street(80))
     tasks = [task(tmp_path, "wide", wide), task(tmp_path, "small", small)]
-    found = outcomes(list(LocalEngine().run(tasks, EngineSettings(jobs=1, memory_limit_mib=400))))
-    wide_found = found["wide"]
+    results = outcomes(list(LocalEngine().run(tasks, EngineSettings(jobs=1, memory_limit_mib=400))))
+    wide_found = results["wide"]
     assert isinstance(wide_found, Failed)
     assert wide_found.problem.kind == "memory", wide_found
-    assert isinstance(found["small"], Done)
+    assert isinstance(results["small"], Done)
 
 
 def test_workers_that_cannot_start_end_the_run(
@@ -264,6 +266,6 @@ try:
 finally:
     print("rolled back", flush=True)
 """
-    found = patience.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert found.stdout == "rolled back\n"
-    assert found.returncode == ExitCode.TERMINATED
+    process = patience.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert process.stdout == "rolled back\n"
+    assert process.returncode == ExitCode.TERMINATED

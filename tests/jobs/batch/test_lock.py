@@ -109,13 +109,15 @@ def test_runs_with_files_in_common_exclude_each_other(
     second: str | None,
     together: bool,
 ) -> None:
-    one, other = (None if text is None else Shard.parse(text) for text in (first, second))
-    with Lock(folder, one) as lock:
+    first_shard, second_shard = (
+        None if text is None else Shard.parse(text) for text in (first, second)
+    )
+    with Lock(folder, first_shard) as lock:
         if together:
-            with Lock(folder, other):
+            with Lock(folder, second_shard):
                 assert len(holders(folder)) == 2
         else:
-            with pytest.raises(BusyError), Lock(folder, other):
+            with pytest.raises(BusyError), Lock(folder, second_shard):
                 pass
         assert [holder.owner for holder in holders(folder)] == [lock.owner]
         lock.check()
@@ -156,16 +158,16 @@ def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
     folder: Path, event: str
 ) -> None:
     """As after somebody removed files."""
-    other = Owner(host="elsewhere")
+    new_owner = Owner(host="elsewhere")
     with Lock(folder) as lock:
         if event == "taken over":
-            leave(lock.path, other)
+            leave(lock.path, new_owner)
         else:
             lock.path.unlink()
         with pytest.raises(BusyError, match="the lock was lost"):
             lock.check()
     assert [holder.owner for holder in holders(folder)] == (
-        [other] if event == "taken over" else []
+        [new_owner] if event == "taken over" else []
     )
 
 
@@ -191,12 +193,12 @@ def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("found", ["nothing", "the file of a dead owner"])
+@pytest.mark.parametrize("stage", ["nothing", "the file of a dead owner"])
 @pytest.mark.parametrize("rival", [None, "1/2"])
 def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    found: str,
+    stage: str,
     rival: str | None,
 ) -> None:
     """The random fights below in all their variants of one rival that is quick while the other one
@@ -230,7 +232,7 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     for n_steps in count(1):
         folder = tmp_path / f"{n_steps}"
         inside = list[Lock]()
-        if found != "nothing":
+        if stage != "nothing":
             leave((folder / "lock.json"), dead)
         with ExitStack() as stack:
             until = n_steps

@@ -60,9 +60,19 @@ def entry(settings: BatchSettings, name: str, state: State = "done", **changes: 
     if state == "done":
         written.write_bytes(b"labels")
     read = InputPrint(status.st_size, status.st_mtime_ns, fingerprint(source).sha256)
-    at = written.stat() if written.exists() else None
+    written_status = written.stat() if written.exists() else None
     done = Done(
-        name, read, 6, at.st_mtime_ns if at else 0, 2.0, 1.5, 100.0, 9, 99, 99, (("ground", 99),)
+        name,
+        read,
+        6,
+        written_status.st_mtime_ns if written_status else 0,
+        2.0,
+        1.5,
+        100.0,
+        9,
+        99,
+        99,
+        (("ground", 99),),
     )
     outcome = (
         done if state == "done" else Failed(name, read, 1.0, Problem("killed", name, "by somebody"))
@@ -250,12 +260,12 @@ def put(path: Path, content: bytes = b"x") -> Path:
 
 def names(archive: Path, **options: object) -> list[str]:
     settings = BatchSettings(archive, options.pop("out", archive.parent / "out"), **options)  # type: ignore[arg-type]
-    return [found.name for found in discover(settings).files]
+    return [file.name for file in discover(settings).files]
 
 
 def left_out(archive: Path, **options: object) -> dict[str, str]:
     settings = BatchSettings(archive, options.pop("out", archive.parent / "out"), **options)  # type: ignore[arg-type]
-    return {found.name: found.reason for found in discover(settings).left_out}
+    return {file.name: file.reason for file in discover(settings).left_out}
 
 
 @pytest.fixture
@@ -318,8 +328,8 @@ def test_outputs_are_no_inputs(archive: Path) -> None:
         "b.laz",
         "z.npz",
     ]
-    found = left_out(archive, out=out)
-    assert found == {
+    reason_of_name = left_out(archive, out=out)
+    assert reason_of_name == {
         "old/": "the output folder of another batch run",
         "z.npz.labels.npy": "labels that this program wrote",
     }
@@ -346,8 +356,8 @@ def test_links_and_pipes(archive: Path) -> None:
     os.mkfifo(archive / "pipe.laz")
     (archive / "folder.laz").mkdir()
     put(archive / "folder.laz" / "in.laz")
-    found = names(archive)
-    assert [name for name in found if "laz" in name] == [
+    inputs = names(archive)
+    assert [name for name in inputs if "laz" in name] == [
         "b.laz",
         "folder.laz/in.laz",
         "hidden_store.laz",
@@ -375,9 +385,9 @@ def test_odd_names(tmp_path: Path) -> None:
     ]
     for name in odd:
         put(Path(os.fsdecode(os.path.join(os.fsencode(tmp_path / "in"), name))))  # noqa: PTH118
-    found = discover(BatchSettings(tmp_path / "in", tmp_path / "out")).files
-    assert [os.fsencode(item.name) for item in found] == sorted(odd)
-    assert all(item.path.is_file() for item in found)
+    files = discover(BatchSettings(tmp_path / "in", tmp_path / "out")).files
+    assert [os.fsencode(item.name) for item in files] == sorted(odd)
+    assert all(item.path.is_file() for item in files)
     assert names(tmp_path / "in", include=("a?b.laz",)) == ["a\nb.laz"]
     assert names(tmp_path / "in", include=("latin?.laz",)) == ["latin\udce9.laz"]
 
@@ -402,8 +412,8 @@ def test_since(archive: Path) -> None:
     assert names(archive, since=str(archive / "a" / "2.las"), exclude=old) == ["a/2.las", "b.laz"]
     day = datetime.fromtimestamp(now - 100_000).astimezone()
     assert names(archive, since=day.isoformat(), exclude=old) == ["a/2.las", "b.laz"]
-    found = discover(BatchSettings(archive, archive.parent / "out", since="1h", exclude=old))
-    assert found.n_not_selected == 3
+    listing = discover(BatchSettings(archive, archive.parent / "out", since="1h", exclude=old))
+    assert listing.n_not_selected == 3
 
 
 def test_a_file_system_that_does_not_answer(

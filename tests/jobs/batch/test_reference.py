@@ -50,13 +50,13 @@ def trees(folder: Path) -> tuple[list[Output], Path]:
 @pytest.mark.slow
 def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
-    found = evaluate_tree(outputs, ReferenceSettings(tree), jobs=2)
-    assert [item.name for item in found.files] == list(PREDICTED)
-    references = [tree / str(item.reference) for item in found.files]
+    evaluation = evaluate_tree(outputs, ReferenceSettings(tree), jobs=2)
+    assert [item.name for item in evaluation.files] == list(PREDICTED)
+    references = [tree / str(item.reference) for item in evaluation.files]
     whole = evaluate_all([output.path for output in outputs], references)
-    np.testing.assert_array_equal(found.matrix.counts, whole.matrix.counts)
-    assert found.matrix.n_ignored == whole.matrix.n_ignored == 1
-    for output, reference, item in zip(outputs, references, found.files, strict=True):
+    np.testing.assert_array_equal(evaluation.matrix.counts, whole.matrix.counts)
+    assert evaluation.matrix.n_ignored == whole.matrix.n_ignored == 1
+    for output, reference, item in zip(outputs, references, evaluation.files, strict=True):
         assert item.matrix is not None
         np.testing.assert_array_equal(
             item.matrix.counts, evaluate_all([output.path], [reference]).matrix.counts
@@ -69,9 +69,9 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
     gates = ("recall.ground=0.5", "recall.car=0")
     check_reference(ReferenceSettings(tree, gates=gates))
     # without run records: the classes of PRC, which has no cars
-    found = evaluate_tree(outputs, ReferenceSettings(tree, gates=gates))
-    assert found.as_dict()["mapping"] == "prc"
-    assert [gate.passed for gate in found.gates] == [True, False]
+    evaluation = evaluate_tree(outputs, ReferenceSettings(tree, gates=gates))
+    assert evaluation.as_dict()["mapping"] == "prc"
+    assert [gate.passed for gate in evaluation.gates] == [True, False]
     record = {
         "program": "prc-cli",
         "config": {"method": "fused", "fused": {"environment": "urban"}},
@@ -91,11 +91,11 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
 def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     (tree / "a.npy").unlink()
-    found = evaluate_tree(outputs, ReferenceSettings(tree))
-    assert [item.name for item in found.unpaired] == ["a.npz"]
-    assert found.unpaired[0].problem is not None
-    assert found.unpaired[0].problem.kind == NO_REFERENCE
-    assert found.matrix.n_scored == 7
+    evaluation = evaluate_tree(outputs, ReferenceSettings(tree))
+    assert [item.name for item in evaluation.unpaired] == ["a.npz"]
+    assert evaluation.unpaired[0].problem is not None
+    assert evaluation.unpaired[0].problem.kind == NO_REFERENCE
+    assert evaluation.matrix.n_scored == 7
 
 
 @pytest.mark.slow
@@ -103,14 +103,14 @@ def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     (tree / "a.npy").write_bytes(b"\x93NUMPY garbage")
     np.save(tree / "night" / "c.bin.labels.npy", np.array([7, 7, 7], np.uint8))
-    found = evaluate_tree(outputs, ReferenceSettings(tree))
-    assert [item.name for item in found.unpaired] == ["a.npz", "night/c.bin"]
-    assert [item.problem.kind for item in found.unpaired if item.problem] == [
+    evaluation = evaluate_tree(outputs, ReferenceSettings(tree))
+    assert [item.name for item in evaluation.unpaired] == ["a.npz", "night/c.bin"]
+    assert [item.problem.kind for item in evaluation.unpaired if item.problem] == [
         "InputError",
         "InputError",
     ]
-    assert found.matrix.n_scored == 5
-    table = found.as_dict()
+    assert evaluation.matrix.n_scored == 5
+    table = evaluation.as_dict()
     assert table["files"][0]["scores"] is None
     assert table["files"][1]["scores"]["n_scored"] == 5
 
@@ -146,11 +146,11 @@ def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path
     backwards = "".join(f"{t},{code}\n" for t, code in zip(times[::-1], [5, 6, 2, 2], strict=True))
     (tree / "a.csv").write_text("time,class\n" + backwards)
     output = Output("a.csv", "a.csv.labels.npy", out / "a.csv.labels.npy", archive / "a.csv")
-    found = evaluate_tree([output], ReferenceSettings(tree, match="time"))
-    assert found.files[0].problem is None, found.files[0].problem
-    assert found.matrix.n_scored == 4
-    names = found.matrix.reference_names, found.matrix.predicted_names
-    assert found.matrix.counts[names[0].index("ground"), names[1].index("building")] == 1
+    evaluation = evaluate_tree([output], ReferenceSettings(tree, match="time"))
+    assert evaluation.files[0].problem is None, evaluation.files[0].problem
+    assert evaluation.matrix.n_scored == 4
+    names = evaluation.matrix.reference_names, evaluation.matrix.predicted_names
+    assert evaluation.matrix.counts[names[0].index("ground"), names[1].index("building")] == 1
 
 
 @pytest.mark.slow
@@ -163,10 +163,10 @@ def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -
     outputs.insert(
         1, Output("d.laz", "d.laz", tmp_path / "out" / "d.laz", tmp_path / "archive" / "d.laz")
     )
-    found = evaluate_tree(outputs, ReferenceSettings(tree, match="time"))
-    problem = found.files[1].problem
+    evaluation = evaluate_tree(outputs, ReferenceSettings(tree, match="time"))
+    problem = evaluation.files[1].problem
     assert problem is not None
     assert problem.kind == "killed"
     assert problem.problem.startswith("its worker process was killed by signal")
-    found = evaluate_tree([*outputs[:1], *outputs[2:]], ReferenceSettings(tree))
-    assert [item.matrix is not None for item in found.files] == [True, True, True]
+    evaluation = evaluate_tree([*outputs[:1], *outputs[2:]], ReferenceSettings(tree))
+    assert [item.matrix is not None for item in evaluation.files] == [True, True, True]

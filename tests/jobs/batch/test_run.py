@@ -317,8 +317,8 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
         return replace(finished(task), notices=(notice,) if task.name == "b.npz" else ())
 
     assert run_batch(settings, Scripted(script)).exit_code == 1
-    for other in (settings, replace(settings, since="2999-01-01")):
-        again = run_batch(other, Scripted(script))
+    for settings_of_run in (settings, replace(settings, since="2999-01-01")):
+        again = run_batch(settings_of_run, Scripted(script))
         assert (again.exit_code, [doubt.name for doubt in again.doubts]) == (1, ["b.npz"])
     assert [item.name for item in again.failed_before] == ["a.npz"], "it was not even looked at"
     without = replace(settings, exclude=("a.npz",))
@@ -344,23 +344,23 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     np.save(archive / "shuffled.npy", np.random.default_rng(3).permuted(image, axis=1))
     np.save(archive / "thin.npy", wide)  # one shot of a hundred has a range
     settings = BatchSettings(archive, tmp_path / "out", jobs=1, drift=False, retry=3)
-    found = run_batch(settings, Scripted(work))
-    assert [(item.name, item.problem.kind) for item in found.failed] == [
+    summary = run_batch(settings, Scripted(work))
+    assert [(item.name, item.problem.kind) for item in summary.failed] == [
         ("shuffled.npy", "EvidenceError")
     ]
-    assert {(doubt.name, doubt.check) for doubt in found.doubts} == {
+    assert {(doubt.name, doubt.check) for doubt in summary.doubts} == {
         ("thin.npy", "returns"),
         ("thin.npy", "method"),
     }
     assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}[
         "shuffled.npy"
     ] == 1
-    assert found.exit_code == 1
+    assert summary.exit_code == 1
     # what was classified one by one is adopted with its doubts
     shutil.rmtree(settings.out / OWN_FOLDER)
     adopted = run_batch(replace(settings, adopt=True, exclude=("shuffled.npy",)), Scripted(work))
     assert (adopted.done, adopted.exit_code) == ((), 4)
-    assert adopted.doubts == found.doubts
+    assert adopted.doubts == summary.doubts
     accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
     accepted = run_batch(replace(settings, config=accepting), Scripted(work))
     # only those that have one are done again
@@ -384,7 +384,7 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     run_batch(settings, Scripted(work))
     output = out / "a.npz.labels.npy"
     whole = output.read_bytes()
-    assert {one.state for one in verify_outputs(out)} == {"whole"}
+    assert {verified.state for verified in verify_outputs(out)} == {"whole"}
     if damage == "cut":
         output.write_bytes(whole[: len(whole) // 2])
     elif damage == "overwritten":
@@ -395,7 +395,7 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
         output.symlink_to("nothing")
     if not journal:
         shutil.rmtree(out / OWN_FOLDER)
-    states = {one.name: one.state for one in verify_outputs(out)}
+    states = {verified.name: verified.state for verified in verify_outputs(out)}
     assert states == {"a.npz.labels.npy": "damaged", "b.npz.labels.npy": "whole"}
     summary = run_batch(replace(settings, adopt=True), Scripted(work))
     assert ([item.name for item in summary.done], summary.n_skipped, summary.exit_code) == (
@@ -416,7 +416,7 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
         "changed output": 1
     }
     output.unlink()
-    assert {one.state for one in verify_outputs(out)} == {"missing", "whole"}
+    assert {verified.state for verified in verify_outputs(out)} == {"missing", "whole"}
 
 
 # -- real workers
@@ -440,12 +440,12 @@ LAYERS = ConfigLayers(options={"input": {"points_per_line": 180}})
 
 def tree(out: Path) -> dict[str, bytes]:
     """Every file of an output tree but what names times: the journal's folder and the summary."""
-    found = {}
+    content = {}
     for path in sorted(out.rglob("*")):
         relative = path.relative_to(out)
         if path.is_file() and relative.parts[0] not in (OWN_FOLDER, "summary.json"):
-            found[str(relative)] = path.read_bytes()
-    return found
+            content[str(relative)] = path.read_bytes()
+    return content
 
 
 def told(summary: BatchSummary) -> dict[str, Any]:
@@ -463,14 +463,14 @@ def told(summary: BatchSummary) -> dict[str, Any]:
 def test_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
     fill(tmp_path / "in")
     outs = [tmp_path / "one", tmp_path / "three"]
-    one, three = (
+    by_one, by_three = (
         run_batch(BatchSettings(tmp_path / "in", out, LAYERS, jobs=jobs))
         for out, jobs in zip(outs, (1, 3), strict=True)
     )
     assert len(tree(outs[0])) == 14
     assert not [name for name in tree(outs[0]) if name.endswith(".part")]
     assert tree(outs[0]) == tree(outs[1])
-    assert told(one) == told(three)
+    assert told(by_one) == told(by_three)
 
 
 def test_workers_that_cannot_be_started_leave_files_to_the_next_run(
@@ -561,16 +561,16 @@ def test_outputs_of_another_archive_are_not_replaced(
 ) -> None:
     run_batch(settings, Scripted())
     before = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
-    other = tmp_path / "other"
-    shutil.copytree(settings.archive, other)
-    moved = run_batch(replace(settings, archive=other), Scripted())
+    archive = tmp_path / "other"
+    shutil.copytree(settings.archive, archive)
+    moved = run_batch(replace(settings, archive=archive), Scripted())
     assert (moved.exit_code, moved.n_skipped) == (0, 4), (
         "the same files in another place are the same"
     )
-    (other / "b.npz").write_bytes(b"of another drive")
-    (other / "e.npz").write_bytes(b"new")
+    (archive / "b.npz").write_bytes(b"of another drive")
+    (archive / "e.npz").write_bytes(b"new")
     engine = Scripted()
-    second = run_batch(replace(settings, archive=other), engine)
+    second = run_batch(replace(settings, archive=archive), engine)
     assert second.exit_code == 1
     assert [name for name, _ in engine.begun] == ["e.npz"]
     assert [item.name for item in second.failed] == ["b.npz"]
@@ -581,9 +581,9 @@ def test_outputs_of_another_archive_are_not_replaced(
     assert {name: outputs[name] for name in before if name.startswith("b.npz")} == {
         name: content for name, content in before.items() if name.startswith("b.npz")
     }
-    third = run_batch(replace(settings, archive=other, overwrite=True), Scripted())
+    third = run_batch(replace(settings, archive=archive, overwrite=True), Scripted())
     assert third.exit_code == 0
-    fourth = run_batch(replace(settings, archive=other), Scripted())
+    fourth = run_batch(replace(settings, archive=archive), Scripted())
     assert (fourth.exit_code, fourth.n_skipped) == (0, 5)
 
 

@@ -120,8 +120,10 @@ def moved(
 @pytest.mark.parametrize("n_earlier", [MIN_EARLIER, 30, 300])
 def test_a_quarter_of_the_records_in_another_class_is_an_alarm(n_earlier: int) -> None:
     rng = np.random.default_rng(8)
-    found = [drift(moved(one, 0.25), shares_of(rng, n_earlier)) for one in shares_of(rng, 100)]
-    assert sum(text is not None for text in found) >= 99 - 10 * (n_earlier == MIN_EARLIER)
+    alarms = [
+        drift(moved(shares, 0.25), shares_of(rng, n_earlier)) for shares in shares_of(rng, 100)
+    ]
+    assert sum(text is not None for text in alarms) >= 99 - 10 * (n_earlier == MIN_EARLIER)
 
 
 @pytest.mark.parametrize("n_earlier", [0, 1, MIN_EARLIER - 1])
@@ -199,7 +201,7 @@ def subclasses(kind: type[BaseException]) -> set[str]:
 
 def kinds_in_code() -> set[str]:
     """First arguments of ``Problem(...)``: literals, and names of constants of the module."""
-    found = set()
+    kinds = set()
     for path in Path(prc_cli.jobs.batch.__path__[0]).glob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         constants: dict[str, str] = {}
@@ -227,10 +229,10 @@ def kinds_in_code() -> set[str]:
             ):
                 kind = node.args[0]
                 if isinstance(kind, ast.Constant):
-                    found.add(str(kind.value))
+                    kinds.add(str(kind.value))
                 elif isinstance(kind, ast.Name) and kind.id in constants:
-                    found.add(constants[kind.id])
-    return found
+                    kinds.add(constants[kind.id])
+    return kinds
 
 
 def test_every_error_of_the_package_has_its_entry() -> None:
@@ -295,8 +297,8 @@ def test_a_kind_of_drive_that_was_there_is_not_odd(
         assert (drift({"GROUND": 100, "OBJECT": 900}, earlier) is not None) is expected
 
 
-def rules(**given: Any) -> Any:
-    config = {key: given.pop(key, None) for key in ("time_origin", "angle_start", "angle_step")}
+def rules(**keys: Any) -> Any:
+    config = {key: keys.pop(key, None) for key in ("time_origin", "angle_start", "angle_step")}
     usual = {
         "lines": "angle-wrap",
         "columns": "angle",
@@ -308,10 +310,13 @@ def rules(**given: Any) -> Any:
     )
     times = iter([SimpleNamespace(values={"time": np.array([7.25, 8.0])})])
     return SimpleNamespace(
-        rules=SimpleNamespace(**{**usual, **given}),
+        rules=SimpleNamespace(**{**usual, **keys}),
         setups=dict(
             enumerate(
-                [SimpleNamespace(columns=one) for one in (grid, SimpleNamespace(grid=None), grid)]
+                [
+                    SimpleNamespace(columns=angles)
+                    for angles in (grid, SimpleNamespace(grid=None), grid)
+                ]
             )
         ),
         source=SimpleNamespace(chunks=lambda _: times),
