@@ -73,7 +73,7 @@ class ConfusionMatrix(Brief):
         return shares(self.counts, self.counts.sum(axis=1, keepdims=True))
 
     def column_shares(self) -> F64:
-        """Divide every column by its sum: shares of a predicted class, precision on the diagonal."""
+        """Divide every column by its sum: shares of a predicted class (diagonal: precision)."""
         return shares(self.counts, self.counts.sum(axis=0, keepdims=True))
 
     def trimmed(self) -> ConfusionMatrix:

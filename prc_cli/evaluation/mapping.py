@@ -150,7 +150,7 @@ class ClassMapping(Params):
         return unlisted
 
     def fitting(self, codes: NDArray[np.integer], side: Side) -> list[str]:
-        """Names of the presets that list these codes, and the codes of the other side of this mapping.
+        """Names of the presets that list these codes, and this mapping's codes of the other side.
 
         The preset most like this mapping comes first.
         """

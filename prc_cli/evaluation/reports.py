@@ -375,7 +375,7 @@ def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = 
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table, the first column left-aligned, padded so that plain text reads well."""
+    """Return a Markdown table, the first column left-aligned, padded like plain text."""
     header = [_plain(cell) for cell in header]
     rows = [[_plain(cell) for cell in row] for row in rows]
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]

@@ -452,7 +452,7 @@ class ThreeWay(Brief):
         )
 
     def largest_errors(self, most: int = 6) -> list[tuple[int, str, str]]:
-        """Return the largest errors that both make: shots, reference class, the class that both give."""
+        """Return the largest common errors: shots, reference class, the class that both give."""
         errors = [
             (int(self.counts[i, j, self.third_names.index(name)]), reference, name)
             for i, reference in enumerate(self.reference_names)

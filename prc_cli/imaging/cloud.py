@@ -20,9 +20,9 @@ EMPTY = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 FIELD_OF_VIEW_DEG = 38.0
 """Horizontal angle of the perspective."""
 FRAMED = ((2.0, 98.0), (2.0, 98.0), (1.0, 99.0))
-"""Percentiles of x, y, z that a view contains: the farthest 2 % of the shots need most of the room."""
+"""Percentiles of x, y, z in a view: the farthest 2 % of the shots need most of the room."""
 WIDENED = (0.06, 0.06, 0.1)
-"""Margin on every side, as a share of the extent between the percentiles, as far as there are points.
+"""Margin on every side, as a share of the extent between the percentiles, at most to the last point.
 
 Evenly spread points are all in view (0.02 / 0.96 of the extent would do)."""
 MARGIN = 0.03
@@ -161,7 +161,7 @@ class FromAbove:
         return (xyz[:, 0] - self.left) / self.metres, (self.top - xyz[:, 1]) / self.metres, depth
 
     def relief(self, depth: F64) -> F64:
-        """Return depths on the scale on which steps are shaded: relative to the size of the view."""
+        """Return depths relative to the size of the view, the scale on which steps are shaded."""
         return depth / (self.metres * max(self.size)) * 2.0
 
 

@@ -341,7 +341,7 @@ class _Window:
         return int(stop - first)
 
     def between(self, low: float, high: float, spare: int = 0) -> Columns:
-        """Return views of the records with ``low <= key < high``, and ``spare`` more at both ends."""
+        """Return views of the records with ``low <= key < high``, and ``spare`` at both ends."""
         first, stop = np.searchsorted(self._held[KEY], [low, high])
         return {
             name: values[max(first - spare, 0) : stop + spare]

@@ -159,7 +159,7 @@ class Cloud:
             self._squares = [self.squares()]
 
     def squares(self) -> tuple[I64, I64]:
-        """Return the squares with points, as sorted :func:`cell_keys`, and their numbers of points."""
+        """Return the squares with points, as sorted :func:`cell_keys`, and their counts."""
         keys, n = (np.concatenate(parts) for parts in zip(*self._squares, strict=True))
         keys, place = np.unique(keys, return_inverse=True)
         return keys, np.bincount(place, n, len(keys)).astype(np.int64)
@@ -282,11 +282,11 @@ class Fit:
     tolerance_m: float
     """Largest distance of partners: most points beyond it have none."""
     sparse: float
-    """Share of the left points beyond it that are no farther than right points are from each other."""
+    """Share of the left points beyond it that are as near as right points are to each other."""
 
 
 def fit_of(left: Cloud, right: Cloud) -> Fit | None:
-    """Measure two clouds in tiles spread over the left one; None if they do not lie on each other."""
+    """Measure two clouds in tiles spread over the left one; None if they do not overlap."""
     boxes = tiles_of(left, right)
     random = np.random.default_rng(0)
     parts: list[tuple[F64, F64, F64]] = []
@@ -319,7 +319,7 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
 
 
 def _tolerance(apart: F64, spread: float, step: float) -> float:
-    """Return the least distance beyond which few more partners are found; ``apart`` is sorted [m]."""
+    """Return the least distance beyond which few partners are found; ``apart`` is sorted [m]."""
     most = max(SPREADS * max(spread, step), LEAST_M)
     tolerance = max(LEAST_M, _LEAST_SPREADS * spread)
     while tolerance < most:

@@ -89,7 +89,7 @@ def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
 
 
 def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
-    """Return points near a plane (n, 3), its normal (n, 3), and their distance along it (n,) [m]."""
+    """Return points near planes (n, 3), normals (n, 3), distances along them (n,) [m]."""
     distance, near = tree.query(points, distance_upper_bound=_REACH_M)
     points = points[np.isfinite(distance)]
     near = near[np.isfinite(distance)]
@@ -130,7 +130,7 @@ _CLEARER = 1.15
 
 
 def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
-    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile of both clouds."""
+    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile."""
     from scipy import fft
 
     boxes = tiles_of(left, right)

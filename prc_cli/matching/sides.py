@@ -332,7 +332,7 @@ class SideTally:
 
 @dataclass(frozen=True)
 class Side:
-    """The records of one or several files, as a source of :data:`KEY`, :data:`CODE` and more columns.
+    """The records of one or several files, a source of :data:`KEY`, :data:`CODE` and more columns.
 
     Chunks of :meth:`chunks` carry ``record``, the index in all files together; records without a
     finite key are left out and counted in ``tally``, which every reading starts again.
@@ -437,7 +437,7 @@ class Side:
         return place
 
     def _read(self, file: SideFile, names: tuple[str, ...]) -> Iterator[tuple[Columns, I64]]:
-        """Yield the columns of one file but :data:`FILE` and :data:`ROW`, and the record indices."""
+        """Yield the columns of a file but :data:`FILE` and :data:`ROW`, and record indices."""
         by_cell = KEY in names and self.key is not None and self.key.kind == "cell"
         has_cells = by_cell and file.has_cells
         wanted = self._wanted(names, has_cells=has_cells)

@@ -197,7 +197,7 @@ class UsualLabels:
     lean_deg: float = 90.0
     """Largest lean of the ground across the lines [deg]."""
     vanished_share: float = 0.0
-    """Least share of ground, as a part of its upper quartile in the stream; below it has vanished."""
+    """Least share of ground, as a part of its upper quartile in the stream; less = vanished."""
     reach_m: float = 0.0
     """Some returns are farther than this [m]."""
 
@@ -264,7 +264,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         """
 
     def limits(self, block: ScanBlock) -> Any:
-        """Return the object with the limits of the method for a block, by the names in its rules."""
+        """Return the object with the limits for a block, by the names in the rules."""
         return self
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:

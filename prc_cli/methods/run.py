@@ -72,7 +72,7 @@ def run_blocks(
 
 
 def _from_zero(blocks: Iterator[ScanBlock], firsts: dict[int, int]) -> Iterator[ScanBlock]:
-    """Count the lines of every scanner from its first one, so that methods know that none was before."""
+    """Count the lines of every scanner from its first one: methods know that none was before."""
     for block in blocks:
         first = firsts.setdefault(block.scanner, block.first_line)
         yield block if not first else _moved(block, -first)

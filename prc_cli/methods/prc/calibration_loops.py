@@ -1,4 +1,7 @@
-"""Loops of the calibration: thresholds from which on a shot is supported, or background (Lehtola et al. 2019)."""
+"""Loops of the calibration: the thresholds from which on a shot is supported, or background.
+
+The rules are those of Lehtola et al. (2019).
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,10 @@ from prc_cli.kernels.cache import helper, kernel
 
 @helper
 def _keep_smallest(smallest: F32, differences: F32) -> None:
-    """Let differences take their place among the k smallest of every shot, (k, n) ascending.
+    """Sort differences (n,) into the k smallest of every shot, (k, n) ascending.
 
-    Spoils ``differences``.
-
-    Loops over shots inside, so that the compiler turns them into vector instructions.
+    Overwrites ``differences``. The inner loop is over shots, so that the compiler turns it into
+    vector instructions.
     """
     for j in range(len(smallest)):
         row = smallest[j]
@@ -64,23 +66,22 @@ def support_histogram(
     differences = np.empty(n_columns, np.float32)
     in_slice = np.full(n_columns, -1.0, np.float32)
     adjacent = np.full(n_columns, -1.0, np.float32)
-    others = np.array(
+    shifts_adjacent = np.array(
         [-n_columns - 1, -n_columns, -n_columns + 1, n_columns - 1, n_columns, n_columns + 1]
     )
     for line in range(n_lines):
         i = reach + line * n_columns
-        own = window[i : i + n_columns]
+        ranges = window[i : i + n_columns]
         near[:] = nowhere
         beside[:] = nowhere
-        for place in range(-4, 5 + len(others)):
-            shift = place if place < 5 else others[place - 5]
-            if (
-                shift == 0
-            ):  # with one shot a line, i + M - 1 is i itself: a shot does not support itself
+        for place in range(-4, 5 + len(shifts_adjacent)):
+            shift = place if place < 5 else shifts_adjacent[place - 5]
+            # with one shot a line, i + M - 1 is i itself: a shot does not support itself
+            if shift == 0:
                 continue
             neighbour = window[i + shift : i + shift + n_columns]
             for h in range(n_columns):
-                difference = abs(own[h] - neighbour[h])
+                difference = abs(ranges[h] - neighbour[h])
                 differences[h] = difference if difference < nowhere else nowhere
             _keep_smallest(near if place < 5 else beside, differences)
         if min_in_slice:
@@ -88,7 +89,7 @@ def support_histogram(
         if min_adjacent:
             adjacent[:] = beside[min_adjacent - 1]
         for h in range(n_columns):
-            if not np.isnan(own[h]):
+            if not np.isnan(ranges[h]):
                 p = _first_above(zetas_p, np.float64(in_slice[h]))
                 counts[p, _first_above(zetas_s, np.float64(adjacent[h]))] += 1
     return counts
@@ -102,7 +103,7 @@ def bend_histogram(
     lengths: F64_1,
     alpha: float,
 ) -> I64_1:
-    """Count returns by the first length d_c at which they are no longer extended background (eq. 9, centred).
+    """Count returns by the first length d_c at which they are not background (eq. 9, centred).
 
     A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least
     ``(1/2 - alpha) * max(|b - a|, d_c)``: never when the first of the two asks for more, else up to

@@ -1,6 +1,6 @@
-"""Connected components (Lehtola et al. 2019, II-D).
+"""Connected components: connect, fill holes, keep labels from block to block.
 
-Connect, fill holes, carry labels over the block boundary.
+Lehtola et al. (2019), II-D.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ComponentsParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joined:
-    """Components of a block after hole filling, before they take over labels of the previous block."""
+    """Components of a block after hole filling, before they get labels of the previous block."""
 
     image: I32
     """(lines, M) int32, component of every shot, 0 = none.
@@ -64,9 +64,9 @@ class Components:
         return segments
 
     def sum_by_id(self, counts: I64) -> I64:
-        """Sum (n + 1,) counts of components by segment id.
+        """Return the sum of the counts of the whole segment for every component.
 
-        Return for each component the sum of its segment.
+        ``counts`` (n + 1,) int64; returns (n + 1,) int64.
         """
         sums = counts.copy()
         shared = np.flatnonzero((self.ids > 0) & (self.ids < self.first_new_id))
@@ -98,10 +98,9 @@ def identify(
 ) -> Components:
     """Give components the segment ids of the last line before the block, by vote (II-D.2).
 
-    Others get new ids.
-
-    Every column where both lines hold a label is one vote. A component takes the label with most
-    votes, if there are enough; on ties the oldest. Several components may take the same label.
+    Every column where both lines have a label is one vote. A component gets the label with most
+    votes, if there are enough; on ties the oldest. Several components may get the same label. The
+    other components get new ids.
 
     ``last_line`` (M,) int64.
 
@@ -109,7 +108,8 @@ def identify(
 
     >>> wall_and_pole = np.array([[1, 1, 1, 0, 1], [1, 1, 1, 0, 1]], dtype=bool)
     >>> before = np.array([7, 7, 7, 7, 0])
-    >>> identify(join(wall_and_pole, np.zeros((2, 5), dtype=bool)), before, 8, ComponentsParams()).to_segments()
+    >>> joined = join(wall_and_pole, np.zeros((2, 5), dtype=bool))
+    >>> identify(joined, before, 8, ComponentsParams()).to_segments()
     array([[7, 7, 7, 0, 8],
            [7, 7, 7, 0, 8]])
     """

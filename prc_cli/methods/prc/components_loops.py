@@ -1,6 +1,6 @@
-"""Loops over the binary image.
+"""Loops over the binary image: connected components, hole filling, votes.
 
-Connected components, hole filling, votes (Lehtola et al. 2019, II-D).
+Lehtola et al. (2019), II-D.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ NONE = np.int32(2**31 - 1)
 
 @helper
 def _root(parent: I32, run: int) -> int:
-    """Follow a run to the first run of its component, shortening the way for the next one."""
+    """Return the first run of the component of a run; shortens the path for the next call."""
     while parent[run] != run:
         parent[run] = parent[parent[run]]
         run = parent[run]
@@ -27,12 +27,10 @@ def _root(parent: I32, run: int) -> int:
 
 @helper
 def _find_edges(row: Mask, edges: I32, n_edges: int) -> int:
-    """Append the columns where runs of ones begin and end to ``edges``.
+    """Append the columns where runs of ones begin and end to ``edges``; return their number.
 
-    Return how many there are now.
-
-    Eight shots at a time are passed over when they are all like the one before. In the others every
-    column is written, and kept where it is an edge, so that there is no branch to be guessed wrong.
+    Eight shots at a time are skipped if they are all like the one before. In the others every
+    column is written, and kept if it is an edge: no branch that the processor could mispredict.
     """
     n_columns = len(row)
     n_words = n_columns // 8
@@ -81,10 +79,10 @@ def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
                 above += 1
             root = run
             while above < first and edges[2 * above] < end:
-                other = _root(parent, above)
-                low = min(root, other)
+                root_above = _root(parent, above)
+                low = min(root, root_above)
                 if root != run:
-                    parent[max(root, other)] = low
+                    parent[max(root, root_above)] = low
                 root = low
                 if edges[2 * above + 1] > end:  # it may reach the next run of this line too
                     break
@@ -142,7 +140,7 @@ def _draw_runs(
 
 @kernel()
 def label_components(image: Mask_2) -> tuple[I32_2, int]:
-    """Find the 4-connected components of a binary image, numbered in the raster order of their first pixels.
+    """Find the 4-connected components of a binary image, in the raster order of their first pixels.
 
     ``image`` (n_lines, n_columns) bool; returns ``labels`` (n_lines, n_columns) int32.
     """
@@ -152,8 +150,8 @@ def label_components(image: Mask_2) -> tuple[I32_2, int]:
 
 
 @helper
-def _find_ones(row: Mask, columns: I32, n_found: int) -> int:
-    """Append the columns of the ones to ``columns``; return how many there are now."""
+def _find_ones(row: Mask, columns: I32, n_ones: int) -> int:
+    """Append the columns of the ones to ``columns``; return their number."""
     n_columns = len(row)
     n_words = n_columns // 8
     words = row[: 8 * n_words].view(np.int64)
@@ -161,12 +159,12 @@ def _find_ones(row: Mask, columns: I32, n_found: int) -> int:
         if words[word] == 0:
             continue
         for h in range(8 * word, 8 * word + 8):
-            columns[n_found] = h
-            n_found += row[h]
+            columns[n_ones] = h
+            n_ones += row[h]
     for h in range(8 * n_words, n_columns):
-        columns[n_found] = h
-        n_found += row[h]
-    return n_found
+        columns[n_ones] = h
+        n_ones += row[h]
+    return n_ones
 
 
 @helper
@@ -177,7 +175,7 @@ def _winner(
     low: int,
     high: int,
 ) -> int:
-    """Return the most frequent component around a pixel without one, given the smallest and the largest."""
+    """Return the most frequent component around a pixel, given the smallest and the largest."""
     n_lines, n_columns = components.shape
     if 0 < line < n_lines - 1 and 0 < column < n_columns - 1:
         n_low = 0
@@ -197,7 +195,7 @@ def _winner(
 
 @helper
 def _most_frequent(components: I32, line: int, column: int) -> int:
-    """Return the most frequent component around a pixel without one, of equals the smallest."""
+    """Return the most frequent component around a pixel, of equals the smallest."""
     n_lines, n_columns = components.shape
     near = np.empty(9, np.int32)
     n_near = 0
@@ -207,12 +205,12 @@ def _most_frequent(components: I32, line: int, column: int) -> int:
             n_near += components[y, x] != 0
     best = 0
     most = 0
-    for one in range(n_near):
+    for i in range(n_near):
         count = 0
-        for other in range(n_near):
-            count += near[one] == near[other]
-        if count > most or (count == most and near[one] < best):
-            best = near[one]
+        for j in range(n_near):
+            count += near[i] == near[j]
+        if count > most or (count == most and near[i] < best):
+            best = near[i]
             most = count
     return best
 
@@ -241,39 +239,39 @@ def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     edges, first_run, parent = _find_runs(foreground)
     components, pixels = _draw_runs(edges, first_run, parent, n_columns)
 
-    taken = np.empty(n_holes, np.int32)
+    chosen = np.empty(n_holes, np.int32)
     # least and most component in three lines at a column, with a frame around
     least = np.full(n_columns + 2, NONE, np.int32)
     most = np.zeros(n_columns + 2, np.int32)
     for line in range(n_lines):
         if first_hole[line] == first_hole[line + 1]:
             continue
-        up = components[max(line - 1, 0)]
-        own = components[line]
-        down = components[min(line + 1, n_lines - 1)]
+        line_above = components[max(line - 1, 0)]
+        row_components = components[line]
+        line_below = components[min(line + 1, n_lines - 1)]
         least_inside = least[1 : n_columns + 1]
         most_inside = most[1 : n_columns + 1]
         for h in range(n_columns):
-            one = up[h]
-            two = own[h]
-            three = down[h]
-            most_inside[h] = max(one, two, three)
+            above = line_above[h]
+            here = row_components[h]
+            below = line_below[h]
+            most_inside[h] = max(above, here, below)
             least_inside[h] = min(
-                one if one else NONE, two if two else NONE, three if three else NONE
+                above if above else NONE, here if here else NONE, below if below else NONE
             )
         for hole in range(first_hole[line], first_hole[line + 1]):
             h = int(holes[hole])
             high = max(most[h], most[h + 1], most[h + 2])
             low = min(least[h], least[h + 1], least[h + 2])
             if high == 0 or high == low:  # none, or one that is alone
-                taken[hole] = high
+                chosen[hole] = high
             else:
-                taken[hole] = _winner(components, line, h, int(low), int(high))
-    for line in range(n_lines):  # now that nobody looks at the image any more
+                chosen[hole] = _winner(components, line, h, int(low), int(high))
+    for line in range(n_lines):  # after all neighbours were read
         filled = components[line]
         for hole in range(first_hole[line], first_hole[line + 1]):
-            filled[holes[hole]] = taken[hole]
-            pixels[taken[hole]] += 1
+            filled[holes[hole]] = chosen[hole]
+            pixels[chosen[hole]] += 1
     pixels[0] = 0
     return components, pixels
 
@@ -296,17 +294,17 @@ def _sort_votes(component: I32, label: I64, n: int) -> I32:
             i = begin
             j = middle
             for k in range(begin, end):
-                one = order[min(i, n - 1)]
-                other = order[min(j, n - 1)]
-                if component[one] == component[other]:
-                    later = label[one] > label[other]
+                left = order[min(i, n - 1)]
+                right = order[min(j, n - 1)]
+                if component[left] == component[right]:
+                    later = label[left] > label[right]
                 else:
-                    later = component[one] > component[other]
+                    later = component[left] > component[right]
                 if i == middle or (j < end and later):
-                    merged[k] = other
+                    merged[k] = right
                     j += 1
                 else:
-                    merged[k] = one
+                    merged[k] = left
                     i += 1
         order, merged = merged, order
         width *= 2
@@ -322,14 +320,14 @@ def carry_labels(
 ) -> I64_1:
     """Let the last line before a block vote for the labels of the block's components.
 
-    Every column where both lines hold a label is a vote. A component takes the label that most of
-    its shots vote for, given enough of them; of equals the oldest. Several components may take the
+    Every column where both lines have a label is a vote. A component gets the label that most of
+    its shots vote for, if they are enough; of equals the oldest. Several components may get the
     same label.
 
     ``first_line`` (M,) int32; ``last_line`` (M,) int64; returns (n_components + 1,) int64.
     """
     width = len(first_line)
-    # stretches of equal votes, counted a component
+    # stretches of equal votes
     component = np.empty(width, np.int32)
     label = np.empty(width, np.int64)
     votes = np.empty(width, np.int64)
@@ -337,29 +335,29 @@ def carry_labels(
     for h in range(width):
         if first_line[h] == 0 or last_line[h] == 0:
             continue
-        now = n_stretches - 1
-        if n_stretches and component[now] == first_line[h] and label[now] == last_line[h]:
-            votes[now] += 1
+        last = n_stretches - 1
+        if n_stretches and component[last] == first_line[h] and label[last] == last_line[h]:
+            votes[last] += 1
         else:
             component[n_stretches] = first_line[h]
             label[n_stretches] = last_line[h]
             votes[n_stretches] = 1
             n_stretches += 1
-    taken = np.zeros(n_components + 1, np.int64)
+    labels = np.zeros(n_components + 1, np.int64)
     if not n_stretches:
-        return taken
+        return labels
     order = _sort_votes(component, label, n_stretches)
     most = 0
     count = 0
     for i in range(n_stretches):
-        one = order[i]
-        before = order[max(i - 1, 0)]
-        if i == 0 or component[one] != component[before]:
+        vote = order[i]
+        vote_before = order[max(i - 1, 0)]
+        if i == 0 or component[vote] != component[vote_before]:
             most = count = 0
-        elif label[one] != label[before]:
+        elif label[vote] != label[vote_before]:
             count = 0
-        count += votes[one]
+        count += votes[vote]
         if count > most and count >= min_votes:
             most = count
-            taken[component[one]] = label[one]
-    return taken
+            labels[component[vote]] = label[vote]
+    return labels

@@ -62,9 +62,9 @@ from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.012
-"""Range noise that the thresholds of forests stand [m].
+"""Largest range noise for the thresholds of forests [m].
 
-Scanners in forests have 2 to 3 mm; 10 mm cost .1 of F1.
+Scanners in forests have 2 to 3 mm; 10 mm cost 0.1 of F1.
 """
 _EVERYWHERE = frozenset(
     {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION}
@@ -78,7 +78,9 @@ class PrcParams(MethodParams):
     lines_per_block: int = Field(99, ge=1, le=100_000, description="k, scan lines in a block")
     environment: Literal["urban", "forest"] = Field(
         "urban",
-        description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation',
+        description=(
+            'classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation'
+        ),
     )
     support: SupportParams = SupportParams()
     background: BackgroundParams = BackgroundParams()
@@ -184,7 +186,7 @@ class Prc(Classifier[int, PrcState]):
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by the support thresholds."""
         _check_shapes(block.range_m, block.next_m, scanner, self.params)
-        found = classify_block(
+        trace = classify_block(
             block.range_m,
             block.next_m,
             turn,
@@ -196,39 +198,37 @@ class Prc(Classifier[int, PrcState]):
         limits = self.params.support
         extra = label_extra_returns(
             block.range_m,
-            found.labels,
+            trace.labels,
             further.line,
             further.column,
             further.range_m,
             limits.zeta_p,
             limits.zeta_s,
         )
-        reasons = (
-            reasons_of(found.labels, LABEL_REASONS[self.params.environment])
-            if wanted.reasons
-            else None
-        )
-        measures = measures_of(found) if wanted.measures else {}
+        reasons = None
+        if wanted.reasons:
+            reasons = reasons_of(trace.labels, LABEL_REASONS[self.params.environment])
+        measures = measures_of(trace) if wanted.measures else {}
         labelled = LabelledBlock(
-            block, found.labels, extra, found.segments, critical=found.critical
+            block, trace.labels, extra, trace.segments, critical=trace.critical
         )
         return (replace(labelled, reasons=reasons, measures=measures),)
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report thresholds that the paper advises against."""
-        found = unusual(self.params.support)
-        return () if found is None else (found,)
+        notice = unusual(self.params.support)
+        return () if notice is None else (notice,)
 
 
-def measures_of(found: PrcTrace) -> dict[str, NDArray[Any]]:
-    """Return what was measured of every shot of a block, by names with their units."""
-    assert found.critical is not None
-    h = found.components
-    v = found.surfaces
+def measures_of(trace: PrcTrace) -> dict[str, NDArray[Any]]:
+    """Return the measured quantities of every shot of a block, by names with their units."""
+    assert trace.critical is not None
+    h = trace.components
+    v = trace.surfaces
     return {
-        "supported in its line from zeta_p [m]": found.critical.in_line_m,
-        "supported by adjacent lines from zeta_s [m]": found.critical.adjacent_m,
-        "where two surfaces meet": found.background,
+        "supported in its line from zeta_p [m]": trace.critical.in_line_m,
+        "supported by adjacent lines from zeta_s [m]": trace.critical.adjacent_m,
+        "where two surfaces meet": trace.background,
         "segment": h.ids[h.image],
         "shots of its segment in the block": h.sum_by_id(h.pixels)[h.image],
         "smooth": v.smooth,
@@ -300,7 +300,7 @@ class Connected:
     small: Mask
     """(n + 1,) bool, components that are non-smooth."""
     surfaces: Surfaces | None
-    """Computed early if segments are requested, because the ids of the next block continue after them."""
+    """Computed early if segments are requested: the ids of the next block continue after them."""
     last_line: I64
     """(M,) int64, as handed to the next block (:class:`Link`)."""
 
@@ -373,7 +373,7 @@ def _check_shapes(
     width: int,
     params: PrcParams,
 ) -> None:
-    """Refuse arrays that cannot be the next block of the stream."""
+
     key = "prc.lines_per_block"
     check_block(
         range_m, next_m, width, params.lines_per_block, columns=" as the stream began", key=key

@@ -1,6 +1,6 @@
-"""Support and background (Lehtola et al. 2019, II-B and II-C).
+"""Support and background: shots that enough neighbours agree with, and edges.
 
-Shots that enough neighbours agree with, and edges.
+Lehtola et al. (2019), II-B and II-C.
 """
 
 from __future__ import annotations
@@ -30,24 +30,33 @@ class SupportParams(Params):
         1.0,
         ge=0,
         le=1e9,
-        description="neighbours in adjacent lines agree when their range differs by less than this [m]",
+        description=(
+            "neighbours in adjacent lines agree when their range differs by less than this [m]"
+        ),
     )
     zeta_p: float = Field(
         1.0,
         ge=0,
         le=1e9,
-        description="neighbours in the same line agree when their range differs by less than this [m]",
+        description=(
+            "neighbours in the same line agree when their range differs by less than this [m]"
+        ),
     )
     rho_c: float = Field(
         1 / 3,
         gt=0,
         le=1,
-        description="share of the 8 neighbours in the line, and of the 6 in adjacent lines, that must agree",
+        description=(
+            "share of the 8 neighbours in the line, and of the 6 in adjacent lines, that must agree"
+        ),
     )
     rounding: Literal["ceil", "floor"] = Field(
         "ceil",
-        description='how rho_c times 8 and times 6 become counts: "ceil" compares real numbers (3 and 2 for 1/3), '
-        '"floor" rounds down (2 and 2, which is what the printed probabilities belong to)',
+        description=(
+            "how rho_c times 8 and times 6 become counts: "
+            '"ceil" compares real numbers (3 and 2 for 1/3), '
+            '"floor" rounds down (2 and 2, which is what the printed probabilities belong to)'
+        ),
     )
 
 
@@ -57,12 +66,12 @@ def required_counts(params: SupportParams) -> tuple[int, int]:
     >>> required_counts(SupportParams()), required_counts(SupportParams(rounding="floor"))
     ((3, 2), (2, 2))
     """
-    whole = math.ceil if params.rounding == "ceil" else math.floor
-    return whole(params.rho_c * N_IN_SLICE), whole(params.rho_c * N_ADJACENT)
+    rounded = math.ceil if params.rounding == "ceil" else math.floor
+    return rounded(params.rho_c * N_IN_SLICE), rounded(params.rho_c * N_ADJACENT)
 
 
 def unusual(params: SupportParams) -> str | None:
-    """Return what the paper advises against, if the thresholds are like that (II-B).
+    """Return a notice if the paper advises against these thresholds (II-B).
 
     >>> unusual(SupportParams()), unusual(SupportParams(zeta_s=0.1, zeta_p=0.1))
     (None, None)
@@ -73,8 +82,9 @@ def unusual(params: SupportParams) -> str | None:
     if params.zeta_s >= params.zeta_p:
         return None
     return (
-        f"prc.support.zeta_s = {params.zeta_s:g} m is below zeta_p = {params.zeta_p:g} m: zeta_s >= zeta_p is "
-        "advisable, as shots of adjacent lines lie farther apart than shots of one line"
+        f"prc.support.zeta_s = {params.zeta_s:g} m is below zeta_p = {params.zeta_p:g} m: "
+        "zeta_s >= zeta_p is advisable, "
+        "as shots of adjacent lines lie farther apart than shots of one line"
     )
 
 
@@ -100,10 +110,7 @@ def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
 
 
 def tail_after(tail: F32, range_m: F32) -> F32:
-    """Return the last ``reach`` shots up to the end of a block, (reach,) float32 [m].
-
-    The next block's tail.
-    """
+    """Return the tail for the next block: the last ``reach`` shots, (reach,) float32 [m]."""
     reach = len(tail)
     lines = -(-reach // range_m.shape[1])
     return np.concatenate([tail, range_m[-lines:].ravel()])[-reach:].copy()
@@ -145,17 +152,23 @@ class BackgroundParams(Params):
 
     form: Literal["centred", "literal", "abs", "guard"] = Field(
         "centred",
-        description='reading of eq. 9: "centred" measures how far a shot lies off the middle of its two neighbours, '
-        '"literal" is the printed formula (flags every descending ramp and every flat), "abs" takes both differences '
-        'in absolute value, "guard" is "centred" only where the neighbours differ by d_c or more',
+        description=(
+            "reading of eq. 9: "
+            '"centred" measures how far a shot lies off the middle of its two neighbours, '
+            '"literal" is the printed formula (flags every descending ramp and every flat), '
+            '"abs" takes both differences in absolute value, '
+            '"guard" is "centred" only where the neighbours differ by d_c or more'
+        ),
     )
     alpha: float = Field(0.3, gt=0, lt=0.5, description="tolerance ratio")
     d_c: float = Field(
         0.05,
         gt=0,
         le=1e9,
-        description="smallest characteristic length of things [m]; for a range noise above 3 mm take 17 times the "
-        "noise or more",
+        description=(
+            "smallest characteristic length of things [m]; "
+            "for a range noise above 3 mm take 17 times the noise or more"
+        ),
     )
 
 
@@ -207,12 +220,12 @@ def critical_zetas(window: F32, points_per_line: int, params: SupportParams) -> 
     beside = tuple(shift for shift in (-m - 1, -m, -m + 1, m - 1, m, m + 1) if shift)
     min_in_slice, min_adjacent = required_counts(params)
     missing = np.isnan(window[reach : len(window) - reach])
-    found = []
+    zetas = []
     for shifts, k in ((_IN_LINE, min_in_slice), (beside, min_adjacent)):
         value = _kth_difference(window, reach, shifts, k)
         value[missing] = np.nan
-        found.append(value.reshape(shape))
-    return CriticalZetas(*found)
+        zetas.append(value.reshape(shape))
+    return CriticalZetas(*zetas)
 
 
 def _kth_difference(
@@ -221,15 +234,18 @@ def _kth_difference(
     shifts: tuple[int, ...],
     k: int,
 ) -> F32:
-    """Return the k-th smallest range difference of every shot to some neighbours, infinite where there are fewer."""
-    own = window[reach : len(window) - reach]
-    smallest = np.full((max(k, 1), own.size), np.inf, np.float32)
+    """Return the k-th smallest range difference of every shot to some neighbours [m].
+
+    (shots,) float32, infinite for shots with fewer than k neighbours.
+    """
+    ranges = window[reach : len(window) - reach]
+    smallest = np.full((max(k, 1), ranges.size), np.inf, np.float32)
     for shift in shifts:
         start = reach + shift
-        new = np.abs(own - window[start : start + own.size])
+        new = np.abs(ranges - window[start : start + ranges.size])
         new[np.isnan(new)] = np.inf
         for row in smallest:  # as many values as are needed, in order
             larger = np.maximum(row, new)
             np.minimum(row, new, out=row)
             new = larger
-    return smallest[k - 1] if k else np.zeros(own.size, np.float32)
+    return smallest[k - 1] if k else np.zeros(ranges.size, np.float32)

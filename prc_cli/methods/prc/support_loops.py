@@ -1,6 +1,4 @@
-"""Loops over shots and their neighbours.
-
-Support and extension of the background (Lehtola et al. 2019, II-B, II-C).
+"""Loops over shots and their neighbours: support and background (Lehtola et al. 2019, II-B, II-C).
 
 Both read a *window* of the stream: the ranges of the block with ``reach`` shots before and after
 it, NaN where there is nothing, so that neighbours by flat index are plain shifts. Neighbours are
@@ -34,7 +32,7 @@ def support_mask(
     min_in_slice: int,
     min_adjacent: int,
 ) -> Mask_2:
-    """Mark shots that enough neighbours in their own and in the adjacent lines agree with (eqs. 4 to 8).
+    """Mark shots that enough neighbours in their line and in adjacent lines agree with (eqs. 4-8).
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; returns (n_lines, n_columns)
     bool.
@@ -48,12 +46,12 @@ def support_mask(
         limit_s = np.nextafter(limit_s, np.float32(np.inf))
     reach = max(n_columns + 1, 4)
     # with one shot a line, i + M - 1 is i itself: a shot does not support itself
-    others = n_columns > 1
+    has_neighbours = n_columns > 1
     size = n_columns
     supported = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):
         i = reach + line * n_columns
-        own = window[i : i + size]
+        ranges = window[i : i + size]
         before_4 = window[i - 4 : i - 4 + size]
         before_3 = window[i - 3 : i - 3 + size]
         before_2 = window[i - 2 : i - 2 + size]
@@ -70,10 +68,9 @@ def support_mask(
         next_3 = window[i + size + 1 : i + 2 * size + 1]
         row = supported[line]
         for h in range(size):
-            r = own[h]
+            r = ranges[h]
             in_slice = (
-                # booleans that are added are counted by numba and joined by NumPy; an integer
-                # settles it
+                # numba counts added booleans, NumPy joins them: with an integer both count
                 0
                 + (abs(r - before_4[h]) < limit_p)
                 + (abs(r - before_3[h]) < limit_p)
@@ -88,8 +85,8 @@ def support_mask(
                 0
                 + (abs(r - last_1[h]) < limit_s)
                 + (abs(r - last_2[h]) < limit_s)
-                + ((abs(r - last_3[h]) < limit_s) & others)
-                + ((abs(r - next_1[h]) < limit_s) & others)
+                + ((abs(r - last_3[h]) < limit_s) & has_neighbours)
+                + ((abs(r - next_1[h]) < limit_s) & has_neighbours)
                 + (abs(r - next_2[h]) < limit_s)
                 + (abs(r - next_3[h]) < limit_s)
             )
@@ -117,7 +114,7 @@ def background_mask(
     marked = np.empty((n_lines, size), np.bool_)
     for line in range(n_lines):
         i = reach + line * size
-        own = window[i : i + size]
+        ranges = window[i : i + size]
         before = window[i - 1 : i - 1 + size]
         after = window[i + 1 : i + 1 + size]
         inside = supported[line]
@@ -126,7 +123,7 @@ def background_mask(
         if form in (CENTRED, GUARD):
             least = d_c if form == GUARD else 0.0
             for h in range(size):
-                r = np.float64(own[h])
+                r = np.float64(ranges[h])
                 a = np.float64(before[h])
                 b = np.float64(after[h])
                 rise = abs(b - a)
@@ -134,7 +131,7 @@ def background_mask(
                 row[h] = (bend >= slack * max(rise, d_c)) & (rise >= least) & inside[h]
         else:
             for h in range(size):
-                r = np.float64(own[h])
+                r = np.float64(ranges[h])
                 a = np.float64(before[h])
                 b = np.float64(after[h])
                 step = r - a
@@ -143,7 +140,7 @@ def background_mask(
                     step = abs(step)
                     rise = abs(rise)
                 share = step / max(rise, d_c)
-                # ... except in a negation, where they have to be told apart
+                # ... except in a negation: there NaN needs a test of its own
                 row[h] = (not (alpha < share < upper)) & (a == a) & (b == b) & inside[h]
     return marked
 
@@ -160,14 +157,14 @@ def clean_ranges(ranges: F32_1, low: np.float32, high: np.float32) -> tuple[F32_
     n_refused = 0
     n_positive = 0
     for first in range(0, n, STRIP):
-        given = ranges[first : first + STRIP]
+        strip = ranges[first : first + STRIP]
         kept = cleaned[first : first + STRIP]
         # as wide as a range, for the compiler
         infinite = np.int32(0)
         refused = np.int32(0)
         positive = np.int32(0)
-        for i in range(len(given)):
-            r = given[i]
+        for i in range(len(strip)):
+            r = strip[i]
             good = (r > low) & (r <= high)
             kept[i] = r if good else np.float32(np.nan)
             finite = abs(r) < np.float32(np.inf)

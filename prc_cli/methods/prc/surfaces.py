@@ -1,6 +1,6 @@
-"""Smooth and non-smooth surfaces (Lehtola et al. 2019, II-E).
+"""Smooth and non-smooth surfaces: large segments are smooth, small ones are joined.
 
-Large segments are smooth, small ones are joined.
+Lehtola et al. (2019), II-E.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ class SurfacesParams(Params):
     area: Annotated[Annotated[float, Field(gt=0)] | Literal["auto"], BeforeValidator(_area)] = (
         Field(
             30.0,
-            description="segments of this many pixels in a full block are smooth [pixels, real number]; "
-            '"auto" keeps the published share of the block, 30 / (99 * 2154) * k * M',
+            description=(
+                "segments of this many pixels in a full block are smooth [pixels, real number]; "
+                '"auto" keeps the published share of the block, 30 / (99 * 2154) * k * M'
+            ),
         )
     )
     gamma: int = Field(
@@ -77,9 +79,9 @@ class Surfaces:
         return self.components.next_id + self.n_patches
 
     def to_patches(self) -> I64:
-        """Return V as segment ids, (lines, M) int64, 0 = none.
+        """Return V, the dilated image with the noise under it, as segment ids (lines, M) int64.
 
-        The dilated image, noise under it included.
+        0 = none.
         """
         if self.patches is None:
             msg = "surfaces were found without patches"
@@ -154,8 +156,11 @@ def surfaces(
     it:
 
     >>> image = np.array([[1, 1, 1, 1, 0, 2], [1, 1, 1, 1, 0, 0]], dtype=np.int32)
-    >>> h = Components(image, np.array([0, 8, 1]), ids=np.array([0, 1, 2]), first_new_id=1, next_id=3)
-    >>> surfaces(image > 0, h, find_small(h, threshold=8), SurfacesParams(), with_patches=True).to_segments()
+    >>> h = Components(
+    ...     image, np.array([0, 8, 1]), ids=np.array([0, 1, 2]), first_new_id=1, next_id=3
+    ... )
+    >>> small = find_small(h, threshold=8)
+    >>> surfaces(image > 0, h, small, SurfacesParams(), with_patches=True).to_segments()
     array([[1, 1, 1, 3, 0, 3],
            [1, 1, 1, 1, 0, 0]])
     """

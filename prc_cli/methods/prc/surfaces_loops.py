@@ -1,4 +1,4 @@
-"""Loops that grow the non-smooth surfaces and draw the classes (Lehtola et al. 2019, II-E and II-F)."""
+"""Loops that grow the non-smooth surfaces and draw the classes (Lehtola et al. 2019, II-E, II-F)."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def dilate(image: Mask_2, iterations: int) -> Mask_2:
         grown, before = before, grown
         for line in range(n_lines):
             row = grown[line]
-            own = before[line]
+            line_before = before[line]
             up = before[max(line - 1, 0)]
             down = before[min(line + 1, n_lines - 1)]
             for h in range(n_columns):
-                row[h] = own[h] | up[h] | down[h]
+                row[h] = line_before[h] | up[h] | down[h]
             for h in range(last):
-                row[h] |= own[h + 1]
+                row[h] |= line_before[h + 1]
             for h in range(last):
-                row[h + 1] |= own[h]
+                row[h + 1] |= line_before[h]
     return grown
 
 
@@ -113,8 +113,8 @@ def draw_components(
             row[h] = label_of[component[h]]
         for h in range(n_columns):
             label = cover if over[h] else row[h]
-            other = noise if ranges[h] == ranges[h] else missing
-            row[h] = label if inside[h] else other
+            unsupported = noise if ranges[h] == ranges[h] else missing
+            row[h] = label if inside[h] else unsupported
     return labels
 
 
@@ -127,7 +127,7 @@ def draw_columns(
     noise_too: bool,
     labels_of: U8_1,
 ) -> U8_2:
-    """Draw labels of what is covered and what is not, and another one in some columns.
+    """Draw a label for covered shots, one for free shots, and another one in some columns.
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered``
     (n_lines, n_columns) bool; ``columns`` (n_columns,) bool; ``labels_of`` (5,) uint8; returns
@@ -149,7 +149,7 @@ def draw_columns(
         for h in range(n_columns):
             label = cover if over[h] else free
             label = marked if columns[h] else label
-            other = marked if columns[h] & noise_too else noise
-            other = other if ranges[h] == ranges[h] else missing
-            row[h] = label if inside[h] else other
+            unsupported = marked if columns[h] & noise_too else noise
+            unsupported = unsupported if ranges[h] == ranges[h] else missing
+            row[h] = label if inside[h] else unsupported
     return labels

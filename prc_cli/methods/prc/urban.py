@@ -1,7 +1,4 @@
-"""Classes in the built environment (Lehtola et al. 2019, II-F).
-
-Ground, buildings, vegetation, noise.
-"""
+"""Classes in the built environment and in forests (Lehtola et al. 2019, II-F)."""
 
 from __future__ import annotations
 
@@ -27,8 +24,11 @@ class UrbanParams(Params):
 
     ground: Literal["running-total", "block"] = Field(
         "running-total",
-        description='the ground is the smooth segment with most shots: "running-total" counts them since the segment '
-        'began, "block" in the block alone, where a large facade may win',
+        description=(
+            "the ground is the smooth segment with most shots: "
+            '"running-total" counts them since the segment began, '
+            '"block" in the block alone, where a large facade may win'
+        ),
     )
 
 
@@ -88,16 +88,14 @@ def find_ground(
     here = np.zeros(len(ids), dtype=np.int64)
     np.add.at(here, position, smooth[present])
     running = here + totals.of(ids)
-    ground = ids[
-        np.argmax(running if params.ground == "running-total" else here)
-    ]  # on ties the first: oldest
-    here_last = last_line[
-        np.flatnonzero(last_line[1:] != last_line[:-1])
-    ]  # all but the last shot's, once a stretch
-    may_go_on = np.zeros(len(ids), dtype=bool)
-    may_go_on[np.searchsorted(ids, here_last[here_last > 0])] = True
-    may_go_on |= ids == last_line[-1]
-    return int(ground), Totals(ids[may_go_on], running[may_go_on])
+    # on ties the first, which is the oldest
+    ground = ids[np.argmax(running if params.ground == "running-total" else here)]
+    # the last shot of every stretch of equal ids; the last stretch follows below
+    last_ids = last_line[np.flatnonzero(last_line[1:] != last_line[:-1])]
+    may_continue = np.zeros(len(ids), dtype=bool)
+    may_continue[np.searchsorted(ids, last_ids[last_ids > 0])] = True
+    may_continue |= ids == last_line[-1]
+    return int(ground), Totals(ids[may_continue], running[may_continue])
 
 
 @stage("classes")
@@ -155,11 +153,10 @@ def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
 
 
 def is_dense(smooth: Mask, params: ForestParams) -> Mask:
-    """Return for every group of columns whether its first column is dense.
+    """Return for every group of columns whether its first column is dense (eq. 12).
 
-    Smooth often enough (eq. 12).
-
-    Noise and missing shots count in the denominator.
+    A column is dense if the share of smooth shots is high enough. Noise and missing shots count in
+    the denominator.
 
     >>> is_dense(np.zeros((255, 4270), dtype=bool), ForestParams()).shape
     (427,)

@@ -1,7 +1,4 @@
-"""Loops of the method for rings over what stands on the ground.
-
-Shots beside each other, and columns of space.
-"""
+"""Loops of the method for rings over objects on the ground: by shots, and by columns of space."""
 
 from __future__ import annotations
 
@@ -35,10 +32,8 @@ SMOOTH = 1
 ASKED = 2
 UPRIGHT = 4
 LEVEL = 8
-"""Bits of a mark: on the line through two shots of its ring.
-
-Such two exist; on an upright, on a level surface.
-"""
+"""Bits of a mark: on the line through two shots of its ring; such two shots exist; on an upright
+surface; on a level surface."""
 LINES = 3
 RINGS = 2
 """Shots this far away are around a shot."""
@@ -57,10 +52,7 @@ def _beside(
     i: int,
     most: int,
 ) -> int:
-    """Return the line of the nearest shot of a ring at or beyond a line, one more at most.
-
-    -1 = none.
-    """
+    """Return the line of the shot of a ring in a line or in the next one; -1 = none."""
     for q in (line, line + way):
         if 0 <= q < most and place[q, i] == place[q, i]:
             return q
@@ -70,7 +62,7 @@ def _beside(
 @helper
 def _is_smooth(
     before: F32,
-    own: F32,
+    shot: F32,
     after: F32,
     most_m: float,
     tolerance_m: float,
@@ -82,9 +74,9 @@ def _is_smooth(
     square = cx * cx + cy * cy + cz * cz
     if square > most_m * most_m or square == 0.0:
         return ASKED
-    dx = float(own[0]) - before[0]
-    dy = float(own[1]) - before[1]
-    dz = float(own[2]) - before[2]
+    dx = float(shot[0]) - before[0]
+    dy = float(shot[1]) - before[1]
+    dz = float(shot[2]) - before[2]
     ex = dy * cz - dz * cy
     ey = dz * cx - dx * cz
     ez = dx * cy - dy * cx
@@ -102,7 +94,7 @@ def mark_shots(
     step_rad: float,
     thresholds: MarkThresholds,
 ) -> U8_2:
-    """Mark shots by what their ring shows and, higher than the foot of things, their line, (lines, M) uint8.
+    """Mark shots by neighbours in the ring and, above ``foot_m``, in the line; (lines, M) uint8.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``place, above_m`` (lines, M) float32; ``step_rad`` is
     the angle between lines; ``root`` the number of bins of ``place`` per square root of a metre.
@@ -117,13 +109,19 @@ def mark_shots(
             far *= far
             step = max(far, 0.5) * step_rad
             k = min(max(int(thresholds.base_m / step + 0.5), 1), thresholds.most_lines)
-            one = _beside(place, line - k, -1, i, n_lines)
-            two = _beside(place, line + k, 1, i, n_lines)
-            if one >= 0 and two >= 0:
+            line_before = _beside(place, line - k, -1, i, n_lines)
+            line_after = _beside(place, line + k, 1, i, n_lines)
+            if line_before >= 0 and line_after >= 0:
                 most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
                 tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
                 marks[line, i] |= np.uint8(
-                    _is_smooth(xyz_m[one, i], xyz_m[line, i], xyz_m[two, i], most_m, tolerance_m)
+                    _is_smooth(
+                        xyz_m[line_before, i],
+                        xyz_m[line, i],
+                        xyz_m[line_after, i],
+                        most_m,
+                        tolerance_m,
+                    )
                 )
             elif line - k >= 0 and line + k < n_lines:
                 marks[line, i] |= np.uint8(ASKED)
@@ -132,9 +130,9 @@ def mark_shots(
             for q in range(i + 1, min(i + 3, m)):
                 if place[line, q] != place[line, q]:
                     continue
-                other = float(place[line, q]) / root
+                root_far = float(place[line, q]) / root
                 rise = abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2])
-                apart = abs(other * other - far)
+                apart = abs(root_far * root_far - far)
                 mark = 0
                 if apart < thresholds.upright * rise + thresholds.upright_m:
                     mark = UPRIGHT
@@ -153,20 +151,20 @@ def lonely_shots(
     is_lit: bool,
     thresholds: LonelyThresholds,
 ) -> Mask_2:
-    """Mark shots near the scanner that hardly any shot around is as far as, and that no surface around explains.
+    """Mark shots near the scanner with hardly any shot around as far, and no surface around.
 
     ``range_m`` (lines, M) float32, metres; ``intensity`` the same, or (1, 1) where ``is_lit`` is
     false.
     """
     n_lines, m = range_m.shape
-    found = np.zeros((n_lines, m), np.bool_)
+    lonely = np.zeros((n_lines, m), np.bool_)
     most = thresholds.most if is_lit else thresholds.unlit
     for line in range(n_lines):
         for i in range(m):
-            own = float(range_m[line, i])
-            if not own < thresholds.reach_m:
+            range_here = float(range_m[line, i])
+            if not range_here < thresholds.reach_m:
                 continue
-            limit = thresholds.near_m + thresholds.near_per_m * own
+            limit = thresholds.near_m + thresholds.near_per_m * range_here
             near = alike = 0
             for k in range(2 * RINGS + 1):
                 # its own ring first: most shots have enough beside them there
@@ -174,7 +172,7 @@ def lonely_shots(
                 if q < 0 or q >= m:
                     continue
                 for p in range(max(line - LINES, 0), min(line + LINES + 1, n_lines)):
-                    near += abs(float(range_m[p, q]) - own) < limit
+                    near += abs(float(range_m[p, q]) - range_here) < limit
                 if near > most + 1:
                     break
             if near > most + 1:  # itself among them
@@ -183,13 +181,13 @@ def lonely_shots(
                 light = float(intensity[line, i])
                 for q in range(max(i - RINGS, 0), min(i + RINGS + 1, m)):
                     for p in range(max(line - LINES, 0), min(line + LINES + 1, n_lines)):
-                        other = float(intensity[p, q])
-                        is_beside = abs(float(range_m[p, q]) - own) < thresholds.beside_m
-                        alike += is_beside and abs(other - light) <= thresholds.alike * max(
-                            other, light
+                        light_beside = float(intensity[p, q])
+                        is_beside = abs(float(range_m[p, q]) - range_here) < thresholds.beside_m
+                        alike += is_beside and abs(light_beside - light) <= thresholds.alike * max(
+                            light_beside, light
                         )
-            found[line, i] = alike <= thresholds.bright
-    return found
+            lonely[line, i] = alike <= thresholds.bright
+    return lonely
 
 
 @kernel()
@@ -200,13 +198,13 @@ def fill_cells(
     leave_out: Mask_2,
     thresholds: CellThresholds,
 ) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
-    """Sum up what stands in every column of space.
+    """Sum up the shots above the ground in every column of space.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M)
     uint8; ``leave_out`` (lines, M) bool; returns levels with shots, (cells,) int64, one bit each;
-    sums (cells, N_SUMS) float64; where cells lie in the grid, (cells, 2) int32; the grid, (n, n)
-    int32 with the number of the cell, -1 = nothing stands there; the cell of every shot, (lines, M)
-    int32, -1 = none.
+    sums (cells, N_SUMS) float64; places of the cells in the grid, (cells, 2) int32; the grid, (n,
+    n) int32 with the number of the cell, -1 = empty; the cell of every shot, (lines, M) int32, -1 =
+    none.
     """
     n_lines, m = above_m.shape
     size = thresholds.cell_m
@@ -231,17 +229,17 @@ def fill_cells(
     levels = np.zeros(k, np.int64)
     for line in range(n_lines):
         for i in range(m):
-            own = cell[line, i]
-            if own < 0:
+            c = cell[line, i]
+            if c < 0:
                 continue
             p = math.floor((xyz_m[line, i, 0] + thresholds.half_m) / size)
             q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
-            where[own, 0] = p
-            where[own, 1] = q
+            where[c, 0] = p
+            where[c, 1] = q
             x = xyz_m[line, i, 0] + thresholds.half_m - (p + 0.5) * size
             y = xyz_m[line, i, 1] + thresholds.half_m - (q + 0.5) * size
             mark = int(marks[line, i])
-            row = sums[own]
+            row = sums[c]
             row[0] += 1.0
             row[1] += x
             row[2] += y
@@ -251,7 +249,7 @@ def fill_cells(
             row[6] += mark & SMOOTH
             row[7] += (mark & ASKED) >> 1
             row[8] += (mark & UPRIGHT) >> 2
-            levels[own] |= 1 << int(min(above_m[line, i] / thresholds.storey_m, float(TOP_LEVEL)))
+            levels[c] |= 1 << int(min(above_m[line, i] / thresholds.storey_m, float(TOP_LEVEL)))
     for line in range(n_lines):
         for i in range(m):
             if (
@@ -269,9 +267,9 @@ def fill_cells(
 
 @helper
 def _body_top(levels: int, gap: int) -> int:
-    """Return the first level above what stands on the ground without a gap of more levels.
+    """Return the first level above the object that starts at the ground; 0 = the object hangs.
 
-    0 = it hangs.
+    The object ends at a gap of more than ``gap`` levels.
     """
     top = misses = 0
     for level in range(TOP_LEVEL + 1):
@@ -296,29 +294,28 @@ def measure_cells(
     """Measure every cell with those around.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels``
-    (cells,) int64; returns (cells, N_MEASURES) float64: of 3 x 3 cells how thick and how long what
-    stands there is (standard deviations, [m]) and its share of upright shots; of 5 x 5 its share of
+    (cells,) int64; returns (cells, N_MEASURES) float64: of 3 x 3 cells thickness and length of the
+    shots (standard deviations, [m]) and the share of upright shots; of 5 x 5 cells the share of
     smooth shots, the number of levels with shots, the highest level, and the number of cells with
-    shots; of the cell itself the first level above what stands on the ground without a gap, 0 = it
-    hangs.
+    shots; of the cell itself the first level above the object at the ground, 0 = it hangs.
     """
-    found = np.zeros((len(where), N_MEASURES))
+    measures = np.zeros((len(where), N_MEASURES))
     cell_m = thresholds.cell_m
     gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
     for c in range(len(where)):
         n = x = y = xx = xy = yy = upright = smooth = asked = 0.0
-        every = np.int64(0)
+        levels_around = np.int64(0)
         cells = 0
         for dp in range(-2, 3):
             for dq in range(-2, 3):
-                other = grid[where[c, 0] + dp, where[c, 1] + dq]
-                if other < 0:
+                beside = grid[where[c, 0] + dp, where[c, 1] + dq]
+                if beside < 0:
                     continue
                 cells += 1
-                row = sums[other]
+                row = sums[beside]
                 smooth += row[6]
                 asked += row[7]
-                every |= levels[other]
+                levels_around |= levels[beside]
                 if abs(dp) == 2 or abs(dq) == 2:
                     continue
                 ox = dp * cell_m
@@ -339,17 +336,17 @@ def measure_cells(
         away = math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
         top = 0
         for level in range(TOP_LEVEL + 1):
-            if every >> level & 1:
-                found[c, 4] += 1.0
+            if levels_around >> level & 1:
+                measures[c, 4] += 1.0
                 top = level
-        found[c, 0] = math.sqrt(max(half - away, 0.0))
-        found[c, 1] = math.sqrt(max(half + away, 0.0))
-        found[c, 2] = upright / n
-        found[c, 3] = smooth / max(asked, 1.0)
-        found[c, 5] = top + 1.0
-        found[c, 6] = float(cells)
-        found[c, 7] = float(_body_top(levels[c], gap))
-    return found
+        measures[c, 0] = math.sqrt(max(half - away, 0.0))
+        measures[c, 1] = math.sqrt(max(half + away, 0.0))
+        measures[c, 2] = upright / n
+        measures[c, 3] = smooth / max(asked, 1.0)
+        measures[c, 5] = top + 1.0
+        measures[c, 6] = float(cells)
+        measures[c, 7] = float(_body_top(levels[c], gap))
+    return measures
 
 
 @kernel()
@@ -363,17 +360,17 @@ def mean_around(
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``values, weight`` (cells,) float64.
     """
-    found = np.empty(len(where))
+    means = np.empty(len(where))
     for c in range(len(where)):
-        total = sum_of = 0.0
+        total = total_weight = 0.0
         for dp in range(-2, 3):
             for dq in range(-2, 3):
-                other = grid[where[c, 0] + dp, where[c, 1] + dq]
-                if other >= 0:
-                    total += weight[other] * values[other]
-                    sum_of += weight[other]
-        found[c] = total / sum_of
-    return found
+                beside = grid[where[c, 0] + dp, where[c, 1] + dq]
+                if beside >= 0:
+                    total += weight[beside] * values[beside]
+                    total_weight += weight[beside]
+        means[c] = total / total_weight
+    return means
 
 
 @helper
@@ -386,9 +383,7 @@ def _root(parent: I32, c: int) -> int:
 
 @kernel()
 def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
-    """Return the body that every cell is of, the number of its first cell, (cells,) int32.
-
-    -1 where it is not of use.
+    """Return the body of every cell as the number of its first cell, (cells,) int32; -1 = unused.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``use`` (cells,) bool.
     """
@@ -398,12 +393,12 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
             continue
         for dp in range(-1, 2):
             for dq in range(-1, 2):
-                other = grid[where[c, 0] + dp, where[c, 1] + dq]
-                if other < 0 or not use[other]:
+                beside = grid[where[c, 0] + dp, where[c, 1] + dq]
+                if beside < 0 or not use[beside]:
                     continue
-                one = _root(parent, c)
-                two = _root(parent, int(other))
-                parent[max(one, two)] = min(one, two)
+                root = _root(parent, c)
+                root_beside = _root(parent, int(beside))
+                parent[max(root, root_beside)] = min(root, root_beside)
     body = np.full(len(where), -1, np.int32)
     for c in range(len(where)):
         if use[c]:
@@ -432,9 +427,7 @@ def low_plants(
     marks: U8_2,
     thresholds: SoilThresholds,
 ) -> Mask_2:
-    """Mark the plants among low shots, (lines, M) bool.
-
-    Rough places, and what is high above smooth ones.
+    """Mark the plants among low shots, (lines, M) bool: rough places, shots high above smooth ones.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M)
     uint8.
@@ -480,21 +473,22 @@ def low_plants(
                 score[p, q] = (
                     thresholds.bias + thresholds.smooth * smooth / total + thresholds.rough * rough
                 )
-    found = np.zeros((n_lines, m), np.bool_)
+    is_plant = np.zeros((n_lines, m), np.bool_)
     for line in range(n_lines):
         for i in range(m):
             x = float(xyz_m[line, i, 0])
             y = float(xyz_m[line, i, 1])
             above = float(above_m[line, i])
-            own = np.nan
+            cell_score = np.nan
             if _is_low(above, x, y, thresholds):
                 p = int((x + thresholds.half_m) / thresholds.cell_m)
-                own = score[p, int((y + thresholds.half_m) / thresholds.cell_m)]
-            if own == own:
+                cell_score = score[p, int((y + thresholds.half_m) / thresholds.cell_m)]
+            if cell_score == cell_score:
                 high = max(above, thresholds.least_high_m)
-                found[line, i] = (
-                    own + thresholds.high * high + thresholds.far * math.sqrt(x * x + y * y) > 0.0
+                is_plant[line, i] = (
+                    cell_score + thresholds.high * high + thresholds.far * math.sqrt(x * x + y * y)
+                    > 0.0
                 )
             else:
-                found[line, i] = above > thresholds.soil_m
-    return found
+                is_plant[line, i] = above > thresholds.soil_m
+    return is_plant

@@ -1,4 +1,4 @@
-"""The label of every shot: ground by its height, everything else by the column of space that it stands in."""
+"""The label of every shot: ground by its height, everything else by its column of space."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from prc_cli.methods.rings.thresholds import (
 )
 
 UNIFORM = 12.0**0.5
-"""Length of what is evenly spread, in its standard deviations."""
+"""Length of an evenly spread body, in its standard deviations."""
 FEWEST_LIGHTS = 16
 MOST_ALIKE = 0.9
-"""Intensities of fewer values, or of which more are equal, tell nothing."""
+"""Intensities with fewer values, or with a larger share of equal ones, are not used."""
 SMOOTH = 1
 N_LEVELS = 63
 """As in :mod:`cells_loops`."""
@@ -32,7 +32,7 @@ N_LEVELS = 63
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Columns of space in which something stands."""
+    """Columns of space with shots above the ground."""
 
     grid: I32
     """(n, n) int32, number of the cell, -1 = none."""
@@ -48,14 +48,17 @@ class Cells:
     """(cells, 8) float64; see :func:`cells_loops.measure_cells`."""
 
     def of_shots(self, values: F64) -> F32:
-        """Return values of the cells, (cells,) float64, by shot; NaN where it is in none."""
-        found: F32 = np.append(values, np.nan).astype(np.float32)[self.of_shot]
-        return found
+        """Return the value of the cell of every shot, (lines, M) float32; NaN = in no cell.
+
+        ``values`` (cells,) float64.
+        """
+        values_of_shots: F32 = np.append(values, np.nan).astype(np.float32)[self.of_shot]
+        return values_of_shots
 
 
 @stage("marks")
 def mark_shots(polar: Polar, above_m: F32, limits: Limits) -> U8:
-    """Mark what stands on the ground; see :func:`cells_loops.mark_shots`."""
+    """Mark shots by the surfaces around them; see :func:`cells_loops.mark_shots`."""
     marks: U8 = kernels.mark_shots(
         polar.xyz_m,
         polar.place,
@@ -71,20 +74,18 @@ def mark_shots(polar: Polar, above_m: F32, limits: Limits) -> U8:
 @stage("flakes")
 def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
     """Mark snow, rain and dust; see :func:`cells_loops.lonely_shots`."""
-    is_lit = intensity is not None and tells_something(intensity)
+    is_lit = intensity is not None and is_varied(intensity)
     light = intensity if intensity is not None and is_lit else np.zeros((1, 1), np.float32)
-    found: Mask = kernels.lonely_shots(
+    lonely: Mask = kernels.lonely_shots(
         range_m, np.ascontiguousarray(light, np.float32), is_lit, limits.lonely
     )
-    return found
+    return lonely
 
 
-def tells_something(intensity: F32) -> bool:
-    """Return whether intensities, (lines, M) float32, tell shots apart.
+def is_varied(intensity: F32) -> bool:
+    """Return whether intensities, (lines, M) float32, have many values, and none for most shots.
 
-    Many values, none of which most shots have.
-
-    >>> tells_something(np.full((9, 9), 255.0, np.float32)), tells_something(np.arange(81, dtype=np.float32))
+    >>> is_varied(np.full((9, 9), 255.0, np.float32)), is_varied(np.arange(81, dtype=np.float32))
     (False, True)
     """
     known = np.sort(intensity[np.isfinite(intensity)])
@@ -97,21 +98,21 @@ def tells_something(intensity: F32) -> bool:
 
 @stage("mirror")
 def sunken_shots(polar: Polar, above_m: F32, limits: SunkenThresholds) -> Mask:
-    """Mark mirror images: shots well below the ground, where most shots around are not. (lines, M) bool."""
+    """Mark mirror images, (lines, M) bool: shots well below the ground among shots that are not."""
     with np.errstate(invalid="ignore"):
         far_m = (polar.place / np.float32(BINS_PER_ROOT_M)) ** 2
         below: Mask = above_m < -limits.below_m - limits.below_per_m * far_m
     if not below.any():
         return below
     n_below, n_known = (
-        _around(one.astype(np.int16), limits) for one in (below, np.isfinite(above_m))
+        _around(mask.astype(np.int16), limits) for mask in (below, np.isfinite(above_m))
     )
     sunken: Mask = below & (n_below < limits.most * n_known)
     return sunken
 
 
 def _around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.int16]:
-    """Return the sums over the shots around every shot, itself among them."""
+    """Return the sums over the shots around every shot, including itself."""
     total = values
     for axis, reach in ((0, limits.lines), (1, limits.rings)):
         padding = [(0, 0), (0, 0)]
@@ -132,7 +133,7 @@ def fill_cells(
     lonely: Mask,
     thresholds: CellThresholds,
 ) -> Cells:
-    """Sum up and measure what stands in every column of space."""
+    """Sum up and measure the shots of every column of space."""
     levels, sums, where, grid, of_shot = kernels.fill_cells(
         polar.xyz_m, above_m, marks, lonely, thresholds
     )
@@ -160,18 +161,18 @@ def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
 
 
 def is_foliage(cells: Cells, limits: Limits) -> Mask:
-    """Return which cells hold foliage rather than walls, (cells,) bool."""
+    """Return which cells contain foliage rather than walls, (cells,) bool."""
     thick, _, upright, smooth, n_levels, top, _, _ = cells.measures.T
-    own = limits.leaves
+    weights = limits.leaves
     score = (
-        own.bias
-        + own.smooth * smooth
-        + own.thick * np.minimum(thick, own.most_thick_m)
-        + own.upright * upright
+        weights.bias
+        + weights.smooth * smooth
+        + weights.thick * np.minimum(thick, weights.most_thick_m)
+        + weights.upright * upright
     )
-    score = score + own.filled * n_levels / np.maximum(top, 1.0)
-    score = score + own.top * np.minimum(top * limits.cells.storey_m, own.most_top_m)
-    surest = np.clip(score, -own.surest, own.surest)
+    score = score + weights.filled * n_levels / np.maximum(top, 1.0)
+    score = score + weights.top * np.minimum(top * limits.cells.storey_m, weights.most_top_m)
+    surest = np.clip(score, -weights.surest, weights.surest)
     foliage: Mask = (
         kernels.mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
     )
@@ -179,18 +180,18 @@ def is_foliage(cells: Cells, limits: Limits) -> Mask:
 
 
 def _is_pole(cells: Cells, limits: Limits) -> Mask:
-    """Return which cells are thin to all sides, high, and alone."""
+
     long_m = cells.measures[:, 1]
     top = cells.measures[:, 5] * limits.cells.storey_m
     around = cells.measures[:, 6]
-    own = limits.poles
-    found: Mask = (long_m < own.thin_m) & (top >= own.least_m) & (around <= own.around)
-    return found & (cells.sums[:, 0] >= own.shots)
+    poles = limits.poles
+    is_thin: Mask = (long_m < poles.thin_m) & (top >= poles.least_m) & (around <= poles.around)
+    return is_thin & (cells.sums[:, 0] >= poles.shots)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """What stands in cells that touch, up to a height."""
+    """Objects in adjacent cells, up to a height."""
 
     is_low: Mask
     """(cells,) bool, whether a cell is part of one."""
@@ -235,8 +236,10 @@ class Bodies:
         length, width = (
             UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0)
         )
-        at = of_cell * N_LEVELS + levels[is_low]
-        counts = np.bincount(at, cells.sums[is_low, 0], n_bodies * N_LEVELS).reshape(-1, N_LEVELS)
+        bin_of_cell = of_cell * N_LEVELS + levels[is_low]
+        counts = np.bincount(bin_of_cell, cells.sums[is_low, 0], n_bodies * N_LEVELS).reshape(
+            -1, N_LEVELS
+        )
         sight = np.full(n_bodies, np.inf)
         np.minimum.at(sight, of_cell, sight_m[is_low])
         smooth = sums[:, 6] / np.maximum(sums[:, 7], 1.0)
@@ -246,7 +249,7 @@ class Bodies:
         )
 
     def are(self, box: BoxThresholds, storey_m: float) -> Mask:
-        """Return which cells are part of a body of a vehicle's size whose top is seen, (cells,) bool."""
+        """Return which cells are part of a body of a vehicle's size with a visible top."""
         top = np.argmax(self.counts >= box.most_share * self.shots[:, None], axis=1) * storey_m
         is_box = (self.shots >= box.shots) & (self.sight_m - top >= box.seen_m)
         for value, least, most in (
@@ -258,9 +261,9 @@ class Bodies:
             (self.length_m, box.squat * top, np.inf),
         ):
             is_box &= (value >= least) & (value <= most)
-        found = np.zeros(len(self.is_low), np.bool_)
-        found[self.is_low] = is_box[self.of_cell]
-        return found
+        is_part = np.zeros(len(self.is_low), np.bool_)
+        is_part[self.is_low] = is_box[self.of_cell]
+        return is_part
 
 
 def _sums_of(
@@ -271,12 +274,12 @@ def _sums_of(
     cell_m: float,
 ) -> F64:
     """Return the sums of bodies, (bodies, 9) float64, places from the corner of the grid [m]."""
-    own = cells.sums[use]
+    sums = cells.sums[use]
     place = (cells.where[use] + 0.5) * cell_m
-    n = own[:, 0]
-    x = own[:, 1]
-    y = own[:, 2]
-    moved = own.copy()
+    n = sums[:, 0]
+    x = sums[:, 1]
+    y = sums[:, 2]
+    moved = sums.copy()
     moved[:, 1] = x + n * place[:, 0]
     moved[:, 2] = y + n * place[:, 1]
     moved[:, 3] += 2 * place[:, 0] * x + n * place[:, 0] ** 2
@@ -293,8 +296,8 @@ def low_plants(
     limits: Limits,
 ) -> Mask:
     """Mark the plants among low shots; see :func:`cells_loops.low_plants`."""
-    found: Mask = kernels.low_plants(polar.xyz_m, above_m, marks, limits.soil)
-    return found
+    is_plant: Mask = kernels.low_plants(polar.xyz_m, above_m, marks, limits.soil)
+    return is_plant
 
 
 @stage("labels")
@@ -311,16 +314,11 @@ def label_shots(
     """Return the rule that gives every shot its label, (lines, M) uint8."""
     has_cell = cells.of_shot >= 0
     of_cell = np.append(cell_rules, np.uint8(0))[cells.of_shot]
-    surface, plant, thin, rough, flake = (
-        np.uint8(one)
-        for one in (
-            Reason.SURFACE,
-            Reason.LOW_PLANT,
-            Reason.THIN_SMOOTH,
-            Reason.ROUGH_PLACE,
-            Reason.FLAKE,
-        )
-    )
+    surface = np.uint8(Reason.SURFACE)
+    plant = np.uint8(Reason.LOW_PLANT)
+    thin = np.uint8(Reason.THIN_SMOOTH)
+    rough = np.uint8(Reason.ROUGH_PLACE)
+    flake = np.uint8(Reason.FLAKE)
     high = np.where(has_cell, of_cell, np.where(marks & SMOOTH, thin, rough))
     low = np.where(plants, np.where(has_cell, of_cell, plant), surface)
     rules = np.where(above_m <= limits.soil.foot_m, low, high)

@@ -20,7 +20,7 @@ from prc_cli.core.types import F32, F64
 from prc_cli.methods.rings.thresholds import BINS_PER_ROOT_M, N_BINS, GroundThresholds
 
 USUAL_STEP_RAD = math.radians(0.2)
-"""Angle between lines where nothing tells it [rad]: ten turns a second of most scanners."""
+"""Angle between lines if it cannot be measured [rad]: ten turns a second of most scanners."""
 WHOLE_TURN = 0.97
 """Share of a turn from which on the last sector of a block is beside the first."""
 NEAR_M = 25.0
@@ -36,16 +36,16 @@ EASE = 1e-6
 FEWEST = 20
 """Lowest heights that make a plane."""
 UPSIDE_DOWN = 1.5
-"""A scanner hangs upside down where so many times more heights agree with a plane above than with one below ..."""
+"""A scanner is upside down if this many times more heights agree with a plane above it ..."""
 BOTH = 0.2
 """... and those below are less than this share of them.
 
 Else both are level, a floor and a ceiling.
 """
 LEANS_RAD = math.radians(12.0)
-"""A plane that leans more is levelled first: sectors and columns of space are upright [rad] ..."""
+"""Axes are levelled before a plane that leans more is used [rad] ..."""
 LEVEL = 0.4
-"""... and one that less than this share of the lowest heights agrees with is not trusted before others were tried."""
+"""... and so is a plane that less than this share of the lowest heights agrees with."""
 TRIED_RAD = np.radians([12.0, 24.0, 36.0, 48.0])
 N_WAYS = 12
 """Leans that are tried, each to so many sides [rad]."""
@@ -69,15 +69,15 @@ class GroundPlane:
     height_m: float = 0.0
     """Height at the scanner: minus the scanner's height above the ground [m]."""
     up: float = 1.0
-    """-1 where the scanner hangs upside down."""
+    """-1 if the scanner is upside down."""
     n_cells: int = 0
     """Cells that agree; 0 = nothing is known."""
     turn: Matrix | None = None
     """Axes, one a row, on which the plane is level; None = those of the scanner."""
     is_both: bool = False
-    """Whether there is a plane above as well, where z is taken to point up."""
+    """Whether there is a plane above as well; z is then assumed to point up."""
 
-    def at(self, x_m: F64, y_m: F64) -> F64:
+    def heights_at(self, x_m: F64, y_m: F64) -> F64:
         """Return heights, of the shape of ``x_m`` [m]."""
         heights: F64 = self.slope_x * x_m + self.slope_y * y_m + self.height_m
         return heights
@@ -140,12 +140,12 @@ class Polar:
 
 
 def _without_gaps(azimuth: F64, known: NDArray[np.bool_]) -> F64:
-    """Return azimuths without jumps, and between those of other lines where a line has no return."""
+    """Return azimuths without jumps; those of lines without return lie between their neighbours."""
     if not known.any():
         return np.zeros(len(azimuth))
     lines = np.arange(len(azimuth))
-    whole: F64 = np.interp(lines, lines[known], np.unwrap(azimuth[known]))
-    return whole
+    azimuths: F64 = np.interp(lines, lines[known], np.unwrap(azimuth[known]))
+    return azimuths
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +158,7 @@ class Lowest:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the plane is about level, and a good part of the lowest heights agrees with it."""
+        """Whether the plane is about level, and many of the lowest heights agree with it."""
         near = self.height_m[:, : int(np.sqrt(NEAR_M) * BINS_PER_ROOT_M)]
         lean_rad = math.atan(math.hypot(self.plane.slope_x, self.plane.slope_y))
         return lean_rad < LEANS_RAD and self.plane.n_cells > LEVEL * int(
@@ -167,7 +167,7 @@ class Lowest:
 
     @classmethod
     def of(cls, polar: Polar, up: float, thresholds: GroundThresholds) -> Lowest:
-        """Fit a plane to the lowest heights near the scanner, beginning at the height that most of them have."""
+        """Fit a plane to the lowest heights near the scanner, from the most frequent one."""
         low: F32 = kernels.lowest_heights(
             polar.xyz_m, polar.place, up, polar.sector_lines, N_BINS, thresholds.pair_m
         )
@@ -182,8 +182,10 @@ class Lowest:
             near = np.abs(places @ plane - heights) < trim_m
             if np.count_nonzero(near) < FEWEST:
                 return cls(low, GroundPlane(0.0, 0.0, float(plane[2]), up, 0))
-            own = places[near]
-            plane = np.linalg.solve(own.T @ own + EASE * np.eye(3), own.T @ heights[near])
+            near_places = places[near]
+            plane = np.linalg.solve(
+                near_places.T @ near_places + EASE * np.eye(3), near_places.T @ heights[near]
+            )
         n_cells = int(np.count_nonzero(np.abs(places @ plane - heights) < thresholds.plane_m))
         return cls(low, GroundPlane(float(plane[0]), float(plane[1]), float(plane[2]), up, n_cells))
 
@@ -197,14 +199,14 @@ def find_plane(
 ) -> tuple[Polar, Lowest]:
     """Return the places of shots, (lines, M, 3) float32 [m], the lowest heights and their plane.
 
-    Where the block shows too little of the plane, it is that of the blocks before. ``up`` is -1
-    where z is told to point down, 1 where it points up; None = it is looked for.
+    If the block shows too little of the plane, it is the plane of the blocks before. ``up`` is -1
+    if z points down, 1 if it points up; None = it is to be found.
     """
     if known.n_cells:
         polar = Polar.of(turned(xyz_m, known.turn), thresholds)
-        found = Lowest.of(polar, known.up, thresholds)
-        plane = replace(found.plane, turn=known.turn, is_both=known.is_both)
-        return polar, Lowest(found.height_m, plane if plane.n_cells >= FEWEST else known)
+        lowest = Lowest.of(polar, known.up, thresholds)
+        plane = replace(lowest.plane, turn=known.turn, is_both=known.is_both)
+        return polar, Lowest(lowest.height_m, plane if plane.n_cells >= FEWEST else known)
     polar = Polar.of(xyz_m, thresholds)
     level = _up_or_down(polar, thresholds, up)
     if level.is_sure:
@@ -213,7 +215,7 @@ def find_plane(
 
 
 def _up_or_down(polar: Polar, thresholds: GroundThresholds, up: float | None) -> Lowest:
-    """Return the plane below, or the one above where z points down."""
+    """Return the plane below, or the one above if z points down."""
     if up is not None:
         return Lowest.of(polar, up, thresholds)
     below = Lowest.of(polar, 1.0, thresholds)
@@ -234,15 +236,15 @@ def _levelled(
     thresholds: GroundThresholds,
     up: float | None,
 ) -> tuple[Polar, Lowest]:
-    """Return the places of shots on axes on which the ground is level, where it leans, and the ground."""
+    """Return the places of shots on axes on which leaning ground is level, and the ground."""
     best = level
     best_turn: Matrix | None = None
     for lean in TRIED_RAD.tolist():
         for way in np.arange(N_WAYS) * (2 * math.pi / N_WAYS):
             turn = _matrix(turning(lean * np.array([math.cos(way), math.sin(way), 0.0])))
-            other = _up_or_down(Polar.of(turned(xyz_m, turn), thresholds), thresholds, up)
-            if other.plane.n_cells > best.plane.n_cells:
-                best = other
+            tried = _up_or_down(Polar.of(turned(xyz_m, turn), thresholds), thresholds, up)
+            if tried.plane.n_cells > best.plane.n_cells:
+                best = tried
                 best_turn = turn
     is_clear = best.plane.n_cells > CLEAR * level.plane.n_cells
     plane = best.plane if is_clear else level.plane
@@ -251,15 +253,15 @@ def _levelled(
     plane = Lowest.of(Polar.of(turned(xyz_m, first), thresholds), plane.up, thresholds).plane
     last = _onto(plane, first)
     level_polar = Polar.of(turned(xyz_m, last), thresholds)
-    found = Lowest.of(level_polar, plane.up, thresholds)
+    lowest = Lowest.of(level_polar, plane.up, thresholds)
     lean = math.acos(min(max(last[2][2], -1.0), 1.0))
     if (
-        found.plane.n_cells < max(FEWEST, level.plane.n_cells)
+        lowest.plane.n_cells < max(FEWEST, level.plane.n_cells)
         or not LEANS_RAD < lean < MOST_LEAN_RAD
     ):
         return polar, level
     return level_polar, Lowest(
-        found.height_m, replace(found.plane, turn=last, is_both=best.plane.is_both)
+        lowest.height_m, replace(lowest.plane, turn=last, is_both=best.plane.is_both)
     )
 
 
@@ -289,7 +291,7 @@ def turned(xyz_m: F32, turn: Matrix | None) -> F32:
 @stage("ground")
 def above_ground(polar: Polar, low: Lowest, thresholds: GroundThresholds) -> F32:
     """Return the height of every shot above the ground, (lines, M) float32 [m]; NaN = missing."""
-    base = low.plane.at(*polar.centres())
+    base = low.plane.heights_at(*polar.centres())
     start, seen = kernels.walk_outwards(
         (low.height_m - base).astype(np.float32), polar.middle_m, thresholds
     )
@@ -314,7 +316,7 @@ def _heights(
     surface_m: F64,
     thresholds: GroundThresholds,
 ) -> tuple[F32, F64, F64]:
-    found: tuple[F32, F64, F64] = kernels.heights_above(
+    heights: tuple[F32, F64, F64] = kernels.heights_above(
         polar.xyz_m,
         polar.place,
         plane.up,
@@ -323,4 +325,4 @@ def _heights(
         BINS_PER_ROOT_M,
         thresholds,
     )
-    return found
+    return heights

@@ -1,7 +1,4 @@
-"""Loops of the method for rings that find the ground.
-
-a surface of sectors of azimuth by bins of distance.
-"""
+"""Loops of the method for rings that find the ground, a surface of sectors by bins of distance."""
 
 from __future__ import annotations
 
@@ -28,7 +25,9 @@ def lowest_heights(
     n_bins: int,
     pair_m: float,
 ) -> F32_2:
-    """Return the lowest height of every cell that another shot of it confirms, (sectors, bins) float32; NaN = none.
+    """Return the lowest height of every cell that another shot confirms, (sectors, bins) float32.
+
+    NaN = none.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``up`` is -1 where z
     points down.
@@ -48,18 +47,18 @@ def lowest_heights(
                 low[1], low[2] = z, low[1]
             elif z < low[2]:
                 low[2] = z
-    found = np.full((n_sectors, n_bins), np.nan, np.float32)
+    lowest = np.full((n_sectors, n_bins), np.nan, np.float32)
     for s in range(n_sectors):
         for b in range(n_bins):
             low = three[s, b]
             if low[1] == _FAR:
                 if low[0] < _FAR:
-                    found[s, b] = np.float32(low[0])
+                    lowest[s, b] = np.float32(low[0])
             elif low[1] - low[0] < pair_m:
-                found[s, b] = np.float32(0.5 * (low[0] + low[1]))
+                lowest[s, b] = np.float32(0.5 * (low[0] + low[1]))
             elif low[2] - low[1] < pair_m:
-                found[s, b] = np.float32(0.5 * (low[1] + low[2]))
-    return found
+                lowest[s, b] = np.float32(0.5 * (low[1] + low[2]))
+    return lowest
 
 
 @kernel()
@@ -76,14 +75,14 @@ def walk_outwards(
     height = np.empty((n_sectors, n_bins))
     seen = np.zeros((n_sectors, n_bins), np.bool_)
     last = np.zeros(n_sectors)
-    at = np.full(n_sectors, middle_m[0])
+    last_seen_m = np.full(n_sectors, middle_m[0])
     slope = np.zeros(n_sectors)
     for b in range(n_bins):
         for s in range(n_sectors):
             total = weight = 0.0
             for k in range(3):
                 q = (s + _SIDES[k]) % n_sectors
-                gap = middle_m[b] - at[q]
+                gap = middle_m[b] - last_seen_m[q]
                 share = _SHARES[k] / (1.0 + 0.2 * gap)
                 total += share * (last[q] + slope[q] * min(gap, thresholds.far_m))
                 weight += share
@@ -91,7 +90,7 @@ def walk_outwards(
         for s in range(n_sectors):
             if off_m[s, b] != off_m[s, b]:
                 continue
-            gap = middle_m[b] - at[s]
+            gap = middle_m[b] - last_seen_m[s]
             above = float(off_m[s, b]) - height[s, b]
             reach = min(gap, thresholds.gap_m)
             if above > thresholds.step_m + thresholds.rise * reach:
@@ -107,7 +106,7 @@ def walk_outwards(
                 share = min(gap / (gap + thresholds.follow_m), thresholds.follow)
                 slope[s] += share * (steep - slope[s])
             last[s] = height[s, b]
-            at[s] = middle_m[b]
+            last_seen_m[s] = middle_m[b]
     return height, seen
 
 
@@ -120,33 +119,33 @@ def smooth_surface(
     rounds: int,
     is_round: bool,
 ) -> F64_2:
-    """Return the surface between the heights of cells and those of the cells around, (sectors, bins) float64.
+    """Return a surface between heights of cells and of their neighbours, (sectors, bins) float64.
 
     ``height_m, weight, start_m`` (sectors, bins) float64; ``is_round``: the last sector is beside
     the first.
     """
     n_sectors, n_bins = height_m.shape
-    found = start_m.copy()
+    surface = start_m.copy()
     for _ in range(rounds):
         for s in range(n_sectors):
             for b in range(n_bins):
                 total = weight[s, b] * height_m[s, b]
-                sum_of = weight[s, b]
+                total_weight = weight[s, b]
                 if b > 0:
-                    total += stiff * found[s, b - 1]
-                    sum_of += stiff
+                    total += stiff * surface[s, b - 1]
+                    total_weight += stiff
                 if b + 1 < n_bins:
-                    total += stiff * found[s, b + 1]
-                    sum_of += stiff
+                    total += stiff * surface[s, b + 1]
+                    total_weight += stiff
                 if s > 0 or is_round:
-                    total += stiff * found[(s - 1) % n_sectors, b]
-                    sum_of += stiff
+                    total += stiff * surface[(s - 1) % n_sectors, b]
+                    total_weight += stiff
                 if s + 1 < n_sectors or is_round:
-                    total += stiff * found[(s + 1) % n_sectors, b]
-                    sum_of += stiff
-                if sum_of > 0:
-                    found[s, b] = total / sum_of
-    return found
+                    total += stiff * surface[(s + 1) % n_sectors, b]
+                    total_weight += stiff
+                if total_weight > 0:
+                    surface[s, b] = total / total_weight
+    return surface
 
 
 @helper
@@ -184,19 +183,19 @@ def heights_above(
         high = min(int(first) + 1, n_sectors - 1)
         for b in range(n_bins):
             row[b] = _between(surface_m[low, b], surface_m[high, b], along - first)
-        own = line // sector_lines
+        sector = line // sector_lines
         for i in range(m):
             if place[line, i] != place[line, i]:
                 above[line, i] = np.float32(np.nan)
                 continue
-            at = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
-            b = int(at)
-            off = up * float(xyz_m[line, i, 2]) - _between(row[b], row[b + 1], at - b)
+            bin_place = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
+            b = int(bin_place)
+            off = up * float(xyz_m[line, i, 2]) - _between(row[b], row[b + 1], bin_place - b)
             above[line, i] = np.float32(off)
             distance = float(place[line, i]) / root
             limit = thresholds.near_m + thresholds.near_per_m * distance * distance
             if place[line, i] < n_bins and abs(off) < limit:
                 b = int(place[line, i])
-                total[own, b] += off
-                number[own, b] += 1.0
+                total[sector, b] += off
+                number[sector, b] += 1.0
     return above, total, number

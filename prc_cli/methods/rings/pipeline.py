@@ -90,8 +90,10 @@ LABELS = frozenset(
 def is_fan(beam_rad: F64) -> bool:
     """Return whether beams, (M,) float64 [rad], are a fan of rings.
 
-    >>> is_fan(np.deg2rad([65.0, 80, 90, 92])), is_fan(np.deg2rad([-90.0, -30, 30, 90])), is_fan(np.deg2rad([1.0] * 9))
-    (True, False, False)
+    >>> [is_fan(np.deg2rad(beams)) for beams in ([65.0, 80, 90, 92], [-90.0, -30, 30, 90])]
+    [True, False]
+    >>> is_fan(np.deg2rad([1.0] * 9))
+    False
     """
     if not FEWEST_RINGS <= len(beam_rad) <= MAX_RINGS:
         return False
@@ -181,8 +183,8 @@ class Rings(Classifier[F64, RingsState]):
         up = UP[self.params.up]
 
         def step(known: GroundPlane) -> tuple[tuple[Polar, Lowest], GroundPlane]:
-            found = find_plane(xyz_m, known, limits.ground, up)
-            return found, found[1].plane
+            ground = find_plane(xyz_m, known, limits.ground, up)
+            return ground, ground[1].plane
 
         polar, low = turn.hand_on(PLANE, step)
         plane = low.plane
@@ -266,7 +268,7 @@ def sight_over(
     plane: GroundPlane,
     limits: Limits,
 ) -> F64:
-    """Return how high above the ground the highest ring looks at the place of every cell, (cells,) float64 [m]."""
+    """Return the height above the ground of the highest ring at every cell, (cells,) [m]."""
     place = (cells.where + 0.5) * limits.cells.cell_m - limits.cells.half_m
     rise: Any = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))
     if plane.turn is not None:
@@ -290,12 +292,12 @@ def _highest_rise(beam_rad: F64, plane: GroundPlane, azimuth_rad: F64) -> F64:
     azimuth = np.arctan2(y, x)
     rise = plane.up * z / np.maximum(np.hypot(x, y), 1e-3)
     order = np.argsort(azimuth)
-    found: F64 = np.interp(azimuth_rad, azimuth[order], rise[order], period=2 * math.pi)
-    return found
+    rises: F64 = np.interp(azimuth_rad, azimuth[order], rise[order], period=2 * math.pi)
+    return rises
 
 
 def measures_of(above_m: F32, marks: U8, cells: Cells) -> dict[str, NDArray[Any]]:
-    """Return what was measured of every shot of a block, by names with their units."""
+    """Return the measured quantities of every shot of a block, by names with their units."""
     return {
         "height above the ground [m]": above_m,
         "smooth along its ring": (marks & 1).astype(np.bool_),

@@ -72,7 +72,7 @@ class MarkThresholds(NamedTuple):
     smooth_per_m: float = 0.0006
     """... plus this per metre of distance."""
     upright: float = 0.35
-    """Rings meet an upright surface if they differ in distance by less than this share of their height ..."""
+    """Rings meet an upright surface if they differ less in distance than by this share of height ..."""
     upright_m: float = 0.05
     """... plus this [m]."""
     level: float = 0.35
@@ -266,5 +266,5 @@ MANY = Limits()
 FEW = Limits(
     soil=SoilThresholds(bias=2.0, rough=20.0), cars=BoxThresholds(smooth=0.04, narrow_m=0.38)
 )
-"""Limits for 16 to 40 rings: the shots of a place are of one or two rings, whose heights differ less, and of a car they
-see less."""
+"""Limits for 16 to 40 rings: the shots of a place are of one or two rings, whose heights differ
+less, and see less of a car."""
