@@ -72,7 +72,8 @@ class MarkThresholds(NamedTuple):
     smooth_per_m: float = 0.0006
     """... plus this per metre of distance."""
     upright: float = 0.35
-    """Rings meet an upright surface if they differ less in distance than by this share of height ..."""
+    """Rings meet an upright surface if they differ less in distance than by this share of height
+    ..."""
     upright_m: float = 0.05
     """... plus this [m]."""
     level: float = 0.35

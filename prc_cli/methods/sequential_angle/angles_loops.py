@@ -37,8 +37,8 @@ _ARC_SINE = np.array(
         0.03257934796692842,
     )
 )
-"""Polynomial for arcsin(s) / s in powers of s squared, equal to it at Chebyshev's nodes of s up to 1/2: what it differs
-by, 1.1e-18, is below the last bit."""
+"""Polynomial for arcsin(s) / s in powers of s squared, equal to it at Chebyshev's nodes of s up to
+1/2: what it differs by, 1.1e-18, is below the last bit."""
 _TERMS = len(_ARC_SINE)
 
 
@@ -258,7 +258,7 @@ def line_angles(
     """
     n_rows, n = range_m.shape
     n_sides = len(beam_rad)
-    found = np.full((n_rows, n), np.nan, np.float32)
+    angles = np.full((n_rows, n), np.nan, np.float32)
     # most chords go to the same beam as in the row before: sine and cosine of the angle between
     # them are kept
     known = np.full((n_sides, n), -1, np.int32)
@@ -292,5 +292,5 @@ def line_angles(
             along[i] -= here[i] / there[i]
         _directions(up, along, m)
         for i in range(m):
-            found[row, beam[i]] = math.degrees(up[i] + beam_rad[side, beam[i]])
-    return found
+            angles[row, beam[i]] = math.degrees(up[i] + beam_rad[side, beam[i]])
+    return angles

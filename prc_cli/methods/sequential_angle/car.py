@@ -40,8 +40,8 @@ def high_verticals(
         surface, lines.xyz_m, lines.n_beams, z_g, thresholds.height_m
     )
     distance = np.full(len(beam), np.inf, np.float32)
-    found = np.flatnonzero(beam >= 0)
-    distance[found] = lines.horizontal_m[found, beam[found]]
+    rows = np.flatnonzero(beam >= 0)
+    distance[rows] = lines.horizontal_m[rows, beam[rows]]
     return distance
 
 
@@ -258,7 +258,7 @@ class CarSearch:
         return cls(nothing, nothing.astype(np.uint16), nothing)
 
 
-def car_search(found: Cars, lines: VerticalLines) -> CarSearch:
+def car_search(cars_found: Cars, lines: VerticalLines) -> CarSearch:
     """Spread the results of the search over the beams.
 
     >>> spread(np.array([[0, 1, 2], [0, 4, 4]], np.int32), np.array([1, 2]), (1, 6))
@@ -266,31 +266,33 @@ def car_search(found: Cars, lines: VerticalLines) -> CarSearch:
     """
     shape = lines.range_m.shape
     beam = np.arange(shape[1], dtype=np.int32)
-    at = found.trigger[:, None]
+    trigger_beam = cars_found.trigger[:, None]
     trigger = np.where(
-        beam < at, TriggerSide.BEFORE, np.where(beam > at, TriggerSide.AFTER, TriggerSide.AT)
+        beam < trigger_beam,
+        TriggerSide.BEFORE,
+        np.where(beam > trigger_beam, TriggerSide.AFTER, TriggerSide.AT),
     )
-    trigger[(at < 0)[:, 0]] = TriggerSide.NONE
+    trigger[(trigger_beam < 0)[:, 0]] = TriggerSide.NONE
     trigger[beam >= lines.n_beams[:, None]] = TriggerSide.NONE
-    divided = found.intervals.divided
-    pieces = found.intervals.pieces
+    divided = cars_found.intervals.divided
+    pieces = cars_found.intervals.pieces
     # rows are in order, so that the first interval of a row is found by bisection
     number = np.arange(len(divided)) - np.searchsorted(divided[:, 0], divided[:, 0]) + 1
     interval = spread(divided, number, shape)
     missing = np.isnan(lines.range_m)
-    kept = spread(pieces, 1 + found.stable.astype(np.int64), shape)
+    kept = spread(pieces, 1 + cars_found.stable.astype(np.int64), shape)
     test = np.full(shape, CarTest.OUTSIDE, np.uint8)
     test[interval > 0] = CarTest.VERTICAL
     test[kept == 1] = CarTest.VEGETATION
     test[kept == 2] = CarTest.ON_GROUND
-    test[(kept == 2) & _beyond(found, lines)] = CarTest.BEHIND_WALL
-    test[found.car] = CarTest.CAR
+    test[(kept == 2) & _beyond(cars_found, lines)] = CarTest.BEHIND_WALL
+    test[cars_found.car] = CarTest.CAR
     test[missing] = CarTest.OUTSIDE
     return CarSearch(trigger.astype(np.uint8), interval.astype(np.uint16), test)
 
 
-def _beyond(found: Cars, lines: VerticalLines) -> Mask:
-    beyond: Mask = lines.horizontal_m > found.limit_m[:, None]
+def _beyond(cars_found: Cars, lines: VerticalLines) -> Mask:
+    beyond: Mask = lines.horizontal_m > cars_found.limit_m[:, None]
     return beyond
 
 

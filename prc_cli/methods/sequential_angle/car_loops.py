@@ -1,4 +1,7 @@
-"""Loops that cut lines into intervals which may be cars, and test their spectrum (Stamos et al. 2012, sec. 7)."""
+"""Loops that cut lines into intervals which may be cars, and test their spectrum.
+
+Stamos et al. (2012), sec. 7.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +32,10 @@ _CHUNK = 64
 """Frequencies computed at once: enough for vector instructions, few enough to stop early."""
 
 _TIE = 1e-9
-"""Relative difference between two frequencies that counts as none.
-
-a spectrum is not computed more exactly.
-"""
+"""Relative difference of two magnitudes that counts as none: a spectrum is not more exact."""
+ZERO = np.int64(0)
+NONE = np.int64(-1)
+"""Integers that numba does not treat as literals: it would compile helpers again for a literal."""
 
 
 @kernel()
@@ -42,39 +45,43 @@ def _powers(
     n_frequencies: int,
     power: F64_1,
 ) -> None:
-    """Compute the power of successive frequencies by Goertzel's recursion, all of them sample after sample.
+    """Compute the power of successive frequencies by Goertzel's recursion.
 
-    The loop over frequencies is the inner one because it is the one that vector instructions can
-    take.
+    The loop over frequencies is the inner one because vector instructions work on it.
     """
     n = len(values)
     turn = np.empty(n_frequencies, np.float64)
-    one = np.zeros(n_frequencies, np.float64)
-    two = np.zeros(n_frequencies, np.float64)
+    state = np.zeros(n_frequencies, np.float64)
+    state_before = np.zeros(n_frequencies, np.float64)
     for k in range(n_frequencies):
         turn[k] = 2.0 * math.cos(2.0 * math.pi * (first + k) / n)
     odd = n % 2
     if odd:
-        one[:] = values[0]
-    for i in range(odd, n, 2):  # two samples a round, so that nothing has to be moved
+        state[:] = values[0]
+    for i in range(odd, n, 2):  # two samples a round, so that no state has to be copied
         x = values[i]
         y = values[i + 1]
         for k in range(n_frequencies):
-            newer = x + turn[k] * one[k] - two[k]
-            one[k] = y + turn[k] * newer - one[k]
-            two[k] = newer
+            state_between = x + turn[k] * state[k] - state_before[k]
+            state[k] = y + turn[k] * state_between - state[k]
+            state_before[k] = state_between
     for k in range(n_frequencies):
-        power[k] = max(0.0, one[k] * one[k] + two[k] * two[k] - turn[k] * one[k] * two[k])
+        power[k] = max(
+            0.0,
+            state[k] * state[k]
+            + state_before[k] * state_before[k]
+            - turn[k] * state[k] * state_before[k],
+        )
 
 
 @kernel()
 def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
-    """Tell whether no frequency from ``band * N`` up exceeds ``ratio`` times the largest one.
+    """Whether no frequency from ``band * N`` up exceeds ``ratio`` times the largest one.
 
-    With a ratio below 1 some frequency of the band exceeds that share of the largest of all if and
-    only if one exceeds that share of the largest below the band. Hence first the few frequencies
-    below the band, then those of the band until one exceeds; and none of them when all their energy
-    together, which Parseval's theorem gives for nothing, would not do.
+    With a ratio below 1 a frequency of the band exceeds that share of the largest of all if and
+    only if one exceeds that share of the largest below the band. So the few frequencies below the
+    band come first, then those of the band until one exceeds. The band is skipped if all its energy
+    together, known from Parseval's theorem, is too small.
     """
     n = len(values)
     n_low = min(math.ceil(band * n), n // 2 + 1)
@@ -83,18 +90,17 @@ def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
     for x in values:
         energy += x * x
     energy *= n
-    rest = energy
+    energy_above = energy
     largest = 0.0
     for first in range(0, n_low, _CHUNK):
         size = min(_CHUNK, n_low - first)
         _powers(values, first, size, power)
         for k in range(size):
             largest = max(largest, power[k])
-            rest -= power[k] if first + k == 0 or 2 * (first + k) == n else 2.0 * power[k]
+            energy_above -= power[k] if first + k == 0 or 2 * (first + k) == n else 2.0 * power[k]
     share = (ratio * (1.0 + _TIE)) ** 2
-    # every frequency but the one of N/2 has its energy twice, at k and at N - k; all of it is taken
-    # for that one
-    if rest + 1e-12 * energy <= share * largest:
+    # every frequency but N/2 has its energy twice, at k and at N - k: as if all were that of N/2
+    if energy_above + 1e-12 * energy <= share * largest:
         return True
     for first in range(n_low, n // 2 + 1, _CHUNK):
         size = min(_CHUNK, n // 2 + 1 - first)
@@ -107,7 +113,7 @@ def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
 
 @kernel()
 def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThresholds) -> Mask_1:
-    """Mark intervals whose signed angles hold no high frequency.
+    """Mark intervals whose signed angles have no high frequency.
 
     Long intervals are cut into the least number of windows of nearly equal size; at least half of
     them must be without high frequencies.
@@ -149,15 +155,13 @@ _RANGE = 3
 _DISTANCE = 4
 """Columns of the points of a row: x, y, z, range, horizontal distance [m]."""
 _BACK_M = 1.0
-"""What is no farther than this behind a point, after a jump, is the same object, seen again ..."""
+"""A point no farther than this behind the point before a jump is on the same object [m] ..."""
 _WINDOW_M = 0.8
 """... if it is no higher above it than the window of a car [m]."""
-
-
 _STEP_M = 0.1
 """The reliefs of walls are no deeper from one return to the next [m]."""
 _SILL_M = 0.6
-"""The windows of cars begin higher above the ground than this [m]."""
+"""The windows of cars start higher above the ground than this [m]."""
 
 
 @helper
@@ -172,9 +176,9 @@ def _behind_glass(
     limit_m: float,
     most_m: float,
 ) -> int:
-    """Return the first beam behind T' that is seen through a window, or -1.
+    """Return the first beam behind T' that is seen through a window; -1 = it is no window.
 
-    What follows is near again and no T'.
+    Behind a window, the next return is near again and not T'.
     """
     while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
         if xyz_m[row, k, 2] > limit_m:
@@ -193,22 +197,19 @@ def _top_of_van(
     row: int,
     k: int,
     n: int,
-    before: float,
+    distance_before_m: float,
     break_m: float,
     most_m: float,
 ) -> int:
-    """Return the beam after the vertical run that a beam goes on with, or -1.
-
-    It ends too high, or with the row.
-    """
+    """Return the beam after the vertical run that beam ``k`` continues; -1 = it ends too high."""
     while k < n:
-        here = np.float64(horizontal_m[row, k])
-        if here == here:
-            if surface[row, k] != _VERTICAL or abs(here - before) > break_m:
+        distance_m = np.float64(horizontal_m[row, k])
+        if distance_m == distance_m:
+            if surface[row, k] != _VERTICAL or abs(distance_m - distance_before_m) > break_m:
                 return k
             if xyz_m[row, k, 2] > most_m:
                 return -1
-            before = here
+            distance_before_m = distance_m
         elif k + 1 == n:
             return n
         k += 1
@@ -216,7 +217,7 @@ def _top_of_van(
 
 
 @helper
-def _gather(
+def _gather_returns(
     surface: U8,
     range_m: F32,
     xyz_m: F32,
@@ -230,24 +231,22 @@ def _gather(
 ) -> tuple[int, int]:
     """List the returns of a row up to the first one that is neither H nor V, or too high.
 
-    T' in windows is left out.
-
-    Returns how many there are, and which of them is the first vertical one behind a horizontal one,
-    or that of the row with ``from_start``.
+    T' in windows is left out. Returns the number of returns, and the index of the first vertical
+    one after a horizontal one. With ``from_start`` the first return of the row may be it too.
     """
-    size = int(np.int64(0))
-    first = int(np.int64(-1))
-    before = _VERTICAL
-    skipped = van = int(np.int64(0))
+    size = ZERO
+    first = NONE
+    code_before = _VERTICAL
+    skipped = van = ZERO
     limit_m = ground_m + thresholds.height_m
     sill_m = ground_m + _SILL_M
     glass_m = thresholds.glass_m
     for k in range(n):
         if k < skipped or range_m[row, k] != range_m[row, k]:
             continue
-        here = surface[row, k]
+        code_here = surface[row, k]
         if (
-            here == _VEGETATION
+            code_here == _VEGETATION
             and first >= 0
             and glass_m > 0.0
             and xyz_m[row, beam[size - 1], 2] >= sill_m
@@ -258,10 +257,10 @@ def _gather(
             )
             if skipped > k:
                 continue
-        if here != _HORIZONTAL and here != _VERTICAL:
+        if code_here != _HORIZONTAL and code_here != _VERTICAL:
             break
         if xyz_m[row, k, 2] > limit_m and k >= van:
-            if size > 0 and before == _VERTICAL:
+            if size > 0 and code_before == _VERTICAL:
                 van = _top_of_van(
                     surface,
                     horizontal_m,
@@ -276,17 +275,17 @@ def _gather(
             if k >= van:
                 break
         starts = thresholds.from_start and size == 0
-        if first < 0 and here == _VERTICAL and (starts or before == _HORIZONTAL):
+        if first < 0 and code_here == _VERTICAL and (starts or code_before == _HORIZONTAL):
             first = size
-        before = here
+        code_before = code_here
         beam[size] = k
-        code[size] = here
+        code[size] = code_here
         size += 1
     return size, first if first >= 0 else size
 
 
 @helper
-def _place(
+def _gather_points(
     range_m: F32,
     xyz_m: F32,
     horizontal_m: F32,
@@ -296,10 +295,7 @@ def _place(
     size: int,
     points: F64,
 ) -> None:
-    """Put the points of a row together from one of its returns on.
-
-    What comes before divides nothing.
-    """
+    """Copy the points of a row from its return ``first`` on: those before are in no interval."""
     for i in range(first, size):
         k = beam[i]
         points[i, 0] = xyz_m[row, k, 0]
@@ -319,10 +315,7 @@ def _change_angle(
     chord_m: float,
     reach: int,
 ) -> float:
-    """Return the signed angle of the chord that begins at a point [deg].
-
-    NaN when no point is far enough away.
-    """
+    """Return the signed angle of the chord from a point [deg]; NaN = no point is far enough away."""
     k = beam[j]
     x = np.float64(xyz_m[row, k, 0])
     y = np.float64(xyz_m[row, k, 1])
@@ -356,16 +349,16 @@ def _is_under(
     n_before: int,
     threshold_m: float,
 ) -> bool:
-    """Tell whether one of the points before lies farther away (TestUnder)."""
-    own = np.float64(range_m[row, beam[j]])
-    farthest = own
+    """Whether one of the points before is farther away (TestUnder)."""
+    range_here = np.float64(range_m[row, beam[j]])
+    farthest = range_here
     for before in range(max(0, j - n_before), j):
         farthest = max(farthest, np.float64(range_m[row, beam[before]]))
-    return bool(farthest - own > threshold_m)
+    return bool(farthest - range_here > threshold_m)
 
 
 @helper
-def _begins(
+def _starts_interval(
     range_m: F32,
     xyz_m: F32,
     signed_deg: F32,
@@ -375,10 +368,7 @@ def _begins(
     j: int,
     thresholds: DividerThresholds,
 ) -> bool:
-    """Tell whether a change from H to V begins an interval.
-
-    Gradual, or sudden with something under it.
-    """
+    """Whether a change from H to V starts an interval: gradual, or sudden with a gap under it."""
     angle = math.nan
     if thresholds.change_chord_m > 0.0:
         angle = _change_angle(
@@ -398,9 +388,9 @@ def _is_flat(
     residual_m: float,
     slope: float,
 ) -> bool:
-    """Tell whether the straight line through the heights of successive points is near them and not steep.
+    """Whether the straight line through the heights of points fits them and is not steep.
 
-    ``sums`` holds the running sums of h, z, h², hz and z² of the points before each.
+    ``sums`` (points + 1, 5): running sums of h, z, h², hz and z² of the points before each.
     """
     n = last + 1 - first
     mean_h = (sums[last + 1, 0] - sums[first, 0]) / n
@@ -422,9 +412,9 @@ def _flat_stretch(
 ) -> tuple[int, int]:
     """Find the first long flat stretch of a horizontal run; (-1, -1) = none.
 
-    The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the
-    stretch is drawn out point by point for as long as it stays flat. That first point is sought
-    from where it was for the K before.
+    The points from K to the first one that is ``flat_length_m`` farther must be flat; then the
+    stretch grows point by point as long as it stays flat. The search for that first point starts
+    where it was for the K before.
     """
     length_m = thresholds.flat_length_m
     residual_m = thresholds.flat_residual_m
@@ -471,10 +461,7 @@ def _first_flat(
     sums: F64,
     farthest: F64,
 ) -> tuple[int, int]:
-    """Find the first long flat stretch of an interval, within one horizontal run.
-
-    (-1, -1) = none.
-    """
+    """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
     i = begin
     lowest = np.inf
     done = begin
@@ -503,7 +490,7 @@ def _comes_back(
     j: int,
     reach: int,
 ) -> bool:
-    """Tell whether one of the points after a jump is near the point before it, as over the window of a car."""
+    """Whether a point after a jump is near the point before it, as above the window of a car."""
     for after in range(j + 2, min(j + 1 + reach, size - 1) + 1):
         near = points[after, _DISTANCE] - points[j, _DISTANCE] <= _BACK_M
         if near and points[after, _Z] - points[j, _Z] <= _WINDOW_M:
@@ -519,7 +506,7 @@ def _next_jump(
     separation_m: float,
     reach: int,
 ) -> int:
-    """Find the first point from one on that a jump away from the scanner follows, or the last one."""
+    """Return the first point from ``j`` on before a jump away from the scanner, or the last one."""
     while j < size - 1:
         dx = points[j + 1, 0] - points[j, 0]
         dy = points[j + 1, 1] - points[j, 1]
@@ -533,15 +520,15 @@ def _next_jump(
 
 
 @helper
-def _with_room(found: I32, size: int) -> I32:
+def _with_room(intervals: I32, size: int) -> I32:
     """Return the list itself, or a copy of twice its length when it is full."""
-    if size < len(found):
-        return found
+    if size < len(intervals):
+        return intervals
     larger = np.empty((2 * size, 3), np.int32)
     for i in range(size):
-        larger[i, 0] = found[i, 0]
-        larger[i, 1] = found[i, 1]
-        larger[i, 2] = found[i, 2]
+        larger[i, 0] = intervals[i, 0]
+        larger[i, 1] = intervals[i, 1]
+        larger[i, 2] = intervals[i, 2]
     return larger
 
 
@@ -569,13 +556,13 @@ def car_intervals(
     points = np.empty((n, 5), np.float64)
     sums = np.empty((n + 1, 5), np.float64)
     farthest = np.empty(n + 1, np.float64)
-    found = np.empty((64, 3), np.int32)
-    n_found = 0
+    intervals = np.empty((64, 3), np.int32)
+    n_intervals = 0
     for row in range(n_rows):
         ground = np.float64(ground_m[row])
         if not triggered[row] or ground != ground:
             continue
-        size, j = _gather(
+        size, j = _gather_returns(
             surface,
             range_m,
             xyz_m,
@@ -589,18 +576,20 @@ def car_intervals(
         )
         if j == size:
             continue
-        _place(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
-        jump = int(np.int64(-1))
+        _gather_points(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
+        jump = NONE
         while j < size:
             if code[j] != _VERTICAL or (j > 0 and code[j - 1] != _HORIZONTAL):
                 j += 1
                 continue
-            if j > 0 and not _begins(range_m, xyz_m, signed_deg, row, beam, size, j, thresholds):
+            if j > 0 and not _starts_interval(
+                range_m, xyz_m, signed_deg, row, beam, size, j, thresholds
+            ):
                 j += 1
                 continue
             begin = j
             j = size
-            while begin < size:  # one interval after the other, as far as jumps alone divide them
+            while begin < size:  # interval after interval, as long as only jumps divide them
                 if jump < begin:
                     jump = _next_jump(
                         points, size, begin, thresholds.separation_m, thresholds.return_points
@@ -609,16 +598,16 @@ def car_intervals(
                 flat_from, flat_to = _first_flat(
                     code, points, begin, last, thresholds, sums, farthest
                 )
-                found = _with_room(found, n_found)
-                found[n_found, 0] = row
-                found[n_found, 1] = beam[begin]
-                found[n_found, 2] = beam[last if flat_from < 0 else flat_from]
-                n_found += 1
+                intervals = _with_room(intervals, n_intervals)
+                intervals[n_intervals, 0] = row
+                intervals[n_intervals, 1] = beam[begin]
+                intervals[n_intervals, 2] = beam[last if flat_from < 0 else flat_from]
+                n_intervals += 1
                 begin = last + 1
                 if flat_from >= 0:
                     j = flat_to + 1
                     break
-    return found[:n_found].copy()
+    return intervals[:n_intervals].copy()
 
 
 @helper
@@ -629,7 +618,7 @@ def _is_upright(
     slope: float,
     noise_m: float,
 ) -> bool:
-    """Tell whether the straight line through points is near them and nearly upright.
+    """Whether the straight line through points fits them and is nearly upright.
 
     ``sums`` are those of z, h, z², zh and h², counted from the first point.
     """
@@ -643,8 +632,8 @@ def _is_upright(
 
 
 @helper
-def _add(sums: F64, z: float, h: float) -> None:
-    """Add a point."""
+def _add_to_sums(sums: F64, z: float, h: float) -> None:
+
     sums[0] += z
     sums[1] += h
     sums[2] += z * z
@@ -663,15 +652,17 @@ def _is_straight(
     slope: float,
     noise_m: float,
 ) -> bool:
-    """Tell whether the straight line through the returns of a run is near them and nearly upright."""
-    n = int(np.int64(0))
+    """Whether the straight line through the returns of a run fits them and is nearly upright."""
+    n = ZERO
     z_0 = np.float64(xyz_m[row, first, 2])
     h_0 = np.float64(horizontal_m[row, first])
     sums = np.zeros(5, np.float64)
     for j in range(first, after):
         if horizontal_m[row, j] != horizontal_m[row, j]:
             continue
-        _add(sums, np.float64(xyz_m[row, j, 2]) - z_0, np.float64(horizontal_m[row, j]) - h_0)
+        _add_to_sums(
+            sums, np.float64(xyz_m[row, j, 2]) - z_0, np.float64(horizontal_m[row, j]) - h_0
+        )
         n += 1
     return _is_upright(sums, n, residual_m, slope, noise_m)
 
@@ -688,74 +679,75 @@ def _vertical_run(
     ground_m: float,
     thresholds: DividerThresholds,
 ) -> tuple[int, int, bool]:
-    """Follow the vertical run that begins at a beam as far as is needed to know whether it is cut out.
+    """Follow the vertical run from a beam until it is known whether it is a wall.
 
-    Returns the beam after it, its last return that lies in the interval, and whether it is.
+    Returns the beam after it, its last return within the interval, and whether it is a wall, which
+    is cut out.
     """
-    before = horizontal_m[row, k]
+    distance_before_m = horizontal_m[row, k]
     last = k
-    seen = k
-    long = False
-    n_points = int(np.int64(0))
+    last_return = k
+    is_wall = False
+    n_points = ZERO
     lowest = np.inf
     highest = -np.inf
     top_m = ground_m + thresholds.vertical_top_m
     j = k
-    while j < n and (j < stop or not long):
-        here = horizontal_m[row, j]
-        if here == here:
+    while j < n and (j < stop or not is_wall):
+        distance_m = horizontal_m[row, j]
+        if distance_m == distance_m:
             if (
                 surface[row, j] != _VERTICAL
-                or abs(np.float64(here) - np.float64(before)) > thresholds.vertical_break_m
+                or abs(np.float64(distance_m) - np.float64(distance_before_m))
+                > thresholds.vertical_break_m
             ):
                 break
             height = np.float64(xyz_m[row, j, 2])
             n_points += 1
             lowest = min(lowest, height)
             highest = max(highest, height)
-            long = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
-            before = here
-            seen = j
+            is_wall = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
+            distance_before_m = distance_m
+            last_return = j
             last = j if j < stop else last
         j += 1
     if (
         thresholds.vertical_open
-        and seen == n - 1
+        and last_return == n - 1
         and highest - lowest >= thresholds.vertical_extent_m
     ):
         return j, last, True
-    if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
-        # what is higher than the side of a car need not be straight, nor upright where its points
-        # are few
+    if not is_wall and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
+        # a run higher than the side of a car need not be straight, nor upright if its points are few
         high = highest - lowest >= thresholds.vertical_extent_m
         residual_m = np.inf if high else thresholds.straight_m
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
         few = n_points < thresholds.straight_points
         noise_m = thresholds.lean_noise_m
-        long = (high and few) or _is_straight(
+        is_wall = (high and few) or _is_straight(
             xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m
         )
-    return j, last, long
+    return j, last, is_wall
 
 
 @helper
-def _next_of_wall(
+def _next_on_wall(
     surface: U8,
     horizontal_m: F32,
     row: int,
     k: int,
     n: int,
-    before: float,
+    distance_before_m: float,
     reach: int,
 ) -> int:
-    """Return the next beam that goes on with a wall, behind so many returns that go through it, or n."""
+    """Return the next beam on a wall, behind at most ``reach`` returns through it, or n."""
     through = 0
     while k < n and through <= reach:
-        here = np.float64(horizontal_m[row, k])
+        distance_m = np.float64(horizontal_m[row, k])
         solid = surface[row, k] == _HORIZONTAL or surface[row, k] == _VERTICAL
-        if solid and abs(here - before) <= _STEP_M:
+        if solid and abs(distance_m - distance_before_m) <= _STEP_M:
             return k
-        through += here == here
+        through += distance_m == distance_m
         k += 1
     return n
 
@@ -770,12 +762,9 @@ def _mark_reliefs(
     stop: int,
     n: int,
     thresholds: DividerThresholds,
-    gone: Mask,
+    is_cut: Mask,
 ) -> None:
-    """Mark the rough walls of an interval.
-
-    Runs of H and V that are high, upright and nearly straight.
-    """
+    """Mark the rough walls of an interval: runs of H and V that are high, upright, nearly straight."""
     begin = first
     while begin < stop:
         if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:
@@ -786,17 +775,19 @@ def _mark_reliefs(
         sums = np.zeros(5, np.float64)
         lowest = highest = 0.0
         last = begin
-        n_points = int(np.int64(0))
+        n_points = ZERO
         j = begin
         while j < n:
             height = np.float64(xyz_m[row, j, 2]) - z_0
-            here = np.float64(horizontal_m[row, j])
-            _add(sums, height, here - h_0)
+            distance_m = np.float64(horizontal_m[row, j])
+            _add_to_sums(sums, height, distance_m - h_0)
             lowest = min(lowest, height)
             highest = max(highest, height)
             n_points += 1
             last = j
-            j = _next_of_wall(surface, horizontal_m, row, j + 1, n, here, thresholds.return_points)
+            j = _next_on_wall(
+                surface, horizontal_m, row, j + 1, n, distance_m, thresholds.return_points
+            )
         high = (
             n_points >= thresholds.straight_points
             and highest - lowest >= thresholds.vertical_extent_m
@@ -806,7 +797,7 @@ def _mark_reliefs(
             noise_m = thresholds.lean_noise_m
             if _is_upright(sums, n_points, thresholds.relief_m, slope, noise_m):
                 for k in range(begin, min(last + 1, stop)):
-                    gone[k] = True
+                    is_cut[k] = True
         begin = last + 1
 
 
@@ -820,9 +811,9 @@ def cut_verticals(
     ground_m: F32_1,
     thresholds: DividerThresholds,
 ) -> I32_2:
-    """Take vertical runs out of intervals that are too high for a car, or straight and upright as no car is.
+    """Cut vertical runs out of intervals if they are too high for a car, or straight and upright.
 
-    Points behind an interval count in a run that goes on there.
+    Points behind an interval count in a run that continues there.
 
     ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32,
     metres; ``n_beams`` (R,) int32; ``intervals`` (K, 3) int32; ``ground_m`` (R,) float32, metres;
@@ -831,50 +822,51 @@ def cut_verticals(
     n_most = 0
     for i in range(len(intervals)):
         n_most += (intervals[i, 2] - intervals[i, 1]) // 2 + 1
-    left = np.empty((n_most, 3), np.int32)
-    n_left = 0
-    gone = np.zeros(surface.shape[1], np.bool_)
+    pieces = np.empty((n_most, 3), np.int32)
+    n_pieces = 0
+    is_cut = np.zeros(surface.shape[1], np.bool_)
     for i in range(len(intervals)):
         row = intervals[i, 0]
         first = intervals[i, 1]
         stop = intervals[i, 2] + 1
         n = n_beams[row]
         for k in range(first, stop):
-            gone[k] = False
+            is_cut[k] = False
         if thresholds.relief_m > 0.0:
-            _mark_reliefs(surface, xyz_m, horizontal_m, row, first, stop, n, thresholds, gone)
+            _mark_reliefs(surface, xyz_m, horizontal_m, row, first, stop, n, thresholds, is_cut)
         k = first
         while k < stop:
             if horizontal_m[row, k] != horizontal_m[row, k] or surface[row, k] != _VERTICAL:
                 k += 1
                 continue
-            after, last, long = _vertical_run(
+            after, last, is_wall = _vertical_run(
                 surface, xyz_m, horizontal_m, row, k, stop, n, np.float64(ground_m[row]), thresholds
             )
-            if long:
+            if is_wall:
                 for j in range(k, last + 1):
-                    gone[j] = True
+                    is_cut[j] = True
             k = after
-        begin = -1  # first and last return of the piece that is being put together
+        # first and last return of the current piece
+        begin = -1
         end = -1
         for k in range(first, stop):
             if horizontal_m[row, k] != horizontal_m[row, k]:
                 continue
-            if not gone[k]:
+            if not is_cut[k]:
                 begin = k if begin < 0 else begin
                 end = k
             elif begin >= 0:
-                left[n_left, 0] = row
-                left[n_left, 1] = begin
-                left[n_left, 2] = end
-                n_left += 1
+                pieces[n_pieces, 0] = row
+                pieces[n_pieces, 1] = begin
+                pieces[n_pieces, 2] = end
+                n_pieces += 1
                 begin = -1
         if begin >= 0:
-            left[n_left, 0] = row
-            left[n_left, 1] = begin
-            left[n_left, 2] = end
-            n_left += 1
-    return left[:n_left].copy()
+            pieces[n_pieces, 0] = row
+            pieces[n_pieces, 1] = begin
+            pieces[n_pieces, 2] = end
+            n_pieces += 1
+    return pieces[:n_pieces].copy()
 
 
 @kernel()
@@ -884,7 +876,7 @@ def firm_intervals(
     most: float,
     least: int,
 ) -> Mask_1:
-    """Mark intervals of so many returns of which no larger share is vegetation.
+    """Mark intervals of at least ``least`` returns with a share of vegetation of at most ``most``.
 
     ``surface`` (R, n) uint8; ``intervals`` (K, 3) int32; returns (K,) bool.
     """

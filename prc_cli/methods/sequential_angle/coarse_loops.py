@@ -1,6 +1,6 @@
-"""Loops of the coarse classification.
+"""Loops of the coarse classification: vegetation, horizontal, vertical, windows.
 
-Vegetation, horizontal and vertical, windows (Stamos et al. 2012, sec. 4).
+Stamos et al. (2012), sec. 4.
 """
 
 from __future__ import annotations
@@ -22,26 +22,36 @@ _SMALL = 2.0**-500
 _LARGE = 2.0**500
 """Likelihoods that become small are scaled by a power of two, which rounds nothing."""
 
-_Three = tuple[float, float, float]
+ZERO = np.int64(0)
+"""An integer that numba does not treat as a literal: it would compile helpers again for a literal."""
+
+_PerState = tuple[float, float, float]
+"""One number for each of the three states of a model."""
+_Transition = tuple[_PerState, _PerState, _PerState]
+"""Probabilities, row = from."""
 
 
 class _Model(NamedTuple):
     """A hidden Markov model of three states."""
 
-    transition: tuple[_Three, _Three, _Three]
-    """Probabilities, row = from."""
-    initial: _Three
+    transition: _Transition
+    initial: _PerState
     """Probabilities of the states at the first sample after a restart."""
 
 
 class _Bounds(NamedTuple):
-    """Bounds of the ratio of likelihoods, the exponentials of the thresholds, and where changes are dated to."""
+    """Bounds of the ratio of likelihoods: the exponentials of the thresholds."""
 
     upper: float
+    """A region starts above this ..."""
     upper_back: float
+    """... and ends above this, with the models exchanged."""
     accept: float
+    """A region is confirmed above this ..."""
     reject: float
+    """... and rejected below this."""
     backdate: bool
+    """Whether a change is dated to the onset of the alarm rather than to the alarm."""
 
 
 _EXPONENTIAL = np.array(
@@ -62,12 +72,12 @@ _EXPONENTIAL = np.array(
 )
 """Polynomial for exp(r), equal to it at Chebyshev's nodes of r up to ln(2) / 2.
 
-What it differs by is below the last
-bit."""
+The difference is below the last bit.
+"""
 _TERMS = len(_EXPONENTIAL)
 _LN2_HIGH = 2.0**-32 * round(2.0**32 * math.log(2.0))
 _LN2_LOW = -4.2009150726810846e-11
-"""ln(2) as a number of few bits, whose multiples are exact, and the rest."""
+"""ln(2) as a number of few bits, whose multiples are exact, and the remainder."""
 _LEAST = -708.0
 """Below this the exponential is zero: doubles end there."""
 
@@ -76,20 +86,18 @@ _LEAST = -708.0
 def _densities(
     values: F64,
     m: int,
-    means: _Three,
+    means: _PerState,
     half_precision: F64,
     log_sigma: F64,
     density: F64,
     power: I64,
     top: I64,
 ) -> None:
-    """Densities of m values in the three states, divided by the largest.
+    """Compute the densities of m values in the three states, divided by the largest of the three.
 
-    The ratio of likelihoods stays the same.
-
-    ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the
-    library's one takes one by one. That of the largest is 1, so the other two go into the first two
-    rows for it.
+    That keeps the ratio of likelihoods. ``density`` (3, n) gets them. The exponential is computed
+    here for many values at a time, unlike in the library. The largest density is 1, so only the
+    other two are computed, in the first two rows.
     """
     mean_0 = means[0]
     mean_1 = means[1]
@@ -112,7 +120,10 @@ def _densities(
         last = b != largest and a != largest
         density[0, i] = (b if first else a) - largest
         density[1, i] = (b if last else c) - largest
-        top[i] = 0 if first else 2 if last else 1
+        if first:
+            top[i] = 0
+        else:
+            top[i] = 2 if last else 1
     scale = power.view(np.float64)
     for state in range(2):
         for i in range(m):
@@ -127,15 +138,18 @@ def _densities(
         for i in range(m):
             density[state, i] *= scale[i]
     for i in range(m):
-        one = density[0, i]
-        other = density[1, i]
-        density[0, i] = 1.0 if top[i] == 0 else one
-        density[1, i] = one if top[i] == 0 else 1.0 if top[i] == 1 else other
-        density[2, i] = 1.0 if top[i] == 2 else other
+        first_density = density[0, i]
+        second_density = density[1, i]
+        density[0, i] = 1.0 if top[i] == 0 else first_density
+        if top[i] == 0:
+            density[1, i] = first_density
+        else:
+            density[1, i] = 1.0 if top[i] == 1 else second_density
+        density[2, i] = 1.0 if top[i] == 2 else second_density
 
 
 @helper
-def _forward(state: _Three, transition: tuple[_Three, _Three, _Three], density: _Three) -> _Three:
+def _forward(state: _PerState, transition: _Transition, density: _PerState) -> _PerState:
     """One step of the forward recursion, unscaled."""
     a, b, c = state
     return (
@@ -146,8 +160,8 @@ def _forward(state: _Three, transition: tuple[_Three, _Three, _Three], density: 
 
 
 @helper
-def _first(initial: _Three, density: _Three) -> _Three:
-    """Begin the forward recursion."""
+def _first(initial: _PerState, density: _PerState) -> _PerState:
+    """Start the forward recursion."""
     return initial[0] * density[0], initial[1] * density[1], initial[2] * density[2]
 
 
@@ -165,11 +179,14 @@ def _sequential_test(
     """Follow the ratio of likelihoods of model 1 to model 0 until it leaves its bounds.
 
     The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0.
-    Between two restarts their ratio stays in bounds, so that only their common size has to be
-    looked after, and no logarithm and no division is needed.
+    Between two restarts their ratio stays in bounds, so only their common size has to be scaled,
+    without logarithm and division.
 
-    With ``restart`` (CUSUM) falling below the lower bound, or a sample that neither model can
-    explain, forgets all and begins anew at the next sample; without it (SPRT) it ends the test.
+    With ``restart`` (CUSUM) a ratio below the lower bound, or a sample that neither model can
+    explain, restarts the test at the next sample; without it (SPRT) it ends the test.
+
+    Returns the verdict (1 = above the upper bound, -1 = below the lower one, 0 = the samples ended),
+    the last sample, and the sample after the last restart.
     """
     p = (0.0, 0.0, 0.0)
     q = (0.0, 0.0, 0.0)
@@ -205,18 +222,18 @@ def _next_region(
     h1: _Model,
     bounds: _Bounds,
 ) -> tuple[int, int, int]:
-    """Find the next region from a sample on that ends where the test with the models exchanged raises an alarm.
+    """Find the next region; it ends where the test with the models exchanged raises an alarm.
 
-    Returns its first and last sample, none between them where there is no more region, and where to
-    go on.
+    Returns its first and last sample (an empty stretch = no more region), and the sample to
+    continue with.
     """
-    anew = bool(np.bool_(True))  # not a literal, for each of which the test is compiled again
-    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
+    restart = bool(np.bool_(True))  # not a literal, for which the test would be compiled again
+    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, restart)
     if verdict == 0:
         return 0, -1, m
     first = onset if bounds.backdate else alarm
     verdict, alarm, onset = _sequential_test(
-        density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, anew
+        density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, restart
     )
     last = m - 1
     if verdict != 0:
@@ -234,19 +251,16 @@ def _next_confirmed(
     h1: _Model,
     bounds: _Bounds,
 ) -> tuple[int, int, int]:
-    """Find the next region from a sample on that tests between two bounds confirm, and end.
-
-    As :func:`_next_region`.
-    """
-    anew = bool(np.bool_(True))
-    once = bool(np.bool_(False))
-    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
+    """Find the next region; tests between two bounds confirm it and end it. See :func:`_next_region`."""
+    restart = bool(np.bool_(True))
+    no_restart = bool(np.bool_(False))
+    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, restart)
     if verdict == 0:
         return 0, -1, m
     first = onset if bounds.backdate else alarm
     # the region has to be confirmed once before it may end
     verdict, t, _ = _sequential_test(
-        density, alarm + 1, m, h0, h1, bounds.reject, bounds.accept, once
+        density, alarm + 1, m, h0, h1, bounds.reject, bounds.accept, no_restart
     )
     if verdict == 0:
         return 0, -1, m
@@ -254,7 +268,7 @@ def _next_confirmed(
         return 0, -1, t + 1
     while verdict > 0:
         verdict, t, _ = _sequential_test(
-            density, t + 1, m, h0, h1, bounds.reject, bounds.accept, once
+            density, t + 1, m, h0, h1, bounds.reject, bounds.accept, no_restart
         )
     last = min(t, m - 1)
     for back in range(last, alarm, -1):
@@ -290,7 +304,7 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
     top = np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
     for row in range(n_rows):
-        m = begin = int(np.int64(0))
+        m = begin = ZERO
         for k in range(n):
             value = np.float64(values[row, k])
             if not math.isnan(value):
@@ -324,14 +338,14 @@ _MIDDLE = 45.0
 
 @helper
 def _tilt(signed_deg: float, fold: bool) -> float:
-    """Angle of a chord with the vertical whatever its sign, and with ``fold`` whether it goes up or down [deg]."""
+    """Angle of a chord with the vertical [deg], without sign; with ``fold`` up and down are alike."""
     angle = abs(signed_deg)
     return min(angle, 180.0 - angle) if fold else angle
 
 
 @helper
 def _first_label(tilt: F64, begin: int, end: int) -> int:
-    """Label that a run begins with: what the median of its first five samples is nearer to."""
+    """Return the first label of a run: the one nearer to the median of its first five samples."""
     n = min(end - begin, 5)
     first = np.empty(5, np.float64)
     for i in range(n):  # by hand: the library's sort takes seconds to compile
@@ -362,14 +376,13 @@ def _label_run(
     onset = begin
     for i in range(begin, end):
         horizontal = label == _HORIZONTAL
-        total += (
-            thresholds.drift_vertical_deg - tilt[i]
-            if horizontal
-            else tilt[i] - thresholds.drift_horizontal_deg
-        )
-        if total > (
-            thresholds.threshold_vertical_deg if horizontal else thresholds.threshold_horizontal_deg
-        ):
+        if horizontal:
+            total += thresholds.drift_vertical_deg - tilt[i]
+            limit = thresholds.threshold_vertical_deg
+        else:
+            total += tilt[i] - thresholds.drift_horizontal_deg
+            limit = thresholds.threshold_horizontal_deg
+        if total > limit:
             label = _VERTICAL if horizontal else _HORIZONTAL
             if thresholds.backdate:
                 for j in range(onset, i):
@@ -419,8 +432,8 @@ def surface_image(
                 end += np.uint64(1)
             _label_run(tilt, beam, begin, end, labels, thresholds)
             begin = end
-        # shots without an angle go with the shot before them, the first ones with the first that
-        # has one
+        # shots without an angle get the label of the shot before them, the first shots that of the
+        # first one with an angle
         label = _UNDECIDED if m == 0 else int(labels[beam[0]])
         for k in range(width):
             here = int(labels[k])
@@ -453,8 +466,8 @@ def _fullest(
     end: int,
     width: float,
 ) -> tuple[int, int]:
-    """Return how many sorted values fit into a width at most, and the first of them."""
-    most = first = stop = int(np.int64(0))
+    """Return the largest number of sorted values within a width, and the first of them."""
+    most = first = stop = ZERO
     stop = begin
     for i in range(begin, end):
         while stop < end and values[stop] - values[i] <= width:
@@ -467,7 +480,7 @@ def _fullest(
 
 @helper
 def _in_two_layers(values: F64, n: int, width: float) -> int:
-    """Return how many values the fullest layer holds, and the fullest one of those beside it."""
+    """Return the number of values in the fullest layer and the fullest one of those beside it."""
     _sort(values, n)
     most, first = _fullest(values, 0, n, width)
     below, _ = _fullest(values, 0, first, width)
@@ -486,12 +499,10 @@ def _may_be_layered(
     share: float,
     bins: I32,
 ) -> bool:
-    """Tell quickly whether two layers may hold a share of some values.
+    """Whether two layers may contain a share of the values: so most foliage need not be sorted.
 
-    Most foliage need not be sorted.
-
-    A layer lies in two neighbouring bins at most, so two of them hold no more than the four fullest
-    bins.
+    A layer is in two neighbouring bins at most, so two layers have no more values than the four
+    fullest bins.
     """
     if width <= 0.0:
         return True
@@ -512,7 +523,7 @@ def _may_be_layered(
 
 
 @helper
-def _settle(
+def _label_if_layered(
     labels: U8,
     values: F64,
     beam: I32,
@@ -520,7 +531,7 @@ def _settle(
     thresholds: WindowThresholds,
     bins: I32,
 ) -> None:
-    """Label the points of a run, if they lie in layers."""
+
     if m < thresholds.min_points or not _may_be_layered(
         values, m, thresholds.width_m, thresholds.share, bins
     ):
@@ -550,7 +561,7 @@ def upright_layers(
     bins = np.empty(_BINS, np.int32)
     for row in range(n_rows):
         codes = surface[row]
-        m = int(np.int64(0))
+        m = ZERO
         width = np.int64(n_beams[row])
         for k in range(n):
             image[row, k] = codes[k]
@@ -559,10 +570,10 @@ def upright_layers(
                 beam[m] = k
                 m += 1
             elif m > 0 and (k >= width or codes[k] != _MISSING):
-                _settle(image[row], values, beam, m, thresholds, bins)
-                m = int(np.int64(0))
+                _label_if_layered(image[row], values, beam, m, thresholds, bins)
+                m = ZERO
         if m > 0:
-            _settle(image[row], values, beam, m, thresholds, bins)
+            _label_if_layered(image[row], values, beam, m, thresholds, bins)
     return image
 
 
@@ -574,7 +585,7 @@ def _is_wall(
     end: int,
     thresholds: WindowThresholds,
 ) -> bool:
-    """Tell whether a vertical run is high, straight and upright."""
+
     lowest = highest = z[begin]
     sum_z = sum_x = sum_zz = sum_zx = sum_xx = 0.0
     for i in range(begin, end):
@@ -609,11 +620,8 @@ def _find_walls(
     first: I32,
     place: F64,
 ) -> int:
-    """List the walls of a row: the first return of each, and its horizontal distance.
-
-    Returns how many.
-    """
-    n_walls = i = int(np.int64(0))
+    """List first return and horizontal distance of the walls of a row; return their number."""
+    n_walls = i = ZERO
     while i < m:
         begin = i
         i += 1
@@ -639,7 +647,7 @@ def behind_walls(
     n_beams: I32_1,
     thresholds: WindowThresholds,
 ) -> U8_2:
-    """Make vegetation vertical that lies in the plane of a wall of its row, or behind one that stands above it.
+    """Make vegetation vertical in the plane of a wall of its row, or behind a wall that is above it.
 
     ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32,
     metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
@@ -653,7 +661,7 @@ def behind_walls(
     first = np.empty(n, np.int32)
     place = np.empty(n, np.float64)
     for row in range(n_rows):
-        m = n_green = int(np.int64(0))
+        m = n_green = ZERO
         width = np.int64(n_beams[row])
         for k in range(n):
             here = surface[row, k]

@@ -57,14 +57,14 @@ def _lies_over(
     farthest: F32,
     count: int,
     reach: int,
-    own: float,
+    range_here: float,
     under: float,
 ) -> bool:
     """Tell whether one of the valid points before lies farther away than a point."""
-    most = own
+    most = range_here
     for i in range(max(count - reach, 0), count):
         most = max(most, farthest[i])
-    return bool(np.float64(most) - np.float64(own) > under)
+    return bool(np.float64(most) - np.float64(range_here) > under)
 
 
 @kernel()
@@ -95,26 +95,26 @@ def possible_curbs(
         limit = np.float64(z_g[row]) + thresholds.search_height_m
         # ranges of the valid points, from the first that can matter
         first = last
-        wanted = reach
-        while first > 0 and wanted > 0:
-            wanted -= surface[row, first] != _MISSING
+        n_wanted = reach
+        while first > 0 and n_wanted > 0:
+            n_wanted -= surface[row, first] != _MISSING
             first -= 1
         count = int(np.int64(0))
         for k in range(first, n):
             kind = surface[row, k]
             if kind == _MISSING:
                 continue
-            own = range_m[row, k]
+            range_here = range_m[row, k]
             if k > last and np.float64(xyz[row, k, 2]) > limit:
                 break
             if (
                 k > last
                 and kind == _VERTICAL
-                and not _lies_over(farthest, count, reach, own, under)
+                and not _lies_over(farthest, count, reach, range_here, under)
             ):
                 beam[row] = k
                 break
-            farthest[count] = own
+            farthest[count] = range_here
             count += 1
     return beam
 
@@ -146,8 +146,8 @@ def _near(
 @inlined
 def _join(
     table: _Table,
-    one: int,
-    other: int,
+    region: int,
+    region_above: int,
     thresholds: CurbThresholds,
 ) -> int:
     """Make two regions one."""
@@ -155,18 +155,18 @@ def _join(
     last = table.last
     low = table.low
     high = table.high
-    if one == HIGH or other == HIGH:
-        parent[one] = HIGH
-        parent[other] = HIGH
+    if region == HIGH or region_above == HIGH:
+        parent[region] = HIGH
+        parent[region_above] = HIGH
         return HIGH
-    kept = min(one, other)
-    gone = max(one, other)
-    parent[gone] = kept
-    low[kept] = min(low[one], low[other])
-    high[kept] = max(high[one], high[other])
-    table.first[kept] = min(table.first[one], table.first[other])
-    last[kept] = max(last[one], last[other])
-    table.possible[kept] = table.possible[one] or table.possible[other]
+    kept = min(region, region_above)
+    dropped = max(region, region_above)
+    parent[dropped] = kept
+    low[kept] = min(low[region], low[region_above])
+    high[kept] = max(high[region], high[region_above])
+    table.first[kept] = min(table.first[region], table.first[region_above])
+    last[kept] = max(last[region], last[region_above])
+    table.possible[kept] = table.possible[region] or table.possible[region_above]
     if np.float64(high[kept]) - np.float64(low[kept]) > thresholds.max_height_m:
         parent[kept] = HIGH
         return HIGH
@@ -187,12 +187,12 @@ def _is_straight(
     labels = table.labels
     side = table.side[region]
     n_before = (len(labels) - len(signed)) // n_sides
-    below = 0
-    others = 0
+    n_below = 0
+    n_larger = 0
     largest_below = -np.inf
-    smallest_other = np.inf
+    smallest_larger = np.inf
     for line in range(table.first[region], table.last[region] + 1):
-        own = labels[line * n_sides + side]
+        line_labels = labels[line * n_sides + side]
         new = line - n_before
         # lines before this call are kept at the end of what was carried over
         angles = (
@@ -200,21 +200,24 @@ def _is_straight(
             if new >= 0
             else above_signed[len(above_signed) + new * n_sides + side]
         )
-        for k in range(1, len(own)):
-            if own[k] < FIRST_REGION or own[k - 1] < FIRST_REGION:
+        for k in range(1, len(line_labels)):
+            if line_labels[k] < FIRST_REGION or line_labels[k - 1] < FIRST_REGION:
                 continue
-            if _root(parent, own[k]) != region or _root(parent, own[k - 1]) != region:
+            if (
+                _root(parent, line_labels[k]) != region
+                or _root(parent, line_labels[k - 1]) != region
+            ):
                 continue
             change = abs(np.float64(angles[k]) - np.float64(angles[k - 1]))
             if change < limit:
-                below += 1
+                n_below += 1
                 largest_below = max(largest_below, change)
             elif change >= limit:  # neither holds for NaN
-                others += 1
-                smallest_other = min(smallest_other, change)
-    if below == others:  # the median lies between the two
-        return below > 0 and (largest_below + smallest_other) / 2.0 < limit
-    return below > others
+                n_larger += 1
+                smallest_larger = min(smallest_larger, change)
+    if n_below == n_larger:  # the median lies between the two
+        return n_below > 0 and (largest_below + smallest_larger) / 2.0 < limit
+    return n_below > n_larger
 
 
 @helper
@@ -257,8 +260,8 @@ def _connect_row(
     n = len(surface)
     side = row % n_sides
     line = row // n_sides
-    own = table.labels[row]
-    up = table.labels[row - n_sides]
+    row_labels = table.labels[row]
+    labels_above = table.labels[row - n_sides]
     parent = table.parent
     low = table.low
     high = table.high
@@ -270,12 +273,12 @@ def _connect_row(
     n_new = 0
     for k in range(n):
         if surface[k] != _VERTICAL:
-            own[k] = NONE
+            row_labels[k] = NONE
             continue
         z = here[k, 2]
         label = NONE
-        if k > 0 and own[k - 1] != NONE and _near(here, k, here, k - 1, reach_2):
-            label = _root(parent, own[k - 1])
+        if k > 0 and row_labels[k - 1] != NONE and _near(here, k, here, k - 1, reach_2):
+            label = _root(parent, row_labels[k - 1])
             if label != HIGH:
                 low[label] = min(low[label], z)
                 high[label] = max(high[label], z)
@@ -291,15 +294,15 @@ def _connect_row(
             low[label] = high[label] = z
             n_new += 1
         for j in range(max(k - 1, 0), min(k + 2, n)):
-            if up[j] == NONE:
+            if labels_above[j] == NONE:
                 continue
-            other = _root(parent, up[j])
-            if other in (label, REJECTED, CURB) or not _near(here, k, above, j, reach_2):
+            region_above = _root(parent, labels_above[j])
+            if region_above in (label, REJECTED, CURB) or not _near(here, k, above, j, reach_2):
                 continue
-            label = _join(table, label, other, thresholds)
+            label = _join(table, label, region_above, thresholds)
         if k == start and label != HIGH:
             possible[label] = True
-        own[k] = label
+        row_labels[k] = label
     return n_new
 
 
@@ -356,40 +359,40 @@ def _carry(
     parent = table.parent
     n_rows, n = labels.shape
     first_row = begin * n_sides
-    left = np.empty((n_rows - first_row, n), np.int32)
+    open_labels = np.empty((n_rows - first_row, n), np.int32)
     number = np.zeros(n_ids, np.int32)
     number[HIGH] = HIGH
     number[REJECTED] = REJECTED
     number[CURB] = CURB
-    n_left = 0
+    n_open = 0
     for row in range(n_rows - first_row):
         for k in range(n):
             label = labels[row + first_row, k]
             label = _root(parent, label) if label > HIGH else label
             if label != NONE and number[label] == 0:
-                number[label] = FIRST_REGION + n_left
-                n_left += 1
-            left[row, k] = number[label]
-    found = OpenRegions(
-        labels=left,
+                number[label] = FIRST_REGION + n_open
+                n_open += 1
+            open_labels[row, k] = number[label]
+    open_regions = OpenRegions(
+        labels=open_labels,
         n_given=n_given,
-        side=np.empty(n_left, np.int32),
-        first=np.empty(n_left, np.int32),
-        last=np.empty(n_left, np.int32),
-        possible=np.empty(n_left, np.bool_),
-        low_m=np.empty(n_left, np.float32),
-        high_m=np.empty(n_left, np.float32),
+        side=np.empty(n_open, np.int32),
+        first=np.empty(n_open, np.int32),
+        last=np.empty(n_open, np.int32),
+        possible=np.empty(n_open, np.bool_),
+        low_m=np.empty(n_open, np.float32),
+        high_m=np.empty(n_open, np.float32),
     )
     for label in range(FIRST_REGION, n_ids):
         if number[label] != 0:
             i = number[label] - FIRST_REGION
-            found.side[i] = table.side[label]
-            found.first[i] = table.first[label] - begin
-            found.last[i] = table.last[label] - begin
-            found.possible[i] = table.possible[label]
-            found.low_m[i] = table.low[label]
-            found.high_m[i] = table.high[label]
-    return found
+            open_regions.side[i] = table.side[label]
+            open_regions.first[i] = table.first[label] - begin
+            open_regions.last[i] = table.last[label] - begin
+            open_regions.possible[i] = table.possible[label]
+            open_regions.low_m[i] = table.low[label]
+            open_regions.high_m[i] = table.high[label]
+    return open_regions
 
 
 @kernel()

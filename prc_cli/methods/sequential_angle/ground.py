@@ -62,10 +62,10 @@ def potential_ground(
 
     ``surface`` (R, n) uint8; ``phihat`` (R, n) float32; ``ahead`` (R, n) int32.
     """
-    found: PotentialGround = kernels.potential_heights(
+    potential: PotentialGround = kernels.potential_heights(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, thresholds
     )
-    return found
+    return potential
 
 
 def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 1) -> GroundState:
@@ -105,7 +105,7 @@ def ground(
 
     Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
     """
-    found: tuple[Mask, F32, GroundState] = kernels.ground_rows(
+    rows_and_state: tuple[Mask, F32, GroundState] = kernels.ground_rows(
         surface,
         lines.xyz_m,
         lines.horizontal_m,
@@ -116,4 +116,4 @@ def ground(
         state,
         thresholds,
     )
-    return found
+    return rows_and_state

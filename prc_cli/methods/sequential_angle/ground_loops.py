@@ -1,11 +1,11 @@
-"""Loops over rows: modes of samples, the ground within a row and its height across rows (Stamos et al. 2012, sec. 5).
+"""Loops over rows: the ground within a row, and its height across rows (Stamos et al. 2012, sec. 5).
 
-The ground algorithm asks after every point whether the line angles so far have one mode. Mean shift
-from every sample would make that cubic in the points of a row. Here samples fall into bins of an
-eighth of a bandwidth, the density of a bin is a sum of whole numbers from one table, and a sample
-that is added changes it by additions alone: exact, in any order, hence equal to the density
-computed anew. Its maxima are the points where mean shift ends, the minima between them part their
-samples.
+After every point the ground algorithm needs to know whether the line angles so far have one mode.
+Mean shift from every sample would make that cubic in the points of a row. Here samples fall into
+bins of an eighth of a bandwidth. The density of a bin is a sum of integers from one table, and
+adding a sample needs additions only. They are exact in any order, so the density is always that of
+all samples together. Its maxima are the points where mean shift ends, and the minima between them
+separate the samples of the modes.
 """
 
 from __future__ import annotations
@@ -49,22 +49,22 @@ WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDW
 CLEAR = 2 * PER_BANDWIDTH - 1
 """Samples that span at most this many bins have one mode.
 
-Means within two standard deviations give a density whose
-logarithm is concave, since the variance of what lies in an interval is at most the square of half
-its length."""
+Means within two standard deviations give a density whose logarithm is concave, since the variance
+of samples in an interval is at most the square of half its length.
+"""
 LARGEST_DEG = 360.0
 """Line angles lie between 0 and this."""
 LOWEST_M = -310.0
-"""Height where the histogram of heights begins.
-
-What lies beyond its ends counts in its end bins.
-"""
+"""Height where the histogram of heights starts; heights beyond its ends count in its end bins."""
 PER_METRE = 500
 """Its bins in a metre, 2 mm each."""
 N_HEIGHTS = 370 * PER_METRE
 """Its bins, up to 60 m above the scanner."""
 BEHIND = 2
 """Horizontal points behind a gap in a surface that have to continue its line."""
+ZERO = np.int64(0)
+NONE = np.int64(-1)
+"""Integers that numba does not treat as literals: it would compile helpers again for a literal."""
 
 _HORIZONTAL = 2
 _MISSING = 0
@@ -90,22 +90,26 @@ _FIGURES = np.dtype(
     ]
 )
 _AT_ONCE = 250
-"""Bins of the histogram of heights that are looked at together for whether there is anything."""
+"""Bins of the histogram of heights that are skipped together if they are empty."""
 
 
 class _Row(NamedTuple):
     """One row.
 
-    Take its arrays before a loop, not in it, and call nothing with an array for every point: numba
-    counts the references of each array that is taken or handed over, in atomic steps, which took
-    most of the time.
+    Read its arrays before a loop, and pass no array to a function for every point: numba counts the
+    references to each array in atomic steps, which needed most of the time.
     """
 
     surface: U8
+    """(n,) uint8, coarse layer."""
     xyz: F32
+    """(n, 3) float32 [m]."""
     horizontal: F32
+    """(n,) float32, horizontal distance [m]."""
     phihat: F32
+    """(n,) float32, line angle of horizontal points [deg]."""
     ahead: I32
+    """(n,) int32, beam at the other end of the chord, -1 = none."""
 
 
 class _Scratch(NamedTuple):
@@ -121,8 +125,11 @@ class _Scratch(NamedTuple):
     hist: I64
     """Samples in every bin, with :data:`HALF` bins more at either end."""
     density: I64
+    """Density in every bin."""
     tops: I64
+    """Places of the modes, twice their bin."""
     counts: I64
+    """Samples of the modes."""
 
 
 class _Heights(NamedTuple):
@@ -139,7 +146,7 @@ class _Heights(NamedTuple):
 
 
 @helper
-def _walk(
+def _find_modes(
     hist: I64,
     density: I64,
     lo: int,
@@ -147,9 +154,9 @@ def _walk(
     tops: I64,
     counts: I64,
 ) -> int:
-    """List the maxima of a density from low to high.
+    """List the maxima of a density from low to high; return their number.
 
-    Twice their place, and the samples between the minima around.
+    ``tops`` gets twice their bin, ``counts`` the samples between the minima around them.
     """
     n = 0
     last = 0
@@ -170,7 +177,7 @@ def _walk(
             k += 1
             count += hist[k]
         k += 1
-        if n > 0 and top - last < PER_BANDWIDTH:  # twice a place against twice half a bandwidth
+        if n > 0 and top - last < PER_BANDWIDTH:  # twice a bin, so twice half a bandwidth
             counts[n - 1] += count
             if height > best:
                 tops[n - 1] = top
@@ -186,16 +193,15 @@ def _walk(
 
 @inlined
 def _spread(density: I64, q: int, count: int) -> None:
-    """Add so many samples in a bin to the density."""
-    first = np.uint64(
-        q - HALF
-    )  # unsigned, and no view of the array: for vector instructions, and no count of views
+    """Add ``count`` samples in bin ``q`` to the density."""
+    # unsigned, and no view of the array: for vector instructions, and no count of views
+    first = np.uint64(q - HALF)
     for j in range(np.uint64(2 * HALF + 1)):
         density[first + j] += count * WEIGHT[j]
 
 
 @helper
-def _build(
+def _add_density(
     hist: I64,
     density: I64,
     lo: int,
@@ -218,15 +224,15 @@ def _density_at(hist: I64, q: int) -> int:
 
 
 @helper
-def _forget(hist: I64, lo: int, hi: int) -> None:
-    """Forget samples."""
+def _clear_bins(hist: I64, lo: int, hi: int) -> None:
+
     for q in range(max(lo, HALF), hi + 1):
         hist[q] = 0
 
 
 @helper
 def _clear_density(density: I64, lo: int, hi: int) -> None:
-    """Forget the density of samples."""
+
     for q in range(max(lo, HALF) - HALF, hi + HALF + 1 if hi >= lo else 0):
         density[q] = 0
 
@@ -238,8 +244,8 @@ def _clear(
     lo: int,
     hi: int,
 ) -> None:
-    """Forget all samples and their density."""
-    _forget(hist, lo, hi)
+
+    _clear_bins(hist, lo, hi)
     _clear_density(density, lo, hi)
 
 
@@ -247,23 +253,23 @@ def _clear(
 def _bandwidth(
     xyz: F32,
     ahead: I32,
-    one: int,
+    beam: int,
     least: float,
     sigmas: float,
     noise: float,
 ) -> float:
-    """Return the bandwidth for line angles [deg] at a point with a chord to another one.
+    """Return the bandwidth for line angles [deg] at a point with a chord.
 
     The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from
     the cross product.
     """
-    other = ahead[one]
-    x = np.float64(xyz[one, 0])
-    y = np.float64(xyz[one, 1])
-    z = np.float64(xyz[one, 2])
-    dx = np.float64(xyz[other, 0]) - x
-    dy = np.float64(xyz[other, 1]) - y
-    dz = np.float64(xyz[other, 2]) - z
+    end = ahead[beam]
+    x = np.float64(xyz[beam, 0])
+    y = np.float64(xyz[beam, 1])
+    z = np.float64(xyz[beam, 2])
+    dx = np.float64(xyz[end, 0]) - x
+    dy = np.float64(xyz[end, 1]) - y
+    dz = np.float64(xyz[end, 2]) - z
     cx = y * dz - z * dy
     cy = z * dx - x * dz
     cz = x * dy - y * dx
@@ -276,8 +282,8 @@ def _bandwidth(
         * cross
         / (chord_2 * math.sqrt(x * x + y * y + z * z))
     )
-    found = max(least, sigmas * sigma)
-    return found if found < 180.0 else 180.0  # also where there is no chord
+    bandwidth = max(least, sigmas * sigma)
+    return bandwidth if bandwidth < 180.0 else 180.0  # also where there is no chord
 
 
 @inlined
@@ -287,17 +293,14 @@ def _bin(angle: float, width: float, size: int) -> int:
 
 
 @helper
-def _count(
+def _count_in_bins(
     angles: F64,
     n: int,
     width: float,
     size: int,
     hist: I64,
 ) -> None:
-    """Count line angles, the first row of ``angles``, in their bins.
-
-    The other row takes these, many at a time.
-    """
+    """Count line angles, the first row of ``angles``, in their bins; the second row gets the bins."""
     for i in range(n):
         angles[1, i] = min(max(np.floor(angles[0, i] / width), 0.0), size - 1.0)
     for i in range(n):
@@ -305,7 +308,7 @@ def _count(
 
 
 @helper
-def _fits(
+def _continues_line(
     xyz: F32,
     horizontal: F32,
     beams: I32,
@@ -314,7 +317,7 @@ def _fits(
     n_fit: int,
     guard: float,
 ) -> bool:
-    """Tell whether a point lies at the height of the local line through the last points."""
+    """Whether a point is at the height of the local line through the last points."""
     first = max(n_points - n_fit, 0)
     count = n_points - first
     mean_x = 0.0
@@ -336,7 +339,7 @@ def _fits(
 
 
 @helper
-def _bridged(
+def _after_bridge(
     surface: U8,
     xyz: F32,
     horizontal: F32,
@@ -348,51 +351,49 @@ def _bridged(
     bridge: int,
     step: float,
 ) -> int:
-    """Return the horizontal point at which a line goes on behind a few points that are not horizontal, or ``k``."""
+    """Return where a line continues behind a few points that are not horizontal, else ``k``."""
     end = k
-    passed = 0
+    n_passed = 0
     while k < n and surface[k] != _HORIZONTAL:
         if surface[k] != _MISSING:
-            passed += 1
-            if passed > bridge:
+            n_passed += 1
+            if n_passed > bridge:
                 return end
         k += 1
     behind = k
-    seen = 0
-    while k < n and seen < BEHIND:
+    n_horizontal = 0
+    while k < n and n_horizontal < BEHIND:
         if surface[k] != _MISSING:
-            if surface[k] != _HORIZONTAL or not _fits(
+            if surface[k] != _HORIZONTAL or not _continues_line(
                 xyz, horizontal, beams, n_points, k, n_fit, step
             ):
                 return end
-            seen += 1
+            n_horizontal += 1
         k += 1
-    return behind if seen == BEHIND else end
+    return behind if n_horizontal == BEHIND else end
 
 
 @helper
 def _follow_peak(hist: I64, peak: int, q: int) -> int:
-    """Return the only maximum of a density after a sample was added, given the one before.
+    """Return the only maximum of a density after a sample in bin ``q`` was added; -1 = maybe two.
 
-    -1 = there may be two.
-
-    A second one can only arise between it and the new sample, on either side of which both parts of
-    the density rise, or fall, together.
+    ``peak`` is the maximum before. A second one can only appear between it and the new sample: on
+    both sides of that stretch the two parts of the density rise, or fall, together.
     """
     i = min(peak, q)
     end = max(peak, q)
     if i == end:
         return peak
     top = i
-    here = _density_at(hist, i)
+    density_here = _density_at(hist, i)
     rising = True
     while i < end:
-        there = _density_at(hist, i + 1)
-        if there < here:
+        density_next = _density_at(hist, i + 1)
+        if density_next < density_here:
             rising = False
-        elif there > here and not rising:
+        elif density_next > density_here and not rising:
             return -1
-        here = there
+        density_here = density_next
         i += 1
         if rising:
             top = i
@@ -406,21 +407,24 @@ def _count_modes(
     hi: int,
     least: int,
 ) -> tuple[int, int]:
-    """Count the modes of so many samples at least, and return the bin of the maximum too, -1 = there are several."""
+    """Return the number of modes with at least ``least`` samples, and the bin of the only maximum.
+
+    The bin is -1 if there are several.
+    """
     density = scratch.density
     tops = scratch.tops
     counts = scratch.counts
-    _build(scratch.hist, density, lo, hi)
-    n_modes = _walk(scratch.hist, density, lo, hi, tops, counts)
+    _add_density(scratch.hist, density, lo, hi)
+    n_modes = _find_modes(scratch.hist, density, lo, hi, tops, counts)
     _clear_density(density, lo, hi)
     enough = 0
     for i in range(n_modes):
         enough += counts[i] >= least
-    return enough, tops[0] // 2 if n_modes == 1 else int(np.int64(-1))
+    return enough, tops[0] // 2 if n_modes == 1 else NONE
 
 
 @helper
-def _potential(
+def _find_potential(
     row: _Row,
     n: int,
     start: int,
@@ -428,12 +432,12 @@ def _potential(
     beams: I32,
     scratch: _Scratch,
 ) -> tuple[int, float]:
-    """Find potential ground in a row from a beam on.
+    """Find potential ground in a row from a beam on (part a).
 
-    How many points, left in ``beams``, and the bandwidth (part a).
+    Returns the number of points, whose beams are in ``beams``, and the bandwidth [deg].
 
-    What every point goes through stands here, see :class:`_Row`. As long as the samples lie so
-    close together that they have one mode, the least and the largest angle say so, and no bin is
+    All work for every point is in this function, see :class:`_Row`. As long as the samples are so
+    close together that they have one mode, the least and the largest angle show it, and no bin is
     counted.
     """
     surface = row.surface
@@ -448,20 +452,18 @@ def _potential(
     first_run = thresholds.first_run
     least = thresholds.mode_samples
     size = len(hist) - 2 * HALF
-    n_points = n_samples = renew_at = int(
-        np.int64(0)
-    )  # not the literal, for which helpers would be compiled once more
-    lo = hi = peak = int(np.int64(-1))
-    b = width = 0.0
+    n_points = n_samples = renew_at = ZERO
+    lo = hi = peak = NONE
+    bandwidth = width = 0.0
     angle = least_deg = most_deg = lowest_deg = highest_deg = np.nan
     k = start
-    growing = built = False
+    growing = is_binned = False
     while True:
         # the next horizontal point; more than a few that are neither that nor missing end the run
         while k < n and surface[k] == _MISSING:
             k += 1
         if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
-            k = _bridged(
+            k = _after_bridge(
                 surface,
                 xyz,
                 horizontal,
@@ -476,25 +478,27 @@ def _potential(
         if k >= n or surface[k] != _HORIZONTAL:
             if growing or k >= n:
                 break
-            n_points = int(np.int64(0))
+            n_points = ZERO
             k += 1
             continue
         if n_points > 0:
-            # at another height than the points before, and than their line goes on to
+            # at another height than the last point, and than their line here
             rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
-            if rise > jump and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump):
+            if rise > jump and not _continues_line(
+                xyz, horizontal, beams, n_points, k, n_fit, jump
+            ):
                 if growing:
                     break
-                n_points = int(np.int64(0))
+                n_points = ZERO
         beams[n_points] = k
         n_points += 1
         k += 1
         if n_points < first_run:
             continue
         # the points but the last one that have a line angle are samples
-        before = n_samples
+        n_samples_before = n_samples
         if not growing:
-            n_samples = renew_at = int(np.int64(0))
+            n_samples = renew_at = ZERO
             least_deg = np.inf
             most_deg = -np.inf
         for i in range(n_points - 2 if growing else 0, n_points - 1):
@@ -506,17 +510,16 @@ def _potential(
             highest_deg = most_deg
             least_deg = angle if angle < least_deg else least_deg
             most_deg = angle if angle > most_deg else most_deg
-        if growing and n_samples == before:
+        if growing and n_samples == n_samples_before:
             continue
         one_mode = n_samples >= least
         if one_mode:
-            q = int(np.int64(0))
+            q = ZERO
             if n_samples >= renew_at:
-                # the bandwidth follows the middle of the set whenever the set has grown by a half:
-                # that keeps the work proportional to the number of points, whatever the bandwidth
-                # does
+                # the bandwidth is renewed whenever the set has grown by a half: that keeps the work
+                # proportional to the number of points
                 renew_at = n_samples + n_samples // 2 + 1
-                b = _bandwidth(
+                bandwidth = _bandwidth(
                     xyz,
                     row.ahead,
                     sampled[n_samples // 2],
@@ -524,22 +527,22 @@ def _potential(
                     thresholds.bandwidth_sigmas,
                     thresholds.range_noise_m,
                 )
-                width = b / PER_BANDWIDTH
-                if built:
-                    _forget(hist, lo, hi)
+                width = bandwidth / PER_BANDWIDTH
+                if is_binned:
+                    _clear_bins(hist, lo, hi)
                 lo = _bin(least_deg, width, size)
                 hi = _bin(most_deg, width, size)
-                built = False
-            elif built or angle < lowest_deg or angle > highest_deg:
+                is_binned = False
+            elif is_binned or angle < lowest_deg or angle > highest_deg:
                 q = _bin(angle, width, size)
                 lo = min(lo, q)
                 hi = max(hi, q)
-                hist[q] += built
+                hist[q] += is_binned
             if hi - lo > CLEAR:
-                if not built:
-                    _count(angles, n_samples, width, size, hist)
-                    built = True
-                    peak = int(np.int64(-1))
+                if not is_binned:
+                    _count_in_bins(angles, n_samples, width, size, hist)
+                    is_binned = True
+                    peak = NONE
                 if peak >= 0:
                     peak = _follow_peak(hist, peak, q)
                 if peak < 0:
@@ -549,13 +552,13 @@ def _potential(
             break
         if one_mode:
             growing = True
-        else:  # no ground at this start: go one point on
+        else:  # no ground at this start: try the next point
             for i in range(n_points - 1):
                 beams[i] = beams[i + 1]
             n_points -= 1
-    if built:
-        _forget(hist, lo, hi)
-    return n_points - 2 if growing else 0, b
+    if is_binned:
+        _clear_bins(hist, lo, hi)
+    return n_points - 2 if growing else 0, bandwidth
 
 
 @helper
@@ -586,8 +589,8 @@ def _lowest_mean(
 
 
 @helper
-def _main(counts: I64, n: int) -> int:
-    """Return the mode with most samples, of equals the lowest."""
+def _largest_mode(counts: I64, n: int) -> int:
+    """Return the mode with most samples, of equals the lowest one."""
     best = 0
     for i in range(1, n):
         if counts[i] > counts[best]:
@@ -596,19 +599,16 @@ def _main(counts: I64, n: int) -> int:
 
 
 @helper
-def _extend(
+def _grow_run(
     row: _Row,
     n: int,
     beams: I32,
     n_points: int,
     mode: float,
-    b: float,
+    bandwidth: float,
     thresholds: GroundThresholds,
 ) -> int:
-    """Grow ground over the horizontal points that follow.
-
-    Returns how many points there are then in ``beams``.
-    """
+    """Grow ground over the horizontal points that follow; return the new number of points."""
     surface = row.surface
     xyz = row.xyz
     horizontal = row.horizontal
@@ -621,7 +621,7 @@ def _extend(
             k += 1
             continue
         if surface[k] != _HORIZONTAL:
-            k = _bridged(
+            k = _after_bridge(
                 surface,
                 xyz,
                 horizontal,
@@ -635,10 +635,10 @@ def _extend(
             )
             if surface[k] != _HORIZONTAL:
                 break
-        # a point without a line angle is judged by its height alone
-        if abs(np.float64(phihat[k]) - mode) > b:
+        # a point without a line angle is tested by its height only
+        if abs(np.float64(phihat[k]) - mode) > bandwidth:
             break
-        if not _fits(xyz, horizontal, beams, n_points, k, n_fit, guard):
+        if not _continues_line(xyz, horizontal, beams, n_points, k, n_fit, guard):
             break
         beams[n_points] = k
         n_points += 1
@@ -651,7 +651,7 @@ def _main_angle(
     phihat: F32,
     beams: I32,
     n_points: int,
-    b: float,
+    bandwidth: float,
     scratch: _Scratch,
 ) -> float:
     """Return the main mode of the line angles of some points [deg]."""
@@ -661,10 +661,10 @@ def _main_angle(
     tops = scratch.tops
     counts = scratch.counts
     size = len(hist) - 2 * HALF
-    width = b / PER_BANDWIDTH
+    width = bandwidth / PER_BANDWIDTH
     least_deg = np.inf
     most_deg = -np.inf
-    n_samples = int(np.int64(0))
+    n_samples = ZERO
     for i in range(n_points):
         angle = np.float64(phihat[beams[i]])
         angles[0, n_samples] = angle
@@ -673,9 +673,9 @@ def _main_angle(
         most_deg = angle if angle > most_deg else most_deg
     lo = _bin(least_deg, width, size)
     hi = _bin(most_deg, width, size)
-    _count(angles, n_samples, width, size, hist)
-    _build(hist, density, lo, hi)
-    best = _main(counts, _walk(hist, density, lo, hi, tops, counts))
+    _count_in_bins(angles, n_samples, width, size, hist)
+    _add_density(hist, density, lo, hi)
+    best = _largest_mode(counts, _find_modes(hist, density, lo, hi, tops, counts))
     _clear(hist, density, lo, hi)
     return float((tops[best] / 2.0 - HALF + 0.5) * width)
 
@@ -687,15 +687,15 @@ def _end_of_run(
     n: int,
     bridge: int,
 ) -> int:
-    """Return the beam behind the last horizontal one that no more than a few others part from those before."""
+    """Return the beam behind a run of horizontal points, which gaps of ``bridge`` points do not end."""
     end = k = start
-    passed = 0
-    while k < n and passed <= bridge:
+    n_passed = 0
+    while k < n and n_passed <= bridge:
         if surface[k] == _HORIZONTAL:
-            passed = 0
+            n_passed = 0
             end = k + 1
         elif surface[k] != _MISSING:
-            passed += 1
+            n_passed += 1
         k += 1
     return end
 
@@ -706,40 +706,39 @@ def _resume(
     n: int,
     beams: I32,
     n_points: int,
-    more: I32,
+    candidates: I32,
     thresholds: GroundThresholds,
     scratch: _Scratch,
 ) -> int:
-    """Look for more ground in the rest of a run of horizontal points.
-
-    Returns how many points are in ``beams`` then.
-    """
+    """Add more ground from the remainder of a run of horizontal points; return the number of points."""
     surface = row.surface
     guard = thresholds.growth_height_m
     start = k = int(np.int64(beams[n_points - 1] + 1))
     end = _end_of_run(surface, start, n, thresholds.bridge)
     crossed = False
     while start < end:
-        n_more, b = _potential(row, end, start, thresholds, more, scratch)
-        if n_more == 0:
+        n_candidates, bandwidth = _find_potential(row, end, start, thresholds, candidates, scratch)
+        if n_candidates == 0:
             break
-        start = int(np.int64(more[n_more - 1] + 1))
-        while k < more[0]:
+        start = int(np.int64(candidates[n_candidates - 1] + 1))
+        while k < candidates[0]:
             crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
             k += 1
-        if _fits(
+        if _continues_line(
             row.xyz,
             row.horizontal,
             beams,
             n_points,
-            int(np.int64(more[0])),
+            int(np.int64(candidates[0])),
             thresholds.growth_points,
             min(thresholds.bridge_height_m, guard) if crossed else guard,
         ):
-            for i in range(n_more):
-                beams[n_points + i] = more[i]
-            mode = _main_angle(row.phihat, more, n_more, b, scratch)
-            n_points = _extend(row, end, beams, n_points + n_more, mode, b, thresholds)
+            for i in range(n_candidates):
+                beams[n_points + i] = candidates[i]
+            mode = _main_angle(row.phihat, candidates, n_candidates, bandwidth, scratch)
+            n_points = _grow_run(
+                row, end, beams, n_points + n_candidates, mode, bandwidth, thresholds
+            )
             start = k = int(np.int64(beams[n_points - 1] + 1))
             crossed = False
     return n_points
@@ -751,33 +750,28 @@ def _grow(
     n: int,
     beams: I32,
     n_points: int,
-    b: float,
-    more: I32,
+    bandwidth: float,
+    candidates: I32,
     thresholds: GroundThresholds,
     scratch: _Scratch,
 ) -> int:
-    """Grow accepted ground over the rest of its run.
-
-    Returns how many points are in ``beams`` then.
-    """
-    mode = _main_angle(row.phihat, beams, n_points, b, scratch)
-    n_points = _extend(row, n, beams, n_points, mode, b, thresholds)
-    return (
-        _resume(row, n, beams, n_points, more, thresholds, scratch)
-        if thresholds.resume
-        else n_points
-    )
+    """Grow accepted ground over the remainder of its run; return the number of points."""
+    mode = _main_angle(row.phihat, beams, n_points, bandwidth, scratch)
+    n_points = _grow_run(row, n, beams, n_points, mode, bandwidth, thresholds)
+    if thresholds.resume:
+        n_points = _resume(row, n, beams, n_points, candidates, thresholds, scratch)
+    return n_points
 
 
 @helper
 def _height_bin(z: float) -> int:
-    """Return the bin of a height; what lies outside counts in the end bins."""
+
     return int(min(max((z - LOWEST_M) * PER_METRE, 0.0), N_HEIGHTS - 1.0))
 
 
 @helper
-def _reach(heights: _Heights, q: int) -> None:
-    """Clear memory as far as a sample in a coarse bin needs it."""
+def _clear_around(heights: _Heights, q: int) -> None:
+    """Clear the memory that a sample in a coarse bin needs."""
     hist = heights.hist
     density = heights.density
     figures = heights.figures[0]
@@ -792,7 +786,7 @@ def _reach(heights: _Heights, q: int) -> None:
 
 
 @helper
-def _coarse(heights: _Heights, width: int) -> None:
+def _bin_coarsely(heights: _Heights, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
     histogram = heights.histogram
     hist = heights.hist
@@ -801,9 +795,9 @@ def _coarse(heights: _Heights, width: int) -> None:
         _clear(hist, heights.density, figures["lo"], figures["hi"])
     lo = figures["first"] // width + HALF
     hi = figures["last"] // width + HALF
-    _reach(heights, lo)
-    _reach(heights, hi)
-    n = int(np.int64(0))
+    _clear_around(heights, lo)
+    _clear_around(heights, hi)
+    n = ZERO
     for i in range(figures["first"], figures["last"] + 1):
         if histogram[i] > 0:
             hist[i // width + HALF] += histogram[i]
@@ -812,7 +806,7 @@ def _coarse(heights: _Heights, width: int) -> None:
     figures["width"] = width
     figures["lo"] = lo
     figures["hi"] = hi
-    _build(hist, heights.density, lo, hi)
+    _add_density(hist, heights.density, lo, hi)
 
 
 @helper
@@ -828,7 +822,7 @@ def _new_heights(
     n_queued: int,
     share: float,
 ) -> _Heights:
-    """Take a histogram of heights up."""
+
     heights = _Heights(
         histogram=histogram,
         queue=queue,
@@ -837,21 +831,21 @@ def _new_heights(
         figures=np.zeros(1, _FIGURES),
     )
     heights.figures[0]["newest"] = n_queued
-    _open_heights(heights, share)
+    _index_heights(heights, share)
     return heights
 
 
 @helper
-def _open_heights(heights: _Heights, share: float) -> None:
+def _index_heights(heights: _Heights, share: float) -> None:
     """Find the ends of a histogram of heights, its (lower) median, its density."""
     histogram = heights.histogram
     figures = heights.figures[0]
-    n = int(np.int64(0))
+    n = ZERO
     for begin in range(0, N_HEIGHTS, _AT_ONCE):
-        there = 0
+        n_there = 0
         for i in range(begin, begin + _AT_ONCE):
-            there += histogram[i]
-        if there == 0:
+            n_there += histogram[i]
+        if n_there == 0:
             continue
         for i in range(begin, begin + _AT_ONCE):
             if histogram[i] > 0:
@@ -862,13 +856,13 @@ def _open_heights(heights: _Heights, share: float) -> None:
         return
     figures["median"] = figures["first"]
     figures["below"] = 0
-    _settle(heights, n)
-    _coarse(heights, _height_width(figures["median"], share))
+    _move_median(heights, n)
+    _bin_coarsely(heights, _height_width(figures["median"], share))
 
 
 @helper
-def _settle(heights: _Heights, n: int) -> None:
-    """Bring the median of n heights to its place."""
+def _move_median(heights: _Heights, n: int) -> None:
+    """Move the median to its bin among n heights."""
     histogram = heights.histogram
     figures = heights.figures[0]
     median = figures["median"]
@@ -890,35 +884,35 @@ def _add_height(heights: _Heights, new: int, share: float) -> None:
     figures = heights.figures[0]
     heights.histogram[new] += 1
     if figures["n"] == 0:
-        _open_heights(heights, share)
+        _index_heights(heights, share)
         return
     figures["first"] = min(figures["first"], new)
     figures["last"] = max(figures["last"], new)
     figures["below"] += new < figures["median"]
-    _settle(heights, figures["n"] + 1)
+    _move_median(heights, figures["n"] + 1)
     width = _height_width(figures["median"], share)
     if width == figures["width"]:
         q = new // width + HALF
-        _reach(heights, q)
+        _clear_around(heights, q)
         heights.hist[q] += 1
         _spread(heights.density, q, int(np.int64(1)))
         figures["lo"] = min(figures["lo"], q)
         figures["hi"] = max(figures["hi"], q)
         figures["n"] += 1
     else:
-        _coarse(heights, width)
+        _bin_coarsely(heights, width)
 
 
 @helper
 def _forget_height(heights: _Heights, old: int, share: float) -> None:
-    """Take a height, not the last one, out of histogram, median and density."""
+    """Remove a height from histogram, median and density; another height must remain."""
     histogram = heights.histogram
     figures = heights.figures[0]
     histogram[old] -= 1
     width = figures["width"]
     q = old // width + HALF
     heights.hist[q] -= 1
-    _spread(heights.density, q, int(np.int64(-1)))
+    _spread(heights.density, q, NONE)
     figures["n"] -= 1
     while histogram[figures["first"]] == 0:
         figures["first"] += 1
@@ -927,9 +921,9 @@ def _forget_height(heights: _Heights, old: int, share: float) -> None:
     figures["lo"] = figures["first"] // width + HALF
     figures["hi"] = figures["last"] // width + HALF
     figures["below"] -= old < figures["median"]
-    _settle(heights, figures["n"])
+    _move_median(heights, figures["n"])
     if _height_width(figures["median"], share) != width:
-        _coarse(heights, _height_width(figures["median"], share))
+        _bin_coarsely(heights, _height_width(figures["median"], share))
 
 
 @helper
@@ -939,7 +933,7 @@ def _count_height(
     memory: int,
     share: float,
 ) -> None:
-    """Add a height, and forget the oldest one when there are more than can be remembered."""
+    """Add a height, and remove the oldest one if there are more than ``memory``."""
     figures = heights.figures[0]
     new = _height_bin(z)
     _add_height(heights, new, share)
@@ -952,7 +946,7 @@ def _count_height(
 
 
 @helper
-def _lowest(
+def _mode_below_roof(
     tops: I64,
     counts: I64,
     best: int,
@@ -960,9 +954,9 @@ def _lowest(
     roof_m: float,
     roof_share: float,
 ) -> int:
-    """Return the lowest mode that makes a roof of the main one.
+    """Return the lowest mode below the main one if that is a roof, else the main one.
 
-    Far enough below, with a share of its samples.
+    The main mode is a roof if a mode far enough below has a large enough share of its samples.
     """
     for i in range(best):
         below_m = (((tops[best] - tops[i]) * width) // 2) / PER_METRE
@@ -979,19 +973,20 @@ def _main_height(
     roof_m: float,
     roof_share: float,
 ) -> tuple[int, float]:
-    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins.
+    """Return the number of heights in the main mode, and its height [m] by mean shift on the bins.
 
-    Where the main mode is a roof, those of the ground below it.
+    If the main mode is a roof, the ground below it is used.
     """
     histogram = heights.histogram
     figures = heights.figures[0]
     if figures["n"] == 0:
         return 0, np.nan
     width = figures["width"]
-    best = _main(
-        counts, _walk(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts)
+    best = _largest_mode(
+        counts,
+        _find_modes(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts),
     )
-    best = _lowest(tops, counts, best, width, roof_m, roof_share)
+    best = _mode_below_roof(tops, counts, best, width, roof_m, roof_share)
     place = ((tops[best] - 2 * HALF) * width + width) // 2
     shift = 0.0
     for _ in range(20):
@@ -1002,10 +997,12 @@ def _main_height(
             max(figures["first"], place - reach), min(figures["last"], place + reach) + 1
         ):
             if histogram[i] > 0:
-                away = abs(i - place)
-                j = away // width
-                rest = away - j * width
-                weight = (WEIGHT[HALF + j] * (width - rest) + WEIGHT[HALF + j + 1] * rest) // width
+                distance = abs(i - place)
+                j = distance // width
+                remainder = distance - j * width
+                weight = (
+                    WEIGHT[HALF + j] * (width - remainder) + WEIGHT[HALF + j + 1] * remainder
+                ) // width
                 moment += weight * histogram[i] * (i - place)
                 mass += weight * histogram[i]
         if mass == 0:
@@ -1035,16 +1032,16 @@ def main_height(
     for i in range(len(heights)):
         bins[i] = _height_bin(heights[i])
         histogram[bins[i]] += 1
-    found = _new_heights(histogram, bins, int(np.int64(0)), share)
+    index = _new_heights(histogram, bins, ZERO, share)
     tops = np.empty(N_HEIGHTS, np.int64)
     counts = np.empty(N_HEIGHTS, np.int64)
-    count, height = _main_height(found, tops, counts, roof_m, roof_share)
+    count, height = _main_height(index, tops, counts, roof_m, roof_share)
     return count, height, bins, histogram
 
 
 @helper
 def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
-    """Return memory for rows of n beams and so many bins of line angles."""
+    """Return memory for rows of ``n`` beams, ``size`` bins of line angles and ``n_modes`` modes."""
     return _Scratch(
         sampled=np.empty(n + 1, np.int32),
         angles=np.empty((2, n + 1), np.float64),
@@ -1080,15 +1077,15 @@ def potential_heights(
     height = np.empty(n_rows, np.float64)
     for i in range(n_rows):
         row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
-        n_points, b = _potential(
-            row, int(np.int64(n_beams[i])), int(np.int64(0)), thresholds, beams, scratch
+        n_points, bandwidth_deg = _find_potential(
+            row, int(np.int64(n_beams[i])), ZERO, thresholds, beams, scratch
         )
         first[i] = last[i] = -1
         bandwidth[i] = height[i] = np.nan
         if n_points > 0:
             first[i] = beams[0]
             last[i] = beams[n_points - 1]
-            bandwidth[i] = b
+            bandwidth[i] = bandwidth_deg
             height[i] = _lowest_mean(
                 row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points
             )
@@ -1102,11 +1099,11 @@ def _horizontal_beams(
     last: int,
     beams: I32,
 ) -> int:
-    """List the horizontal points from one beam to another.
+    """List the horizontal points from one beam to another; return their number.
 
-    Returns how many; none where the first one is -1.
+    There are none if ``first`` is -1.
     """
-    n_points = int(np.int64(0))
+    n_points = ZERO
     if first >= 0:
         for k in range(first, last + 1):
             beams[n_points] = k
@@ -1136,7 +1133,7 @@ def ground_rows(
     tops = scratch.tops
     counts = scratch.counts
     beams = np.empty(n + 1, np.int32)
-    more = np.empty(n + 1, np.int32)
+    candidates = np.empty(n + 1, np.int32)
     n_recent = len(state.recent)
     queue = np.empty(n_recent + n_rows, np.int32)
     queue[:n_recent] = state.recent
@@ -1160,12 +1157,11 @@ def ground_rows(
         accepted = False
         # the first potential ground is known
         n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
-        b = potential.bandwidth_deg[i]
+        bandwidth = potential.bandwidth_deg[i]
         z_i = potential.height_m[i]
         while n_points > 0:
-            if (
-                to_count and figures["n"] < thresholds.start_heights
-            ):  # too few to begin with: caught up on the way
+            # the first estimate had too few heights: count this one at once
+            if to_count and figures["n"] < thresholds.start_heights:
                 _count_height(heights, z_i, memory, share)
                 to_count = False
                 if z_g == z_g or figures["n"] >= thresholds.least_heights:
@@ -1179,14 +1175,16 @@ def ground_rows(
             if accepted:
                 break
             start = int(np.int64(beams[n_points - 1] + 1))
-            n_points, b = _potential(row, n_valid, start, thresholds, beams, scratch)
+            n_points, bandwidth = _find_potential(row, n_valid, start, thresholds, beams, scratch)
             if n_points > 0:
                 z_i = _lowest_mean(
                     row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points
                 )
         if accepted:
             side_m[side] = z_i
-            for j in range(_grow(row, n_valid, beams, n_points, b, more, thresholds, scratch)):
+            for j in range(
+                _grow(row, n_valid, beams, n_points, bandwidth, candidates, thresholds, scratch)
+            ):
                 ground[i, beams[j]] = True
         if to_count and z_row == z_row:
             _count_height(heights, z_row, memory, share)
@@ -1194,5 +1192,5 @@ def ground_rows(
                 _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
         z_rows[i] = z_g
     recent = queue[figures["oldest"] : figures["newest"]].copy()
-    ahead_still = max(state.n_in_histogram_ahead - n_rows, 0)
-    return ground, z_rows, GroundState(heights.histogram, recent, z_g, ahead_still, side_m)
+    n_still_ahead = max(state.n_in_histogram_ahead - n_rows, 0)
+    return ground, z_rows, GroundState(heights.histogram, recent, z_g, n_still_ahead, side_m)

@@ -289,11 +289,11 @@ def combine_classes(
     """
     n_rows, n = surface.shape
     labels = np.empty((n_rows, n), np.uint8)
-    zero = label_of[0]
-    one = label_of[1]
-    two = label_of[2]
-    three = label_of[3]
-    four = label_of[4]
+    label_missing = label_of[0]
+    label_vegetation = label_of[1]
+    label_horizontal = label_of[2]
+    label_vertical = label_of[3]
+    label_undecided = label_of[4]
     for row in range(n_rows):
         n_curb = 0
         for k in range(n):
@@ -301,15 +301,15 @@ def combine_classes(
         for k in range(n):  # selections, not a table: they are vector instructions
             code = surface[row, k]
             label = (
-                zero
+                label_missing
                 if code == 0
-                else one
+                else label_vegetation
                 if code == 1
-                else two
+                else label_horizontal
                 if code == 2
-                else three
+                else label_vertical
                 if code == 3
-                else four
+                else label_undecided
             )
             label = np.uint8(_GROUND) if ground[row, k] else label
             labels[row, k] = np.uint8(_CAR) if car[row, k] and n_curb == 0 else label

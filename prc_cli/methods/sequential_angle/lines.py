@@ -75,16 +75,16 @@ def split_sides(beam_rad: F64) -> Sides:
     turning = np.arange(len(beam_rad)) if grows else np.arange(len(beam_rad))[::-1]
     angle = beam_rad[turning]
     halves = (turning[angle >= 0], turning[angle < 0][::-1])
-    found = [
+    sides = [
         half[np.argsort(np.abs(beam_rad[half]), kind="stable")] for half in halves if len(half)
     ]
-    n = max(len(columns) for columns in found)
-    order = np.full((len(found), n), -1, np.int32)
-    angles = np.full((len(found), n), np.nan)
-    for side, columns in enumerate(found):
+    n = max(len(columns) for columns in sides)
+    order = np.full((len(sides), n), -1, np.int32)
+    angles = np.full((len(sides), n), np.nan)
+    for side, columns in enumerate(sides):
         order[side, : len(columns)] = columns
         angles[side, : len(columns)] = np.abs(beam_rad[columns])
-    return Sides(order, np.array([len(columns) for columns in found], np.int32), angles)
+    return Sides(order, np.array([len(columns) for columns in sides], np.int32), angles)
 
 
 @stage("vertical lines")

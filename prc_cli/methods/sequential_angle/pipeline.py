@@ -193,8 +193,8 @@ class Beams:
     """Beam directions of a scanner."""
 
     beam_rad: F64
-    """(M,) float64, angle of every column's beam from straight down, in (-pi, pi]; the sign is the side of the scan
-    plane [rad]."""
+    """(M,) float64, angle of every column's beam from straight down, in (-pi, pi]; the sign is the
+    side of the scan plane [rad]."""
     sides: Sides
 
     @classmethod
@@ -271,7 +271,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         )
         stages = stages_in_columns(found.rows, found.labels, scanner) if wanted.stages else None
         final = turn.hand_on(
-            WAITING, lambda before: _take_lines((*before, block), len(found.labels))
+            WAITING, lambda before: _split_lines((*before, block), len(found.labels))
         )
         labelled = []
         start = 0
@@ -289,28 +289,28 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report what was not searched for, and why."""
-        said: list[str] = []
+        notices: list[str] = []
         if not labels[Label.GROUND]:
-            said.append(
+            notices.append(
                 "no ground was found, and without its height neither curbs nor cars are looked for"
             )
         if tally.n_beyond:
-            said.append(
+            notices.append(
                 f"{tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {self.thresholds.max_range_m:g} m "
                 "or the limits of [input]: they are missing to the method, and unclassified"
             )
         if segments:
-            said.append("the sequential-angle method has no segments: every segment id is 0")
-        return tuple(said)
+            notices.append("the sequential-angle method has no segments: every segment id is 0")
+        return tuple(notices)
 
 
-def _reasons(labels: U8, found: U8) -> U8:
+def _reasons(labels: U8, method_labels: U8) -> U8:
     """Return the rules behind labels.
 
     ``found`` lacks the returns that are beyond the reach of the method.
     """
     reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
-    reasons[labels != found] = Reason.BEYOND_REACH
+    reasons[labels != method_labels] = Reason.BEYOND_REACH
     return reasons
 
 
@@ -353,9 +353,9 @@ def classify_block(
     """
     rows = within_lines(range_m, xyz_m, beams, thresholds)
     ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, thresholds, last=last))
-    found = [find_cars(part, thresholds, stages=stages) for part in ready]
+    with_cars = [find_cars(part, thresholds, stages=stages) for part in ready]
     done, curb = turn.hand_on(
-        CURBS, lambda before: decide_curbs(found, before, thresholds, last=last)
+        CURBS, lambda before: decide_curbs(with_cars, before, thresholds, last=last)
     )
     return Final(in_columns(done, curb, beams, thresholds.curb), done)
 
@@ -373,7 +373,7 @@ def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
     return above
 
 
-def _take_lines(
+def _split_lines(
     waiting: tuple[ScanBlock, ...], n_lines: int
 ) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:
     """Return the first ``n_lines`` waiting lines, and the rest."""
@@ -448,7 +448,7 @@ def follow_ground(
     The first rows wait until its height is known.
     """
     ready, state = _start_ground(rows, state, thresholds.ground, last=last)
-    found = []
+    on_ground = []
     for part in ready:
         assert state.known is not None
         mask, height_m, known = ground(
@@ -461,8 +461,8 @@ def follow_ground(
             thresholds.ground,
         )
         state = replace(state, known=known)
-        found.append(OnGround(part, mask, height_m))
-    return found, state
+        on_ground.append(OnGround(part, mask, height_m))
+    return on_ground, state
 
 
 def _start_ground(
@@ -494,19 +494,19 @@ def find_cars(
     lines = rows.lines
     surface = rows.surface
     possible = possible_curbs(lines, surface, part.ground, z_g, thresholds.curb)
-    found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, thresholds.car)
-    seen = car_search(found, lines) if stages else CarSearch.none(len(z_g))
+    cars_found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, thresholds.car)
+    search = car_search(cars_found, lines) if stages else CarSearch.none(len(z_g))
     undecided = Undecided(
         surface,
         rows.car_surface,
         part.ground,
-        found.car,
+        cars_found.car,
         lines.horizontal_m,
         lines.xyz_m,
         z_g,
-        seen.trigger,
-        seen.interval,
-        seen.test,
+        search.trigger,
+        search.interval,
+        search.test,
     )
     return WithCars(lines, rows.signed_deg, possible, undecided)
 
@@ -623,14 +623,16 @@ def _split(
 
 
 def _rows_of(rows: Undecided, part: slice) -> Undecided:
-    values: dict[str, Any] = {each.name: getattr(rows, each.name)[part] for each in fields(rows)}
+    values: dict[str, Any] = {
+        column.name: getattr(rows, column.name)[part] for column in fields(rows)
+    }
     return Undecided(**values)
 
 
 def _join(parts: Sequence[Undecided]) -> Undecided:
     values: dict[str, Any] = {
-        each.name: np.concatenate([getattr(part, each.name) for part in parts])
-        for each in fields(Undecided)
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(Undecided)
     }
     return Undecided(**values)
 

@@ -59,9 +59,9 @@ class ChordThresholds(NamedTuple):
     Shorter ones measure rims and edges, not surfaces; published: 0 [m].
     """
     chord_depth_sigmas: Annotated[float, key(0, 1000)] = 3.0
-    """Differences of range up to this count nothing for the length of a chord, larger ones by what they have more
-    [standard deviations of the range noise]: where shots lie closer than the noise, it would choose
-    the ends; 0 = the whole chord counts."""
+    """Differences of range up to this count nothing for the length of a chord, larger ones by what
+    they have more [standard deviations of the range noise]: where shots lie closer than the noise,
+    it would choose the ends; 0 = the whole chord counts."""
     max_shots: int = 256
     """Valid shots before and after a shot among which its chords may end.
 
@@ -150,8 +150,8 @@ class WindowThresholds(NamedTuple):
     """When vegetation is a facade with windows (``[sequential_angle.coarse.windows]``)."""
 
     share: Annotated[float, key(0, 1)] = 0.5
-    """A run of vegetation is vertical if two upright layers hold more than this share of its points; published: 1,
-    never."""
+    """A run of vegetation is vertical if two upright layers hold more than this share of its
+    points; published: 1, never."""
     width_m: float = 0.03
     """Thickness of a layer at least ..."""
     width_sigmas: float = 6.0
@@ -208,13 +208,13 @@ class GroundThresholds(NamedTuple):
     Published: 50, which the bonnet of a car beside the
     scanner can fill."""
     height_tolerance: Annotated[float, key(above=0, most=10)] = 0.10
-    """Potential ground is ground when its height differs from the dominant height by less than this share of it
-    (published); heights are counted from the scanner."""
+    """Potential ground is ground when its height differs from the dominant height by less than this
+    share of it (published); heights are counted from the scanner."""
     height_tolerance_m: Annotated[float, key(0, 100)] = 0.05
     """The same at least, for scanners near the ground [m]; 0: the printed text."""
     follow_m: Annotated[float, key(0, 100)] = 0.10
-    """Potential ground is ground, too, when its height differs by less than this from that of the last ground of the
-    same side [m]; 0: the printed text."""
+    """Potential ground is ground, too, when its height differs by less than this from that of the
+    last ground of the same side [m]; 0: the printed text."""
     height_points: Annotated[int, key(0, 100_000)] = 30
     """Points at the beginning of potential ground that its lowest points are taken from.
 
@@ -239,13 +239,13 @@ class GroundThresholds(NamedTuple):
     Rounded up to a multiple of 16 mm.
     """
     roof_m: Annotated[float, key(0, 1e6)] = 0.6
-    """Heights that much above a lower mode, which has a quarter of their number, are those of bonnets and roofs [m];
-    published: so large that it is off."""
+    """Heights that much above a lower mode, which has a quarter of their number, are those of
+    bonnets and roofs [m]; published: so large that it is off."""
     roof_share: float = 0.25
     """The lower mode must have at least this share of the heights of the main one."""
     renew_every: Annotated[bool, key()] = True
-    """The dominant height is computed anew after every line that has a height, not only after those that have ground
-    (published)."""
+    """The dominant height is computed anew after every line that has a height, not only after those
+    that have ground (published)."""
     memory_heights: Annotated[int, key(0, 1_000_000)] = 2000
     """Heights that the dominant height comes from, the latest ones, never fewer than start_heights.
 
@@ -261,11 +261,11 @@ class GroundThresholds(NamedTuple):
     growth_height_m: float = 0.10
     """Height above or below the local line up to which ground grows."""
     resume: Annotated[bool, key()] = True
-    """Where growth ends within a run of horizontal points, more potential ground in the rest of the run that continues
-    the local line is ground too; off: the printed text."""
+    """Where growth ends within a run of horizontal points, more potential ground in the rest of the
+    run that continues the local line is ground too; off: the printed text."""
     bridge: Annotated[int, key(0, 1000)] = 4
-    """Points in succession, neither horizontal nor missing, that potential and growing ground pass over where the
-    horizontal points behind continue the local line; 0: the printed text."""
+    """Points in succession, neither horizontal nor missing, that potential and growing ground pass
+    over where the horizontal points behind continue the local line; 0: the printed text."""
     bridge_height_m: float = 0.05
     """Height above or below the local line up to which they continue it."""
 
@@ -319,8 +319,8 @@ class CurbThresholds(NamedTuple):
     under_m: Annotated[float, key(0, 100)] = 0.01
     """A point before that is farther away by more than this, ... [m] (published)."""
     under_sigmas: Annotated[float, key(0, 1000)] = 6.0
-    """... and by more than this many times the range noise, lies under the point, which then is no curb; published:
-    0."""
+    """... and by more than this many times the range noise, lies under the point, which then is no
+    curb; published: 0."""
     search_height_m: Annotated[float, key(0, 1000)] = 2.0
     """Height above the ground where the search for a curb ends (published) [m]."""
     grouping_m: Annotated[float, key(above=0, most=100)] = 0.3
@@ -333,12 +333,13 @@ class CurbThresholds(NamedTuple):
     Cars stand behind them; published: 0 [m].
     """
     stands_below_m: Annotated[float, key(0, 1e6)] = 0.05
-    """A car whose foot, or the ground before it, is this much lower than the top of a curb stands on a road and not
-    behind the curb; published: so large that it is off [m]."""
+    """A car whose foot, or the ground before it, is this much lower than the top of a curb stands
+    on a road and not behind the curb; published: so large that it is off [m]."""
     min_lines: Annotated[int, key(1, 200)] = 3
     """Lines that make a curb of a region with a possible curb point (published)."""
     curvature_deg: float = 20.0
-    """With fewer lines, the median change of the angle from point to point must be less than this."""
+    """With fewer lines, the median change of the angle from point to point must be less than
+    this."""
     max_lines: int = 200
     """A region of so many lines is decided as it is: bounds memory and delay."""
 
@@ -351,7 +352,8 @@ class OpenRegions(NamedTuple):
     """The C regions of vertical points that are not decided yet, and the P lines they lie in (sec. 6)."""
 
     labels: Annotated[I32, 2]
-    """(P * n_sides, n) int32: 0 not vertical, 1 too high, 2 no curb, 3 a curb, from 4 on the undecided regions."""
+    """(P * n_sides, n) int32: 0 not vertical, 1 too high, 2 no curb, 3 a curb, from 4 on the
+    undecided regions."""
     n_given: int
     """Lines at the beginning of ``labels`` that were returned as decided before, 0 or 1."""
     side: Ints
@@ -378,14 +380,15 @@ class SuspiciousThresholds(NamedTuple):
         (0.09, 0.9, 0.01),
         (0.6, 0.3, 0.1),
     )
-    """Regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the
-    rows)."""
+    """Regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column
+    completes the rows)."""
     h1: Annotated[tuple[Chain, Chain, Chain], key()] = (
         (0.5, 0.25, 0.25),
         (0.25, 0.5, 0.25),
         (0.25, 0.25, 0.5),
     )
-    """Car: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the rows)."""
+    """Car: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the
+    rows)."""
     threshold: Annotated[float, key(0, 1e6)] = 1.0
     """Log likelihood ratio above which a line is suspicious [nats] (published)."""
 
@@ -411,8 +414,8 @@ class DividerThresholds(NamedTuple):
     under_m: Annotated[float, key(0, 100)] = 0.01
     """A point before that is farther away by more than this, ... [m] (published)."""
     under_sigmas: Annotated[float, key(0, 1000)] = 6.0
-    """... and by more than this many times the range noise, lies under the point, which then begins an interval;
-    published: 0."""
+    """... and by more than this many times the range noise, lies under the point, which then begins
+    an interval; published: 0."""
     separation_m: Annotated[float, key(above=0, most=1e4)] = 4.0
     """T_sep: successive returns farther apart are two objects, ... [m] (published)."""
     return_points: Annotated[int, key(0, 100_000)] = 8
@@ -421,8 +424,8 @@ class DividerThresholds(NamedTuple):
     Such jumps go through its windows;
     published: 0 [returns]."""
     from_start: Annotated[bool, key()] = True
-    """A line that begins with V begins with an interval, because a car that stands close hides the ground before it;
-    published: false."""
+    """A line that begins with V begins with an interval, because a car that stands close hides the
+    ground before it; published: false."""
     flat_length_m: Annotated[float, key(above=0, most=1e4)] = 3.0
     """Horizontal length from which a flat stretch is ground [m] (published)."""
     flat_residual_m: float = 0.05
@@ -430,25 +433,26 @@ class DividerThresholds(NamedTuple):
     flat_slope: float = math.tan(math.radians(10.0))
     """Largest slope of that line, a tangent."""
     flat_step_m: Annotated[float, key(0, 1e3)] = 0.2
-    """A change of height from one return to the next that ends such a stretch, as from a bonnet to the road behind;
-    published: 0, none does [m]."""
+    """A change of height from one return to the next that ends such a stretch, as from a bonnet to
+    the road behind; published: 0, none does [m]."""
     flat_above_m: Annotated[float, key(0, 1e3)] = 1.0
-    """Such a stretch ends no interval where it begins higher than this above the lowest return of the interval, as the
-    roof of a car does; published: so large that it is off [m]."""
+    """Such a stretch ends no interval where it begins higher than this above the lowest return of
+    the interval, as the roof of a car does; published: so large that it is off [m]."""
     height_m: Annotated[float, key(above=0, most=1e3)] = 2.0
-    """T_height: cars are not sought above the first return this high over the ground [m] (published)."""
+    """T_height: cars are not sought above the first return this high over the ground [m]
+    (published)."""
     tall_m: Annotated[float, key(0, 1e3)] = 2.6
-    """They are along a vertical run that goes on from below and ends no higher than this above the ground, as the side
-    of a van does; published: 0, they are not [m]."""
+    """They are along a vertical run that goes on from below and ends no higher than this above the
+    ground, as the side of a van does; published: 0, they are not [m]."""
     glass_m: Annotated[float, key(0, 1e3)] = 1.0
-    """Dense vegetation does not end the search where the next return behind it is horizontal or vertical and no farther
-    away than the last one before it by this: it is the window of a car; published: 0, it does
-    [m]."""
+    """Dense vegetation does not end the search where the next return behind it is horizontal or
+    vertical and no farther away than the last one before it by this: it is the window of a car;
+    published: 0, it does [m]."""
     vertical_extent_m: float = 1.2
     """Runs of vertical points of this height or more are cut out, ..."""
     vertical_top_m: Annotated[float, key(0, 1e3)] = 2.6
-    """Runs of vertical points of 1.2 m height or more are cut out if they end higher than this above the ground, as no
-    car does; 0 = wherever they end [m]."""
+    """Runs of vertical points of 1.2 m height or more are cut out if they end higher than this
+    above the ground, as no car does; 0 = wherever they end [m]."""
     vertical_slope: float = math.tan(math.radians(2.5))
     """... or if they lean less than this from the vertical, a tangent."""
     vertical_open: Annotated[bool, key()] = True
@@ -459,8 +463,8 @@ class DividerThresholds(NamedTuple):
     straight_points: int = 16
     """Fewer points do not show whether a run is straight or upright: their height decides."""
     straight_extent_m: Annotated[float, key(0, 1e3)] = 0.25
-    """So are runs of this height or more that are straight and upright, as walls, fences and posts are and the sides of
-    cars are not; 0 = none [m]."""
+    """So are runs of this height or more that are straight and upright, as walls, fences and posts
+    are and the sides of cars are not; 0 = none [m]."""
     straight_m: float = 0.01
     """Straight is what lies this near to a straight line, rms, ..."""
     straight_sigmas: float = 2.0
@@ -468,10 +472,11 @@ class DividerThresholds(NamedTuple):
     straight_slope: float = math.tan(math.radians(1.5))
     """Upright is what leans less than this from the vertical, a tangent."""
     relief_m: Annotated[float, key(0, 10)] = 0.03
-    """Runs of vertical and horizontal points of 1.2 m height, as upright, but only this straight (rms), are cut out
-    too: walls with reliefs; published: 0, none is [m]."""
+    """Runs of vertical and horizontal points of 1.2 m height, as upright, but only this straight
+    (rms), are cut out too: walls with reliefs; published: 0, none is [m]."""
     lean_sigmas: float = 2.0
-    """Both leans may be larger by so many standard deviations of a lean, as the range noise makes it."""
+    """Both leans may be larger by so many standard deviations of a lean, as the range noise makes
+    it."""
     lean_noise_m: float = 0.0
     """``lean_sigmas`` in metres."""
     vertical_break_m: Annotated[float, key(0, 1e4)] = 0.5
@@ -494,7 +499,8 @@ class HighVerticalThresholds(NamedTuple):
     """What is too high for a car (``[sequential_angle.car.high_verticals]``)."""
 
     height_m: Annotated[float, key(above=0, most=1e3)] = 2.5
-    """Vertical surfaces that reach this far above the ground hide all cars behind [m] (published)."""
+    """Vertical surfaces that reach this far above the ground hide all cars behind [m]
+    (published)."""
 
 
 class FourierThresholds(NamedTuple):
@@ -534,8 +540,8 @@ class CarThresholds(NamedTuple):
     high_verticals: HighVerticalThresholds = HighVerticalThresholds()
     fourier: FourierThresholds = FourierThresholds()
     most_foliage: Annotated[float, key(0, 1)] = 0.8
-    """An interval of which the coarse classification calls more than this share vegetation is no car; published: 1,
-    such intervals are cars too."""
+    """An interval of which the coarse classification calls more than this share vegetation is no
+    car; published: 1, such intervals are cars too."""
     min_points: Annotated[int, key(1, 100_000)] = 8
     """An interval of fewer returns is no car; published: 1 [returns]."""
     ground_layer_m: Annotated[float, key(0, 10)] = 0.3
@@ -557,15 +563,16 @@ class SequentialAngleThresholds(NamedTuple):
     max_range_m: Annotated[float, key(above=0, most=1e9)] = 300.0
     """Ranges beyond are missing (published) [m]."""
     start_lines: Annotated[int, key(1, 1_000_000)] = 500
-    """Scan lines that are held back at most until the height of the ground is known from ground.start_heights lines;
-    then it is taken from those there are."""
+    """Scan lines that are held back at most until the height of the ground is known from
+    ground.start_heights lines; then it is taken from those there are."""
     start_shots: int = 4_000_000
     """Shots that are held back at most for the same purpose.
 
     Bounds memory where lines are very long.
     """
     extra_return_m: float = 0.3
-    """Another return of a shot takes the label of the nearest range up to four columns away if it differs by less."""
+    """Another return of a shot takes the label of the nearest range up to four columns away if it
+    differs by less."""
     angles: ChordThresholds = ChordThresholds()
     coarse: CoarseThresholds = CoarseThresholds()
     dense_vegetation: MarkovThresholds = MarkovThresholds(
