@@ -22,7 +22,7 @@ FIELD_OF_VIEW_DEG = 38.0
 FRAMED = ((2.0, 98.0), (2.0, 98.0), (1.0, 99.0))
 """Percentiles of x, y, z in a view: the farthest 2 % of the shots need most of the room."""
 WIDENED = (0.06, 0.06, 0.1)
-"""Margin on every side, as a share of the extent between the percentiles, at most to the last point.
+"""Margin on every side, as a share of the extent between the percentiles, up to the last point.
 
 Evenly spread points are all in view (0.02 / 0.96 of the extent would do)."""
 MARGIN = 0.03

@@ -1,4 +1,4 @@
-"""Compiles loops with numba, and keeps the compiled code in numba's cache, in a folder that only this user can change.
+"""Compiles loops with numba, and keeps the code in a cache that only this user can change.
 
 The install folder may be read-only, a cron user may have no home, a disk may be full, a cache file
 may be cut short. Whenever the cache fails, the kernel is compiled in memory, so that no run stops.
@@ -45,7 +45,7 @@ Tuple = _types.Tuple
 
 
 def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
-    """Compile a function when its module is imported, for the types of its annotations, or for numba signatures.
+    """Compile a function on import, for the types of its annotations or for numba signatures.
 
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero
     gives infinity as in NumPy, since a test for it keeps loops from being vectorised. The lock of
@@ -78,18 +78,15 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
 def _signature(function: Callable[..., Any]) -> Any:
     """Return the numba signature of a function, from its annotations."""
     types = {
-        name: numba_type(each)
-        for name, each in get_type_hints(function, include_extras=True).items()
+        name: numba_type(annotation)
+        for name, annotation in get_type_hints(function, include_extras=True).items()
     }
     returned = types.pop("return")
     return returned(*types.values())
 
 
 def numba_type(annotation: Any) -> Any:
-    """Return the numba type of an annotation.
-
-    a number, a contiguous array (``Annotated[F32, 2]``), a tuple.
-    """
+    """Return the numba type of a number, a contiguous array (``Annotated[F32, 2]``) or a tuple."""
     origin = get_origin(annotation)
     inner = get_args(annotation)
     if origin is Annotated and get_origin(inner[0]) is np.ndarray:
@@ -99,12 +96,14 @@ def numba_type(annotation: Any) -> Any:
     if origin is Annotated:
         return numba_type(inner[0])
     if origin is tuple:
-        return _types.BaseTuple.from_types([numba_type(each) for each in inner])
+        return _types.BaseTuple.from_types([numba_type(field_type) for field_type in inner])
     if annotation is type(None):
         return _types.void
     if issubclass(annotation, tuple):
         fields = get_type_hints(annotation, include_extras=True).values()
-        return _types.BaseTuple.from_types([numba_type(each) for each in fields], annotation)
+        return _types.BaseTuple.from_types(
+            [numba_type(field_type) for field_type in fields], annotation
+        )
     return numba.from_dtype(np.dtype(annotation))
 
 
@@ -172,12 +171,15 @@ def writable_cache() -> Path | None:
 
     Configured, cache, temporary.
     """
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        folder = Path(given).resolve()
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        folder = Path(named).resolve()
         if not _is_writable(folder):
             return None
         if why := open_to_others(folder):
-            problem = f"others can put code there that would be run: {why}, expected a folder of this user alone"
+            problem = (
+                f"others can put code there that would be run: {why}, "
+                "expected a folder of this user alone"
+            )
             raise PrcError(
                 str(folder), problem, "chmod -R go-w, or let NUMBA_CACHE_DIR name a new folder"
             )

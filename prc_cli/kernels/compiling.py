@@ -93,7 +93,10 @@ def _children(shares: Sequence[Sequence[str]]) -> Iterator[None]:
     End them after a while.
     """
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    code = f"import sys; from prc_cli.kernels import load_compiler as load; load(); from {__name__} import *; "
+    code = (
+        "import sys; from prc_cli.kernels import load_compiler as load; load(); "
+        f"from {__name__} import *; "
+    )
     command = [
         sys.executable,
         "-P",
@@ -152,7 +155,7 @@ VECTORS = ("avx512f", "avx2", "avx", "sse4.2", "sve", "neon")
 
 
 class About(NamedTuple):
-    """Processor and compiler: its name, extensions of :data:`VECTORS` in use, whether anything is compiled."""
+    """Processor and compiler: name, extensions of :data:`VECTORS` in use, whether it compiles."""
 
     processor: str
     features: tuple[str, ...]
@@ -160,7 +163,7 @@ class About(NamedTuple):
 
 
 class CacheState(NamedTuple):
-    """The folder of compiled kernels, None if none is writable, its size, and modules with kernels in it, of all."""
+    """The folder of compiled kernels (None = none is writable), its size, and its modules, of all."""
 
     folder: Path | None
     n_bytes: int

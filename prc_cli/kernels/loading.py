@@ -26,8 +26,8 @@ def _read_table() -> dict[str, str]:
         for node in ast.parse(_TABLE.read_text("utf-8")).body
         if isinstance(node, ast.ImportFrom)
     )
-    found = {alias.name: str(node.module) for node in imports for alias in node.names}
-    return {name: module for name, module in found.items() if module != __name__}
+    modules = {alias.name: str(node.module) for node in imports for alias in node.names}
+    return {name: module for name, module in modules.items() if module != __name__}
 
 
 KERNELS = _read_table()
@@ -85,7 +85,10 @@ def load_compiler() -> None:
         with _unneeded_absent():
             import_module("numba")
     except (ImportError, OSError) as error:
-        hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
+        hint = (
+            "pip install --force-reinstall numba; "
+            "until then prc classify --engine reference is the slow way"
+        )
         raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
 
 

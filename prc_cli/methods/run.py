@@ -85,7 +85,7 @@ def _moved(block: ScanBlock, n_lines: int) -> ScanBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scanner:
-    """A scanner's constants, and its state, whose fields pass from block to block across threads."""
+    """A scanner's constants, and its state: its fields pass from block to block across threads."""
 
     constants: Any
     relays: dict[str, Relay[Any]]

@@ -37,9 +37,9 @@ def evaluation(
     part: str = "0-5 m",
 ) -> Evaluation:
     """An evaluation with parts, an empty part, intervals and a poor match."""
-    found = scores(MATRIX)
+    matrix_scores = scores(MATRIX)
     intervals = {
-        name: Interval(getattr(found, name) - 0.0213, getattr(found, name) + 0.0127)
+        name: Interval(getattr(matrix_scores, name) - 0.0213, getattr(matrix_scores, name) + 0.0127)
         for name in OVERALL_SCORES
     }
     for item in scores(MATRIX.trimmed()).classes:

@@ -240,6 +240,6 @@ def test_oakland_labels_are_all_listed(real_data: Path, name: str) -> None:
 def test_semantic_kitti_labels_are_all_listed(real_data: Path) -> None:
     labels = np.fromfile(real_data / "kitti" / "000000.label", dtype="<u4") & 0xFFFF
     mapping = load_mapping("semantic_kitti")
-    found = np.bincount(mapping.class_indices(labels, "reference") + 1, minlength=6)
-    assert found[0] == np.count_nonzero(labels == 0)
-    assert found[1 + mapping.names("reference").index("ground")] > 0.5 * found.sum()
+    counts = np.bincount(mapping.class_indices(labels, "reference") + 1, minlength=6)
+    assert counts[0] == np.count_nonzero(labels == 0)
+    assert counts[1 + mapping.names("reference").index("ground")] > 0.5 * counts.sum()

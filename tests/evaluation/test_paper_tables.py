@@ -79,9 +79,9 @@ def street() -> ConfusionMatrix:
     ],
 )
 def test_table_ii_scores(gate: str, value: float) -> None:
-    found = scores(forest())
-    assert gate_value(found, gate) == pytest.approx(value, abs=0.0006)
-    assert found.n_scored == 39_716_061
+    matrix_scores = scores(forest())
+    assert gate_value(matrix_scores, gate) == pytest.approx(value, abs=0.0006)
+    assert matrix_scores.n_scored == 39_716_061
 
 
 @pytest.mark.parametrize("zeta_p", list(TABLE_I))
@@ -96,12 +96,12 @@ def test_table_i_as_row_shares(zeta_p: str) -> None:
     assert shown.reference_names == ("noise", "ground", "vegetation", "building", "other")
     assert shown.predicted_names == ("noise", "ground", "vegetation", "building")
     assert np.allclose(shown.row_shares(), TABLE_I[zeta_p], atol=0.001)
-    found = scores(shown)
-    recalls = [gate_value(found, f"recall.{name}") for name in shown.predicted_names]
+    matrix_scores = scores(shown)
+    recalls = [gate_value(matrix_scores, f"recall.{name}") for name in shown.predicted_names]
     assert recalls == pytest.approx([TABLE_I[zeta_p][i][i] for i in range(4)], abs=0.001)
-    assert math.isnan(found.classes[-1].recall)
-    assert found.classes[-1].name == "other"
-    assert "other" not in found.scored
+    assert math.isnan(matrix_scores.classes[-1].recall)
+    assert matrix_scores.classes[-1].name == "other"
+    assert "other" not in matrix_scores.scored
 
 
 @pytest.mark.parametrize(
@@ -123,22 +123,22 @@ def test_table_i_as_row_shares(zeta_p: str) -> None:
     ],
 )
 def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
-    found = scores(street())
+    matrix_scores = scores(street())
     # rounded to four digits in the paper, without zeros at the end; F1 and the accuracy are not
     # printed there
-    assert gate_value(found, gate) == pytest.approx(printed, abs=0.6 * 10**-digits)
-    assert found.n_scored == 7_313_534
+    assert gate_value(matrix_scores, gate) == pytest.approx(printed, abs=0.6 * 10**-digits)
+    assert matrix_scores.n_scored == 7_313_534
 
 
 @pytest.mark.parametrize("matrix", [forest(), street()], ids=["lehtola", "stamos"])
 def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
-    found = scores(matrix)
+    matrix_scores = scores(matrix)
     markdown = as_markdown(matrix)
     latex = as_latex(matrix)
     page = as_html(matrix)
     table = json.loads(as_json(matrix))
     assert table["confusion"]["counts"] == matrix.counts.tolist()
-    for item in found.classes:
+    for item in matrix_scores.classes:
         for score in ("recall", "precision", "f1", "iou", "accuracy"):
             value = f"{getattr(item, score):.3f}"
             assert f"{table['classes'][item.name][score]:.3f}" == value
@@ -155,16 +155,16 @@ def test_scikit_learn_reads_the_papers_the_same_way() -> None:
         n = len(matrix.reference_names)
         reference, predicted = (axis.ravel() for axis in np.indices((n, n)))
         weights = matrix.counts.ravel()
-        found = scores(matrix)
+        matrix_scores = scores(matrix)
         precision, recall, f1, _ = metrics.precision_recall_fscore_support(
             reference, predicted, sample_weight=weights
         )
         iou = metrics.jaccard_score(reference, predicted, average=None, sample_weight=weights)
-        for i, item in enumerate(found.classes):
+        for i, item in enumerate(matrix_scores.classes):
             values = item.precision, item.recall, item.f1, item.iou
             assert values == pytest.approx((precision[i], recall[i], f1[i], iou[i]))
-        assert found.accuracy == pytest.approx(
+        assert matrix_scores.accuracy == pytest.approx(
             metrics.accuracy_score(reference, predicted, sample_weight=weights)
         )
         kappa = metrics.cohen_kappa_score(reference, predicted, sample_weight=weights)
-        assert found.kappa == pytest.approx(kappa)
+        assert matrix_scores.kappa == pytest.approx(kappa)

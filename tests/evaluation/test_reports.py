@@ -57,8 +57,8 @@ def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
 
 
 def test_markdown_shows_names_of_users_as_they_are() -> None:
-    found = samples.evaluation(predicted="a|b_*c*\n# d.npy", part="a|b <b>")
-    text = as_markdown(found)
+    evaluation = samples.evaluation(predicted="a|b_*c*\n# d.npy", part="a|b <b>")
+    text = as_markdown(evaluation)
     assert "a\\|b\\_\\*c\\* \\# d.npy" in text
     assert "a\\|b \\<b\\>" in text
     for table in (block.splitlines() for block in text.split("\n\n") if block.startswith("|")):
@@ -66,22 +66,22 @@ def test_markdown_shows_names_of_users_as_they_are() -> None:
 
 
 def test_agreement_of_chance_is_told() -> None:
-    found = samples.evaluation()
-    assert doubts(found) == ()
+    evaluation = samples.evaluation()
+    assert doubts(evaluation) == ()
     rng = np.random.default_rng(4)
     codes = rng.choice(2, 5000, p=[0.9, 0.1])
     counts = np.bincount(codes * 2 + rng.permutation(codes), minlength=4).reshape(2, 2)
     shuffled = replace(
-        found, matrix=ConfusionMatrix(("a", "b"), ("a", "b"), counts), splits={}, intervals={}
+        evaluation, matrix=ConfusionMatrix(("a", "b"), ("a", "b"), counts), splits={}, intervals={}
     )
-    (told,) = doubts(shuffled)
-    assert "about that of chance" in told
-    assert told in as_html(shuffled)
-    assert told in as_markdown(shuffled)
-    assert json.loads(as_json(shuffled))["doubts"] == [told]
+    (doubt,) = doubts(shuffled)
+    assert "about that of chance" in doubt
+    assert doubt in as_html(shuffled)
+    assert doubt in as_markdown(shuffled)
+    assert json.loads(as_json(shuffled))["doubts"] == [doubt]
     # a file with one class has no kappa, and few records prove nothing
-    for other in ([[5000, 0], [0, 0]], [[5, 5], [5, 5]]):
-        matrix = ConfusionMatrix(("a", "b"), ("a", "b"), np.array(other))
+    for few_or_alike in ([[5000, 0], [0, 0]], [[5, 5], [5, 5]]):
+        matrix = ConfusionMatrix(("a", "b"), ("a", "b"), np.array(few_or_alike))
         assert doubts(replace(shuffled, matrix=matrix)) == ()
 
 
@@ -107,10 +107,10 @@ def test_nothing_of_a_user_is_a_command() -> None:
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex here")
 def test_latex_takes_the_tables(tmp_path: Path) -> None:
-    found = samples.evaluation(predicted=NASTY, mapping="a_b#%.toml", part=NASTY)
+    evaluation = samples.evaluation(predicted=NASTY, mapping="a_b#%.toml", part=NASTY)
     document = (
         "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{booktabs}\n\\begin{document}\n"
-        f"{as_latex(found)}\\end{{document}}\n"
+        f"{as_latex(evaluation)}\\end{{document}}\n"
     )
     (tmp_path / "page.tex").write_text(document, encoding="utf-8")
     command = [
@@ -169,12 +169,14 @@ class Page(HTMLParser):
 
 
 def full_page() -> tuple[Evaluation, str]:
-    found = samples.evaluation()
+    evaluation = samples.evaluation()
     gates = check_gates(
-        scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)]
+        scores(evaluation.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)]
     )
     pictures = [("Predicted", PNG)]
-    return found, as_html(found, gates, mapping=load_mapping("oakland"), pictures=pictures)
+    return evaluation, as_html(
+        evaluation, gates, mapping=load_mapping("oakland"), pictures=pictures
+    )
 
 
 def test_page_is_well_formed_and_needs_nothing_else() -> None:
@@ -198,10 +200,10 @@ def test_page_is_well_formed_and_needs_nothing_else() -> None:
 
 
 def test_text_of_users_is_shown_and_never_read_as_html() -> None:
-    found = samples.evaluation(
+    evaluation = samples.evaluation(
         predicted=NASTY_NAME, mapping=NASTY_NAME, note=NASTY_NAME, part=NASTY_NAME
     )
-    text = as_html(found, pictures=[(NASTY_NAME, PNG)], title=NASTY_NAME)
+    text = as_html(evaluation, pictures=[(NASTY_NAME, PNG)], title=NASTY_NAME)
     page = Page(text)
     assert "<b>.npy" not in text
     assert page.seen.count("script") == 1

@@ -41,21 +41,21 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
         reference={name: (i,) for i, name in enumerate(names)},
     )
     matrix = accumulate(ConfusionMatrix.empty(mapping), predicted, reference, mapping)
-    found = scores(matrix)
+    matrix_scores = scores(matrix)
     assert np.array_equal(matrix.counts, metrics.confusion_matrix(reference, predicted))
     precision, recall, f1, support = metrics.precision_recall_fscore_support(reference, predicted)
     iou = metrics.jaccard_score(reference, predicted, average=None)
-    for i, item in enumerate(found.classes):
+    for i, item in enumerate(matrix_scores.classes):
         assert (item.recall, item.precision) == pytest.approx((recall[i], precision[i]))
         assert (item.f1, item.iou, item.n_reference) == pytest.approx((f1[i], iou[i], support[i]))
         assert item.accuracy == pytest.approx(
             metrics.accuracy_score(reference == i, predicted == i)
         )
-    assert found.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted))
-    assert found.balanced_accuracy == pytest.approx(
+    assert matrix_scores.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted))
+    assert matrix_scores.balanced_accuracy == pytest.approx(
         metrics.balanced_accuracy_score(reference, predicted)
     )
-    assert found.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
+    assert matrix_scores.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
 
 
 @pytest.mark.parametrize(
@@ -75,9 +75,9 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     ],
 )
 def test_unknown_gates_name_those_there_are(name: str, expected: str) -> None:
-    found = scores(ConfusionMatrix(FOREST, FOREST, TABLE_II))
+    matrix_scores = scores(ConfusionMatrix(FOREST, FOREST, TABLE_II))
     with pytest.raises(ConfigError) as caught:
-        gate_value(found, name)
+        gate_value(matrix_scores, name)
     assert expected in str(caught.value)
 
 
@@ -149,9 +149,9 @@ def test_classes_of_one_side_have_no_gate_and_are_not_offered(score: str) -> Non
     for name in ("other", "noise", "car"):
         with pytest.raises(ConfigError) as caught:
             parse_gate(f"{score}.{name}=0.5", mapping)
-        told = str(caught.value)
-        assert f"found class {name!r}, which the mapping does not have on both sides" in told
-        assert told.endswith("expected one of: ground")
+        message = str(caught.value)
+        assert f"found class {name!r}, which the mapping does not have on both sides" in message
+        assert message.endswith("expected one of: ground")
     assert parse_gate(f"{score}.ground=0.5", mapping).limit == 0.5
 
 
@@ -163,11 +163,11 @@ NAMES = ROWS, COLUMNS
 def blocks_of(n: int, seed: int = 0, size: int = 400) -> np.ndarray:
     """Blocks of equal size whose share of agreement differs."""
     random = np.random.default_rng(seed)
-    found = []
+    blocks = []
     for _ in range(n):
         share = random.dirichlet([0.5, 8, 1, 0.5, 1, 6, 0.2, 0.5, 0.5])
-        found.append(random.multinomial(size, share).reshape(3, 3))
-    return np.array(found)
+        blocks.append(random.multinomial(size, share).reshape(3, 3))
+    return np.array(blocks)
 
 
 @pytest.mark.parametrize("name", ["recall.stem", "iou.ground", "kappa", "balanced_accuracy"])
@@ -179,17 +179,17 @@ def test_jackknife_by_hand(name: str) -> None:
     ]
     error = np.sqrt(8 / 9 * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))
     value = gate_value(scores(ConfusionMatrix(*NAMES, blocks.sum(axis=0))), name)
-    found = block_intervals(blocks, NAMES)[name]
+    interval = block_intervals(blocks, NAMES)[name]
     half = stats.t.ppf(0.975, 8) * error
-    assert (found.low, found.high) == pytest.approx((value - half, value + half))
+    assert (interval.low, interval.high) == pytest.approx((value - half, value + half))
 
 
 def test_intervals_hold_the_true_score_about_as_often_as_they_say() -> None:
     true = float(all_scores(blocks_of(4000, 99).sum(axis=0)[None], *NAMES)["recall.stem"][0])
     n_held = 0
     for seed in range(60):
-        found = block_intervals(blocks_of(40, seed), NAMES)["recall.stem"]
-        n_held += found.low <= true <= found.high
+        interval = block_intervals(blocks_of(40, seed), NAMES)["recall.stem"]
+        n_held += interval.low <= true <= interval.high
     assert n_held >= 51  # 57 expected; fewer than 51 in one of 200 such tests
 
 
@@ -197,9 +197,9 @@ def test_bounds_and_undefined_scores() -> None:
     blocks = blocks_of(10)
     blocks[:, 1] = 0
     blocks[2, 1, 2] = 5  # stems in one block alone
-    found = block_intervals(blocks, NAMES)
-    assert "recall.stem" not in found
-    assert all(-1 <= item.low <= item.high <= 1 for item in found.values())
+    intervals = block_intervals(blocks, NAMES)
+    assert "recall.stem" not in intervals
+    assert all(-1 <= item.low <= item.high <= 1 for item in intervals.values())
     perfect = np.zeros((5, 3, 3), np.int64)
     perfect[:, 0, 1] = perfect[:, 1, 2] = 3
     assert block_intervals(perfect, NAMES)["accuracy"].low == 1.0
@@ -222,8 +222,8 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     counts = GroupedCounts(TWO_CLASSES, "test")
     half = GroupedCounts(TWO_CLASSES, "test")
     cells = cells_of(TWO_CLASSES, predicted, TWO_CLASSES.class_indices(reference, "reference"))
-    for at in np.array_split(np.arange(n), 7):
-        (counts if at[0] < n // 2 else half).add(group[at], cells[at])
+    for part in np.array_split(np.arange(n), 7):
+        (counts if part[0] < n // 2 else half).add(group[part], cells[part])
     counts.merge(half)
     assert counts.groups == tuple(np.unique(group).tolist())
     blocks = []
@@ -246,6 +246,6 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
 def test_kappa_may_lie_below_that_of_chance() -> None:
     """Two classes that are mistaken for each other."""
     blocks = np.array([[[k, 30], [30, k]] for k in range(6)])
-    found = block_intervals(blocks, (("a", "b"), ("a", "b")))
-    assert -1.0 <= found["kappa"].low < found["kappa"].high < 0.0
-    assert found["accuracy"].low >= 0.0
+    intervals = block_intervals(blocks, (("a", "b"), ("a", "b")))
+    assert -1.0 <= intervals["kappa"].low < intervals["kappa"].high < 0.0
+    assert intervals["accuracy"].low >= 0.0

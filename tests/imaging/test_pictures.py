@@ -155,7 +155,7 @@ def test_the_nearest_point_wins_whatever_the_order() -> None:
             buffer.add(points[i : i + 1], colours[i : i + 1])
         pictures.append(buffer.picture(close=0, shade=False))
     assert pictures[0][5, 4].tolist() == [0, 20, 0]
-    assert all(np.array_equal(pictures[0], other) for other in pictures)
+    assert all(np.array_equal(pictures[0], picture) for picture in pictures)
     assert (pictures[0] == 255).all(axis=2).sum() == 99
 
 
@@ -206,9 +206,9 @@ def shots() -> Shots:
 
 def decoded(page: str) -> tuple[dict[str, Any], dict[str, F64]]:
     """Return what the page says of itself, and its planes as the script reads them; 0 is NaN."""
-    found = re.search(r'<script type="application/json" id="about">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    about = json.loads(found[1])
+    match = re.search(r'<script type="application/json" id="about">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    about = json.loads(match[1])
     planes = {}
     for name, plane in about["planes"].items():
         text = re.search(
@@ -224,26 +224,26 @@ def decoded(page: str) -> tuple[dict[str, Any], dict[str, F64]]:
     return about, planes
 
 
-def page_of(given: Shots) -> str:
-    return viewer_page(given, title=TITLE, head="all & more", notes=["1 < 2"], foot="prc")
+def page_of(scan: Shots) -> str:
+    return viewer_page(scan, title=TITLE, head="all & more", notes=["1 < 2"], foot="prc")
 
 
 def test_the_data_of_the_page_are_the_shots() -> None:
-    given = shots()
-    about, planes = decoded(page_of(given))
-    assert np.array_equal(np.nan_to_num(planes["class"]), given.classes)
-    assert np.allclose(planes["range"], given.range_m, atol=0.000_51, equal_nan=True)
-    assert given.xyz_m is not None
+    scan = shots()
+    about, planes = decoded(page_of(scan))
+    assert np.array_equal(np.nan_to_num(planes["class"]), scan.classes)
+    assert np.allclose(planes["range"], scan.range_m, atol=0.000_51, equal_nan=True)
+    assert scan.xyz_m is not None
     far = np.zeros((7, 9), bool)
     far[4, 4] = True
     for k, axis in enumerate("xyz"):
-        expected = np.where(far, np.nan, given.xyz_m[..., k])
+        expected = np.where(far, np.nan, scan.xyz_m[..., k])
         assert np.allclose(planes[axis], expected, atol=0.001, rtol=0, equal_nan=True)
-    assert np.allclose(planes["time"], given.more["time"].values, atol=1e-7, rtol=0)
+    assert np.allclose(planes["time"], scan.more["time"].values, atol=1e-7, rtol=0)
     assert about["planes"]["surface"]["words"] == {"1": "vertical"}
     assert about["lines"] == {"n": 7, "first": 100, "step": 2}
     assert about["columns"] == {"n": 9, "first": 0, "step": 3}
-    assert [one["name"] for one in about["classes"] if one["hidden"]] == ["ground"]
+    assert [entry["name"] for entry in about["classes"] if entry["hidden"]] == ["ground"]
     assert about["order"][0] == 8
     assert about["mirrored"] is True
     assert len(about["ramp"]) == 256
@@ -270,7 +270,7 @@ def test_the_page_is_escaped_and_runs_nothing_but_its_own_script() -> None:
 
 def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
     nothing = np.full((2, 3), np.nan)
-    given = Shots(
+    scan = Shots(
         np.zeros((2, 3), np.uint8),
         nothing,
         np.full((2, 3, 3), np.nan),
@@ -279,21 +279,21 @@ def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
         (1, 1),
         (),
     )
-    _, planes = decoded(page_of(given))
+    _, planes = decoded(page_of(scan))
     assert all(np.isnan(plane).all() for plane in planes.values())
 
 
 def test_a_browser_shows_long_values_and_keeps_the_cloud_in_view(tmp_path: Path) -> None:
-    given = shots()
+    scan = shots()
     sentence = (
         "it stands higher than anything near it, and the beams around it pass by on both sides " * 2
     )
     words = {1: sentence, 2: sentence, 3: sentence}
-    reason = Values("because", given.classes.astype(float), 1.0, 1, "", words=words)
-    given = replace(given, more={**given.more, "reason": reason})
+    reason = Values("because", scan.classes.astype(float), 1.0, 1, "", words=words)
+    scan = replace(scan, more={**scan.more, "reason": reason})
     page = tmp_path / "a.html"
-    page.write_text(page_of(given), encoding="utf-8")
-    line, column = np.argwhere(given.classes == 1)[0]
+    page.write_text(page_of(scan), encoding="utf-8")
+    line, column = np.argwhere(scan.classes == 1)[0]
     outside = (
         "const edge = document.querySelector('aside').getBoundingClientRect().right;"
         "return Array.from(document.querySelectorAll('#shot dd')).filter((each) => {"

@@ -32,34 +32,34 @@ RNG = np.random.default_rng
 
 
 def keyed(key: list[float], returns: list[int] | None = None) -> Columns:
-    found = np.array(key, np.float64)
-    order = np.argsort(found, kind="stable")
-    columns: Columns = {KEY: found[order], "id": order}
+    keys = np.array(key, np.float64)
+    order = np.argsort(keys, kind="stable")
+    columns: Columns = {KEY: keys[order], "id": order}
     if returns is not None:
         columns[SAME] = np.array(returns)[order]
     return columns
 
 
 def nearest_of(value: float, among: list[float]) -> float:
-    return min(among, key=lambda other: (abs(other - value), other))
+    return min(among, key=lambda number: (abs(number - value), number))
 
 
 def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, int]]:
     """Mutual nearest keys within the tolerance, members of a key in their order, one after the
     other."""
     ours, theirs = (sorted(set(side[KEY].tolist())) for side in (left, right))
-    found = set()
+    pairs = set()
     for key in ours:
         if not theirs:
             break
-        other = nearest_of(key, theirs)
-        if abs(other - key) > tolerance or nearest_of(other, ours) != key:
+        partner = nearest_of(key, theirs)
+        if abs(partner - key) > tolerance or nearest_of(partner, ours) != key:
             continue
         numbers = {int(r) for r in left[SAME][left[KEY] == key]} if SAME in left else {None}
         for number in numbers:
             members = []
             ats = []
-            for side, value in ((left, key), (right, other)):
+            for side, value in ((left, key), (right, partner)):
                 here = side[KEY] == value
                 ats.append(
                     np.flatnonzero(here if number is None else here & (side[SAME] == number))
@@ -68,11 +68,11 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
             larger = max((0, 1), key=lambda side: len(members[side]))
             clear = (
                 CODE in left
-                and len({int((left, right)[larger][CODE][at]) for at in ats[larger]}) == 1
+                and len({int((left, right)[larger][CODE][index]) for index in ats[larger]}) == 1
             )
             if len(members[0]) == len(members[1]) or clear:
-                found |= set(zip(members[0].tolist(), members[1].tolist(), strict=False))
-    return found
+                pairs |= set(zip(members[0].tolist(), members[1].tolist(), strict=False))
+    return pairs
 
 
 KEYS = st.lists(st.integers(0, 40).map(lambda k: k / 4), max_size=40)
@@ -90,12 +90,14 @@ def test_keys(
     tolerance: float,
     seed: int,
 ) -> None:
-    one = keyed(left)
-    other = keyed(right)
+    left_columns = keyed(left)
+    right_columns = keyed(right)
     tally = JoinTally()
-    found = pairs_of(join_by_key(cut(one, seed), cut(other, seed + 1), tolerance, tally))
-    assert found == by_hand(one, other, tolerance)
-    assert tally.n_pairs == tally.n_right == len(found)
+    pairs = pairs_of(
+        join_by_key(cut(left_columns, seed), cut(right_columns, seed + 1), tolerance, tally)
+    )
+    assert pairs == by_hand(left_columns, right_columns, tolerance)
+    assert tally.n_pairs == tally.n_right == len(pairs)
 
 
 @given(data=st.data(), n=st.integers(0, 30), m=st.integers(0, 30), seed=st.integers(0, 99))
@@ -121,8 +123,8 @@ def test_a_removed_record_does_not_take_its_neighbours_partner() -> None:
     kept = np.arange(1000) % 5 > 0
     left = {KEY: key, "id": np.arange(1000)}
     right = {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)}
-    found = pairs_of(join_by_key(cut(left, 0, 90), cut(right, 1, 90), 6e-7, JoinTally()))
-    assert found == {(int(k), int(k)) for k in np.flatnonzero(kept)}
+    pairs = pairs_of(join_by_key(cut(left, 0, 90), cut(right, 1, 90), 6e-7, JoinTally()))
+    assert pairs == {(int(k), int(k)) for k in np.flatnonzero(kept)}
 
 
 def chunked(
@@ -156,7 +158,7 @@ def join(
 
 def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]:
     """Every point by itself: the code it gets, -1 = none; and how many labels are used."""
-    found = []
+    joined = []
     used = set()
     order = sorted(range(len(right[0])), key=lambda i: right[0][i])
     for i in range(len(right[0])):
@@ -166,18 +168,18 @@ def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]
             if left[1][j] == right[1][i] and abs(left[0][j] - right[0][i]) <= tolerance
         ]
         if not near:
-            found.append(-1)
+            joined.append(-1)
             continue
         best = min(near, key=lambda j: (abs(left[0][j] - right[0][i]), left[0][j]))
         group = [j for j in near if left[0][j] == left[0][best]]
         used.update(group)
         mine = [k for k in order if right[0][k] == right[0][i] and right[1][k] == right[1][i]]
         if len(mine) == len(group):
-            found.append(int(left[2][group[mine.index(i)]]))
+            joined.append(int(left[2][group[mine.index(i)]]))
             continue
         codes = [int(left[2][j]) for j in group]
-        found.append(max(codes, key=lambda code: (codes.count(code), -codes.index(code))))
-    return found, len(used)
+        joined.append(max(codes, key=lambda code: (codes.count(code), -codes.index(code))))
+    return joined, len(used)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -196,7 +198,7 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
     expected, used = plain_join(left, right, tolerance)
     for steps in ((1, 1), (3, 7), (100, 100), (100, 1), (1, 100)):
         tally = JoinTally()
-        found = np.full(n[1], -2)
+        codes = np.full(n[1], -2)
         for item in join(
             chunked(*left, steps[0]),
             chunked(right[0], right[1], np.zeros(n[1]), steps[1]),
@@ -204,25 +206,25 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
             tolerance=tolerance,
         ):
             record = item.left["record"]
-            assert np.all(found[record] == -2)
-            found[record] = -1
-            found[record[item.left_index]] = item.right[CODE][item.right_index]
-        assert found.tolist() == expected
+            assert np.all(codes[record] == -2)
+            codes[record] = -1
+            codes[record[item.left_index]] = item.right[CODE][item.right_index]
+        assert codes.tolist() == expected
         assert (tally.n_left, tally.n_right) == (n[1], used)
         assert tally.n_pairs == np.count_nonzero(np.array(expected) >= 0)
 
 
 def test_distances_show_which_tolerance_would_help() -> None:
-    one = np.ones(10, np.int64)
+    ones = np.ones(10, np.int64)
     tally = JoinTally()
-    found = list(
+    joined = list(
         join(
-            chunked(np.arange(10.0), one, one, 4),
-            chunked(np.arange(10.0) + 0.004, one, one, 3),
+            chunked(np.arange(10.0), ones, ones, 4),
+            chunked(np.arange(10.0) + 0.004, ones, ones, 3),
             tally,
         )
     )
-    assert not any(len(item.left_index) for item in found)
+    assert not any(len(item.left_index) for item in joined)
     assert tally.near() == pytest.approx(0.01)
     assert JoinTally().near() is None
 
@@ -249,8 +251,8 @@ def test_memory_does_not_grow_with_the_streams() -> None:
     def stream(n: int, step: int) -> Iterator[Columns]:
         for first in range(0, n, 20_000):
             key = np.arange(first, first + 20_000) * float(step)
-            one = np.ones(len(key), np.int64)
-            yield {KEY: key, SAME: one, CODE: one.astype(np.uint8)}
+            ones = np.ones(len(key), np.int64)
+            yield {KEY: key, SAME: ones, CODE: ones.astype(np.uint8)}
 
     def peak(n: int) -> int:
         tally = JoinTally()
@@ -273,10 +275,10 @@ def test_distances_are_counted_by_decades_and_the_largest_of_a_pair_is_kept() ->
         np.array([0.1, 1e-9, 1e6, 1.1e6, 0.01]), np.array([True, False, False, False, False])
     )
     assert tally.largest == 0.3
-    found = {place - 9: n for place, n in enumerate(tally.distances.tolist()) if n}
+    decades = {place - 9: n for place, n in enumerate(tally.distances.tolist()) if n}
     # a distance of just a power of ten belongs to it; far beyond, and without any right record,
     # comes last
-    assert found == {1: 1, 7: 2, -9: 1, 6: 1, -2: 1}
+    assert decades == {1: 1, 7: 2, -9: 1, 6: 1, -2: 1}
 
 
 def test_how_near_most_of_the_records_without_partner_have_one() -> None:
@@ -308,12 +310,12 @@ def test_streams_walk_in_equal_steps_however_they_are_chunked() -> None:
     assert seen == [[100, 100]]
 
 
-@pytest.mark.parametrize(("one", "other"), [(0, 3), (3, 0), (5, 3), (3, 9)])
-def test_lengths_that_differ_are_counted_to_the_end(one: int, other: int) -> None:
+@pytest.mark.parametrize(("n_left", "n_right"), [(0, 3), (3, 0), (5, 3), (3, 9)])
+def test_lengths_that_differ_are_counted_to_the_end(n_left: int, n_right: int) -> None:
     seen: list[list[int]] = []
-    streams = [({"a": np.zeros(1)} for _ in range(n)) for n in (one, other)]
-    assert len(list(in_step(streams, lambda n: seen.append(list(n))))) == min(one, other)
-    assert seen == [[one, other]]
+    streams = [({"a": np.zeros(1)} for _ in range(n)) for n in (n_left, n_right)]
+    assert len(list(in_step(streams, lambda n: seen.append(list(n))))) == min(n_left, n_right)
+    assert seen == [[n_left, n_right]]
 
 
 def fill(folder: Path, *names: str) -> Path:
@@ -386,13 +388,13 @@ def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:
 
 def pairs_of(joined: Iterator[Joined]) -> set[tuple[int, int]]:
     pairs = (item.pairs() for item in joined if len(item.left_index))
-    found = [
+    record_pairs = [
         (int(a), int(b))
-        for one, other in pairs
-        for a, b in zip(one["id"], other["id"], strict=True)
+        for left, right in pairs
+        for a, b in zip(left["id"], right["id"], strict=True)
     ]
-    assert len(found) == len(set(found))
-    return set(found)
+    assert len(record_pairs) == len(set(record_pairs))
+    return set(record_pairs)
 
 
 def join_by_key(

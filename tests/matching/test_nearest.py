@@ -44,13 +44,13 @@ def test_every_point_comes_once_with_its_nearest_one(
     left = points(n, 1)
     right = points(700, 2)
     tally = JoinTally()
-    found = np.full(n, -2)
+    nearest = np.full(n, -2)
     for item in nearest_join(cloud(left), cloud(right), tolerance, tally):
-        assert np.all(found[item.left["id"]] == -2)
-        found[item.left["id"]] = np.where(item.to >= 0, item.right["id"][item.to], -1)
+        assert np.all(nearest[item.left["id"]] == -2)
+        nearest[item.left["id"]] = np.where(item.to >= 0, item.right["id"][item.to], -1)
     apart = np.linalg.norm(left[:, None] - right[None], axis=2)
     expected = np.where(apart.min(axis=1) <= tolerance, apart.argmin(axis=1), -1)
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(nearest, expected)
     used = len(set(expected.tolist()) - {-1})
     assert (tally.n_left, tally.n_pairs, tally.n_right) == (n, int((expected >= 0).sum()), used)
 
@@ -116,7 +116,7 @@ def registered(xyz: F64, seed: int) -> F64:
     random = np.random.default_rng(seed)
     error = random.normal(0, 0.02, (11, 3))
     return xyz + np.stack(
-        [np.interp(xyz[:, 0], np.arange(11) * 8.0, one) for one in error.T], axis=1
+        [np.interp(xyz[:, 0], np.arange(11) * 8.0, axis_error) for axis_error in error.T], axis=1
     )
 
 
@@ -137,18 +137,18 @@ def test_no_shift_is_named_where_there_is_none(seed: int) -> None:
     [(0.0, 0.12, 0.0), (0.0, 0.0, -0.1), (0.2, 0.3, 0.1), (1.0, 0.0, 0.0), (3.0, -2.0, 0.5)],
 )
 def test_a_shift_is_measured(shift: tuple[float, ...]) -> None:
-    found = shift_of(quarters(street(1)), quarters(registered(street(2), 5) + shift))
-    assert found is not None
-    np.testing.assert_allclose(found, shift, atol=0.03)
+    measured = shift_of(quarters(street(1)), quarters(registered(street(2), 5) + shift))
+    assert measured is not None
+    np.testing.assert_allclose(measured, shift, atol=0.03)
 
 
 def test_what_no_plane_faces_is_not_named() -> None:
-    one, other = (
+    left, right = (
         np.random.default_rng(seed).uniform(0, 1, (40_000, 3)) * [80, 20, 0.01] for seed in (0, 1)
     )
-    found = shift_of(quarters(one), quarters(other + np.array([0.3, 0.3, 0.2])))
-    assert found is not None
-    np.testing.assert_allclose(found, (0, 0, 0.2), atol=0.01)
+    measured = shift_of(quarters(left), quarters(right + np.array([0.3, 0.3, 0.2])))
+    assert measured is not None
+    np.testing.assert_allclose(measured, (0, 0, 0.2), atol=0.01)
 
 
 @pytest.mark.parametrize("tolerance", [1e8, 1e300])

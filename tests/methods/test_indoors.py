@@ -35,15 +35,15 @@ def roofed(
     beam = street[1]
     up = np.cos(beam) < -0.2
     roof = np.float32(height_m) / np.abs(np.cos(beam[up])).astype(np.float32)
-    found = ranges[lines]
-    found[:, up] = np.where(found[:, up] < roof, found[:, up], roof)
+    roofed_ranges = ranges[lines]
+    roofed_ranges[:, up] = np.where(roofed_ranges[:, up] < roof, roofed_ranges[:, up], roof)
     return ranges
 
 
 def curbs(ranges: np.ndarray, beam: np.ndarray) -> np.ndarray:
     """Number of shots on curbs of every line."""
-    given = load_config(preset="fused", options={"input": {"accept_doubts": CHECK_NAMES}})
-    labels = classify_ranges(ranges, given, beam_rad=beam).labels
+    config = load_config(preset="fused", options={"input": {"accept_doubts": CHECK_NAMES}})
+    labels = classify_ranges(ranges, config, beam_rad=beam).labels
     return (labels == Label.CURB).sum(axis=1)
 
 
@@ -75,8 +75,8 @@ def test_an_alley_between_high_houses_keeps_its_curbs(
     ranges[:, is_wall] = np.where(
         ranges[:, is_wall] < wall[is_wall], ranges[:, is_wall], wall[is_wall]
     )
-    found = curbs(ranges, beam)
-    assert found.sum() > 0.5 * curbs(*street).sum()
+    is_curb = curbs(ranges, beam)
+    assert is_curb.sum() > 0.5 * curbs(*street).sum()
 
 
 @pytest.mark.data
@@ -90,13 +90,14 @@ def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(
     bag = str(real_data / "cartographer" / "b0_short.bag")
     labels = str(tmp_path / "labels.npy")
     words = ["classify", bag, labels, "--topic", "vertical_laser_2d", "--overwrite"]
-    told = runner().invoke(cli, words)
-    assert told.exit_code == 4
+    outcome = runner().invoke(cli, words)
+    assert outcome.exit_code == 4
     assert (
-        "at -1 deg of the scan angle or at 179 (one the floor, the other a ceiling)" in told.stderr
+        "at -1 deg of the scan angle or at 179 (one the floor, the other a ceiling)"
+        in outcome.stderr
     )
-    assert "--set input.nadir=-1 or --set input.nadir=179" in told.stderr
+    assert "--set input.nadir=-1 or --set input.nadir=179" in outcome.stderr
     for nadir, n_ground in ((179, 40_000), (-1, 100_000)):
-        told = runner().invoke(cli, [*words, "--set", f"input.nadir={nadir}"])
-        assert told.exit_code in {0, 4}
+        outcome = runner().invoke(cli, [*words, "--set", f"input.nadir={nadir}"])
+        assert outcome.exit_code in {0, 4}
         assert np.count_nonzero(np.load(labels) == 2) > n_ground

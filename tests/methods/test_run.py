@@ -85,10 +85,10 @@ def blocks(n_scanners: int = 2) -> Iterator[ScanBlock]:
 
 def labels_of(method: Parity, threads: int) -> dict[int, list[list[int]]]:
     """Labels of every scanner."""
-    found: dict[int, list[list[int]]] = {}
+    by_scanner: dict[int, list[list[int]]] = {}
     for item in run_blocks(blocks(), method, threads=threads):
-        found.setdefault(item.block.scanner, []).extend(item.labels.tolist())
-    return found
+        by_scanner.setdefault(item.block.scanner, []).extend(item.labels.tolist())
+    return by_scanner
 
 
 @pytest.mark.parametrize("k", [1, 4, 7, 100])
@@ -102,21 +102,21 @@ def test_every_scanner_has_a_state_of_its_own_whatever_the_threads(k: int) -> No
 def test_blocks_one_by_one_give_the_same() -> None:
     method = Parity(5)
     turn = OneByOne(method.initial_state(3))
-    found = []
+    labels = []
     for block in blocks(1):
         (item,) = method.label(block, 3, turn, Wanted())
-        found += item.labels.tolist()
+        labels += item.labels.tolist()
     lines = [
         line for item in run_blocks(blocks(1), method, threads=3) for line in item.labels.tolist()
     ]
-    assert found == lines
+    assert labels == lines
     assert turn.state.n_lines == 60
 
 
 def test_a_runner_that_is_left_early_leaves_no_thread() -> None:
-    found = run_blocks(blocks(), Parity(2), threads=3)
-    next(found)
-    found.close()  # type: ignore[attr-defined]
+    labelled = run_blocks(blocks(), Parity(2), threads=3)
+    next(labelled)
+    labelled.close()  # type: ignore[attr-defined]
 
 
 def test_the_table_holds_what_it_names() -> None:
@@ -161,15 +161,15 @@ def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
         line = rng.integers(n_lines, size=200)
         column = rng.integers(width, size=200)
         ranges = (rng.integers(16, 48, 200) / 8).astype(np.float32)
-        found = label_extra_returns(
+        labels_extra = label_extra_returns(
             image, labels, line.astype(np.int32), column.astype(np.int32), ranges, zeta_p, zeta_s
         )
         expected = [
             label_one(image, labels, (y, x), r, zeta_p, zeta_s)
             for y, x, r in zip(line, column, ranges, strict=True)
         ]
-        assert found.dtype == np.uint8
-        np.testing.assert_array_equal(found, expected)
+        assert labels_extra.dtype == np.uint8
+        np.testing.assert_array_equal(labels_extra, expected)
 
 
 SELDOM = {
@@ -193,11 +193,11 @@ def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
             if name.startswith(("prc.", "sequential_angle.")):
                 attrgetter(name)(config)
             else:
-                assert any(hasattr(each, name.partition(".")[0]) for each in constants), name
+                assert any(hasattr(limits, name.partition(".")[0]) for limits in constants), name
                 [
-                    attrgetter(name)(each)
-                    for each in constants
-                    if hasattr(each, name.partition(".")[0])
+                    attrgetter(name)(limits)
+                    for limits in constants
+                    if hasattr(limits, name.partition(".")[0])
                 ]
     numbers = [number for number, *_ in reason_table()]
     assert numbers == [*sorted(RULES), 224, 240]
@@ -221,22 +221,24 @@ def test_reasons_are_those_of_the_labels(
     block = replace(block, beam_rad=block.angle_rad)
     for preset in presets:
         params = load_config(preset=preset).config.classifier
-        found = [
+        labelled = [
             list(label_blocks(iter([block]), params, wanted=Wanted(reasons=on)))
             for on in (True, False)
         ]
-        labels, plain = (np.concatenate([item.labels for item in items]) for items in found)
+        labels, plain = (np.concatenate([item.labels for item in items]) for items in labelled)
         np.testing.assert_array_equal(labels, plain)
-        assert all(item.reasons is None for item in found[1]) or preset == "fused-forest"
-        reasons = np.concatenate([item.reasons for item in found[0] if item.reasons is not None])
+        assert all(item.reasons is None for item in labelled[1]) or preset == "fused-forest"
+        reasons = np.concatenate([item.reasons for item in labelled[0] if item.reasons is not None])
         np.testing.assert_array_equal(reasons & LABEL_BITS, labels)
         seen = set(np.unique(reasons).tolist())
-        assert seen <= {*(int(one) for one in Reason), *(240 + label for label in range(16))}
+        assert seen <= {*(int(reason) for reason in Reason), *(240 + label for label in range(16))}
         if preset.startswith("fused"):
             names = [
-                one for one in Reason if (one in _FOREST) == (kind == "forest") and one in _FUSED
+                reason
+                for reason in Reason
+                if (reason in _FOREST) == (kind == "forest") and reason in _FUSED
             ]
-            missing = {one for one in names if int(one) not in seen} - SELDOM
+            missing = {reason for reason in names if int(reason) not in seen} - SELDOM
             assert not missing
 
 

@@ -13,11 +13,11 @@ import numpy as np
 def curvature_of(piece: list[float], bent: float) -> tuple[float, float] | None:
     """Return -u''/u amid a window and its standard error; None where a quadratic does not fit."""
     x = np.arange(len(piece)) - (len(piece) - 1) / 2
-    found, covariance = np.polyfit(x, piece, 2, cov="unscaled")
+    parabola, covariance = np.polyfit(x, piece, 2, cov="unscaled")
     off = math.sqrt(
-        sum((u - np.polyval(found, at)) ** 2 for u, at in zip(piece, x, strict=True))
+        sum((u - np.polyval(parabola, step)) ** 2 for u, step in zip(piece, x, strict=True))
         / (len(piece) - 3)
     )
-    if not off < bent * found[2]:
+    if not off < bent * parabola[2]:
         return None
-    return -2 * found[0] / found[2], 2 * off * math.sqrt(covariance[0, 0]) / found[2]
+    return -2 * parabola[0] / parabola[2], 2 * off * math.sqrt(covariance[0, 0]) / parabola[2]

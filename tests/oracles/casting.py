@@ -56,18 +56,20 @@ def cast_shots(
         rays = Rays(place, [direction[:, :, k] for k in range(3)], begin, shot)
         with np.errstate(all="ignore"):
             if shape[b] == 0:
-                found, cosine = triangle(rays, numbers[b])
+                distance, cosine = triangle(rays, numbers[b])
             elif shape[b] == 1:
-                found, cosine = nearest(rays, cone(rays, numbers[b]))
+                distance, cosine = nearest(rays, cone(rays, numbers[b]))
             else:
                 rays = rays.seen_from(numbers[b, :3], turn[b])
                 surfaces = (ellipsoid if shape[b] == 2 else box)(rays, numbers[b, 3:6])
                 if density[b] > 0.0:
-                    found, cosine = leaves(rays, surfaces, 0.5 * density[b], number[b], quantiles)
+                    distance, cosine = leaves(
+                        rays, surfaces, 0.5 * density[b], number[b], quantiles
+                    )
                 else:
-                    found, cosine = nearest(rays, surfaces)
-        nearer = found < t
-        t[nearer] = found[nearer]
+                    distance, cosine = nearest(rays, surfaces)
+        nearer = distance < t
+        t[nearer] = distance[nearer]
         body[nearer] = b
         facing[nearer] = cosine[nearer]
     return t, body, facing
@@ -141,9 +143,9 @@ def roots(a: F64, b: F64, c: F64) -> tuple[F64, F64]:
     """Return the smaller and the larger root of a t^2 + 2 b t + c, NaN where there is none."""
     root = np.sqrt(b * b - a * c)
     q = np.where(b > 0.0, -(b + root), root - b)
-    one = q / a
+    t = q / a
     two = c / q
-    return np.where(one < two, one, two), np.where(one < two, two, one)
+    return np.where(t < two, t, two), np.where(t < two, two, t)
 
 
 def cone(rays: Rays, numbers: F64) -> Surfaces:

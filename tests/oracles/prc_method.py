@@ -203,7 +203,9 @@ def _carry_labels(
     )
     ids = [0]
     for component in range(1, n_components + 1):
-        won = [(-n, old) for (one, old), n in votes.items() if one == component and n >= min_votes]
+        won = [
+            (-n, old) for (voter, old), n in votes.items() if voter == component and n >= min_votes
+        ]
         if won:
             ids.append(min(won)[1])
         else:

@@ -88,9 +88,9 @@ def mark_shots(
             marks[line, i] |= ASKED
         higher = [q for q in (i + 1, i + 2) if q < m and there[line, q]][:1]
         for q in higher if above_m[line, i] > foot_m else ():
-            other = float(place[line, q]) / root
+            root_far = float(place[line, q]) / root
             rise = abs(float(xyz_m[line, q, 2]) - z)
-            apart = abs(other * other - far)
+            apart = abs(root_far * root_far - far)
             if apart < thresholds.upright * rise + thresholds.upright_m:
                 marks[line, [i, q]] |= UPRIGHT
             elif rise < thresholds.level * apart:
@@ -104,15 +104,15 @@ def lonely_shots(
     is_lit: bool,
     thresholds: LonelyThresholds,
 ) -> Mask_2:
-    found = np.zeros(range_m.shape, np.bool_)
+    lonely = np.zeros(range_m.shape, np.bool_)
     with np.errstate(invalid="ignore"):
         near_scanner = range_m.astype(np.float64) < thresholds.reach_m
     for line, i in np.argwhere(near_scanner).tolist():
         around = slice(max(line - 3, 0), line + 4), slice(max(i - 2, 0), i + 3)
-        own = float(range_m[line, i])
+        range_here = float(range_m[line, i])
         ranges = range_m[around].astype(np.float64)
-        away = np.abs(ranges - own)
-        n_near = np.count_nonzero(away < thresholds.near_m + thresholds.near_per_m * own)
+        away = np.abs(ranges - range_here)
+        n_near = np.count_nonzero(away < thresholds.near_m + thresholds.near_per_m * range_here)
         n_alike = 0
         if is_lit:
             light = float(intensity[line, i])
@@ -122,8 +122,8 @@ def lonely_shots(
                 (away < thresholds.beside_m) & (np.abs(lights - light) <= limit)
             )
         most = thresholds.most if is_lit else thresholds.unlit
-        found[line, i] = n_near <= most + 1 and n_alike <= thresholds.bright
-    return found
+        lonely[line, i] = n_near <= most + 1 and n_alike <= thresholds.bright
+    return lonely
 
 
 def fill_cells(
@@ -142,12 +142,12 @@ def fill_cells(
     levels: list[int] = []
     where: list[tuple[int, int]] = []
     above = above_m.astype(np.float64)
-    stands = (above > thresholds.foot_m) & ~leave_out
+    is_above = (above > thresholds.foot_m) & ~leave_out
 
     def place(x: float, y: float) -> tuple[int, int]:
         return math.floor((x + half) / size), math.floor((y + half) / size)
 
-    for at, (x, y, _) in _points(xyz_m, stands):
+    for shot, (x, y, _) in _points(xyz_m, is_above):
         p, q = place(x, y)
         if not (2 <= p < n - 2 and 2 <= q < n - 2):
             continue
@@ -156,18 +156,18 @@ def fill_cells(
             where.append((p, q))
             sums.append(np.zeros(9))
             levels.append(0)
-        own = cell[at] = grid[p, q]
+        c = cell[shot] = grid[p, q]
         x = x + half - (p + 0.5) * size
         y = y + half - (q + 0.5) * size
-        bits = [bool(marks[at] & bit) for bit in (SMOOTH, ASKED, UPRIGHT)]
-        sums[own] += [1, x, y, x * x, x * y, y * y, *bits]
-        levels[own] |= 1 << int(min(above[at] / thresholds.storey_m, 61.0))
-    for at, (x, y, _) in _points(
+        bits = [bool(marks[shot] & bit) for bit in (SMOOTH, ASKED, UPRIGHT)]
+        sums[c] += [1, x, y, x * x, x * y, y * y, *bits]
+        levels[c] |= 1 << int(min(above[shot] / thresholds.storey_m, 61.0))
+    for shot, (x, y, _) in _points(
         xyz_m, (above > thresholds.hem_m) & (above <= thresholds.foot_m) & ~leave_out
     ):
         p, q = place(x, y)
         if 0 <= p < n and 0 <= q < n:
-            cell[at] = grid[p, q]
+            cell[shot] = grid[p, q]
     total = np.array(sums).reshape(len(where), 9)
     places = np.array(where, np.int32).reshape(len(where), 2)
     return np.array(levels, np.int64), total, places, grid, cell
@@ -182,9 +182,9 @@ def _around(
     """Yield how far cells are away and which they are."""
     for dp in range(-reach, reach + 1):
         for dq in range(-reach, reach + 1):
-            other = int(grid[where[c, 0] + dp, where[c, 1] + dq])
-            if other >= 0:
-                yield dp, dq, other
+            beside = int(grid[where[c, 0] + dp, where[c, 1] + dq])
+            if beside >= 0:
+                yield dp, dq, beside
 
 
 def measure_cells(
@@ -194,12 +194,12 @@ def measure_cells(
     levels: I64_1,
     thresholds: CellThresholds,
 ) -> F64_2:
-    found = np.zeros((len(where), 8))
+    measures = np.zeros((len(where), 8))
     gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
     for c in range(len(where)):
         n = x = y = xx = xy = yy = upright = 0.0
-        for dp, dq, other in _around(grid, where, c, 1):
-            shots, sx, sy, sxx, sxy, syy, _, _, n_upright = sums[other]
+        for dp, dq, beside in _around(grid, where, c, 1):
+            shots, sx, sy, sxx, sxy, syy, _, _, n_upright = sums[beside]
             ox = dp * thresholds.cell_m
             oy = dq * thresholds.cell_m
             n = n + shots
@@ -216,16 +216,16 @@ def measure_cells(
         yy = yy / n - y * y
         half = 0.5 * (xx + yy)
         away = math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
-        wide = [other for _, _, other in _around(grid, where, c, 2)]
-        smooth, asked = (sum(sums[other, k] for other in wide) for k in (6, 7))
-        seen = [k for k in range(62) if any(int(levels[other]) >> k & 1 for other in wide)]
-        own = [k for k in range(62) if int(levels[c]) >> k & 1]
+        wide = [beside for _, _, beside in _around(grid, where, c, 2)]
+        smooth, asked = (sum(sums[beside, k] for beside in wide) for k in (6, 7))
+        seen = [k for k in range(62) if any(int(levels[beside]) >> k & 1 for beside in wide)]
+        own_levels = [k for k in range(62) if int(levels[c]) >> k & 1]
         body = 0
-        for k in own:
+        for k in own_levels:
             if k - body > gap:
                 break
             body = k + 1
-        found[c] = (
+        measures[c] = (
             math.sqrt(max(half - away, 0.0)),
             math.sqrt(max(half + away, 0.0)),
             upright / n,
@@ -235,7 +235,7 @@ def measure_cells(
             len(wide),
             body,
         )
-    return found
+    return measures
 
 
 def mean_around(
@@ -244,14 +244,14 @@ def mean_around(
     values: F64_1,
     weight: F64_1,
 ) -> F64_1:
-    found = np.empty(len(where))
+    means = np.empty(len(where))
     for c in range(len(where)):
         total = sum_of = 0.0
-        for _, _, other in _around(grid, where, c, 2):
-            total = total + weight[other] * values[other]
-            sum_of = sum_of + weight[other]
-        found[c] = total / sum_of
-    return found
+        for _, _, beside in _around(grid, where, c, 2):
+            total = total + weight[beside] * values[beside]
+            sum_of = sum_of + weight[beside]
+        means[c] = total / sum_of
+    return means
 
 
 def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
@@ -259,7 +259,9 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
     while True:
         before = body.copy()
         for c in np.flatnonzero(use):
-            body[c] = min(body[other] for _, _, other in _around(grid, where, c, 1) if use[other])
+            body[c] = min(
+                body[beside] for _, _, beside in _around(grid, where, c, 1) if use[beside]
+            )
         if (before == body).all():
             return body.astype(np.int32)
 
@@ -273,21 +275,21 @@ def low_plants(
     size = thresholds.cell_m
     half = thresholds.half_m
     above = above_m.astype(np.float64)
-    found = above > thresholds.soil_m
+    is_plant = above > thresholds.soil_m
     cells: dict[tuple[int, int], list[float]] = {}
     low = []
-    for at, (x, y, _) in _points(
+    for shot, (x, y, _) in _points(
         xyz_m, (above > thresholds.below_m) & (above <= thresholds.foot_m)
     ):
         if not (abs(x) < half - size and abs(y) < half - size):
             continue
         cell = int((x + half) / size), int((y + half) / size)
-        low.append((at, cell, math.sqrt(x * x + y * y)))
-        if marks[at] & ASKED:
+        low.append((shot, cell, math.sqrt(x * x + y * y)))
+        if marks[shot] & ASKED:
             row = cells.setdefault(cell, [0.0] * 4)
-            values = 1.0, float(marks[at] & SMOOTH), above[at], above[at] * above[at]
-            cells[cell] = [one + other for one, other in zip(row, values, strict=True)]
-    for at, (p, q), far in low:
+            values = 1.0, float(marks[shot] & SMOOTH), above[shot], above[shot] * above[shot]
+            cells[cell] = [a + b for a, b in zip(row, values, strict=True)]
+    for shot, (p, q), far in low:
         if (p, q) not in cells:
             continue
         near = [
@@ -302,8 +304,10 @@ def low_plants(
         mean = height / n
         rough = min(math.sqrt(max(square / n - mean * mean, 0.0)), thresholds.most_rough_m)
         score = thresholds.bias + thresholds.smooth * smooth / n + thresholds.rough * rough
-        found[at] = (
-            score + thresholds.high * max(above[at], thresholds.least_high_m) + thresholds.far * far
+        is_plant[shot] = (
+            score
+            + thresholds.high * max(above[shot], thresholds.least_high_m)
+            + thresholds.far * far
             > 0.0
         )
-    return found
+    return is_plant

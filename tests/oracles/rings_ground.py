@@ -20,14 +20,14 @@ def lowest_heights(
     pair_m: float,
 ) -> F32_2:
     sector = np.arange(len(place))[:, None] // sector_lines + np.zeros(place.shape, np.int64)
-    found = np.full((-(-len(place) // sector_lines), n_bins), np.nan, np.float32)
-    for s, b in np.ndindex(*found.shape):
+    lowest = np.full((-(-len(place) // sector_lines), n_bins), np.nan, np.float32)
+    for s, b in np.ndindex(*lowest.shape):
         is_own = (sector == s) & (place >= b) & (place < b + 1)
         low = sorted(up * float(z) for z in xyz_m[..., 2][is_own])[:3]
-        pairs = [0.5 * (one + other) for one, other in pairwise(low) if other - one < pair_m]
+        pairs = [0.5 * (lower + upper) for lower, upper in pairwise(low) if upper - lower < pair_m]
         if pairs or len(low) == 1:
-            found[s, b] = pairs[0] if pairs else low[0]
-    return found
+            lowest[s, b] = pairs[0] if pairs else low[0]
+    return lowest
 
 
 def walk_outwards(
@@ -36,20 +36,20 @@ def walk_outwards(
     n_sectors, n_bins = off_m.shape
     height = np.empty(off_m.shape)
     seen = np.zeros(off_m.shape, np.bool_)
-    at = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
+    last_seen = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
     for b in range(n_bins):
-        before = list(at)
+        before = list(last_seen)
         for s in range(n_sectors):
             expected = weight = 0.0
             for beside, share in ((-1, 1.0), (0, 2.0), (1, 1.0)):
                 last, where, slope = before[(s + beside) % n_sectors]
                 gap = middle_m[b] - where
-                own = share / (1.0 + 0.2 * gap)
-                expected += own * (last + slope * min(gap, thresholds.far_m))
-                weight += own
+                side_share = share / (1.0 + 0.2 * gap)
+                expected += side_share * (last + slope * min(gap, thresholds.far_m))
+                weight += side_share
             expected /= weight
             height[s, b] = expected
-            last, where, slope = at[s]
+            last, where, slope = last_seen[s]
             own_m = float(off_m[s, b])
             gap = middle_m[b] - where
             reach = min(gap, thresholds.gap_m)
@@ -62,7 +62,7 @@ def walk_outwards(
             if gap > 0:
                 steep = min(max((own_m - last) / gap, -thresholds.slope), thresholds.slope)
                 slope += min(gap / (gap + thresholds.follow_m), thresholds.follow) * (steep - slope)
-            at[s] = own_m, float(middle_m[b]), slope
+            last_seen[s] = own_m, float(middle_m[b]), slope
     return height, seen
 
 
@@ -74,7 +74,7 @@ def smooth_surface(
     rounds: int,
     is_round: bool,
 ) -> F64_2:
-    found = start_m.copy()
+    surface = start_m.copy()
     (n_sectors, n_bins) = start_m.shape
     for _ in range(rounds):
         for s, b in np.ndindex(n_sectors, n_bins):
@@ -86,12 +86,12 @@ def smooth_surface(
             ]
             total = weight[s, b] * height_m[s, b]
             sum_of = weight[s, b]
-            for other in around:
-                total = total + stiff * found[other]
+            for beside in around:
+                total = total + stiff * surface[beside]
                 sum_of = sum_of + stiff
             if sum_of > 0:
-                found[s, b] = total / sum_of
-    return found
+                surface[s, b] = total / sum_of
+    return surface
 
 
 def heights_above(
@@ -116,10 +116,10 @@ def heights_above(
         first = math.floor(along)
         low = surface_m[max(first, 0)]
         high = surface_m[min(first + 1, n_sectors - 1)]
-        at = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
-        b = int(at)
+        bin_place = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
+        b = int(bin_place)
         near, far = (between(low[k], high[k], along - first) for k in (b, b + 1))
-        off = up * float(xyz_m[line, i, 2]) - between(near, far, at - b)
+        off = up * float(xyz_m[line, i, 2]) - between(near, far, bin_place - b)
         above[line, i] = off
         distance = float(place[line, i]) / root
         limit = thresholds.near_m + thresholds.near_per_m * distance * distance

@@ -78,29 +78,31 @@ def _surfaces(
     surface: F64,
     kind: U8,
 ) -> list[_Surface | None]:
-    found: list[_Surface | None] = []
+    surfaces: list[_Surface | None] = []
     for t, body, facing in zip(*(part[i].tolist() for part in hits), strict=True):
         if body < 0:
-            found.append(None)
+            surfaces.append(None)
         else:
             reflectance, mirrored = surface[body].tolist()
-            found.append(_Surface(t, body, facing, reflectance, mirrored, *kind[body].tolist()))
-    return found
+            surfaces.append(_Surface(t, body, facing, reflectance, mirrored, *kind[body].tolist()))
+    return surfaces
 
 
 def _looks_behind(
-    own: _Surface,
+    surface: _Surface,
     dice: _Dice,
     column: int,
     model: SensorModel,
 ) -> bool:
-    if own.is_glass:
+    if surface.is_glass:
         return (
-            abs(own.facing) < _FLASH
+            abs(surface.facing) < _FLASH
             and dice.throw(column, "glass") >= model.pane_share + model.ghost_share
         )
     return (
-        own.is_leaf and model.max_returns > 1 and dice.throw(column, "leaves") < model.leaves_share
+        surface.is_leaf
+        and model.max_returns > 1
+        and dice.throw(column, "leaves") < model.leaves_share
     )
 
 
@@ -119,8 +121,8 @@ def goes_behind(
     blank = np.zeros((len(kind), 2))
     for i in range(len(behind)):
         dice = _Dice(seed, first_line + i)
-        for column, own in enumerate(_surfaces(hits, i, blank, kind)):
-            behind[i, column] = own is not None and _looks_behind(own, dice, column, model)
+        for column, surface in enumerate(_surfaces(hits, i, blank, kind)):
+            behind[i, column] = surface is not None and _looks_behind(surface, dice, column, model)
     return behind
 
 
@@ -134,16 +136,16 @@ def _neighbour_share(
     """Return the share of the beam on what the neighbour sees."""
     if not 0 <= column + side < len(line):
         return 0.0
-    own = line[column]
-    other = line[column + side]
-    seen = [one for one in (own, other) if one is not None]
-    if not seen or any(one.is_glass for one in seen):
+    here = line[column]
+    beside = line[column + side]
+    seen = [hit for hit in (here, beside) if hit is not None]
+    if not seen or any(hit.is_glass for hit in seen):
         return 0.0
-    near = min(one.t for one in seen)
+    near = min(hit.t for hit in seen)
     if len(seen) == 2:
         gap = abs(seen[0].t - seen[1].t)
         is_one = seen[0].body == seen[1].body and not seen[0].is_leaf
-        steepest = max([one.tangent() for one in seen if one.is_flat], default=0.0)
+        steepest = max([hit.tangent() for hit in seen if hit.is_flat], default=0.0)
         if (
             is_one
             or gap <= model.edge_m
@@ -157,20 +159,20 @@ def _neighbour_share(
 
 
 def _glass(
-    own: _Surface,
+    surface: _Surface,
     dice: _Dice,
     column: int,
     model: SensorModel,
 ) -> list[_Echo]:
-    pane = own.echo()
-    if abs(own.facing) >= _FLASH:
-        pane.power = own.cosine() / (own.t * own.t)
+    pane = surface.echo()
+    if abs(surface.facing) >= _FLASH:
+        pane.power = surface.cosine() / (surface.t * surface.t)
         return [pane]
     chance = dice.throw(column, "glass")
     if chance < model.pane_share:
         return [pane]
     if chance < model.pane_share + model.ghost_share:
-        t = own.t * (1.3 + 1.7 * own.mirrored)
+        t = surface.t * (1.3 + 1.7 * surface.mirrored)
         return [_Echo(t, 0.1 / (t * t), 0.0, 2)]
     return []
 
@@ -182,11 +184,11 @@ def _all_echoes(
     dice: _Dice,
     model: SensorModel,
 ) -> list[_Echo]:
-    own = line[column]
-    if own is None:
+    here = line[column]
+    if here is None:
         return []
-    echoes = _glass(own, dice, column, model) if own.is_glass else [own.echo()]
-    if behind is not None and _looks_behind(own, dice, column, model):
+    echoes = _glass(here, dice, column, model) if here.is_glass else [here.echo()]
+    if behind is not None and _looks_behind(here, dice, column, model):
         share = 0.6
         if echoes:
             share = 0.2 + 0.6 * dice.throw(column, "echo")
@@ -234,8 +236,8 @@ def _mixed(echoes: list[_Echo], model: SensorModel) -> list[_Echo]:
 
 
 def _given(t: float, model: SensorModel) -> float:
-    given = float(floor(t / model.resolution_m + 0.5)) * model.resolution_m
-    return given if model.min_range_m <= given <= model.max_range_m else nan
+    rounded = float(floor(t / model.resolution_m + 0.5)) * model.resolution_m
+    return rounded if model.min_range_m <= rounded <= model.max_range_m else nan
 
 
 def _deviate(uniform: float, quantiles: F64) -> float:
@@ -251,7 +253,7 @@ def _returns(
     model: SensorModel,
     quantiles: F64,
 ) -> list[_Echo]:
-    found = []
+    returns = []
     for i, echo in enumerate(echoes):
         strength = echo.power / model.half_power
         odds = strength * strength * strength * strength
@@ -270,10 +272,10 @@ def _returns(
             label = 2
         t = _given(t, model)
         if not isnan(t):
-            found.append(_Echo(t, echo.power, 0.0, label))
+            returns.append(_Echo(t, echo.power, 0.0, label))
     if model.max_returns == 1:
-        return [max(found, key=lambda echo: echo.power)] if found else []
-    return found[: int(model.max_returns)]
+        return [max(returns, key=lambda echo: echo.power)] if returns else []
+    return returns[: int(model.max_returns)]
 
 
 def _bright(
@@ -293,7 +295,7 @@ def _bright(
 
 
 def _with_background(
-    found: list[_Echo],
+    returns: list[_Echo],
     sky: float | None,
     dice: _Dice,
     column: int,
@@ -303,18 +305,18 @@ def _with_background(
     """Let stray light in; ``sky`` is its brightness where the shot met nothing."""
     chance = dice.throw(column, "stray")
     place = dice.throw(column, "place")
-    share = model.background_share if found else model.sky_share
+    share = model.background_share if returns else model.sky_share
     if sky is not None and model.bright_sky_share > 0:
         share += (model.bright_sky_share - share) * sky
     if chance < share:
         t = _given(place * (model.ambiguity_m or model.max_range_m), model)
         return [] if isnan(t) else [_Echo(t, model.half_power, 0.0, 2)]
-    if found and chance < share + model.cluster_share:
+    if returns and chance < share + model.cluster_share:
         off = _deviate(place, quantiles) * model.cluster_m
-        t = _given(found[0].t + off, model)
-        moved = _Echo(t, found[0].power, 0.0, 2 if abs(off) > model.edge_m else found[0].label)
-        return [] if isnan(t) else [moved, *found[1:]]
-    return found
+        t = _given(returns[0].t + off, model)
+        moved = _Echo(t, returns[0].power, 0.0, 2 if abs(off) > model.edge_m else returns[0].label)
+        return [] if isnan(t) else [moved, *returns[1:]]
+    return returns
 
 
 def sense(
@@ -337,12 +339,12 @@ def sense(
         second = _surfaces(behind, i, surface, kind) if len(behind[0]) == n_lines else [None] * m
         for column, own in enumerate(line):
             echoes = _mixed(_all_echoes(line, column, second[column], dice, model), model)
-            found = _returns(echoes, dice, column, model, quantiles)
+            returns = _returns(echoes, dice, column, model, quantiles)
             if model.is_cw:
                 sky = _bright(seed, first_line + i, column, m) if own is None else None
-                found = _with_background(found, sky, dice, column, model, quantiles)
-            first.append(found[0] if found else _Echo(nan, 0.0, 0.0, 0))
-            further += [(i, column, echo) for echo in found[1:]]
+                returns = _with_background(returns, sky, dice, column, model, quantiles)
+            first.append(returns[0] if returns else _Echo(nan, 0.0, 0.0, 0))
+            further += [(i, column, echo) for echo in returns[1:]]
 
     def columns(echoes: list[_Echo]) -> tuple[F32, U8, F32]:
         intensity = [echo.power / (_WHITE / 100.0) for echo in echoes]

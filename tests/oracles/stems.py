@@ -39,15 +39,15 @@ def ground_profiles(
         heights: list[list[float]] = [[] for _ in range(n_bins)]
         for ranges in range_m[start : start + lines_together].astype(np.float64):
             columns = np.flatnonzero(~np.isnan(ranges))
-            for one, other in pairwise(columns):
-                r = ranges[other]
-                place = r * sine[other] * (1.0 / bin_m) + n_bins // 2
+            for column, next_column in pairwise(columns):
+                r = ranges[next_column]
+                place = r * sine[next_column] * (1.0 / bin_m) + n_bins // 2
                 if (
-                    abs(r - ranges[one]) <= thresholds.near_m + thresholds.near_share * r
+                    abs(r - ranges[column]) <= thresholds.near_m + thresholds.near_share * r
                     and 0 <= place < n_bins
                 ):
-                    heights[int(place)].append(-r * cosine[other])
-        third = np.array([sorted(found)[2] if len(found) > 2 else np.inf for found in heights])
+                    heights[int(place)].append(-r * cosine[next_column])
+        third = np.array([sorted(values)[2] if len(values) > 2 else np.inf for values in heights])
         profiles.append(_bridged(third, thresholds.slope * bin_m))
     return np.array(profiles)
 
@@ -179,7 +179,7 @@ def _runs_of_line(
                 )
             return bool(up <= thresholds.gap_m and abs(y - run.y[-1]) <= beside)
 
-        run = next((one for one in recent if follows(one)), None)
+        run = next((candidate for candidate in recent if follows(candidate)), None)
         if run is None:
             run = _Run()
             runs.append(run)
@@ -191,8 +191,8 @@ def _runs_of_line(
         for values, value in ((run.y, y), (run.z, z), (run.r, r)):
             values.append(value)
         recent.appendleft(run)
-        for other in list(recent)[1:]:
-            other.waiting += r > other.r[-1] + thresholds.behind_m
+        for merged in list(recent)[1:]:
+            merged.waiting += r > merged.r[-1] + thresholds.behind_m
     return runs
 
 
@@ -210,8 +210,8 @@ def stem_shots(
     pairs = (np.ones(int(linked.sum())), (runs[1:][linked], runs[:-1][linked]))
     _, body = connected_components(coo_array(pairs, shape=(size, size)), directed=False)
     is_stem = np.zeros(size, bool)
-    for one in np.unique(body[1:]):
-        members = np.flatnonzero(body == one)
+    for number in np.unique(body[1:]):
+        members = np.flatnonzero(body == number)
         members = members[members > 0]
         n, passed, low, high = (table[members, column] for column in range(4))
         length = 0.0

@@ -1,4 +1,4 @@
-"""Loops that grow the non-smooth surfaces and draw the classes (Lehtola et al. 2019, II-E, II-F)."""
+"""Loops that grow non-smooth surfaces and draw the classes (Lehtola et al. 2019, II-E, II-F)."""
 
 from __future__ import annotations
 

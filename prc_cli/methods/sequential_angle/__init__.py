@@ -1,1 +1,1 @@
-"""Stamos et al. (2012): surfaces, ground, curbs and cars from the angles along vertical scan lines."""
+"""Stamos et al. (2012): surfaces, ground, curbs and cars from angles along vertical scan lines."""

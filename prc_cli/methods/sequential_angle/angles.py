@@ -44,7 +44,8 @@ def signed_angles(lines: VerticalLines, thresholds: ChordThresholds) -> SignedAn
     >>> import numpy as np
     >>> xyz = np.array([[[4, 0, -2], [5, 0, -2], [6, 0, -2], [6, 0, -1], [6, 0, 0]]], np.float32)
     >>> ranges = np.linalg.norm(xyz, axis=-1)
-    >>> lines = VerticalLines(ranges, xyz, xyz[..., 0], np.array([5], np.int32), np.linspace(1.1, 1.6, 5)[None])
+    >>> beams = np.linspace(1.1, 1.6, 5)[None]
+    >>> lines = VerticalLines(ranges, xyz, xyz[..., 0], np.array([5], np.int32), beams)
     >>> found = signed_angles(lines, ChordThresholds().at_noise())
     >>> found.signed_deg
     array([[90., 90.,  0.,  0., nan]], dtype=float32)

@@ -44,7 +44,7 @@ _TERMS = len(_ARC_SINE)
 
 @helper
 def _to_degrees(cosine: F64, length: F64, m: int) -> None:
-    """Turn heights of chords, given the squares of their lengths too, into angles from 0 to 180 [deg].
+    """Turn heights of chords, with the squares of their lengths, into angles from 0 to 180 [deg].
 
     Many at a time: the library's arc cosine takes one by one. arccos(c) = 2 arcsin(sqrt((1 - c) /
     2)) where the cosine is above 1/2, and alike below -1/2; between them 90 deg less arcsin(c).

@@ -1,6 +1,6 @@
-"""Cars (Stamos et al. 2012, sec. 7).
+"""Cars: suspicious lines, their intervals, and the tests that reject intervals.
 
-Suspicious lines, their intervals, and the tests that reject intervals.
+Stamos et al. (2012), sec. 7.
 """
 
 from __future__ import annotations
@@ -81,15 +81,12 @@ def increments(thresholds: SuspiciousThresholds) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """Parts of lines that may be cars.
-
-    Row, first beam, last beam, both of them returns; by row and beam.
-    """
+    """Parts of lines that may be cars: row, first beam, last beam (both are returns), in order."""
 
     divided: I32
     """(K, 3) int32, t1 and t2 of every interval."""
     pieces: I32
-    """(L, 3) int32, v1 and v2 of what is left of them without long vertical runs."""
+    """(L, 3) int32, v1 and v2 of the remaining pieces without long vertical runs."""
 
 
 def dividers(
@@ -107,19 +104,20 @@ def dividers(
     not seen through the window of a car, before the first point that is too high and not on the
     side of a van, or at the end of the line.
 
-    1. An interval begins at the first change from H to V that is gradual (a tyre), or sudden with something farther
-       away under it (bumper, side; not a wall, curb or pole that stands on the ground).
-    2. A jump of more than ``separation_m`` away from the scanner ends it; the next interval begins behind the jump.
-    3. If an interval contains a long flat stretch within one run of H, it ends at the first point of the stretch
-       instead, and the search goes on as in 1. after its last point. A stretch is flat if a
-       straight line fits its heights (so sloping ground counts) and the line is not steep (so a
-       roof and the ground behind it are not one stretch), and if it begins low enough to be no
-       roof. It may be part of a run, since only a jump separates such a roof from such ground.
-    4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the part above the end
-       of the search, as the interval holds only what is visible of a wall between the car's roof
-       and ``height_m``. A run ends where the distance changes: the side of a car and the wall
-       behind it are two surfaces. So are lower runs that are straight and upright, and rough walls,
-       of which a part is H.
+    1. An interval starts at the first change from H to V that is gradual (a tyre), or sudden with
+       something farther away under it (bumper, side; not a wall, curb or pole on the ground).
+    2. A jump of more than ``separation_m`` away from the scanner ends it. The next interval starts
+       behind the jump.
+    3. If an interval contains a long flat stretch within one run of H, it ends at the first point
+       of the stretch instead, and the search continues as in 1. after its last point. A stretch is
+       flat if a straight line fits its heights (so sloping ground counts) and the line is not steep
+       (so a roof and the ground behind it are not one stretch), and if it starts low enough to be
+       no roof. It may be part of a run, since only a jump separates such a roof from such ground.
+    4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the
+       part above the end of the search, as the interval contains only the part of a wall between
+       the car's roof and ``height_m``. A run ends where the distance changes: the side of a car and
+       the wall behind it are two surfaces. Lower runs that are straight and upright, and rough
+       walls that are partly H, are cut out too.
 
     ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees; ``trigger`` (R,) int32;
     ``z_g`` (R,) float32, metres.
@@ -144,10 +142,10 @@ def dividers(
         z_g,
         thresholds,
     )
-    left: I32 = kernels.cut_verticals(
+    pieces: I32 = kernels.cut_verticals(
         car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, z_g, thresholds
     )
-    return Intervals(intervals, left)
+    return Intervals(intervals, pieces)
 
 
 def fourier(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
@@ -177,7 +175,8 @@ def fourier(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> M
     >>> car = np.repeat([2.0, 88.0], 16)
     >>> tree = np.tile([40.0, -70.0, 80.0, -20.0], 8)
     >>> angles = np.array([car, tree], dtype=np.float32)
-    >>> fourier(angles, np.array([[0, 0, 31], [1, 0, 31]], dtype=np.int32), FourierThresholds(longest=32))
+    >>> intervals = np.array([[0, 0, 31], [1, 0, 31]], dtype=np.int32)
+    >>> fourier(angles, intervals, FourierThresholds(longest=32))
     array([ True, False])
     """
     stable: Mask = kernels.stable_intervals(signed_deg, intervals, thresholds)
@@ -186,7 +185,7 @@ def fourier(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> M
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cars:
-    """Cars of R rows of n beams, and what they were decided by."""
+    """Cars of R rows of n beams, with the results of the steps before."""
 
     car: Mask
     """(R, n) bool, C before cars behind curbs are removed."""
@@ -239,7 +238,7 @@ def cars(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarSearch:
-    """Triggers, intervals and tests of R rows of n beams; n = 0 where nobody asked for them."""
+    """Triggers, intervals and tests of R rows of n beams; n = 0 if not requested."""
 
     trigger: U8
     """(R, n) uint8, :class:`~prc_cli.core.classes.TriggerSide`."""

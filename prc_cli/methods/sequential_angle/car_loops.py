@@ -6,6 +6,7 @@ Stamos et al. (2012), sec. 7.
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 
@@ -33,8 +34,8 @@ _CHUNK = 64
 
 _TIE = 1e-9
 """Relative difference of two magnitudes that counts as none: a spectrum is not more exact."""
-ZERO = np.int64(0)
-NONE = np.int64(-1)
+ZERO = cast("int", np.int64(0))
+NONE = cast("int", np.int64(-1))
 """Integers that numba does not treat as literals: it would compile helpers again for a literal."""
 
 
@@ -315,7 +316,7 @@ def _change_angle(
     chord_m: float,
     reach: int,
 ) -> float:
-    """Return the signed angle of the chord from a point [deg]; NaN = no point is far enough away."""
+    """Return the signed angle of the chord from a point [deg]; NaN = no point is far enough."""
     k = beam[j]
     x = np.float64(xyz_m[row, k, 0])
     y = np.float64(xyz_m[row, k, 1])
@@ -461,7 +462,7 @@ def _first_flat(
     sums: F64,
     farthest: F64,
 ) -> tuple[int, int]:
-    """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
+    """Find the first long flat stretch of an interval in one horizontal run; (-1, -1) = none."""
     i = begin
     lowest = np.inf
     done = begin
@@ -718,7 +719,7 @@ def _vertical_run(
     ):
         return j, last, True
     if not is_wall and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
-        # a run higher than the side of a car need not be straight, nor upright if its points are few
+        # a run above the side of a car need not be straight, nor upright if its points are few
         high = highest - lowest >= thresholds.vertical_extent_m
         residual_m = np.inf if high else thresholds.straight_m
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
@@ -764,7 +765,7 @@ def _mark_reliefs(
     thresholds: DividerThresholds,
     is_cut: Mask,
 ) -> None:
-    """Mark the rough walls of an interval: runs of H and V that are high, upright, nearly straight."""
+    """Mark the rough walls of an interval: high, upright, nearly straight runs of H and V."""
     begin = first
     while begin < stop:
         if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:

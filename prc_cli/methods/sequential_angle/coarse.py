@@ -92,7 +92,8 @@ def coarse(signed_deg: F32, lines: VerticalLines, thresholds: CoarseThresholds) 
     >>> z = np.array([-2, -2, -2, -2, -2, -1.5, -1, -0.5, 0, 0.5])
     >>> xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
     >>> beams = np.arctan2(x, -z)[None]
-    >>> lines = VerticalLines(np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0], np.array([10], np.int32), beams)
+    >>> ranges = np.linalg.norm(xyz, axis=-1)
+    >>> lines = VerticalLines(ranges, xyz, xyz[..., 0], np.array([10], np.int32), beams)
     >>> from prc_cli.methods.sequential_angle.angles import ChordThresholds, signed_angles
     >>> coarse(signed_angles(lines, ChordThresholds()).signed_deg, lines, CoarseThresholds())
     array([[2, 2, 2, 2, 3, 3, 3, 0, 3, 3]], dtype=uint8)
@@ -119,7 +120,7 @@ def surface_image(
 
 
 def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresholds) -> U8:
-    """Make vegetation vertical that lies in two upright layers, in the plane of a wall, or behind a wall above it.
+    """Make vegetation vertical in upright layers, in the plane of a wall, or behind one above it.
 
     Not in the paper. Behind glass a shot returns from the pane, or from a curtain or wall some way
     behind it, and neighbours differ: the signed angles alternate as in a crown. But in a vertical

@@ -6,7 +6,7 @@ Stamos et al. (2012), sec. 4.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -22,8 +22,8 @@ _SMALL = 2.0**-500
 _LARGE = 2.0**500
 """Likelihoods that become small are scaled by a power of two, which rounds nothing."""
 
-ZERO = np.int64(0)
-"""An integer that numba does not treat as a literal: it would compile helpers again for a literal."""
+ZERO = cast("int", np.int64(0))
+"""An integer that numba does not treat as a literal, for which it would compile helpers again."""
 
 _PerState = tuple[float, float, float]
 """One number for each of the three states of a model."""
@@ -185,7 +185,7 @@ def _sequential_test(
     With ``restart`` (CUSUM) a ratio below the lower bound, or a sample that neither model can
     explain, restarts the test at the next sample; without it (SPRT) it ends the test.
 
-    Returns the verdict (1 = above the upper bound, -1 = below the lower one, 0 = the samples ended),
+    Returns the verdict (1 = above the upper bound, -1 = below the lower, 0 = the samples ended),
     the last sample, and the sample after the last restart.
     """
     p = (0.0, 0.0, 0.0)
@@ -251,7 +251,7 @@ def _next_confirmed(
     h1: _Model,
     bounds: _Bounds,
 ) -> tuple[int, int, int]:
-    """Find the next region; tests between two bounds confirm it and end it. See :func:`_next_region`."""
+    """Find the next region, confirmed and ended by tests of two bounds; as :func:`_next_region`."""
     restart = bool(np.bool_(True))
     no_restart = bool(np.bool_(False))
     verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, restart)
@@ -338,7 +338,7 @@ _MIDDLE = 45.0
 
 @helper
 def _tilt(signed_deg: float, fold: bool) -> float:
-    """Angle of a chord with the vertical [deg], without sign; with ``fold`` up and down are alike."""
+    """Angle of a chord with the vertical [deg], unsigned; with ``fold`` up and down are alike."""
     angle = abs(signed_deg)
     return min(angle, 180.0 - angle) if fold else angle
 
@@ -647,7 +647,7 @@ def behind_walls(
     n_beams: I32_1,
     thresholds: WindowThresholds,
 ) -> U8_2:
-    """Make vegetation vertical in the plane of a wall of its row, or behind a wall that is above it.
+    """Make vegetation vertical in the plane of a wall of its row, or behind a wall above it.
 
     ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32,
     metres; ``n_beams`` (R,) int32; returns (R, n) uint8.

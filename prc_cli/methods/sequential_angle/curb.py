@@ -5,13 +5,13 @@ points that are neighbours on the grid of lines and beams and close in space for
 complete, low region with a possible curb point is a curb if it spans three lines, or if it is
 straight.
 
-Interpretations where the text is silent or ambiguous:
+Interpretations of passages that are silent or ambiguous:
 
 - Neighbours are the eight around a point, closer than 0.3 m.
-- A region is complete when the next line of its side adds nothing to it. A region of very many lines is decided and
-  closed early, which bounds the memory; points that follow begin a new region.
-- "Vertical curvature" is the change of the signed angle between neighbouring points of the region in a line. A region
-  without such a pair does not count as straight.
+- A region is complete when the next line of its side adds nothing to it. A region of very many
+  lines is decided and closed early, which bounds the memory; points that follow start a new region.
+- "Vertical curvature" is the change of the signed angle between neighbouring points of the region
+  in a line. A region without such a pair does not count as straight.
 - "Behind a curb" is decided by horizontal distance.
 """
 

@@ -1,8 +1,8 @@
-"""Loops for curbs: where one may begin in a row, and regions of vertical points across lines (Stamos et al. 2012, 6).
+"""Loops for curbs: possible curbs of rows, and regions of vertical points across lines.
 
-Regions grow line by line, so that a region is known to be complete as soon as a line adds nothing
-to it. What can no longer be a curb because it is too high, walls above all, is merged into one
-label and costs next to nothing.
+Stamos et al. (2012), sec. 6. Regions grow line by line, so a region is complete as soon as a line
+adds nothing to it. Regions that are too high for a curb, mostly walls, are merged into one label
+and cost hardly any time.
 """
 
 from __future__ import annotations
@@ -20,23 +20,21 @@ HIGH = 1
 REJECTED = 2
 CURB = 3
 FIRST_REGION = 4
-"""Labels: not vertical; too high for a curb.
-
-Decided, not a curb; decided, a curb; from here on regions undecided.
-"""
+"""Labels: not vertical; too high for a curb; decided, no curb; decided, a curb; from here on
+undecided regions."""
 
 _MISSING = 0
 _VERTICAL = 3
 
 
 class _Table(NamedTuple):
-    """All regions by label, the fixed ones included, and the labels of all lines.
+    """All regions by label, including the fixed ones, and the labels of all lines.
 
-    Take its arrays before a loop, not in it: numba counts the reference every time.
+    Read its arrays before a loop, not in it: numba counts the reference every time.
     """
 
     parent: I32
-    """Label of the region that this one has become a part of, its own while it is one by itself."""
+    """Label of the region that this one is a part of; its own label if it is a whole region."""
     side: I32
     first: I32
     """First line."""
@@ -60,7 +58,7 @@ def _lies_over(
     range_here: float,
     under: float,
 ) -> bool:
-    """Tell whether one of the valid points before lies farther away than a point."""
+    """Whether one of the valid points before is farther away than a point."""
     most = range_here
     for i in range(max(count - reach, 0), count):
         most = max(most, farthest[i])
@@ -121,7 +119,7 @@ def possible_curbs(
 
 @inlined
 def _root(parent: I32, label: int) -> int:
-    """Follow a label to the one that stands for its region, shortening the way for the next one."""
+    """Return the label of the whole region of a label; shortens the path for the next call."""
     while parent[label] != label:
         parent[label] = parent[parent[label]]
         label = parent[label]
@@ -136,7 +134,7 @@ def _near(
     j: int,
     reach_2: float,
 ) -> bool:
-    """Tell whether two points lie within the grouping distance."""
+    """Whether two points are within the grouping distance; ``reach_2`` is its square [m2]."""
     dx = np.float64(here[k, 0]) - np.float64(there[j, 0])
     dy = np.float64(here[k, 1]) - np.float64(there[j, 1])
     dz = np.float64(here[k, 2]) - np.float64(there[j, 2])
@@ -150,7 +148,7 @@ def _join(
     region_above: int,
     thresholds: CurbThresholds,
 ) -> int:
-    """Make two regions one."""
+    """Join two regions; return the label of the joined one."""
     parent = table.parent
     last = table.last
     low = table.low
@@ -182,7 +180,7 @@ def _is_straight(
     n_sides: int,
     limit: float,
 ) -> bool:
-    """Tell whether the angle changes little from point to point of a region, in the median."""
+    """Whether the median change of the angle from point to point of a region is small."""
     parent = table.parent
     labels = table.labels
     side = table.side[region]
@@ -194,12 +192,10 @@ def _is_straight(
     for line in range(table.first[region], table.last[region] + 1):
         line_labels = labels[line * n_sides + side]
         new = line - n_before
-        # lines before this call are kept at the end of what was carried over
-        angles = (
-            signed[new * n_sides + side]
-            if new >= 0
-            else above_signed[len(above_signed) + new * n_sides + side]
-        )
+        if new >= 0:
+            angles = signed[new * n_sides + side]
+        else:  # lines of earlier calls
+            angles = above_signed[len(above_signed) + new * n_sides + side]
         for k in range(1, len(line_labels)):
             if line_labels[k] < FIRST_REGION or line_labels[k - 1] < FIRST_REGION:
                 continue
@@ -229,7 +225,7 @@ def _decide(
     n_sides: int,
     thresholds: CurbThresholds,
 ) -> None:
-    """Decide whether a complete region is a curb."""
+
     accepted = False
     high_m = np.float64(table.high[region]) - np.float64(table.low[region])
     if table.possible[region] and high_m >= thresholds.min_height_m:
@@ -252,10 +248,10 @@ def _connect_row(
     n_ids: int,
     thresholds: CurbThresholds,
 ) -> int:
-    """Label the vertical points of a row, joining them to each other and to those of the row above.
+    """Label the vertical points of a row; join them to each other and to those of the row above.
 
-    ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on;
-    returns how many.
+    ``row`` counts from the start of the labels. New regions are numbered from ``n_ids`` on; returns
+    their number.
     """
     n = len(surface)
     side = row % n_sides
@@ -313,7 +309,7 @@ def _open_table(
     n_lines: int,
     capacity: int,
 ) -> _Table:
-    """Return a table with room for so many lines and labels that holds the regions that are open."""
+    """Return a table of the open regions with room for ``n_lines`` and ``capacity`` labels."""
     n = regions.labels.shape[1]
     labels = np.empty((n_lines * n_sides, n), np.int32)
     before = regions.labels
@@ -351,10 +347,7 @@ def _carry(
     n_given: int,
     n_ids: int,
 ) -> OpenRegions:
-    """Return rows and regions for the next call.
-
-    Labels that stand for themselves, numbered as they come.
-    """
+    """Return rows and regions for the next call, with new labels in the order of the rows."""
     labels = table.labels
     parent = table.parent
     n_rows, n = labels.shape
@@ -453,7 +446,7 @@ def connect_verticals(
             undecided[side, n_undecided[side]] = label
             n_undecided[side] += 1
         n_ids += n_new
-        # what got nothing from this line is complete
+        # regions without a point in this line are complete
         kept = 0
         for i in range(n_undecided[side]):
             label = undecided[side, i]

@@ -3,40 +3,42 @@
 Part a works within one row: potential ground is the first succession of horizontal points whose
 line angles have one mode, so that they lie on one straight line. Part b works across rows:
 potential ground whose height agrees with the dominant height so far is ground, and grows over the
-horizontal points that follow; otherwise the search goes on in the row.
+horizontal points that follow; otherwise the search continues in the row.
 
-Interpretations where the text is silent or ambiguous:
+Interpretations of passages that are silent or ambiguous:
 
-- The line angles of ten or more points are taken as one set. A mode counts when it has two samples, so that a single
-  outlier does not end the ground. Where the first ten points have several modes, the search moves
-  on by one point instead of taking eight of them.
-- The bandwidth of the line angles follows their noise, three standard deviations in the middle of the set, but at
-  least 5 degrees: with a fixed bandwidth, noise near the scanner would split the ground. It is
-  recomputed whenever the set has grown by a half, so that the work stays proportional to the number
-  of points.
-- "Almost collinear" has a limit in height as well as in angle, since the line angle measures slope and not height:
-  without it, ground would climb a curb that is visible in one shot only. The local line is level
-  where its points span less than that limit, because a fitted slope would be noise.
-- For the same reason a jump in height ends potential ground: a hedge top or a car roof in front of the road has the
-  line angle of the road, and only one angle at its edge differs.
-- Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points can end the set early.
-  To keep the rest of the road, the search resumes within the same run of horizontal points.
-- The height of a row is that of the points next to the scanner: on a slope the lowest points would be those at the far
-  end, metres below.
-- One or two noisy shots must not end the ground of a line. A few points that are neither horizontal nor missing are
-  skipped where the next horizontal ones continue the local line within less than the height of a
-  curb.
-- For the same reason ground found later in a row is accepted by the local line, not by the height of its points.
-- Where the ground leans, one height does not hold all around the scanner. Potential ground at the height of the last
-  ground of its side is ground too. The dominant height itself stays one, since cars are told worse
-  by the other.
-- The dominant height is the main mode of the heights of all rows, accepted or not, and is recomputed after each of them
-  (an option): with accepted rows only, a wrong first estimate would never be corrected. The oldest
-  heights are dropped, so that it follows a long street.
-- A row without accepted ground contributes the height of its first potential ground, the nearest to the scanner.
+- The line angles of ten or more points are one set. A mode counts if it has two samples, so that a
+  single outlier does not end the ground. If the first ten points have several modes, the search
+  moves on by one point instead of using eight of them.
+- The bandwidth of the line angles follows their noise, three standard deviations in the middle of
+  the set, but at least 5 degrees: with a fixed bandwidth, noise near the scanner would split the
+  ground. It is recomputed whenever the set has grown by a half, so that the work stays proportional
+  to the number of points.
+- "Almost collinear" has a limit in height as well as in angle, since the line angle measures slope
+  and not height: without it, ground would climb a curb that is visible in one shot only. The local
+  line is level if its points span less than that limit, because a fitted slope would be noise.
+- For the same reason a jump in height ends potential ground: a hedge top or a car roof in front of
+  the road has the line angle of the road, and only one angle at its edge differs.
+- Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points
+  can end the set early. To keep the remaining road, the search resumes within the same run of
+  horizontal points.
+- The height of a row is the height of its points next to the scanner: on a slope the lowest points
+  would be at the far end, metres below.
+- One or two noisy shots must not end the ground of a line. A few points that are neither horizontal
+  nor missing are skipped if the next horizontal ones continue the local line within less than the
+  height of a curb.
+- For the same reason the local line accepts ground later in a row, not the height of its points.
+- If the ground leans, one height is not valid all around the scanner. Potential ground at the
+  height of the last ground of its side is ground too. There is still one dominant height, since
+  cars are recognised better with it.
+- The dominant height is the main mode of the heights of all rows, accepted or not, and is
+  recomputed after each of them (an option): with accepted rows only, a wrong first estimate would
+  never be corrected. The oldest heights are dropped, so that it follows a long street.
+- A row without accepted ground contributes the height of its first potential ground, the nearest to
+  the scanner.
 - The ground stays unknown while only a few of many rows have a height.
-- If the first estimate was made from fewer heights than wanted, the next heights count as they come, and the dominant
-  height follows at once.
+- If the first estimate was made from fewer heights than wanted, the next heights count as they
+  come, and the dominant height follows at once.
 """
 
 from __future__ import annotations
@@ -73,7 +75,8 @@ def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 
 
     ``heights_m`` (R,) float64.
 
-    >>> round(initial_ground(np.array([-1.80, -1.81, np.nan, -0.3, -1.79]), GroundThresholds()).z_g, 2)
+    >>> heights_m = np.array([-1.80, -1.81, np.nan, -0.3, -1.79])
+    >>> round(initial_ground(heights_m, GroundThresholds()).z_g, 2)
     -1.8
     """
     rows = np.flatnonzero(~np.isnan(heights_m))[: thresholds.start_heights]

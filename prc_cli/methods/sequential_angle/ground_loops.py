@@ -1,4 +1,4 @@
-"""Loops over rows: the ground within a row, and its height across rows (Stamos et al. 2012, sec. 5).
+"""Loops for the ground within a row and its height across rows (Stamos et al. 2012, sec. 5).
 
 After every point the ground algorithm needs to know whether the line angles so far have one mode.
 Mean shift from every sample would make that cubic in the points of a row. Here samples fall into
@@ -11,7 +11,7 @@ separate the samples of the modes.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,8 @@ N_HEIGHTS = 370 * PER_METRE
 """Its bins, up to 60 m above the scanner."""
 BEHIND = 2
 """Horizontal points behind a gap in a surface that have to continue its line."""
-ZERO = np.int64(0)
-NONE = np.int64(-1)
+ZERO = cast("int", np.int64(0))
+NONE = cast("int", np.int64(-1))
 """Integers that numba does not treat as literals: it would compile helpers again for a literal."""
 
 _HORIZONTAL = 2
@@ -300,7 +300,7 @@ def _count_in_bins(
     size: int,
     hist: I64,
 ) -> None:
-    """Count line angles, the first row of ``angles``, in their bins; the second row gets the bins."""
+    """Count line angles, the first row of ``angles``, in bins; the second row gets the bins."""
     for i in range(n):
         angles[1, i] = min(max(np.floor(angles[0, i] / width), 0.0), size - 1.0)
     for i in range(n):
@@ -687,7 +687,7 @@ def _end_of_run(
     n: int,
     bridge: int,
 ) -> int:
-    """Return the beam behind a run of horizontal points, which gaps of ``bridge`` points do not end."""
+    """Return the beam behind a run of horizontal points with gaps of at most ``bridge`` points."""
     end = k = start
     n_passed = 0
     while k < n and n_passed <= bridge:
@@ -710,7 +710,7 @@ def _resume(
     thresholds: GroundThresholds,
     scratch: _Scratch,
 ) -> int:
-    """Add more ground from the remainder of a run of horizontal points; return the number of points."""
+    """Add ground from the remainder of a run of horizontal points; return the number of points."""
     surface = row.surface
     guard = thresholds.growth_height_m
     start = k = int(np.int64(beams[n_points - 1] + 1))

@@ -233,7 +233,7 @@ def _curb_of(
     row: int,
     n: int,
 ) -> tuple[float, float]:
-    """Return the least distance of the curb points of a row, and how high those next to it reach [m]."""
+    """Return the least distance of the curb points of a row, and the top of those near it [m]."""
     nearest = np.float32(np.inf)
     for k in range(n):
         if curb[row, k]:
@@ -255,9 +255,7 @@ def _foot(
     n: int,
     base: float,
 ) -> tuple[int, float]:
-    """Follow car points to the last one.
-
-    Return the beam after them, and the height of what they stand on.
+    """Return the beam after successive car points, and the height they stand on [m].
 
     That is the lowest of them, or the last horizontal point before them if it is lower.
     """
@@ -300,17 +298,11 @@ def combine_classes(
             n_curb += curb[row, k]
         for k in range(n):  # selections, not a table: they are vector instructions
             code = surface[row, k]
-            label = (
-                label_missing
-                if code == 0
-                else label_vegetation
-                if code == 1
-                else label_horizontal
-                if code == 2
-                else label_vertical
-                if code == 3
-                else label_undecided
-            )
+            label = label_undecided
+            label = label_missing if code == 0 else label
+            label = label_vegetation if code == 1 else label
+            label = label_horizontal if code == 2 else label
+            label = label_vertical if code == 3 else label
             label = np.uint8(_GROUND) if ground[row, k] else label
             labels[row, k] = np.uint8(_CAR) if car[row, k] and n_curb == 0 else label
         if n_curb > 0:
@@ -339,7 +331,7 @@ def combine_classes(
 
 @kernel()
 def mark_beyond(range_m: F32_2, labels: U8_2) -> tuple[U8_2, int]:
-    """Call returns unclassified that are missing to the method, lying beyond the scanner's reach.
+    """Make returns unclassified that are beyond the scanner's reach, so missing to the method.
 
     ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; returns ``labels`` (lines,
     M) uint8.

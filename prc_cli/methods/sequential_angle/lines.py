@@ -1,6 +1,6 @@
-"""Vertical scan lines, beams from low to high.
+"""Vertical scan lines, beams from low to high: the input of all stages.
 
-The input of all stages (Stamos et al. 2012, sec. 3).
+Stamos et al. (2012), sec. 3.
 
 A line of a static scanner is one vertical line. A line of a profiler with a full circle is split at
 nadir and zenith into two half-lines, one per side. Rows are half-lines: ``row = line * n_sides +
@@ -29,10 +29,7 @@ class Sides:
     n_beams: I32
     """(n_sides,) int32, beams of every side."""
     beam_rad: F64
-    """(n_sides, n) float64, angle of every beam from straight down [rad], 0 to pi, rising.
-
-    NaN = fill.
-    """
+    """(n_sides, n) float64, angle of every beam from straight down [rad], rising; NaN = fill."""
 
     @property
     def n_sides(self) -> int:
@@ -125,9 +122,8 @@ def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArra
         n = int(sides.n_beams[side])
         columns = sides.columns[side, :n]
         step = int(columns[1] - columns[0]) if n > 1 else 1
-        if (
-            abs(step) == 1 and (np.diff(columns) == step).all()
-        ):  # contiguous: a slice is many times faster
+        # contiguous columns: a slice is many times faster
+        if abs(step) == 1 and (np.diff(columns) == step).all():
             low, high = sorted((int(columns[0]), int(columns[-1])))
             image[:, low : high + 1] = by_side[:, side, :n][:, ::step]
         else:

@@ -1,12 +1,12 @@
-"""Order of the algorithms within a line and across lines (Stamos et al. 2012, sec. 8), and the state between blocks.
+"""The order of the algorithms within a line and across lines, and the state between blocks.
 
-All processing is online. Most stages need only their own line. The ground height needs the lines
-before it, and curbs need all lines of their component. So a line becomes final once the ground
-height is known and all components of vertical points on it are decided. Labels do not depend on how
-the stream was cut into blocks.
+Stamos et al. (2012), sec. 8. All processing is online. Most stages need only their own line. The
+ground height needs the lines before it, and curbs need all lines of their component. So a line
+becomes final once the ground height is known and all components of vertical points on it are
+decided. Labels do not depend on how the stream was cut into blocks.
 
-:func:`classify_block` is the whole method. Two of its steps (:func:`follow_ground` and :func:`decide_curbs`) hand a
-state from block to block, the others need only their own block.
+:func:`classify_block` is the whole method. Two of its steps (:func:`follow_ground` and
+:func:`decide_curbs`) pass a state from block to block, the others need only their own block.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ from prc_cli.methods.sequential_angle.thresholds import (
 KERNELS = frozenset({"sequential_angle"})
 
 
-class _Table(MethodParams):
+class _SequentialAngleTable(MethodParams):
     """Parameters of the sequential-angle classifier (``[sequential_angle]``)."""
 
     def method(self) -> SequentialAngle:
@@ -77,7 +77,9 @@ class _Table(MethodParams):
 if TYPE_CHECKING:
     SequentialAngleParams: TypeAlias = Any
 else:
-    SequentialAngleParams = table_of(SequentialAngleThresholds(), "sequential_angle", _Table)
+    SequentialAngleParams = table_of(
+        SequentialAngleThresholds(), "sequential_angle", _SequentialAngleTable
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +228,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
     @property
     def usual(self) -> UsualLabels:
-        """A class for nearly every return, and level ground or other level surfaces below the scanner."""
+        """A class for nearly every return, and level surfaces below the scanner."""
         level = (Label.GROUND, Label.CURB, Label.HORIZONTAL)
         return UsualLabels(
             unclassified_share=0.1,
@@ -240,7 +242,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
     @property
     def gives(self) -> frozenset[Label]:
-        """All but what only the other methods tell."""
+        """All classes but those that only the other methods have."""
         return frozenset(Label) - {Label.NOISE, Label.BUILDING, Label.STEM}
 
     def scanner(self, first: ScanBlock) -> Beams:
@@ -260,7 +262,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
     ) -> Sequence[LabelledBlock]:
         """Add the next lines, and label those that become final."""
         _check_shape(block.range_m, block.xyz_m, scanner)
-        found = classify_block(
+        final = classify_block(
             block.range_m,
             block.xyz_m,
             scanner,
@@ -269,26 +271,29 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             last=block.is_last,
             stages=wanted.stages,
         )
-        stages = stages_in_columns(found.rows, found.labels, scanner) if wanted.stages else None
-        final = turn.hand_on(
-            WAITING, lambda before: _split_lines((*before, block), len(found.labels))
+        stages = stages_in_columns(final.rows, final.labels, scanner) if wanted.stages else None
+        lines = turn.hand_on(
+            WAITING, lambda before: _split_lines((*before, block), len(final.labels))
         )
-        labelled = []
+        parts = []
         start = 0
-        for part in final:
+        for part in lines:
             rows = slice(start, start + part.n_lines)
             start = rows.stop
-            of_part = None if stages is None else stages.of_lines(rows)
-            item = _labelled(part, found.labels[rows], of_part, self.thresholds)
-            if of_part is not None:
-                item = replace(item, above_m=_above(part, of_part, scanner))
+            part_stages = None if stages is None else stages.of_lines(rows)
+            labelled = _labelled(part, final.labels[rows], part_stages, self.thresholds)
+            if part_stages is not None:
+                labelled = replace(labelled, above_m=_above(part, part_stages, scanner))
             if wanted.reasons:
-                item = replace(item, reasons=_reasons(item.labels, found.labels[rows]))
-            labelled.append(replace(item, measures=measures_of(item)) if wanted.measures else item)
-        return labelled
+                reasons = _reasons(labelled.labels, final.labels[rows])
+                labelled = replace(labelled, reasons=reasons)
+            if wanted.measures:
+                labelled = replace(labelled, measures=measures_of(labelled))
+            parts.append(labelled)
+        return parts
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
-        """Report what was not searched for, and why."""
+        """Report steps without result, and why."""
         notices: list[str] = []
         if not labels[Label.GROUND]:
             notices.append(
@@ -296,7 +301,8 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             )
         if tally.n_beyond:
             notices.append(
-                f"{tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {self.thresholds.max_range_m:g} m "
+                f"{tally.n_beyond} ranges lie beyond "
+                f"sequential_angle.max_range_m = {self.thresholds.max_range_m:g} m "
                 "or the limits of [input]: they are missing to the method, and unclassified"
             )
         if segments:
@@ -305,26 +311,27 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
 
 def _reasons(labels: U8, method_labels: U8) -> U8:
-    """Return the rules behind labels.
+    """Return the rules of labels.
 
-    ``found`` lacks the returns that are beyond the reach of the method.
+    Returns beyond the reach are missing in ``method_labels``.
     """
     reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
     reasons[labels != method_labels] = Reason.BEYOND_REACH
     return reasons
 
 
-def measures_of(item: LabelledBlock) -> dict[str, NDArray[Any]]:
-    """Return what was measured of every shot of final lines, by names with their units."""
-    assert item.stages is not None
-    assert item.above_m is not None
+def measures_of(labelled: LabelledBlock) -> dict[str, NDArray[Any]]:
+    """Return the measured quantities of every shot of final lines, by names with their units."""
+    stages = labelled.stages
+    assert stages is not None
+    assert labelled.above_m is not None
     surfaces = np.array([surface.name.lower() for surface in Surface])
     return {
-        "coarse class": surfaces[item.stages.surface],
-        "dense vegetation": item.stages.dense_vegetation,
-        "ground, from the scanner [m]": item.stages.ground_height_m,
-        "height above the ground [m]": item.above_m,
-        "interval between dividers": item.stages.car_interval,
+        "coarse class": surfaces[stages.surface],
+        "dense vegetation": stages.dense_vegetation,
+        "ground, from the scanner [m]": stages.ground_height_m,
+        "height above the ground [m]": labelled.above_m,
+        "interval between dividers": stages.car_interval,
     }
 
 
@@ -361,10 +368,7 @@ def classify_block(
 
 
 def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
-    """Return heights above the ground at every line [m], (lines, M) float32.
-
-    NaN = missing or unknown.
-    """
+    """Return heights above the ground, (lines, M) float32 [m]; NaN = missing or unknown."""
     if block.xyz_m is None:
         up_m = block.range_m * -np.cos(beams.beam_rad).astype(np.float32)
     else:
@@ -376,7 +380,7 @@ def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
 def _split_lines(
     waiting: tuple[ScanBlock, ...], n_lines: int
 ) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:
-    """Return the first ``n_lines`` waiting lines, and the rest."""
+    """Return the first ``n_lines`` waiting lines, and the lines that still wait."""
     buffer = LineBuffer()
     for block in waiting:
         buffer.add(block)
@@ -472,7 +476,7 @@ def _start_ground(
     *,
     last: bool,
 ) -> tuple[list[Within], GroundSoFar]:
-    """Keep rows waiting until the first ground height is known (part b of the ground algorithm, sec. 5)."""
+    """Let rows wait until the first ground height is known (sec. 5, part b)."""
     if state.known is not None:
         return [rows], state
     waiting = (*state.waiting, rows)
@@ -535,8 +539,8 @@ def decide_curbs(
             thresholds.curb,
             last=last and number == len(parts) - 1,
         )
-        final, left = _split((*state.undecided, part.undecided), len(curb))
-        state = CurbsSoFar(regions, left)
+        final, open_rows = _split((*state.undecided, part.undecided), len(curb))
+        state = CurbsSoFar(regions, open_rows)
         done += final
         masks.append(curb)
     return (done, masks), state
@@ -610,16 +614,16 @@ def _split(
     parts: tuple[Undecided, ...], n_rows: int
 ) -> tuple[list[Undecided], tuple[Undecided, ...]]:
     """Split off the first rows of a queue."""
-    taken: list[Undecided] = []
+    first_rows: list[Undecided] = []
     for number, part in enumerate(parts):
         n = len(part.surface)
         if n_rows < n:
             if n_rows:
-                taken.append(_rows_of(part, slice(0, n_rows)))
-            return taken, (_rows_of(part, slice(n_rows, n)), *parts[number + 1 :])
-        taken.append(part)
+                first_rows.append(_rows_of(part, slice(0, n_rows)))
+            return first_rows, (_rows_of(part, slice(n_rows, n)), *parts[number + 1 :])
+        first_rows.append(part)
         n_rows -= n
-    return taken, ()
+    return first_rows, ()
 
 
 def _rows_of(rows: Undecided, part: slice) -> Undecided:
@@ -638,10 +642,13 @@ def _join(parts: Sequence[Undecided]) -> Undecided:
 
 
 def _check_shape(range_m: F32, xyz_m: F32 | None, beams: Beams) -> None:
-    """Refuse arrays that cannot be the next lines of the stream."""
+
     width = len(beams.beam_rad)
     if range_m.ndim != 2 or range_m.shape[1] != width:
-        problem = f"found an array of shape {range_m.shape}, expected (lines, {width}) as the stream began"
+        problem = (
+            f"found an array of shape {range_m.shape}, "
+            f"expected (lines, {width}) as the stream began"
+        )
         raise InputError("block of ranges", problem, "check points_per_line")
     if xyz_m is not None and xyz_m.shape != (*range_m.shape, 3):
         problem = f"found coordinates of shape {xyz_m.shape}, expected {(*range_m.shape, 3)}"

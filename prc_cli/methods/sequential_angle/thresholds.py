@@ -78,7 +78,7 @@ class ChordThresholds(NamedTuple):
 
 
 class MarkovThresholds(NamedTuple):
-    """Two hidden Markov models of three states with common Gaussians, and how the test between them ends."""
+    """Two hidden Markov models of three states with common Gaussians, and the end of their test."""
 
     means_deg: Annotated[tuple[Angle, Angle, Angle], key()] = (-90.0, 0.0, 90.0)
     """Mean of every state [deg] (published)."""
@@ -121,7 +121,7 @@ class MarkovThresholds(NamedTuple):
 
 
 class SurfaceThresholds(NamedTuple):
-    """When a run turns from horizontal to vertical and back (``[sequential_angle.coarse.surfaces]``).
+    """Changes of a run from horizontal to vertical and back (``sequential_angle.coarse.surfaces``).
 
     From horizontal to vertical the sum of (drift - angle), from vertical to horizontal the sum of
     (angle - drift) is followed, never below zero, until it exceeds the threshold. Drift 45 and
@@ -349,7 +349,7 @@ class CurbThresholds(NamedTuple):
 
 
 class OpenRegions(NamedTuple):
-    """The C regions of vertical points that are not decided yet, and the P lines they lie in (sec. 6)."""
+    """The C undecided regions of vertical points, and the P lines they are in (sec. 6)."""
 
     labels: Annotated[I32, 2]
     """(P * n_sides, n) int32: 0 not vertical, 1 too high, 2 no curb, 3 a curb, from 4 on the
@@ -371,7 +371,7 @@ class OpenRegions(NamedTuple):
 
 
 class SuspiciousThresholds(NamedTuple):
-    """Markov chains of H, V and M on a regular surface and on a car (``[sequential_angle.car.suspicious]``)."""
+    """Markov chains of H, V and M on a surface and on a car (``sequential_angle.car.suspicious``)."""
 
     enabled: Annotated[bool, key()] = False
     """Test lines at all; false = every line may hold a car; published: true."""
@@ -483,7 +483,7 @@ class DividerThresholds(NamedTuple):
     """A change of horizontal distance from one return to the next that ends such a run [m]."""
 
     def at_noise(self, range_noise_m: float) -> DividerThresholds:
-        """Return lengths at a standard deviation of the range [m], and infinity for what 0 switches off."""
+        """Return lengths at a standard deviation of the range [m]; infinity = switched off by 0."""
         return self._replace(
             change_chord_m=max(self.change_chord_m, self.change_chord_sigmas * range_noise_m),
             under_m=max(self.under_m, self.under_sigmas * range_noise_m),

@@ -1,4 +1,4 @@
-"""The steps of PRC with NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
+"""The steps of PRC with NumPy, SciPy and scikit-image (Lehtola et al. 2019, section II).
 
 Names, arguments and results are those of the compiled loops in :mod:`prc_cli.methods.prc`; no code
 is shared.
@@ -119,16 +119,20 @@ def label_components(image: Mask) -> tuple[I32, int]:
     """Find 4-connected components; see :func:`components_loops.label_components`."""
     label: Callable[..., I32] = measure.label
     labels = label(image, connectivity=1)
-    found, first_pixel = np.unique(labels, return_index=True)
-    in_raster_order = [one for _, one in sorted(zip(first_pixel, found, strict=True)) if one != 0]
+    numbers, first_pixel = np.unique(labels, return_index=True)
+    in_raster_order = numbers[np.argsort(first_pixel)]
+    in_raster_order = in_raster_order[in_raster_order != 0]
     renumbered = np.zeros(image.shape, dtype=np.int32)
-    for number, one in enumerate(in_raster_order, start=1):
-        renumbered[labels == one] = number
+    for new_number, number in enumerate(in_raster_order, start=1):
+        renumbered[labels == number] = new_number
     return renumbered, len(in_raster_order)
 
 
 def fill_holes(components: I32, holes: Mask) -> I32:
-    """Give holes the most frequent component of their 8 neighbours (II-D.1), of equals the smallest; 0 without any."""
+    """Give holes the most frequent component of 8 neighbours (II-D.1), of equals the smallest.
+
+    Holes without such a neighbour stay 0.
+    """
     framed = np.pad(components, 1)
     filled = components.copy()
     for line, column in zip(*np.nonzero(holes), strict=True):

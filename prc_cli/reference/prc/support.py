@@ -14,7 +14,7 @@ def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, i
     infinite = np.isinf(lost)
     finite = lost[np.isfinite(lost)]
     n_infinite, n_refused, n_positive = (
-        int(np.count_nonzero(one)) for one in (infinite, finite <= 0, finite > 0)
+        int(np.count_nonzero(mask)) for mask in (infinite, finite <= 0, finite > 0)
     )
     cleaned: F32 = np.where(kept, ranges, np.float32(np.nan))
     return cleaned, n_infinite, n_refused, n_positive

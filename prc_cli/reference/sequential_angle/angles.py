@@ -1,4 +1,7 @@
-"""The signed angle of every shot, its differences, and the line angle (Stamos et al. 2012, sec. 3 and 7.1)."""
+"""The signed angle of every shot, its differences, and the line angle.
+
+Stamos et al. (2012), sec. 3 and 7.1.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ def signed_angles(
     n_beams: I32,
     thresholds: ChordThresholds,
 ) -> tuple[F32, I32]:
-    """Measure sV: angles of chords with the vertical, negative where a chord turns back on the one before."""
+    """Measure sV: angles of chords with the vertical, negative if a chord turns back."""
     signed_deg = np.full(range_m.shape, np.nan, np.float32)
     ahead = np.full(range_m.shape, -1, np.int32)
     for row in range(len(range_m)):
@@ -44,14 +47,14 @@ def first_far(
     thresholds: ChordThresholds,
 ) -> int | None:
     """Return the first of some shots that is far enough away for a chord."""
-    for other in others[: thresholds.max_shots]:
-        chord = points[other] - points[here]
-        depth = ranges[other] - ranges[here]
+    for shot in others[: thresholds.max_shots]:
+        chord = points[shot] - points[here]
+        depth = ranges[shot] - ranges[here]
         counted = float(chord @ chord)
         if thresholds.depth_m > 0:
             counted += max(abs(depth) - thresholds.depth_m, 0.0) ** 2 - depth**2
         if chord.any() and counted >= thresholds.least_chord_m**2:
-            return other
+            return shot
     return None
 
 
@@ -71,13 +74,13 @@ def line_angles(
     beam_rad: F64,
 ) -> F32:
     """Measure line angles; see :func:`angles_loops.line_angles`."""
-    found = np.full(range_m.shape, np.nan, np.float32)
+    angles = np.full(range_m.shape, np.nan, np.float32)
     for row, k in zip(*np.nonzero((surface == Surface.HORIZONTAL) & (ahead >= 0)), strict=True):
         side = beam_rad[row % len(beam_rad)]
         j = ahead[row, k]
         phi = angle_at_first(side[k], side[j], float(range_m[row, k]), float(range_m[row, j]))
-        found[row, k] = np.degrees(phi + side[k])
-    return found
+        angles[row, k] = np.degrees(phi + side[k])
+    return angles
 
 
 def angle_at_first(
@@ -86,7 +89,7 @@ def angle_at_first(
     first_m: float,
     second_m: float,
 ) -> float:
-    """Return the angle between the chord of two shots and the beam to the first one, from their places [rad]."""
+    """Return the angle between the chord of two shots and the beam to the first one [rad]."""
     first = place(first_rad, first_m)
     chord = place(second_rad, second_m) - first
     return float(np.arctan2(abs(first[0] * chord[1] - first[1] * chord[0]), first @ chord))

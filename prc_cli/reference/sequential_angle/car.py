@@ -1,4 +1,4 @@
-"""Intervals of lines that may be cars, and their spectrum (Stamos et al. 2012, sec. 7.3 and 7.5)."""
+"""Intervals of lines that may be cars, and their spectrum (Stamos et al. 2012, 7.3 and 7.5)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, Fouri
 
 
 def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
-    """Return S: the frequencies of the band that exceed a share of the largest one, equal within rounding not."""
+    """Return S: the frequencies of the band that exceed a share of the largest one.
+
+    Those equal within rounding do not exceed it.
+    """
     n = len(angles)
     spectrum = np.abs(np.fft.rfft(angles))
     largest = spectrum.max()
@@ -92,7 +95,7 @@ def is_jump(
     j: int,
     thresholds: DividerThresholds,
 ) -> bool:
-    """Tell whether the next point is far away, not back towards the scanner, and the line does not come back."""
+    """Whether the line jumps away from the scanner here, and does not come back."""
     step = points[j + 1] - points[j]
     far = (
         np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > thresholds.separation_m
@@ -160,7 +163,7 @@ def car_intervals(
     thresholds: DividerThresholds,
 ) -> I32:
     """Cut triggered rows into intervals; see :func:`car_loops.car_intervals`."""
-    found: list[tuple[int, int, int]] = []
+    intervals: list[tuple[int, int, int]] = []
     for row in range(len(n_beams)):
         if not triggered[row] or np.isnan(ground_m[row]):
             continue
@@ -209,12 +212,12 @@ def car_intervals(
                 t2 = min(j for j in last_dividers if j >= t1)
                 ground = first_ground(codes, distance, points[:, 2], t1, t2, thresholds)
                 if ground:
-                    found.append((row, beams[t1], beams[ground[0]]))
+                    intervals.append((row, beams[t1], beams[ground[0]]))
                     start = ground[1] + 1
                     break
-                found.append((row, beams[t1], beams[t2]))
+                intervals.append((row, beams[t1], beams[t2]))
                 t1 = t2 + 1
-    return np.array(found, np.int32).reshape(-1, 3)
+    return np.array(intervals, np.int32).reshape(-1, 3)
 
 
 @dataclass
@@ -232,25 +235,25 @@ class Line:
         T' in windows is left out.
         """
         returns = [k for k in range(len(self.surface)) if not np.isnan(self.distance[k])]
-        found: list[int] = []
+        beams: list[int] = []
         while returns:
             k = returns[0]
-            if self.surface[k] == T and thresholds.glass_m > 0 and self.is_begun(found, thresholds):
-                returns = self.behind_glass(returns, found[-1], thresholds)
+            if self.surface[k] == T and thresholds.glass_m > 0 and self.is_begun(beams, thresholds):
+                returns = self.behind_glass(returns, beams[-1], thresholds)
                 continue
             if self.surface[k] not in (H, V):
                 break
             more = [k]
             if self.height[k] > self.ground_m + thresholds.height_m:
-                more = self.side_of_van(returns, found[-1:], thresholds)
+                more = self.side_of_van(returns, beams[-1:], thresholds)
                 if not more:
                     break
-            found += more
+            beams += more
             returns = returns[len(more) :]
-        return found
+        return beams
 
     def is_begun(self, beams: list[int], thresholds: DividerThresholds) -> bool:
-        """Tell whether there has been a change from H to V, or a V to begin with."""
+        """Whether there was a change from H to V, or a V at the start."""
         codes = self.surface[beams].tolist()
         return (H, V) in pairwise(codes) or (thresholds.from_start and codes[:1] == [V])
 
@@ -388,7 +391,7 @@ def cut_verticals(
     thresholds: DividerThresholds,
 ) -> I32:
     """Take vertical runs out; see :func:`car_loops.cut_verticals`."""
-    left: list[tuple[int, int, int]] = []
+    pieces: list[tuple[int, int, int]] = []
     for row, first, last in intervals.tolist():
         beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
         codes = [int(surface[row, k]) for k in beams]
@@ -398,13 +401,10 @@ def cut_verticals(
             [0] + [abs(b - a) > thresholds.vertical_break_m for a, b in pairwise(distance)]
         )
         keep = [k <= last for k in beams]
-        vertical = [
-            run
-            for one in set(part.tolist())
-            for run in runs(
-                [code if here == one else -1 for code, here in zip(codes, part, strict=True)], V
-            )
-        ]
+        vertical = []
+        for number in set(part.tolist()):
+            of_part = [code if k == number else -1 for code, k in zip(codes, part, strict=True)]
+            vertical += runs(of_part, V)
         for begin, end in vertical:
             heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
             too_high = is_too_high(heights, float(ground_m[row]), thresholds)
@@ -416,10 +416,9 @@ def cut_verticals(
         height = xyz_m[row, beams, 2].astype(np.float64)
         for begin, end in reliefs(codes, distance, height, beams.index(last), thresholds):
             keep[begin : end + 1] = [False] * (end + 1 - begin)
-        left += [
-            (row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)
-        ]
-    return np.array(left, np.int32).reshape(-1, 3)
+        for begin, end in runs([int(is_kept) for is_kept in keep], 1):
+            pieces.append((row, beams[begin], beams[end]))
+    return np.array(pieces, np.int32).reshape(-1, 3)
 
 
 def reliefs(
@@ -429,11 +428,8 @@ def reliefs(
     last: int,
     thresholds: DividerThresholds,
 ) -> list[tuple[int, int]]:
-    """Return first and last position of rough walls.
-
-    H and V that are high, upright and nearly straight.
-    """
-    found: list[tuple[int, int]] = []
+    """Return first and last position of rough walls: H and V, high, upright, nearly straight."""
+    walls: list[tuple[int, int]] = []
     begin = 0
     while begin <= last and thresholds.relief_m > 0:
         run = [begin] if codes[begin] in (H, V) else []
@@ -454,9 +450,9 @@ def reliefs(
         ):
             limits = thresholds.relief_m, thresholds.straight_slope, thresholds
             if np.ptp(heights) > 0 and is_upright(distance[run], heights, *limits):
-                found.append((begin, run[-1]))
+                walls.append((begin, run[-1]))
         begin = max([begin, *run]) + 1
-    return found
+    return walls
 
 
 def firm_intervals(

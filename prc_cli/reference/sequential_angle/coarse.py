@@ -1,4 +1,4 @@
-"""The coarse classification into vegetation, horizontal and vertical (Stamos et al. 2012, sec. 4)."""
+"""The coarse classification: vegetation, horizontal, vertical (Stamos et al. 2012, sec. 4)."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def regions_both_ways(test: Test) -> list[tuple[int, int]]:
 
 
 def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
-    """Return the regions of model 1 that Wald's test confirms after the alarm, until it rejects one."""
+    """Return the regions of model 1 that Wald's test confirms, until it rejects one."""
     log_density, h0, h1, thresholds = test
     bounds = (thresholds.reject, thresholds.accept)
     regions: list[tuple[int, int]] = []
@@ -101,7 +101,7 @@ def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
 def page_test(
     log_density: F64,
     zero: Model,
-    one: Model,
+    model: Model,
     begin: int,
     threshold: float,
 ) -> tuple[int, int] | None:
@@ -112,7 +112,7 @@ def page_test(
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
         state_0 = step(state_0, *zero, log_density[t])
-        state_1 = step(state_1, *one, log_density[t])
+        state_1 = step(state_1, *model, log_density[t])
         s += logsumexp(state_1) - logsumexp(state_0)
         if s > threshold:
             return t, onset
@@ -127,21 +127,18 @@ def page_test(
 def wald_test(
     log_density: F64,
     zero: Model,
-    one: Model,
+    model: Model,
     begin: int,
     reject: float,
     accept: float,
 ) -> tuple[bool | None, int]:
-    """Return the decision for model 1 and the sample after it.
-
-    None if the samples run out before.
-    """
+    """Return the decision for model 1 and the sample after it; None if the samples end before."""
     s = 0.0
     state_0: F64 | None = None
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
         state_0 = step(state_0, *zero, log_density[t])
-        state_1 = step(state_1, *one, log_density[t])
+        state_1 = step(state_1, *model, log_density[t])
         s += logsumexp(state_1) - logsumexp(state_0)
         if s > accept:
             return True, t + 1
@@ -177,25 +174,25 @@ def surface_image(
     image = np.full(signed_deg.shape, Surface.MISSING, np.uint8)
     for row, line in enumerate(signed_deg):
         beams = [k for k in range(n_beams[row]) if not np.isnan(line[k])]
-        found: dict[int, Surface] = {}
+        labels: dict[int, Surface] = {}
         for run in runs(beams, vegetation[row]):
             if vegetation[row, run[0]]:
-                found.update(dict.fromkeys(run, Surface.VEGETATION))
+                labels.update(dict.fromkeys(run, Surface.VEGETATION))
                 continue
             tilt = np.abs(line[run].astype(np.float64))
             if thresholds.fold:
                 tilt = np.minimum(tilt, 180.0 - tilt)
-            found.update(zip(run, horizontal_or_vertical(tilt, thresholds), strict=True))
+            labels.update(zip(run, horizontal_or_vertical(tilt, thresholds), strict=True))
         valid = [k for k in range(n_beams[row]) if not np.isnan(range_m[row, k])]
-        label = found[beams[0]] if beams else Surface.UNDECIDED
+        label = labels[beams[0]] if beams else Surface.UNDECIDED
         for k in valid:
-            label = found.get(k, label)
+            label = labels.get(k, label)
             image[row, k] = label
     return image
 
 
 def horizontal_or_vertical(tilt: F64, thresholds: SurfaceThresholds) -> list[Surface]:
-    """Label the samples of a run by the CUSUM test for a change of their mean, one test for either direction."""
+    """Label the samples of a run by CUSUM tests for a change of their mean, one a direction."""
     drifts = {
         Surface.HORIZONTAL: thresholds.drift_vertical_deg,
         Surface.VERTICAL: thresholds.drift_horizontal_deg,

@@ -1,4 +1,4 @@
-"""Possible curb points, and the regions of vertical points that are curbs (Stamos et al. 2012, sec. 6).
+"""Possible curb points, and regions of vertical points that are curbs (Stamos et al. 2012, 6).
 
 Regions are sets of points here, and grow by whole lines.
 """
@@ -97,12 +97,12 @@ class Growing:
 
     def open(self, side: int) -> list[Region]:
         """Return the undecided regions of a side."""
-        found = {
+        open_regions = {
             id(region): region
             for (of, _, _), region in self.of.items()
             if of == side and region.fate == "open"
         }
-        return list(found.values())
+        return list(open_regions.values())
 
     def add_row(
         self,
@@ -115,8 +115,8 @@ class Growing:
     ) -> None:
         """Add the vertical points of a row."""
 
-        def near(one: F64, other: F64) -> bool:
-            x, y, z = one - other
+        def near(a: F64, b: F64) -> bool:
+            x, y, z = a - b
             return bool(x * x + y * y + z * z < self.thresholds.grouping_m**2)
 
         above_of = {
@@ -130,7 +130,7 @@ class Growing:
         touched = {
             k: [region for region in above_of[k] if region.fate in ("open", "high")] for k in beams
         }
-        # neighbours in the row belong together, and what touches the same region above
+        # neighbours in the row belong together, and points that touch the same region above
         pairs = [
             (i, i + 1)
             for i, (j, k) in enumerate(pairwise(beams))
@@ -139,11 +139,11 @@ class Growing:
         first_at: dict[int, int] = {}
         for i, k in enumerate(beams):
             pairs += [(first_at.setdefault(id(region), i), i) for region in touched[k]]
-        one, other = np.array(pairs, int).reshape(-1, 2).T
-        graph = coo_array((np.ones(len(pairs)), (one, other)), shape=(len(beams), len(beams)))
+        first, second = np.array(pairs, int).reshape(-1, 2).T
+        graph = coo_array((np.ones(len(pairs)), (first, second)), shape=(len(beams), len(beams)))
         n_groups, group_of = connected_components(graph, directed=False) if beams else (0, [])
         for number in range(n_groups):
-            group = {k for k, own in zip(beams, group_of, strict=True) if own == number}
+            group = {beams[i] for i in np.flatnonzero(np.equal(group_of, number)).tolist()}
             joined = Region(side, {(line, k) for k in group}, possible=possible in group)
             z = [float(here[k, 2]) for k in group]
             joined.low = min(z)
@@ -156,11 +156,11 @@ class Growing:
                 joined.low, joined.high = min(joined.low, region.low), max(joined.high, region.high)
             if joined.high - joined.low > self.thresholds.max_height_m:
                 joined.fate = "high"
-            for at, k in joined.points:
-                self.of[side, at, k] = joined
+            for point_line, k in joined.points:
+                self.of[side, point_line, k] = joined
 
     def decide(self, region: Region, signed: F64) -> None:
-        """Decide what a complete region is; ``signed`` holds the angles of its side by line."""
+        """Decide whether a region is a curb; ``signed``: the angles of its side by line."""
         region.fate = "rejected"
         if (
             not region.possible

@@ -153,7 +153,7 @@ class Row:
         return bool(rise > jump_m) and not self.fits(before, beam, jump_m)
 
     def potential(self, start: int) -> tuple[list[int], float]:
-        """Return the first potential ground from a beam on and the bandwidth at its end (part a)."""
+        """Return the first potential ground from a beam on, and the bandwidth at its end."""
         points: list[int] = []
         last = start - 1
         while True:
@@ -167,9 +167,9 @@ class Row:
             points = [beam] if points and self.jumps(points, beam) else [*points, beam]
             last = beam
             if len(points) == self.thresholds.first_run:
-                found, b = self.one_line(points)
-                if found:
-                    return found, b
+                collinear, b = self.one_line(points)
+                if collinear:
+                    return collinear, b
                 points = points[1:]
 
     def one_line(self, points: list[int]) -> tuple[list[int], float]:
@@ -179,18 +179,18 @@ class Row:
         b = math.nan
         while True:
             sampled = self.sampled(points[:-1])
-            one = len(sampled) >= self.thresholds.mode_samples
-            if one:
+            has_one_mode = len(sampled) >= self.thresholds.mode_samples
+            if has_one_mode:
                 if size == 0 or len(sampled) >= size + size // 2 + 1:
                     size = len(sampled)
                     b = self.bandwidth(sampled[size // 2])
                 modes = grid_modes(self.bins(sampled, b))
-                one = sum(count >= self.thresholds.mode_samples for _, count in modes) == 1
-            if first and not one:
+                has_one_mode = sum(count >= self.thresholds.mode_samples for _, count in modes) == 1
+            if first and not has_one_mode:
                 return [], b
             first = False
             beam = self.behind(points, points[-1])
-            if not one or beam is None or self.jumps(points, beam):
+            if not has_one_mode or beam is None or self.jumps(points, beam):
                 return points[:-2], b
             points = [*points, beam]
 
@@ -206,7 +206,7 @@ class Row:
         return (place + 0.5) * (b / EIGHTHS)
 
     def fits(self, beams: list[int], beam: int, guard: float) -> bool:
-        """Tell whether a point lies on the local line."""
+        """Whether a point is on the local line."""
         last = beams[-self.thresholds.growth_points :]
         x = self.horizontal[last]
         z = self.xyz[last, 2]
@@ -218,10 +218,10 @@ class Row:
             abs(self.xyz[beam, 2] - (mean_z + slope * (self.horizontal[beam] - mean_x))) <= guard
         )
 
-    def grown(self, beams: list[int], found: list[int], b: float) -> list[int]:
-        """Add potential ground to the ground so far, and grow it over the horizontal points that follow."""
-        mode = self.mode(found, b)
-        grown = beams + found
+    def grown(self, beams: list[int], new_beams: list[int], b: float) -> list[int]:
+        """Add potential ground to the ground, and grow it over the next horizontal points."""
+        mode = self.mode(new_beams, b)
+        grown = beams + new_beams
         while (beam := self.behind(grown, grown[-1])) is not None:
             collinear = np.isnan(self.phihat[beam]) or abs(self.phihat[beam] - mode) <= b
             if not collinear or not self.fits(grown, beam, self.thresholds.growth_height_m):
@@ -230,7 +230,7 @@ class Row:
         return grown
 
     def rest(self, after: int) -> list[int]:
-        """Return the labels up to where too many points behind a beam are not horizontal."""
+        """Return the labels up to too many successive points that are not horizontal."""
         behind = self.valid(after)
         for horizontal, group in groupby(behind, key=lambda beam: self.surface[beam] == HORIZONTAL):
             beams = list(group)
@@ -306,9 +306,9 @@ def main_bin(
     modes = grid_modes([height // width for height in heights])
     place, count = main_mode(modes)
     place, count = next(
-        (one, n)
-        for one, n in modes
-        if one == place or (floor_m(place - one, width) >= roof_m and n >= roof_share * count)
+        (mode, n)
+        for mode, n in modes
+        if mode == place or (floor_m(place - mode, width) >= roof_m and n >= roof_share * count)
     )
     centre = math.floor((place + 0.5) * width)
     for _ in range(20):

@@ -1,4 +1,7 @@
-"""Half-lines, lines that may hold a car, high verticals, and classes (Stamos et al. 2012, sec. 3, 7 and 8)."""
+"""Half-lines, lines with possible cars, high verticals, and classes.
+
+Stamos et al. (2012), sec. 3, 7 and 8.
+"""
 
 from __future__ import annotations
 
@@ -133,14 +136,14 @@ def combine_classes(
         height = xyz_m[row, :, 2].astype(np.float64)
         nearest = distance[here].min()
         top = height[here & (distance - nearest <= 0.3)].max()
-        for one in runs_of_cars(surface[row], car[row]):
+        for car_run in runs_of_cars(surface[row], car[row]):
             level = [
                 k
-                for k in range(one[0])
+                for k in range(car_run[0])
                 if surface[row, k] == Surface.HORIZONTAL and not car[row, k]
             ]
-            stands_on = min([*height[one].tolist(), *height[level[-1:]].tolist()])
-            for k in one:
+            stands_on = min([*height[car_run].tolist(), *height[level[-1:]].tolist()])
+            for k in car_run:
                 if stands_on < top - below_m or not distance[k] > nearest:
                     labels[row, k] = Label.CAR
     labels[curb] = Label.CURB
@@ -148,14 +151,14 @@ def combine_classes(
 
 
 def runs_of_cars(surface: U8, car: Mask) -> list[list[int]]:
-    """Return the car points of a line that nothing but missing points lies between, together."""
-    found: list[list[int]] = [[]]
+    """Return runs of car points of a line with only missing points between them."""
+    car_runs: list[list[int]] = [[]]
     for k, code in enumerate(surface):
         if car[k]:
-            found[-1].append(k)
-        elif code != Surface.MISSING and found[-1]:
-            found.append([])
-    return [run for run in found if run]
+            car_runs[-1].append(k)
+        elif code != Surface.MISSING and car_runs[-1]:
+            car_runs.append([])
+    return [run for run in car_runs if run]
 
 
 def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:

@@ -48,19 +48,19 @@ def run_blocks(
     width = range_m.shape[1]
     ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines
     state = initial_state(width)
-    found = []
+    traces = []
     for first in range(0, len(range_m), k):
         following = range_m[first + k : first + k + ahead]
         trace, state = trace_block(range_m[first : first + k], following, state, params)
-        found.append((trace, state))
-    return found
+        traces.append((trace, state))
+    return traces
 
 
 def run_stream(range_m: F32, params: PrcParams) -> tuple[U8, I64]:
     """Labels and segments of a whole stream."""
     traces = [trace for trace, _ in run_blocks(range_m, params)]
     return np.concatenate([trace.labels for trace in traces]), np.concatenate(
-        [segments_of(each) for each in traces]
+        [segments_of(block_trace) for block_trace in traces]
     )
 
 

@@ -29,8 +29,10 @@ def run_threads(
     segments: bool,
 ) -> tuple[U8, list[I64 | None]]:
     blocks = iter([ScanBlock(0, stream)])
-    found = list(run_blocks(blocks, Prc(params), threads=threads, wanted=Wanted(segments=segments)))
-    return np.concatenate([item.labels for item in found]), [item.segments for item in found]
+    labelled = list(
+        run_blocks(blocks, Prc(params), threads=threads, wanted=Wanted(segments=segments))
+    )
+    return np.concatenate([item.labels for item in labelled]), [item.segments for item in labelled]
 
 
 @pytest.mark.slow

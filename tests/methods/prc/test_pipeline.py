@@ -152,24 +152,24 @@ def test_they_say_what_any_thresholds_support(m: int, rho_c: float, rounding: st
         window = random_window(rng, 6, m)
         for zeta_p, zeta_s in rng.choice([0.125, 0.2, 0.25, 0.3, 1.0, 1e9], (4, 2)):
             params = SupportParams(zeta_p=zeta_p, zeta_s=zeta_s, rho_c=rho_c, rounding=rounding)
-            found = critical_zetas(window, m, params)
-            below = (found.in_line_m.astype(float) < zeta_p) & (
-                found.adjacent_m.astype(float) < zeta_s
+            zetas = critical_zetas(window, m, params)
+            below = (zetas.in_line_m.astype(float) < zeta_p) & (
+                zetas.adjacent_m.astype(float) < zeta_s
             )
             np.testing.assert_array_equal(below, support(window, m, params))
             reach = window_reach(m)
             missing = np.isnan(window[reach : len(window) - reach]).reshape(below.shape)
-            np.testing.assert_array_equal(np.isnan(found.in_line_m), missing)
-            np.testing.assert_array_equal(np.isnan(found.adjacent_m), missing)
+            np.testing.assert_array_equal(np.isnan(zetas.in_line_m), missing)
+            np.testing.assert_array_equal(np.isnan(zetas.adjacent_m), missing)
 
 
 def test_too_few_neighbours_never_support() -> None:
     window = stream_window(
         np.full(6, np.nan, np.float32), np.array([[5, 5, 5, np.nan, 5]], np.float32), None
     )
-    found = critical_zetas(window, 5, SupportParams())
-    assert found.in_line_m[0].tolist()[:3] == [0.0, 0.0, 0.0]
-    assert np.isinf(found.adjacent_m[0, [0, 1, 2, 4]]).all()
+    zetas = critical_zetas(window, 5, SupportParams())
+    assert zetas.in_line_m[0].tolist()[:3] == [0.0, 0.0, 0.0]
+    assert np.isinf(zetas.adjacent_m[0, [0, 1, 2, 4]]).all()
 
 
 needs_compiler = pytest.mark.skipif(

@@ -60,10 +60,12 @@ def background_of(line: list[float], **params: float | str) -> list[int]:
 def h_of(image: list[list[int]], ids: list[int] | None = None, next_id: int = 0) -> Components:
     """Component image with its ids; by default the component numbers themselves."""
     array = np.array(image, dtype=np.int32)
-    given = np.arange(array.max() + 1) if ids is None else np.array(ids, dtype=np.int64)
-    pixels = np.bincount(array.ravel(), minlength=len(given)) * (np.arange(len(given)) > 0)
-    next_id = next_id or int(given.max()) + 1
-    return Components(array, pixels, given, first_new_id=next_id, next_id=next_id)
+    segment_ids = np.arange(array.max() + 1) if ids is None else np.array(ids, dtype=np.int64)
+    pixels = np.bincount(array.ravel(), minlength=len(segment_ids)) * (
+        np.arange(len(segment_ids)) > 0
+    )
+    next_id = next_id or int(segment_ids.max()) + 1
+    return Components(array, pixels, segment_ids, first_new_id=next_id, next_id=next_id)
 
 
 def components(
@@ -287,13 +289,13 @@ class TestReading7Components:
 
     def test_diagonal_pixels_are_apart(self) -> None:
         s = np.array([[1, 0], [0, 1]], dtype=bool)
-        found = components(s, np.zeros_like(s), np.zeros(2, np.int64), 1, ComponentsParams())
-        assert found.image.tolist() == [[1, 0], [0, 2]]
+        h = components(s, np.zeros_like(s), np.zeros(2, np.int64), 1, ComponentsParams())
+        assert h.image.tolist() == [[1, 0], [0, 2]]
 
     def test_columns_do_not_wrap(self) -> None:
         s = np.array([[1, 0, 1], [1, 0, 1]], dtype=bool)
-        found = components(s, np.zeros_like(s), np.zeros(3, np.int64), 1, ComponentsParams())
-        assert found.image.tolist() == [[1, 0, 2], [1, 0, 2]]
+        h = components(s, np.zeros_like(s), np.zeros(3, np.int64), 1, ComponentsParams())
+        assert h.image.tolist() == [[1, 0, 2], [1, 0, 2]]
 
 
 class TestReading8HoleFilling:
@@ -328,9 +330,9 @@ class TestReading8HoleFilling:
 def test_reading_9_background_that_nobody_takes_back_is_non_smooth() -> None:
     """It joins the small segments, so that every supported shot ends up in one of the two sets."""
     s = np.array([[1, 1, 1, 1, 0, 1, 1]], dtype=bool)
-    found = split(h_of([[1, 1, 1, 1, 0, 0, 0]]), area=4, supported=s)
-    assert found.smooth.tolist() == [[True] * 4 + [False] * 3]
-    assert found.to_segments().tolist() == [[1, 1, 1, 1, 0, 2, 2]]
+    v = split(h_of([[1, 1, 1, 1, 0, 0, 0]]), area=4, supported=s)
+    assert v.smooth.tolist() == [[True] * 4 + [False] * 3]
+    assert v.to_segments().tolist() == [[1, 1, 1, 1, 0, 2, 2]]
 
 
 class TestReading10Votes:
@@ -390,9 +392,9 @@ class TestReading10Votes:
     def test_new_ids_come_in_the_order_of_the_components(self) -> None:
         s = np.array([[1, 0, 1, 1, 1, 0, 1]], dtype=bool)
         last = np.array([0, 0, 4, 4, 4, 0, 0])
-        found = components(s, np.zeros_like(s), last, 9, ComponentsParams())
-        assert found.ids.tolist() == [0, 9, 4, 10]
-        assert found.next_id == 11
+        h = components(s, np.zeros_like(s), last, 9, ComponentsParams())
+        assert h.ids.tolist() == [0, 9, 4, 10]
+        assert h.next_id == 11
 
 
 class TestReading11Order:
@@ -401,8 +403,8 @@ class TestReading11Order:
     def test_filled_shots_vote_too(self) -> None:
         s = np.array([[1, 1, 1]], dtype=bool)
         g = np.array([[0, 0, 1]], dtype=bool)
-        found = components(s, g, np.array([7, 7, 7]), 8, ComponentsParams())
-        assert found.ids.tolist() == [0, 7]
+        h = components(s, g, np.array([7, 7, 7]), 8, ComponentsParams())
+        assert h.ids.tolist() == [0, 7]
 
     def test_pieces_of_a_fork_are_measured_together(self) -> None:
         pieces = h_of([[1, 1, 1, 0, 2, 2, 2]], ids=[0, 7, 7])
@@ -431,26 +433,26 @@ class TestReading13Dilation:
     def test_smooth_shots_are_covered(self) -> None:
         h = h_of([[1, 1, 1, 1, 1, 0, 2]])
         assert split(h, area=5, gamma=1).smooth[0].tolist() == [True] * 5 + [False] * 2
-        found = split(h, area=5, gamma=3)
-        assert found.to_segments().tolist() == [[1, 1, 1, 3, 3, 0, 3]]
+        v = split(h, area=5, gamma=3)
+        assert v.to_segments().tolist() == [[1, 1, 1, 3, 3, 0, 3]]
 
     def test_noise_under_it_stays_noise(self) -> None:
         h = h_of([[1, 1, 1, 0, 0, 2]])
-        found = split(h, area=3, gamma=2)
-        assert found.to_segments().tolist() == [[1, 1, 1, 0, 0, 3]]
-        assert found.to_patches().tolist() == [[0, 0, 0, 3, 3, 3]]
-        labels, _ = label_urban(found, Totals.none(), UrbanParams())
+        v = split(h, area=3, gamma=2)
+        assert v.to_segments().tolist() == [[1, 1, 1, 0, 0, 3]]
+        assert v.to_patches().tolist() == [[0, 0, 0, 3, 3, 3]]
+        labels, _ = label_urban(v, Totals.none(), UrbanParams())
         assert labels[0, 3:5].tolist() == [Label.NOISE, Label.NOISE]
 
     def test_patches_join_across_smooth_and_noise(self) -> None:
-        found = split(h_of([[2, 0, 1, 1, 1, 0, 3]], next_id=4), area=3, gamma=3)
-        assert found.to_segments().tolist() == [[4, 0, 4, 4, 4, 0, 4]]
+        v = split(h_of([[2, 0, 1, 1, 1, 0, 3]], next_id=4), area=3, gamma=3)
+        assert v.to_segments().tolist() == [[4, 0, 4, 4, 4, 0, 4]]
 
 
 def test_reading_14_outside_of_the_image_is_background() -> None:
     """Nothing grows in from the border."""
-    found = split(h_of([[1, 1], [1, 1]]), area=4, gamma=5)
-    assert found.smooth.all()
+    v = split(h_of([[1, 1], [1, 1]]), area=4, gamma=5)
+    assert v.smooth.all()
 
 
 def test_reading_15_patches_have_ids_of_their_own_in_every_block() -> None:

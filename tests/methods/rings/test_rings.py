@@ -39,7 +39,7 @@ def scene(
     1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling.
     """
     random = np.random.default_rng(seed)
-    own = np.stack(
+    directions = np.stack(
         [
             np.cos(ELEVATION) * np.cos(AZIMUTH)[:, None],
             np.cos(ELEVATION) * np.sin(AZIMUTH)[:, None],
@@ -47,7 +47,7 @@ def scene(
         ],
         axis=-1,
     )
-    x, y, z = np.moveaxis(own if mount is None else own @ mount.T, -1, 0)
+    x, y, z = np.moveaxis(directions if mount is None else directions @ mount.T, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ranges = np.where(z < 0, -HEIGHT_M / z, np.inf)
         body = np.where(ranges < 80, 1, 0).astype(np.uint8)
@@ -63,7 +63,7 @@ def scene(
             body[nearer] = kind
             ranges[nearer] = distance[nearer]
     ranges = np.where(body > 0, ranges + random.normal(0, 0.01, ranges.shape), np.nan)
-    xyz = ranges[..., None] * own
+    xyz = ranges[..., None] * directions
     return ranges.astype(np.float32), xyz.astype(np.float32), body
 
 
@@ -74,10 +74,10 @@ def _box(x: F64, y: F64, z: F64, *sides: tuple[float, float]) -> F64:
     for way, (low, high) in zip(
         (x, y, z), (*sides[:2], tuple(h - HEIGHT_M for h in sides[2])), strict=True
     ):
-        one = low / way
-        two = high / way
-        near = np.maximum(near, np.minimum(one, two))
-        far = np.minimum(far, np.maximum(one, two))
+        to_low = low / way
+        to_high = high / way
+        near = np.maximum(near, np.minimum(to_low, to_high))
+        far = np.minimum(far, np.maximum(to_low, to_high))
     return np.where(near < far, near, np.inf)
 
 
@@ -134,9 +134,9 @@ def test_bodies_have_their_class(
     precision: float,
 ) -> None:
     true = made[2] == body
-    found = labels == label
-    assert (true & found).sum() / true.sum() > recall
-    assert (true & found).sum() / found.sum() > precision
+    is_label = labels == label
+    assert (true & is_label).sum() / true.sum() > recall
+    assert (true & is_label).sum() / is_label.sum() > precision
     assert ((labels == Label.MISSING) == (made[2] == 0)).all()
 
 
@@ -154,8 +154,8 @@ def test_a_scanner_may_hang_upside_down(made: tuple[F32, F32, U8], labels: U8) -
     """Its lowest ring is the highest then; what is written of its beams says where down is."""
     ranges, xyz, _ = made
     turned = xyz * np.array([1, -1, -1], np.float32)
-    found = labelled(ranges, turned, beam=upside_down(BEAM))
-    assert (found == labels).mean() > 0.999
+    turned_labels = labelled(ranges, turned, beam=upside_down(BEAM))
+    assert (turned_labels == labels).mean() > 0.999
 
 
 @pytest.mark.parametrize("lean", [(0.0, 30.0), (-45.0, 0.0), (20.0, 25.0)])
@@ -163,10 +163,10 @@ def test_a_scanner_may_lean(lean: tuple[float, float]) -> None:
     """The ground is level after it was turned; what stands on it is upright there."""
     mount = turning(np.deg2rad([*lean, 0.0]))
     ranges, xyz, body = scene(mount=mount)
-    found = labelled(ranges, xyz)
+    leaning_labels = labelled(ranges, xyz)
     for kind, label in ((1, Label.GROUND), (2, Label.BUILDING)):
         seen = body == kind
-        assert not seen.any() or (found[seen] == label).mean() > 0.9
+        assert not seen.any() or (leaning_labels[seen] == label).mean() > 0.9
 
 
 def test_shots_are_labelled_in_the_frame_of_the_scanner(
@@ -185,19 +185,19 @@ def test_z_is_up_where_a_floor_and_a_ceiling_are_level() -> None:
     ranges, xyz, body = scene(ceiling_m=2.4)
     down = labelled(ranges, xyz, params=RingsParams(up="-z"))
     for params in (PARAMS, RingsParams(up="z")):
-        found = labelled(ranges, xyz, params=params)
-        assert (found[body == 1] == Label.GROUND).mean() > 0.9
-        assert (found[body == 6] == Label.GROUND).mean() < 0.1
+        image = labelled(ranges, xyz, params=params)
+        assert (image[body == 1] == Label.GROUND).mean() > 0.9
+        assert (image[body == 6] == Label.GROUND).mean() < 0.1
     assert (down[body == 6] == Label.GROUND).mean() > 0.8
 
 
 def test_a_short_block_takes_the_ground_of_those_before(
     made: tuple[F32, F32, U8], labels: U8
 ) -> None:
-    ranges, xyz = (np.concatenate([each, each[:12]]) for each in made[:2])
-    found = labelled(ranges[: 1024 + 12], xyz[: 1024 + 12])
-    np.testing.assert_array_equal(found[:1024], labels[:1024])
-    assert (found[1024:] == Label.GROUND).mean() > 0.3
+    ranges, xyz = (np.concatenate([array, array[:12]]) for array in made[:2])
+    image = labelled(ranges[: 1024 + 12], xyz[: 1024 + 12])
+    np.testing.assert_array_equal(image[:1024], labels[:1024])
+    assert (image[1024:] == Label.GROUND).mean() > 0.3
 
 
 def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
@@ -221,11 +221,11 @@ def test_snow_is_noise(made: tuple[F32, F32, U8], is_lit: bool) -> None:
     block = ScanBlock(
         0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=light if is_lit else None
     )
-    found = (
+    is_noise = (
         np.concatenate([item.labels for item in label_blocks(iter([block]), PARAMS)]) == Label.NOISE
     )
-    assert (found & flake).sum() / flake.sum() > (0.85 if is_lit else 0.7)
-    assert (found & flake).sum() / found.sum() > (0.9 if is_lit else 0.8)
+    assert (is_noise & flake).sum() / flake.sum() > (0.85 if is_lit else 0.7)
+    assert (is_noise & flake).sum() / is_noise.sum() > (0.9 if is_lit else 0.8)
 
 
 @pytest.mark.parametrize("light", [255.0, 0.0, np.nan, "steps"])
@@ -233,15 +233,15 @@ def test_intensities_that_tell_nothing_count_as_none(
     made: tuple[F32, F32, U8], light: float | str
 ) -> None:
     ranges, xyz, lit, _ = snowy(made)
-    given = (
+    equal = (
         np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
     )
     blocks = [
-        ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=one)
-        for one in (None, given)
+        ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=intensity)
+        for intensity in (None, equal)
     ]
-    none, some = (next(iter(label_blocks(iter([block]), PARAMS))).labels for block in blocks)
-    np.testing.assert_array_equal(some, none)
+    none, with_equal = (next(iter(label_blocks(iter([block]), PARAMS))).labels for block in blocks)
+    np.testing.assert_array_equal(with_equal, none)
 
 
 def test_mirror_images_below_the_ground_are_noise(made: tuple[F32, F32, U8]) -> None:
@@ -249,10 +249,10 @@ def test_mirror_images_below_the_ground_are_noise(made: tuple[F32, F32, U8]) -> 
     random = np.random.default_rng(4)
     mirrored = (body == 1) & (ranges > 5) & (ranges < 25) & (random.random(ranges.shape) < 0.05)
     factor = np.where(mirrored, random.uniform(1.4, 2.5, ranges.shape), 1.0).astype(np.float32)
-    found = labelled(ranges * factor, xyz * factor[..., None])
-    assert (found[mirrored] == Label.NOISE).mean() > 0.9
+    image = labelled(ranges * factor, xyz * factor[..., None])
+    assert (image[mirrored] == Label.NOISE).mean() > 0.9
     road = (body == 1) & ~mirrored
-    assert (found[road] == Label.GROUND).mean() > 0.95
+    assert (image[road] == Label.GROUND).mean() > 0.95
 
 
 def test_few_rings_are_known_before_any_label(
@@ -275,7 +275,7 @@ def test_reasons_measures_and_further_returns(made: tuple[F32, F32, U8]) -> None
     assert item.reasons is not None
     assert item.above_m is not None
     np.testing.assert_array_equal(item.reasons & LABEL_BITS, item.labels)
-    rules = {int(one) for one in Reason}
+    rules = {int(reason) for reason in Reason}
     assert set(np.unique(item.reasons).tolist()) <= rules
     assert item.extra_labels.tolist() == [item.labels[100, 3]]
     assert all(values.shape == ranges[:1024].shape for values in item.measures.values())
@@ -286,10 +286,10 @@ def test_reasons_measures_and_further_returns(made: tuple[F32, F32, U8]) -> None
 @pytest.mark.parametrize("value", [np.nan, 5.0, 300.0])
 def test_small_and_dull_images_are_labelled(shape: tuple[int, int], value: float) -> None:
     beam = np.deg2rad(np.linspace(70, 100, shape[1]))
-    found = classify_ranges(
+    classified = classify_ranges(
         np.full(shape, value), load_config(preset="rings"), beam_rad=beam
     ).labels
-    assert ((found == 0) == np.isnan(value)).all()
+    assert ((classified == 0) == np.isnan(value)).all()
 
 
 @pytest.mark.parametrize(
@@ -349,8 +349,8 @@ def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
         (65, (10, 13, 16, 18, 20, 252), 0.75),
     ):
         true = np.isin(reference, names)
-        found = (codes == code) & known
-        assert 2 * (true & found).sum() / (true.sum() + found.sum()) > least, code
+        is_class = (codes == code) & known
+        assert 2 * (true & is_class).sum() / (true.sum() + is_class.sum()) > least, code
     shots = np.fromfile(frame, np.float32).reshape(-1, 4)
     shots[:, 1:3] *= -1
     shots.tofile(tmp_path / "turned.bin")
@@ -369,14 +369,14 @@ def test_a_sweep_of_two_scanners_in_a_feather_file(
     output = tmp_path / "labels.npy"
     result = prc("classify", sweep, output, "--range", "origin:1.35,0,1.585")
     assert result.code == 0, result.err
-    found = np.load(output).ravel() == 2
+    is_ground = np.load(output).ravel() == 2
     ground = feather.read_table(sweep.with_name(f"{sweep.stem}_labels.feather"))[
         "is_ground"
     ].to_numpy()
     laser = feather.read_table(sweep)["laser_number"].to_numpy()
     for scanner in (laser < 32, laser >= 32):
-        both = (found & ground)[scanner].sum()
-        assert both / found[scanner].sum() > 0.95
+        both = (is_ground & ground)[scanner].sum()
+        assert both / is_ground[scanner].sum() > 0.95
         assert both / ground[scanner].sum() > 0.9
 
 

@@ -36,15 +36,17 @@ class Scene:
     ahead: I32
 
     def rows(self, first: int, end: int) -> Scene:
-        at = slice(first, end)
+        rows = slice(first, end)
         lines = VerticalLines(
-            self.lines.range_m[at],
-            self.lines.xyz_m[at],
-            self.lines.horizontal_m[at],
-            self.lines.n_beams[at],
+            self.lines.range_m[rows],
+            self.lines.xyz_m[rows],
+            self.lines.horizontal_m[rows],
+            self.lines.n_beams[rows],
             self.lines.beam_rad,
         )
-        return Scene(lines, self.surface[at], self.signed[at], self.phihat[at], self.ahead[at])
+        return Scene(
+            lines, self.surface[rows], self.signed[rows], self.phihat[rows], self.ahead[rows]
+        )
 
 
 def street(
@@ -314,13 +316,13 @@ def car(at_m: float, *, glass: bool = True, tyre: bool = False) -> list[Piece]:
 
     With a tyre, nothing is open below.
     """
-    at = np.array([at_m, 0.0])
+    corner = np.array([at_m, 0.0])
 
     def part(corners: list[tuple[float, float]], *, seen: bool = True) -> list[Piece]:
         return polyline("car", [(at_m + h, z) for h, z in corners], seen=seen)
 
     arc = np.deg2rad(np.arange(270, 89, -10))
-    wheel = at + np.array([0.32, 0.32]) + 0.32 * np.stack([np.cos(arc), np.sin(arc)], axis=1)
+    wheel = corner + np.array([0.32, 0.32]) + 0.32 * np.stack([np.cos(arc), np.sin(arc)], axis=1)
     return [
         *part(
             [(0.06, 0.2), (0.0, 0.5), (0.05, 0.9)]
@@ -351,7 +353,7 @@ class Seen:
     def where(self, name: str) -> I32:
         """Beams with a return of an object, in row 0."""
         return np.array(
-            [k for k, found in enumerate(self.names[0]) if found == name and self.surface[0, k]],
+            [k for k, piece in enumerate(self.names[0]) if piece == name and self.surface[0, k]],
             np.int32,
         )
 
@@ -402,15 +404,17 @@ def _row(
         share = (start[:, 0] * direction[:, None, 1] - start[:, 1] * direction[:, None, 0]) / cross
     ranges = np.where((ranges > 0) & (share >= 0) & (share <= 1), ranges, np.inf)
     nearest = ranges.argmin(axis=1)
-    found = ranges[np.arange(len(beam)), nearest]
-    hit = np.isfinite(found)
+    hit_ranges = ranges[np.arange(len(beam)), nearest]
+    hit = np.isfinite(hit_ranges)
     seen = hit & np.array([p.seen for p in pieces])[nearest]
-    names = [pieces[i].name if one else "" for i, one in zip(nearest, hit, strict=True)]
+    names = [pieces[i].name if is_hit else "" for i, is_hit in zip(nearest, hit, strict=True)]
     leaves = np.array(names) == "bush"
-    found = found + rng.normal(0, NOISE_M, len(beam)) + leaves * rng.exponential(0.3, len(beam))
+    hit_ranges = (
+        hit_ranges + rng.normal(0, NOISE_M, len(beam)) + leaves * rng.exponential(0.3, len(beam))
+    )
     codes = np.where(leaves, DENSE, np.array([p.code for p in pieces])[nearest])
     return (
-        np.where(seen, found, np.nan),
+        np.where(seen, hit_ranges, np.nan),
         [int(code) for code in np.where(seen, codes, MISSING)],
         names,
     )
@@ -439,15 +443,18 @@ TupleT = TypeVar("TupleT", bound=tuple[Any, ...])
 
 def made(kind: type[TupleT], **values: Any) -> TupleT:
     defaults: Any = kind()
-    found: TupleT = defaults._replace(
+    thresholds: TupleT = defaults._replace(
         **{name: _like(getattr(defaults, name), values[name]) for name in values}
     )
-    return found
+    return thresholds
 
 
 def _like(default: Any, value: Any) -> Any:
     if hasattr(default, "_fields"):
         return value
     if isinstance(default, tuple):
-        return tuple(_like(one, other) for one, other in zip(default, value, strict=True))
+        return tuple(
+            _like(default_part, value_part)
+            for default_part, value_part in zip(default, value, strict=True)
+        )
     return type(default)(value)

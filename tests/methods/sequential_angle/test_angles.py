@@ -41,9 +41,9 @@ def rng() -> Generator:
 def test_chords_bridge_missing_shots_and_short_steps() -> None:
     gap = (np.nan, np.nan)
     points = [(4, -2), gap, gap, (4.5, -2), (4.51, -2), (4.519, -2), gap, (4.52, -2), (4.6, -1.9)]
-    found = signed_angles(lines_through(points), plain())
-    assert found.ahead[0].tolist() == [3, -1, -1, 8, 8, 8, -1, 8, -1]
-    assert np.isnan(found.signed_deg[0]).tolist() == [
+    angles = signed_angles(lines_through(points), plain())
+    assert angles.ahead[0].tolist() == [3, -1, -1, 8, 8, 8, -1, 8, -1]
+    assert np.isnan(angles.signed_deg[0]).tolist() == [
         False,
         True,
         True,
@@ -56,8 +56,8 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
     ]
     # a chord is as long as the shortest allowed or longer
     whole = plain(range_noise_m=0.0625, chord_depth_sigmas=0)
-    found = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
-    assert found.ahead[0].tolist() == [1, 2, -1]
+    angles = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
+    assert angles.ahead[0].tolist() == [1, 2, -1]
     assert plain(range_noise_m=0.5, chord_depth_sigmas=3).depth_m == 1.5
 
 
@@ -164,11 +164,11 @@ def documented() -> dict[str, str]:
     a row a table, cells of "`key` default (note)".
     """
     section = PAGE[PAGE.index("## Constants") : PAGE.index("## The published constants")]
-    found = {}
+    published = {}
     for table, cells in re.findall(r"^\| (?:`([a-z_.]+)`)? ?\|(.*)\|$", section, re.MULTILINE):
         for key, default in re.findall(r"`([a-z0-9_]+)`,? ([^;|(`]*)", cells):
-            found[f"{table}.{key}".lstrip(".")] = default.strip().replace("−", "-")
-    return found
+            published[f"{table}.{key}".lstrip(".")] = default.strip().replace("−", "-")
+    return published
 
 
 def test_the_table_names_every_default_and_no_other_key() -> None:

@@ -25,14 +25,14 @@ from tests.methods.sequential_angle.scenes import (
 )
 
 
-def find(found: Seen, params: CarThresholds | None = None) -> Mask:
-    signed = signed_angles(found.lines)
+def find(seen: Seen, params: CarThresholds | None = None) -> Mask:
+    signed = signed_angles(seen.lines)
     return cars(
-        found.lines,
-        found.surface,
-        found.surface,
+        seen.lines,
+        seen.surface,
+        seen.surface,
         signed,
-        found.z_g,
+        seen.z_g,
         (params or CarThresholds()).at_noise(NOISE_M),
     ).car
 
@@ -42,10 +42,10 @@ def test_recall_and_precision_on_lines_of_a_street() -> None:
     rng = np.random.default_rng(6)
     scenes: list[list[Piece]] = []
     for _ in range(60):
-        at = float(rng.uniform(4, 12))
-        kerb = at + float(rng.uniform(2.2, 3.5))
+        distance_m = float(rng.uniform(4, 12))
+        kerb = distance_m + float(rng.uniform(2.2, 3.5))
         house = kerb + float(rng.uniform(1, 6))
-        vehicle = car(at, glass=bool(rng.random() < 0.7), tyre=bool(rng.random() < 0.3))
+        vehicle = car(distance_m, glass=bool(rng.random() < 0.7), tyre=bool(rng.random() < 0.3))
         parked = vehicle if rng.random() < 0.6 else []
         tree = bush(kerb + 0.4) if rng.random() < 0.3 else []
         scenes.append(
@@ -57,10 +57,10 @@ def test_recall_and_precision_on_lines_of_a_street() -> None:
                 *wall(house, 0.15, windows=bool(rng.random() < 0.5)),
             ]
         )
-    found = see(scenes, rng, scanner_m=2.2)
-    marked = find(found)
-    truth = np.array([[name == "car" for name in names] for names in found.names]) & (
-        found.surface > 0
+    seen = see(scenes, rng, scanner_m=2.2)
+    marked = find(seen)
+    truth = np.array([[name == "car" for name in names] for names in seen.names]) & (
+        seen.surface > 0
     )
     both = (marked & truth).sum()
     assert both / truth.sum() > 0.9
@@ -91,17 +91,17 @@ PARAMS = plain()
 
 
 def find_intervals(
-    found: Seen,
+    seen: Seen,
     params: DividerThresholds = PARAMS,
     *,
     trigger: int = 0,
     noise_m: float = NOISE_M,
 ) -> I32:
-    triggers = np.full(len(found.surface), trigger, np.int32)
+    triggers = np.full(len(seen.surface), trigger, np.int32)
     literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0
-    signed = signed_angles(found.lines) if literal else np.full_like(found.lines.range_m, np.nan)
+    signed = signed_angles(seen.lines) if literal else np.full_like(seen.lines.range_m, np.nan)
     return dividers(
-        found.lines, found.surface, signed, triggers, found.z_g, params.at_noise(noise_m)
+        seen.lines, seen.surface, signed, triggers, seen.z_g, params.at_noise(noise_m)
     ).pieces
 
 
@@ -109,11 +109,11 @@ def share_of_lines(
     pieces: list[Piece], params: DividerThresholds, at_m: float, **how: Any
 ) -> float:
     """Share of 100 lines with an interval that begins within 40 cm of a distance."""
-    found = see([pieces] * 100, np.random.default_rng(4), **how)
+    seen = see([pieces] * 100, np.random.default_rng(4), **how)
     rows = [
         row
-        for row, first, _ in find_intervals(found, params)
-        if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4
+        for row, first, _ in find_intervals(seen, params)
+        if abs(seen.lines.horizontal_m[row, first] - at_m) < 0.4
     ]
     return len(set(rows)) / 100
 
@@ -143,9 +143,9 @@ def test_walls_curbs_and_poles_give_no_interval() -> None:
         [*road(), *curb(9), *wall(12, 0.15, windows=True)],
         [*road(), *pole],
     ]
-    found = see(scenes * 25, rng)
+    seen = see(scenes * 25, rng)
     sudden = plain(sudden_from_deg=-60, sudden_to_deg=60)
-    assert len(find_intervals(found, sudden)) == 0
-    assert len(set(find_intervals(found)[:, 0].tolist())) <= 8, (
+    assert len(find_intervals(seen, sudden)) == 0
+    assert len(set(find_intervals(seen)[:, 0].tolist())) <= 8, (
         "some of a hundred changes look gradual"
     )

@@ -32,8 +32,8 @@ def rng() -> Generator:
     return np.random.default_rng(4)
 
 
-def f1(found: Mask, truth: Mask) -> float:
-    return float(2 * (found & truth).sum() / (found.sum() + truth.sum()))
+def f1(marked: Mask, truth: Mask) -> float:
+    return float(2 * (marked & truth).sum() / (marked.sum() + truth.sum()))
 
 
 def classified(
@@ -70,13 +70,13 @@ def test_street(
     least: float,
 ) -> None:
     lines, truth = street_lines(rng, 30, step_deg, noise_m)
-    found = classified(lines, noise_m, 4, made(CoarseThresholds, vegetation=model))
-    np.testing.assert_array_equal(found == M, np.isnan(lines.range_m))
-    assert f1(found == T, truth == T) > least
-    solid = np.isin(truth, (H, V)) & (found != M)
-    assert (found == T)[solid].mean() < 0.05
-    told = solid & (found != T)
-    assert (found == truth)[told].mean() > 0.98
+    image = classified(lines, noise_m, 4, made(CoarseThresholds, vegetation=model))
+    np.testing.assert_array_equal(image == M, np.isnan(lines.range_m))
+    assert f1(image == T, truth == T) > least
+    solid = np.isin(truth, (H, V)) & (image != M)
+    assert (image == T)[solid].mean() < 0.05
+    classified_solid = solid & (image != T)
+    assert (image == truth)[classified_solid].mean() > 0.98
 
 
 @pytest.mark.parametrize("spacing_sigmas", [1.0, 2.0, 4.0, 8.0])
@@ -85,9 +85,9 @@ def test_a_wall_hit_head_on_is_not_vegetation(rng: Generator, spacing_sigmas: fl
     n = 600
     up = (np.arange(n) - n / 2) * spacing_sigmas * noise
     points = np.stack([10 + rng.normal(0, noise, (20, n)), np.tile(up, (20, 1))], axis=-1)
-    found = classified(lines_through(points), noise, 4, CoarseThresholds())
-    assert (found == T).mean() < 0.01
-    assert (found == V).mean() > 0.95
+    image = classified(lines_through(points), noise, 4, CoarseThresholds())
+    assert (image == T).mean() < 0.01
+    assert (image == V).mean() > 0.95
 
 
 def plain(**values: int) -> FourierThresholds:
@@ -116,8 +116,8 @@ def whole(rows: F32) -> I32:
 )
 def test_share_of_foliage_that_is_told(n: int, share: float) -> None:
     rows = foliage(np.random.default_rng(n), 600, n)
-    told = 1 - fourier(rows, whole(rows), WHOLE).mean()
-    assert abs(told - share) < 0.08
+    recall = 1 - fourier(rows, whole(rows), WHOLE).mean()
+    assert abs(recall - share) < 0.08
 
 
 FOLIAGE = SequentialAngleThresholds().dense_vegetation
@@ -168,9 +168,9 @@ def test_equals_page_on_a_mixture(foliage_rng: Generator) -> None:
             0, 30, 360
         )
         values = values.astype(np.float32)
-        found = dense_vegetation(values[None], FOLIAGE)[0]
-        np.testing.assert_array_equal(found, closed_form(values.astype(np.float64)))
-        n_marked.append(found.mean())
+        marked = dense_vegetation(values[None], FOLIAGE)[0]
+        np.testing.assert_array_equal(marked, closed_form(values.astype(np.float64)))
+        n_marked.append(marked.mean())
     assert min(n_marked) < 0.2
     assert max(n_marked) > 0.5
 
@@ -180,16 +180,16 @@ def test_foliage_of_a_street(foliage_rng: Generator) -> None:
     signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
     dense = dense_vegetation(angle_differences(signed), FOLIAGE)
     image = car_surface(signed, dense, lines, SurfaceThresholds())
-    found = image == Surface.VEGETATION
+    is_foliage = image == Surface.VEGETATION
     vegetation = truth == Surface.VEGETATION
     # measured on 100 lines: precision .93, recall .74, false positives 1.1 %
-    assert (found & vegetation).sum() / found.sum() > 0.88
-    assert 0.55 < (found & vegetation).sum() / vegetation.sum() < 0.85
-    assert found[~vegetation].mean() < 0.03
+    assert (is_foliage & vegetation).sum() / is_foliage.sum() > 0.88
+    assert 0.55 < (is_foliage & vegetation).sum() / vegetation.sum() < 0.85
+    assert is_foliage[~vegetation].mean() < 0.03
     sensitive = coarse(signed, lines, CoarseThresholds()) == Surface.VEGETATION
-    assert (sensitive & vegetation).sum() > (found & vegetation).sum()
+    assert (sensitive & vegetation).sum() > (is_foliage & vegetation).sum()
     # every valid shot has a label, those of T outside T' one of their own
     np.testing.assert_array_equal(image == Surface.MISSING, np.isnan(lines.range_m))
-    own = image[sensitive & ~found]
-    assert len(own)
-    assert set(own.tolist()) <= {Surface.HORIZONTAL, Surface.VERTICAL}
+    missed = image[sensitive & ~is_foliage]
+    assert len(missed)
+    assert set(missed.tolist()) <= {Surface.HORIZONTAL, Surface.VERTICAL}

@@ -30,7 +30,7 @@ def possible(scene: Scene, params: CurbThresholds = PARAMS) -> I32:
         scene.lines, scene.surface, scene.phihat, scene.ahead, GroundThresholds().at_noise(NOISE_M)
     )
     state = initial_ground(potential.height_m, GroundThresholds())
-    found, z_g, _ = ground(
+    mask, z_g, _ = ground(
         scene.lines,
         scene.surface,
         scene.phihat,
@@ -39,7 +39,7 @@ def possible(scene: Scene, params: CurbThresholds = PARAMS) -> I32:
         state,
         GroundThresholds().at_noise(NOISE_M),
     )
-    return possible_curbs(scene.lines, scene.surface, found, z_g, params)
+    return possible_curbs(scene.lines, scene.surface, mask, z_g, params)
 
 
 def find(scene: Scene, params: CurbThresholds = PARAMS) -> Mask:
@@ -101,16 +101,16 @@ def test_sides_never_connect() -> None:
         lines.n_beams,
         np.tile(lines.beam_rad, (2, 1)),
     )
-    at = np.array([0, -1, -1, -1], np.int32)
+    beams = np.array([0, -1, -1, -1], np.int32)
     params = plain(min_lines=3)
-    curb, _ = curbs(two, surface, signed, at, CurbState.start(2, 1, params), params, last=True)
+    curb, _ = curbs(two, surface, signed, beams, CurbState.start(2, 1, params), params, last=True)
     assert not curb.any()  # two lines a side, one of them without a possible point
     assert label(lines, surface, signed, [0, -1, -1, -1]).all()
     curb, _ = curbs(
         two,
         surface,
         signed,
-        at,
+        beams,
         CurbState.start(2, 1, plain(min_lines=2)),
         plain(min_lines=2),
         last=True,
@@ -121,10 +121,10 @@ def test_sides_never_connect() -> None:
 def test_a_region_of_very_many_lines_is_decided_and_what_follows_is_a_new_one() -> None:
     lines, surface, signed = drawn(["#"] * 25)
     params = plain(max_lines=10)
-    at = np.full(25, -1, np.int32)
-    at[12] = 0
+    beams = np.full(25, -1, np.int32)
+    beams[12] = 0
     state = CurbState.start(1, 1, params)
-    curb, state = curbs(lines, surface, signed, at, state, params, last=False)
+    curb, state = curbs(lines, surface, signed, beams, state, params, last=False)
     assert curb[:, 0].tolist() == [False] * 10 + [True] * 10
     assert state.n_waiting == 5
 
@@ -159,9 +159,9 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
     shown = 0
     for _ in range(10):
         scene = random_scene(rng, 40, n_sides, 12)
-        at = rng.integers(-12, 12, len(scene.surface)).clip(-1).astype(np.int32)
+        beams = rng.integers(-12, 12, len(scene.surface)).clip(-1).astype(np.int32)
         start = CurbState.start(n_sides, 12, params)
-        whole, _ = curbs(scene.lines, scene.surface, scene.signed, at, start, params, last=True)
+        whole, _ = curbs(scene.lines, scene.surface, scene.signed, beams, start, params, last=True)
         assert len(whole) == len(scene.surface)
         shown += int(whole.sum())
         for cuts in (range(1, 40), np.sort(rng.integers(0, 41, 6)).tolist()):
@@ -170,18 +170,24 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
             parts = []
             for first, end in pairwise(edges):
                 part = scene.rows(first, end)
-                found, state = curbs(
-                    part.lines, part.surface, part.signed, at[first:end], state, params, last=False
+                mask, state = curbs(
+                    part.lines,
+                    part.surface,
+                    part.signed,
+                    beams[first:end],
+                    state,
+                    params,
+                    last=False,
                 )
-                assert len(found) % n_sides == 0
+                assert len(mask) % n_sides == 0
                 assert state.n_waiting < max_lines
                 assert len(state.regions.labels) <= max(max_lines, 1) * n_sides
-                parts.append(found)
+                parts.append(mask)
             rest = scene.rows(0, 0)
-            found, state = curbs(
-                rest.lines, rest.surface, rest.signed, at[:0], state, params, last=True
+            mask, state = curbs(
+                rest.lines, rest.surface, rest.signed, beams[:0], state, params, last=True
             )
-            np.testing.assert_array_equal(np.concatenate([*parts, found]), whole)
+            np.testing.assert_array_equal(np.concatenate([*parts, mask]), whole)
             assert state.n_waiting == 0
     assert shown > 0
 

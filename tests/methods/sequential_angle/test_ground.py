@@ -46,9 +46,9 @@ def follow(
 
 
 def find(scene: Scene, params: GroundThresholds = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
-    found = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params)
-    state = initial_ground(found.height_m, params)
-    return found.height_m, *follow(
+    potential = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params)
+    state = initial_ground(potential.height_m, params)
+    return potential.height_m, *follow(
         scene.lines, scene.surface, scene.phihat, scene.ahead, state, params
     )
 
@@ -72,9 +72,9 @@ def hedge() -> list[Segment]:
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: float) -> None:
     scene = scan([street(slope_deg=slope)] * 20, n=1500, missing=missing)
-    _, found, z_g, _ = find(scene)
-    assert found[road(scene)].mean() > 0.98
-    assert road(scene)[found].mean() > 0.995
+    _, mask, z_g, _ = find(scene)
+    assert mask[road(scene)].mean() > 0.98
+    assert road(scene)[mask].mean() > 0.995
     assert np.all(np.abs(z_g - ROAD_Z) < (0.35 if slope else 0.03))
 
 
@@ -91,9 +91,9 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
         params = made(
             GroundThresholds, **{"resume": False, "bandwidth_sigmas": 0, **values}
         ).at_noise(NOISE_M)
-        found, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
-        assert found[:, : step - 5].any(axis=1).all()
-        return bool(found[:, step:].any())
+        mask, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
+        assert mask[:, : step - 5].any(axis=1).all()
+        return bool(mask[:, step:].any())
 
     assert not climbed()
     assert climbed(jump_m=1000.0)
@@ -111,8 +111,8 @@ def plane(slope_deg: float, turned_deg: float = 0.0) -> Scene:
 def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> None:
     for turned in (0.0, 90.0, 200.0):
         scene = plane(slope, turned)
-        _, found, z_g, _ = find(scene)
-        shares = found.sum(axis=1) / (scene.surface == H).sum(axis=1)
+        _, mask, z_g, _ = find(scene)
+        shares = mask.sum(axis=1) / (scene.surface == H).sum(axis=1)
         assert shares.mean() > 0.98
         assert shares.min() > 0.8
         assert np.all(np.abs(z_g - ROAD_Z) < 0.1)
@@ -133,11 +133,11 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         parts = []
         for first, end in pairwise(edges):
             part = scene.rows(first, end)
-            found, z_g, state = follow(
+            mask, z_g, state = follow(
                 part.lines, part.surface, part.phihat, part.ahead, state, params
             )
-            parts.append((found, z_g))
-        np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
+            parts.append((mask, z_g))
+        np.testing.assert_array_equal(np.concatenate([mask for mask, _ in parts]), whole)
         np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
         np.testing.assert_array_equal(state.histogram, last.histogram)
         np.testing.assert_array_equal(state.recent, last.recent)

@@ -54,7 +54,7 @@ def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     means, sigmas, h0, h1 = (
         np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1)
     )
-    found = np.empty(n := len(values))
+    ratios = np.empty(n := len(values))
     in_states = np.empty((3, n))
     power = np.empty(n, np.int64)
     HELPERS._densities.py_func(
@@ -64,15 +64,15 @@ def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     for t in range(n):
         density = densities[t]
         if t == 0:
-            one, zero = (
+            first, zero = (
                 tuple(initial * density) for initial in (params.initial_h1, params.initial_h0)
             )
         else:
-            one, zero = (
-                HELPERS._forward.py_func(s, h, density) for s, h in ((one, h1), (zero, h0))
+            first, zero = (
+                HELPERS._forward.py_func(s, h, density) for s, h in ((first, h1), (zero, h0))
             )
-        found[t] = np.log(sum(one)) - np.log(sum(zero))
-    return found
+        ratios[t] = np.log(sum(first)) - np.log(sum(zero))
+    return ratios
 
 
 def log_likelihood(
@@ -134,13 +134,13 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
                 break
             else:
                 begin += int(stop[0]) + 1
-        found = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), params)[0])
+        marked = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), params)[0])
         dated = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), MarkovThresholds())[0])
         if begin == 200:
-            assert len(found) == 0
+            assert len(marked) == 0
             continue
         assert dated[0] == begin
-        assert found[0] == begin + stop[0]
+        assert marked[0] == begin + stop[0]
         onsets.append(begin)
         alarms.append(int(stop[0]))
     assert len(set(onsets)) > 10

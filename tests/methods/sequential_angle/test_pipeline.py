@@ -68,15 +68,15 @@ def run(
         scanner = method.scanner(block)
         turn = turn or OneByOne(method.initial_state(scanner))
         n_in += block.n_lines
-        found = classify_block(
+        final = classify_block(
             block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines, stages=True
         )
-        n_out += len(found.labels)
-        stages = stages_in_columns(found.rows, found.labels, scanner)
-        parts.append([found.labels, *(getattr(stages, one.name) for one in fields(stages))])
+        n_out += len(final.labels)
+        stages = stages_in_columns(final.rows, final.labels, scanner)
+        parts.append([final.labels, *(getattr(stages, stage.name) for stage in fields(stages))])
         most = max(most, n_in - n_out)
     assert n_out == n_in == n_lines
-    return [np.concatenate(each) for each in zip(*parts, strict=True)], most
+    return [np.concatenate(arrays) for arrays in zip(*parts, strict=True)], most
 
 
 def both_sides(block: ScanBlock) -> ScanBlock:
@@ -104,12 +104,12 @@ def test_labels_do_not_depend_on_how_the_stream_is_cut(two_sides: bool) -> None:
     rng = np.random.default_rng(12)
     expected, _ = run(iter([block]), PARAMS, block.n_lines)
     assert {Label.GROUND, Label.CAR, Label.VEGETATION, Label.VERTICAL} <= {
-        Label(one) for one in np.unique(expected[0])
+        Label(label) for label in np.unique(expected[0])
     }
     for blocks in (cuts(block), cuts(block, rng), cuts(block, rng), cuts(block, lines=49)):
-        found, _ = run(blocks, PARAMS, block.n_lines)
-        for one, other in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(one, other)
+        results, _ = run(blocks, PARAMS, block.n_lines)
+        for result, expected_result in zip(results, expected, strict=True):
+            np.testing.assert_array_equal(result, expected_result)
 
 
 def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
@@ -133,9 +133,9 @@ def test_every_kernel_may_be_replaced_by_its_twin(monkeypatch: pytest.MonkeyPatc
     for name, module in KERNELS.items():
         if not module.endswith((".support", ".components", ".surfaces")):
             monkeypatch.setattr(kernels, name, twin(name))
-    found, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    results, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
+    for result, expected_result in zip(results, expected, strict=True):
+        np.testing.assert_array_equal(result, expected_result)
 
 
 def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
@@ -169,14 +169,14 @@ def test_further_returns_are_labelled_from_their_own_line() -> None:
     ranges = block.range_m[line, column]
     extra = ExtraReturns(line, column, ranges, np.arange(len(line)))
     far = ExtraReturns(line[:1], column[:1], ranges[:1] + 50, np.zeros(1, np.int64))
-    for given, lone in ((extra, False), (far, True)):
+    for extra_m, lone in ((extra, False), (far, True)):
         items: list[LabelledBlock] = list(
-            label_blocks(iter([replace(block, extra=given)]), config().classifier)
+            label_blocks(iter([replace(block, extra=extra_m)]), config().classifier)
         )
         labels = np.concatenate([item.labels for item in items])
-        found = np.concatenate([item.extra_labels for item in items])
+        extra_labels = np.concatenate([item.extra_labels for item in items])
         expected = np.full(1, Label.UNCLASSIFIED) if lone else labels[line, column]
-        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(extra_labels, expected)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -184,14 +184,14 @@ def test_threads_change_nothing(threads: int) -> None:
     block, _ = scan()
     whole, _ = run(iter([block]), PARAMS, block.n_lines)
     for shots in (1, 3000, 100_000):
-        found = run_blocks(
+        labelled = run_blocks(
             cuts(block, np.random.default_rng(5)),
             SequentialAngle(PARAMS),
             threads=threads,
             shots_at_once=shots,
             wanted=Wanted(stages=True),
         )
-        parts = list(found)
+        parts = list(labelled)
         np.testing.assert_array_equal(np.concatenate([item.labels for item in parts]), whole[0])
         surfaces = [item.stages.surface for item in parts if item.stages is not None]
         np.testing.assert_array_equal(np.concatenate(surfaces), whole[1])
