@@ -202,48 +202,47 @@ _AT_ONCE = 1 << 22
 
 
 def block_intervals(
-    blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]
+    blocks: I64, reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
 ) -> dict[str, Interval]:
     """Compute intervals of all scores by block jackknife (Kuensch 1989).
 
-    Shots beside each other err together.
+    Neighbouring shots err together, so whole blocks are left out.
+
+    Parameters
+    ----------
+    blocks : (n, rows, columns) int64
+        Confusion counts of every block.
+    reference_names, predicted_names : tuple of str
+        Classes of the rows and of the columns.
+
+    Returns
+    -------
+    dict of Interval
+        By name as in ``--fail-under``, without undefined ones.
     """
-    if len(blocks) < 2:
-        problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
+    from scipy.special import stdtrit
+
+    n = len(blocks)
+    if n < 2:
+        problem = f"intervals need at least 2 blocks with scored pairs, found {n}"
         raise InputError(
             "intervals", problem, "make the blocks shorter with --interval-lines, or give -M"
         )
+    names = (reference_names, predicted_names)
     total = blocks.sum(axis=0)
-    centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
-    intervals = _jackknife(blocks, total, names, centre)
-    return {
-        name: Interval(max(low, -1.0 if name == "kappa" else 0.0), min(high, 1.0))
-        for name, (low, high) in intervals.items()
-        if not np.isnan(low + high)
-    }
-
-
-def _jackknife(
-    blocks: I64,
-    total: I64,
-    names: tuple[tuple[str, ...], tuple[str, ...]],
-    centre: dict[str, float],
-) -> dict[str, tuple[float, float]]:
-    from scipy.special import stdtrit
-
     n_at_once = max(1, _AT_ONCE // total.size)
-    parts = [
-        all_scores(total - blocks[k : k + n_at_once], *names)
-        for k in range(0, len(blocks), n_at_once)
-    ]
+    starts = range(0, n, n_at_once)
+    parts = [all_scores(total - blocks[k : k + n_at_once], *names) for k in starts]
     intervals = {}
-    for name, value in centre.items():
+    for name, values in all_scores(total[None], *names).items():
+        centre = float(values[0])
         left_out = np.concatenate([part[name] for part in parts])
-        # a score that depends on a single block is undefined without it: no interval
-        n = len(left_out)
         error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
         half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
-        intervals[name] = value - half, value + half
+        # a score that depends on a single block is undefined without it: no interval
+        if not math.isnan(centre + half):
+            least = -1.0 if name == "kappa" else 0.0
+            intervals[name] = Interval(max(centre - half, least), min(centre + half, 1.0))
     return intervals
 
 

@@ -163,7 +163,7 @@ class About(NamedTuple):
 
 
 class CacheState(NamedTuple):
-    """The folder of compiled kernels (None = none is writable), its size, and its modules, of all."""
+    """The folder of compiled kernels (None = none is writable), its size, its modules, of all."""
 
     folder: Path | None
     n_bytes: int

@@ -109,7 +109,8 @@ def test_nothing_of_a_user_is_a_command() -> None:
 def test_latex_takes_the_tables(tmp_path: Path) -> None:
     evaluation = samples.evaluation(predicted=NASTY, mapping="a_b#%.toml", part=NASTY)
     document = (
-        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{booktabs}\n\\begin{document}\n"
+        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n"
+        "\\usepackage{booktabs}\n\\begin{document}\n"
         f"{as_latex(evaluation)}\\end{{document}}\n"
     )
     (tmp_path / "page.tex").write_text(document, encoding="utf-8")

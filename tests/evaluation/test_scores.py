@@ -64,10 +64,8 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
         ("recall.road", "score: found class 'road', expected one of: noise, ground, stem"),
         (
             "recal.ground",
-            (
-                "score: found score 'recal.ground', expected one of: accuracy, "
-                "balanced_accuracy, kappa"
-            ),
+            "score: found score 'recal.ground', "
+            "expected one of: accuracy, balanced_accuracy, kappa",
         ),
         ("recall", "recall.CLASS"),
         ("kappa.ground", "found score 'kappa.ground'"),
@@ -179,7 +177,7 @@ def test_jackknife_by_hand(name: str) -> None:
     ]
     error = np.sqrt(8 / 9 * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))
     value = gate_value(scores(ConfusionMatrix(*NAMES, blocks.sum(axis=0))), name)
-    interval = block_intervals(blocks, NAMES)[name]
+    interval = block_intervals(blocks, *NAMES)[name]
     half = stats.t.ppf(0.975, 8) * error
     assert (interval.low, interval.high) == pytest.approx((value - half, value + half))
 
@@ -188,7 +186,7 @@ def test_intervals_hold_the_true_score_about_as_often_as_they_say() -> None:
     true = float(all_scores(blocks_of(4000, 99).sum(axis=0)[None], *NAMES)["recall.stem"][0])
     n_held = 0
     for seed in range(60):
-        interval = block_intervals(blocks_of(40, seed), NAMES)["recall.stem"]
+        interval = block_intervals(blocks_of(40, seed), *NAMES)["recall.stem"]
         n_held += interval.low <= true <= interval.high
     assert n_held >= 51  # 57 expected; fewer than 51 in one of 200 such tests
 
@@ -197,12 +195,12 @@ def test_bounds_and_undefined_scores() -> None:
     blocks = blocks_of(10)
     blocks[:, 1] = 0
     blocks[2, 1, 2] = 5  # stems in one block alone
-    intervals = block_intervals(blocks, NAMES)
+    intervals = block_intervals(blocks, *NAMES)
     assert "recall.stem" not in intervals
     assert all(-1 <= item.low <= item.high <= 1 for item in intervals.values())
     perfect = np.zeros((5, 3, 3), np.int64)
     perfect[:, 0, 1] = perfect[:, 1, 2] = 3
-    assert block_intervals(perfect, NAMES)["accuracy"].low == 1.0
+    assert block_intervals(perfect, *NAMES)["accuracy"].low == 1.0
 
 
 TWO_CLASSES = ClassMapping(
@@ -246,6 +244,6 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
 def test_kappa_may_lie_below_that_of_chance() -> None:
     """Two classes that are mistaken for each other."""
     blocks = np.array([[[k, 30], [30, k]] for k in range(6)])
-    intervals = block_intervals(blocks, (("a", "b"), ("a", "b")))
+    intervals = block_intervals(blocks, ("a", "b"), ("a", "b"))
     assert -1.0 <= intervals["kappa"].low < intervals["kappa"].high < 0.0
     assert intervals["accuracy"].low >= 0.0

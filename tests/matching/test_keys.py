@@ -45,8 +45,7 @@ def nearest_of(value: float, among: list[float]) -> float:
 
 
 def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, int]]:
-    """Mutual nearest keys within the tolerance, members of a key in their order, one after the
-    other."""
+    """Mutual nearest keys within the tolerance, members of a key in their order."""
     ours, theirs = (sorted(set(side[KEY].tolist())) for side in (left, right))
     pairs = set()
     for key in ours:

@@ -1,5 +1,4 @@
-"""Nearest points of two clouds, against those found one by one, and the shift between the
-clouds."""
+"""Nearest points of two clouds, against a search point by point, and the shift of the clouds."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Curbs: none under the ceiling of a building, all of them under a bridge and between high
-houses."""
+"""Curbs: none under the ceiling of a building, all under a bridge and between high houses."""
 
 from __future__ import annotations
 

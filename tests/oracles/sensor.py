@@ -202,9 +202,9 @@ def _all_echoes(
             continue
         for echo in echoes:
             echo.power *= 1.0 - share
-        other = line[column + side]
-        if other is not None:
-            beside = other.echo()
+        beside_column = line[column + side]
+        if beside_column is not None:
+            beside = beside_column.echo()
             beside.power = share * beside.power
             echoes.append(beside)
         break
@@ -337,11 +337,11 @@ def sense(
         dice = _Dice(seed, first_line + i)
         line = _surfaces(hits, i, surface, kind)
         second = _surfaces(behind, i, surface, kind) if len(behind[0]) == n_lines else [None] * m
-        for column, own in enumerate(line):
+        for column, surface_here in enumerate(line):
             echoes = _mixed(_all_echoes(line, column, second[column], dice, model), model)
             returns = _returns(echoes, dice, column, model, quantiles)
             if model.is_cw:
-                sky = _bright(seed, first_line + i, column, m) if own is None else None
+                sky = _bright(seed, first_line + i, column, m) if surface_here is None else None
                 returns = _with_background(returns, sky, dice, column, model, quantiles)
             first.append(returns[0] if returns else _Echo(nan, 0.0, 0.0, 0))
             further += [(i, column, echo) for echo in returns[1:]]

@@ -1,5 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.methods.fused.stems_loops`, from NumPy and SciPy
-alone."""
+"""Slow and obvious twins of :mod:`prc_cli.methods.fused.stems_loops`, in NumPy and SciPy."""
 
 from __future__ import annotations
 

@@ -376,7 +376,7 @@ def intervals_of(
         return {}, ""
     blocks = counts.parts["blocks"].scored()
     names = matrix.reference_names, matrix.predicted_names
-    intervals = block_intervals(blocks, names)
+    intervals = block_intervals(blocks, *names)
     unit = "scan lines" if by_lines else "records"
     size = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
     method = f"block jackknife, {len(blocks)} blocks of {size} {unit}, {100 * LEVEL:g} %"

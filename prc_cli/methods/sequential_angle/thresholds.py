@@ -371,7 +371,7 @@ class OpenRegions(NamedTuple):
 
 
 class SuspiciousThresholds(NamedTuple):
-    """Markov chains of H, V and M on a surface and on a car (``sequential_angle.car.suspicious``)."""
+    """Markov chains of H, V, M on a surface and on a car (``sequential_angle.car.suspicious``)."""
 
     enabled: Annotated[bool, key()] = False
     """Test lines at all; false = every line may hold a car; published: true."""

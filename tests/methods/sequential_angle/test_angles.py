@@ -62,8 +62,7 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
 
 
 def straight_line(rng: Generator) -> tuple[F64, F64, float]:
-    """Beams and ranges of shots on one straight line with gaps, and the line's angle from straight
-    down."""
+    """Beams and ranges of shots on a straight line with gaps, and the line's angle from down."""
     while True:
         beam = np.arange(300) * STEP + rng.uniform(0, np.pi - 300 * STEP)
         point = rng.uniform(-20, 20, 2)

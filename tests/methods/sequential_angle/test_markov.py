@@ -49,8 +49,7 @@ def rng() -> Generator:
 
 
 def log_ratios(values: F64, params: MarkovThresholds) -> F64:
-    """Logarithm of the ratio of likelihoods after every value, from the recursion that the test
-    runs on."""
+    """Logarithm of the ratio of likelihoods after every value, from the recursion of the test."""
     means, sigmas, h0, h1 = (
         np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1)
     )
@@ -115,8 +114,7 @@ def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: MarkovT
 
 @pytest.mark.slow
 def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator) -> None:
-    """Restarts and onset found anew for every start, from whole stretches rather than step by
-    step."""
+    """Restarts and onset for every start, from whole stretches rather than step by step."""
     params = made(MarkovThresholds, backdate=False)
     onsets = []
     alarms = []
