@@ -21,7 +21,7 @@ from prc_cli.jobs.classify import classify, label_blocks, load_classifier
 from prc_cli.streams.evidence import checks as cells
 from prc_cli.streams.evidence import geometry, lines
 from prc_cli.streams.evidence.figures import LineSample, figures_of, most_turned
-from prc_cli.streams.evidence.lines import LineRepeats
+from prc_cli.streams.evidence.repeats import LineRepeats
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import EvidenceStream
 from prc_cli.streams.open import open_input

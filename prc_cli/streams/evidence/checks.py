@@ -16,8 +16,8 @@ from prc_cli.streams.agreement import ANGLES, CONTRADICTED, MOST_OFF
 from prc_cli.streams.evidence.cones import check_cones
 from prc_cli.streams.evidence.figures import Figures, Seen, figures_of, most_turned, without_lonely
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
+from prc_cli.streams.evidence.line_limits import LEAST_LINES
 from prc_cli.streams.evidence.lines import (
-    LEAST_LINES,
     check_columns_along,
     check_dropouts,
     check_line_length,

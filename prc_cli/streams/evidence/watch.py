@@ -27,12 +27,9 @@ from prc_cli.methods.base import Needs
 from prc_cli.streams.evidence.checks import ask_all, check_few_lines, check_thinned
 from prc_cli.streams.evidence.cones import ConeSample
 from prc_cli.streams.evidence.figures import LineSample, Seen
-from prc_cli.streams.evidence.lines import (
-    LEAST_LINES,
-    LineRepeats,
-    check_repeats,
-    with_other_reading,
-)
+from prc_cli.streams.evidence.line_limits import LEAST_LINES
+from prc_cli.streams.evidence.reading import with_other_reading
+from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
 from prc_cli.streams.evidence.table import worst_of
 
 MAX_SCANNERS = 4

@@ -21,9 +21,9 @@ from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.evidence import periods as estimates
 from prc_cli.streams.evidence.figures import LineSample, Window, figures_of
-from prc_cli.streams.evidence.lines import other_reading
 from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
 from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
+from prc_cli.streams.evidence.reading import other_reading
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array
 from tests.methods.fused.street_lines import BEAM, street_lines
