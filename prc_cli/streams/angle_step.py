@@ -165,7 +165,6 @@ def _read(
     bent: float,
     most_error: float,
 ) -> _Reading | None:
-    """Return what windows of a width say; None with too few pieces."""
     is_straight = error < bent * _error_of_one(window)
     curvature = curvature[is_straight]
     error = error[is_straight]

@@ -214,7 +214,6 @@ def find_angle_grid(
 
 
 def _refine_step(along: F64, line: I64, forward: F64) -> float:
-    """Return the step: between neighbours first, then by least squares over increasing distances."""
     ahead = forward[forward > 0]
     if len(ahead) < (1 - MAX_ROUNDED) * len(forward):
         # rounded more coarsely than the step: differences are 0, 1 or 2 times the rounding, use

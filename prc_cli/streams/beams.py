@@ -207,7 +207,6 @@ class BeamFinder:
         )
 
     def _find(self, sample: Sample) -> Directions:
-        """Apply the first applicable method."""
         scanner = sample.scanner
         angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
         n = len(sample.range_m)
@@ -258,7 +257,6 @@ class BeamFinder:
         )
 
     def _noted(self, frame: SensorFrame, scanner: int) -> str:
-        """Return a sentence on a frame."""
         which = self._which(scanner)
         before, after = frame.spread_deg
         why = f"rings spread by {before:.2g} deg of elevation as the coordinates are, by {after:.2g} from there"
@@ -316,7 +314,6 @@ class BeamFinder:
         why: str,
         cos_tilt: float = 1.0,
     ) -> Directions:
-        """Turn scan angles so that straight down is 0."""
         try:
             beam_rad = from_angles(angle, down_rad)
         except NoDirectionError as error:
@@ -388,7 +385,6 @@ class BeamFinder:
         return self._turned(angle, fit.down_rad, off_m, shown, why, fit.cos_tilt)
 
     def _lacks(self, scanner: int, angle: F64 | None) -> str:
-        """Return a message on what the stream has and lacks."""
         keys = (KEY, f"{KEY} of {self._which(scanner)}")
         for assumption in self.info.assumptions:
             if assumption.key in keys and assumption.value == "not found":
@@ -415,7 +411,6 @@ class BeamFinder:
         )
 
     def _hint(self, error: NoDirectionError | None) -> str:
-        """Return the hint for this kind of input."""
         if isinstance(error, NoddingError):
             return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
         if self.info.facts.has_scans:
@@ -537,7 +532,6 @@ def _in_frame(sample: Sample, xyz: F32) -> tuple[SensorFrame | None, F32]:
 
 
 def _no_step(step: AngleStep | None, points_per_line: int) -> str:
-    """Return why the ranges do not give the step of the angles."""
     if step is None:
         return "too few planes are seen to measure the angles from the ranges"
     return f"planes do not agree on the angles: {step.shown(points_per_line)}"

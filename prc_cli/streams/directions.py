@@ -114,7 +114,6 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
 
 
 def _check_lengths(xyz: NDArray[Any]) -> None:
-    """Refuse registered coordinates, whose values are too large."""
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt((np.asarray(xyz, np.float64) ** 2).sum(axis=-1))
     far = float(np.nanmedian(length[length > 0]))
@@ -165,7 +164,6 @@ def _check_planes(arc: F64, off: F64, rise: F64) -> None:
 
 
 def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
-    """Return unit vectors, and the mask of those that are finite."""
     wide = np.asarray(xyz, np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         length = np.sqrt((wide * wide).sum(axis=-1))
@@ -217,7 +215,6 @@ def _angles_in_plane(unit: F64, seen: Mask, normal: F64) -> F64:
 
 
 def _columns(angle: F64, seen: Mask) -> Beams:
-    """Return the beams of all columns from the angles of some lines."""
     m = angle.shape[1]
     columns = np.flatnonzero(seen.any(axis=0))
     angle = angle[:, columns]
@@ -299,7 +296,6 @@ def _grown(
 
 
 def _finish(beam: F64) -> F64:
-    """Bring growing angles into (-pi, pi]."""
     if len(beam) and beam[-1] - beam[0] > MAX_TURNS * _TURN:
         raise NoDirectionError(
             f"the directions do not turn with the column: {(beam[-1] - beam[0]) / _TURN:.1f} turns in a line"

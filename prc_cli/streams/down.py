@@ -172,7 +172,6 @@ def _centre(
     keep: Mask,
     n: I64,
 ) -> F64:
-    """Subtract the mean of the kept shots of every line."""
     mean = np.bincount(row[keep], values[keep], len(n)) / np.maximum(n, 1)
     centred: F64 = values - mean[row]
     return centred
@@ -322,7 +321,6 @@ def _level(
 
 
 def _choose(planes: list[_Plane]) -> DownGuess | None:
-    """Return the best plane that is wide enough, beside the best that lies elsewhere."""
     best = next((plane for plane in planes if plane.fill_rad >= LEAST_RAD), None)
     if best is None:
         return None
@@ -340,7 +338,6 @@ def spread_rows(n: int, most: int) -> NDArray[np.intp]:
 
 
 def _thinned(angle_rad: F64, range_m: F32, most_columns: int) -> tuple[F64, F32]:
-    """Return some lines and columns, evenly spread."""
     every = -(-range_m.shape[1] // most_columns)
     return angle_rad[every // 2 :: every], range_m[
         spread_rows(len(range_m), MOST_LINES), every // 2 :: every
@@ -405,7 +402,6 @@ def _share_of_lines(depth_m: NDArray[Any], distance_m: float) -> float:
 
 
 def _fit_plane(angle_rad: F64, range_m: F64) -> tuple[float, float]:
-    """Return direction [rad] and distance [m] of a plane."""
     # 1 / r = cos(angle - down) / distance, a straight line in cosine and sine of the angle
     waves = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
     a, b = np.linalg.lstsq(waves, 1.0 / range_m, rcond=None)[0]

@@ -147,7 +147,6 @@ class GridStream(Brief):
         return setup
 
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
-        """Add ranges, coordinates and intensities to the table of a chunk."""
         values = chunk.values
         if self.rules.ranges.trajectory is not None:
             values = {
@@ -164,7 +163,6 @@ class GridStream(Brief):
         return table, tally
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
-        """Yield blocks of dense records, one per cell, without moving any."""
         rules = self.rules
         setup = self._setup(0)
         m = setup.points_per_line
@@ -203,7 +201,6 @@ class GridStream(Brief):
             yield dense_block(pad_line(rest, m), first_line, rules, setup, tally)
 
     def _blocks_of(self, whole: WholeLines, setup: ScannerSetup) -> Iterator[ScanBlock]:
-        """Yield whole lines as blocks of bounded size; the first has the tally."""
         records, n_unplaced = self._place(whole, setup)
         tally = whole.tally + ReadTally(n_unplaced=n_unplaced)
         n_lines = max(MAX_BLOCK_CELLS // setup.points_per_line, 1)

@@ -396,7 +396,6 @@ def advance(
 
 
 def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> None:
-    """Refuse lines that are too long to hold in memory."""
     open_from = state.lines.top - rules.slack
     n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
     if n_open > max_open(rules):
@@ -440,7 +439,6 @@ def _find_lines(
     state: ScanState,
     rules: LineRules,
 ) -> tuple[Table, ScanState]:
-    """Find the line of every record; drop and count those without."""
     single = bool(starts.all())
     shots = records if single else take(records, starts)
     spread: F64 | None = None
@@ -577,7 +575,6 @@ def _last_lines(
     line_rules: LineRulesOf,
     states: dict[int, ScanState],
 ) -> Iterator[WholeLines]:
-    """Close the open lines of every scanner; if one is refused, yield nothing."""
     closed: list[WholeLines] = []
     leftover = ReadTally()
     for scanner in sorted(states):

@@ -224,7 +224,6 @@ class WindowedStream:
             raise self._nothing(seen)
 
     def _cut(self, block: ScanBlock, seen: _Seen) -> ScanBlock | None:
-        """Return the lines of a block that lie in the window, None if there are none."""
         part = seen.parts.setdefault(block.scanner, _Part())
         if part.ended:
             return None
@@ -283,7 +282,6 @@ class WindowedStream:
         return time_s
 
     def _nothing(self, seen: _Seen) -> InputError:
-        """Return the error of a window without lines."""
         what = "scan lines" if self.window.in_lines else "times"
         if not math.isfinite(seen.low):
             if not self.window.in_lines and seen.parts:

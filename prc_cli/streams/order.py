@@ -128,7 +128,6 @@ class OrderEvidence:
 
 
 def _shown(time_s: float, step: StepBack) -> str:
-    """Write a time with as many digits as the step needs."""
     if abs(time_s) > _PLAIN_S:
         return f"{time_s:g}"
     # the step may overflow, but then one of its ends is in exponent notation anyway
@@ -225,7 +224,6 @@ class OrderWatch:
         record: I64,
         back: I64,
     ) -> None:
-        """Keep the first and the largest step back."""
         # the step between finite times may overflow
         with np.errstate(over="ignore"):
             steps = [int(back[0]), int(back[np.argmax(before[back] - after[back])])]

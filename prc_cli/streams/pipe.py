@@ -119,7 +119,6 @@ class PipeSource(FieldSource):
             )
 
     def _read(self) -> bytes:
-        """Wait for bytes; empty at the end."""
         try:
             piece = self._handle.read(READ_BYTES)
         except OSError as error:

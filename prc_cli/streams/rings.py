@@ -122,7 +122,6 @@ def find_turns(xyz_m: F32, path: str) -> Turns:
 
 
 def _ways(along: F64, step: float, way: float) -> Iterator[Turns]:
-    """Yield the rings for every azimuth at which they may begin."""
     for start in _cuts(along, step):
         ring, within = _cut_turns(along - start)
         yield Turns(ring, within, float(wrap(np.array([way * start]))[0]), way)
@@ -473,7 +472,6 @@ def _check_rules(config: InputConfig) -> None:
 
 
 def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTally]:
-    """Read the records that have a range; count the others."""
     rule = "sensor-xyz" if config.range == "auto" else config.range
     ranges = open_ranges(rule, source.dimensions, source.path, config, crs_wkt=None)
     beside = tuple(name for name in (INTENSITY, RING) if name in source.dimensions)

@@ -200,7 +200,6 @@ def resolve_rules(
 
     @cache
     def first() -> Table:
-        """Return the first shots, read once for all questions."""
         named = _argument(config.lines)
         return first_shots(source, scanner, *((named,) if named in source.dimensions else ()))
 
@@ -264,7 +263,6 @@ def _said(
     columns: str,
     has: tuple[str, ...],
 ) -> Iterator[Assumption]:
-    """Yield what rules assume that were given."""
     if columns.startswith("time:") and not lines.startswith("time:"):
         # no source for the start of lines
         why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
@@ -321,7 +319,6 @@ def _auto_rules(
     first: Callable[[], Table],
     taken: list[Assumption],
 ) -> tuple[str, str, str]:
-    """Return the rules for lines, columns and ranges with ``auto`` resolved."""
     missing: list[InputError] = []
 
     def resolved(key: str, rule: str, ask: Callable[[], tuple[str, str]]) -> str:
@@ -380,7 +377,6 @@ def _all_missing(
 
 
 def _with_draft(source: RecordSource, error: InputError) -> InputError:
-    """Name the command that drafts a layout, where one describes the records."""
     is_guessed = source.format == "raw binary" and source.dimensions == ("range",)
     if not is_guessed and (
         source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)
@@ -690,7 +686,6 @@ def with_sweeps(
 
 
 def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:
-    """Measure the sweep of the first shots."""
     times: list[F64] = []
     directions: list[F32] = []
     for shots in shots_in_time(source, rule.names, MAX_SHOTS):

@@ -207,7 +207,6 @@ def _set_up_one(
     first: WholeLines | None,
     n_known: int,
 ) -> tuple[ScannerSetup, list[Assumption]]:
-    """Return the setup of one scanner from its first lines, if they were needed."""
     columns = column_rule(rules, estimates)
     lines = replace(line_rules(rules, m, estimates), spent=rules.spent, n_known=n_known)
     # fixed lines: every shot has a cell, no limit needed
@@ -404,7 +403,6 @@ def _image(
 
 
 def _with_angles(whole: WholeLines, rule: ColumnRule, angle_rad: F64) -> Table:
-    """Return records with the scan angles of their columns."""
     records = whole.records
     column = find_columns(records, rule, whole.origin_s)
     is_cell = (column >= 0) & (column < len(angle_rad))
@@ -414,7 +412,6 @@ def _with_angles(whole: WholeLines, rule: ColumnRule, angle_rad: F64) -> Table:
 
 
 def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
-    """Find the scan angle of straight down, and the tilt, from heights of the first lines."""
     key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
     range_m, _, _ = clean_measured(records, replace(rules.ranges, sensor_xyz=False))
     lines = np.unique(records[LINE][np.isfinite(range_m)])[:DOWN_LINES]
@@ -487,7 +484,6 @@ def line_rules(rules: GridRules, points_per_line: int | None, estimates: Estimat
 
 
 def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
-    """Return the steps of line and column numbers of every scanner in the first records."""
     line = rules.line_dimension
     column = rules.column_dimension
     if line is None and column is None:
@@ -537,7 +533,6 @@ def setup_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
 
 
 def _step_assumptions(rules: GridRules, steps: dict[int, Steps]) -> list[Assumption]:
-    """Report the steps that numbers are divided by."""
     taken = []
     for scanner, step in steps.items():
         which = "" if rules.scanner is None else f" of scanner {scanner}"
@@ -552,7 +547,6 @@ def _step_assumptions(rules: GridRules, steps: dict[int, Steps]) -> list[Assumpt
 
 
 def _estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> list[Assumption]:
-    """Report the estimates from angles."""
     taken = []
     for scanner, estimate in estimates.items():
         which = "" if rules.scanner is None else f" of scanner {scanner}"
@@ -581,14 +575,12 @@ def _estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> 
 
 
 def _given_timing(rules: GridRules) -> ShotTiming:
-    """Return the timing as far as known without reading."""
     if rules.line_hz is None or rules.points_per_line is None:
         return UNKNOWN
     return ShotTiming(1 / (rules.line_hz * rules.points_per_line))
 
 
 def _timing(rules: GridRules, records: Table) -> ShotTiming:
-    """Estimate shot timing from the first records of a scanner."""
     assert rules.line_hz is not None
     m = rules.points_per_line
     name = rules.column_dimension
@@ -684,7 +676,6 @@ def _with_grid(
     whole: WholeLines,
     where: str,
 ) -> Estimates:
-    """Add the columns of the scan angles, where columns are found by them."""
     if rules.columns != "angle":
         return estimate
     shots = take(whole.records, whole.records[START])

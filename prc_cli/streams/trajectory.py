@@ -163,7 +163,6 @@ class Trajectory:
         return InputError(self.path, problem, self._offset_hint(first, last))
 
     def _offset_hint(self, first: float, last: float) -> str:
-        """Suggest the offset if clocks differ by whole GPS weeks, 1e9 s, or both."""
         start, end = self.span
         middle = (first + last - start - end) / 2
         unknown = "give the trajectory of this drive, or set trajectory_time_offset to what its times lack"

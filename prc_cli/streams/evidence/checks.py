@@ -374,14 +374,12 @@ def ask_all(seen: Seen) -> Iterator[Finding]:
 
 
 def _along_path(finding: Finding) -> Finding:
-    """Return a finding on a drive along a trajectory, which is the first to look at."""
     if finding.check == "units" and finding.option:
         return replace(finding, hint=f"{LATE}; {OTHER_UNIT}{finding.option}", option="")
     return replace(finding, hint=LATE, option="")
 
 
 def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
-    """Ask about ranges, shots, lines and angles, each only if those before it can be true."""
     yield (ranges := check_ranges(seen))
     if _is_against(ranges):
         return

@@ -147,7 +147,6 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
 
 
 def _is_fan(seen: Seen) -> bool:
-    """Return whether the beams are known to be the rings of a spinning scanner."""
     if seen.has_rings:
         return True
     angle_rad = seen.angle_rad if seen.angle_rad is not None else seen.beam_rad
@@ -199,7 +198,6 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
 
 
 def _remedy(seen: Seen, points_per_line: int) -> tuple[str, str]:
-    """Return the hint and the option that give lines another length."""
     info = seen.info
     if info.line_rule == "time" and info.line_hz is not None:
         line_hz = info.line_hz * seen.points_per_line / points_per_line

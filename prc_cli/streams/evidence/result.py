@@ -85,7 +85,6 @@ class _Kept:
         self.is_up_assumed = False
 
     def add(self, item: LabelledBlock) -> None:
-        """Keep what is wanted of the next lines."""
         self.is_up_assumed |= item.is_up_assumed
         line = item.block.first_line
         stop = item.block.first_line + item.block.n_lines
@@ -117,7 +116,6 @@ class _Kept:
         self.n = len(stays)
 
     def sample(self) -> _Sample:
-        """Return what is kept."""
         return _Sample(
             self.line[: self.n],
             self.range_m[: self.n],
@@ -187,7 +185,6 @@ class ResultWatch:
         return tuple(worst_of({scanner: self._fitted(kept.sample()) for scanner, kept in scanners}))
 
     def _fitted(self, sample: _Sample) -> Iterator[Finding]:
-        """Yield the answers for one scanner; their hints name only what the input takes."""
         without_angles = frozenset() if sample.angle_rad is not None else frozenset(("nadir",))
         for finding in check_labels(sample, self.usual):
             yield fitting_finding(finding, self.facts.refuses | without_angles, self.facts.remedy)
@@ -219,7 +216,6 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
 
 
 def _percent(share: float) -> str:
-    """Return a share for people."""
     return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
 
 
@@ -229,7 +225,6 @@ def _noise(
     unclassified: Mask,
     usual: UsualLabels,
 ) -> Finding:
-    """Compare the shares of noise and of what has no class with those of the method."""
     n = int(np.count_nonzero(there))
     noisy = int(np.count_nonzero(noise)) / n
     without = int(np.count_nonzero(unclassified)) / n
@@ -259,7 +254,6 @@ def _both_level() -> Finding:
 
 
 def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]:
-    """Ask whether the place is as wide as a street."""
     n = int(np.count_nonzero(solid))
     if n < LEAST_RETURNS or usual.reach_m <= 0:
         return
@@ -293,7 +287,6 @@ class _Scene:
 
     @classmethod
     def of(cls, sample: _Sample, solid: Mask, is_down: Mask) -> _Scene:
-        """Return the scene of kept lines whose beams are known."""
         assert sample.beam_rad is not None
         beam = sample.beam_rad.astype(np.float32)
         near = solid & (sample.range_m < NEAR_M)
@@ -315,7 +308,6 @@ def _ground_below(
     is_lower: Mask,
     usual: UsualLabels,
 ) -> Iterator[Finding]:
-    """Ask whether what lies below the scanner is ground."""
     where = " within 60 deg of down"
     seen = below
     least = usual.level_share
@@ -340,7 +332,6 @@ def _ground_below(
 
 
 def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
-    """Ask whether the ground is level across the line, in the middle of all lines."""
     ground = scene.ground[:, scene.is_down]
     n = np.count_nonzero(ground, axis=1)
     rows = n >= LEAST_LEVEL
@@ -369,7 +360,6 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
 
 
 def _nadir(sample: _Sample, lean_rad: float) -> str:
-    """Return what to type for a ground that would be level."""
     if sample.angle_rad is None or sample.beam_rad is None:
         return _LOOK_FOR_DOWN
     nearest = int(np.argmin(np.abs(sample.beam_rad - lean_rad)))
@@ -378,7 +368,6 @@ def _nadir(sample: _Sample, lean_rad: float) -> str:
 
 
 def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
-    """Ask for things below the ground, left and right of every line."""
     n_near = 0
     n_below = 0
     for is_side in (scene.is_left, ~scene.is_left):
@@ -415,7 +404,6 @@ def _along(
     level: Mask,
     usual: UsualLabels,
 ) -> Iterator[Finding]:
-    """Ask for long stretches without ground, or with unusual noise."""
     n = len(sample.line) // STRETCH_LINES
     if n < LEAST_STRETCHES:
         return

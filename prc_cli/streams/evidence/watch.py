@@ -164,7 +164,6 @@ class EvidenceStream(Brief):
         return partial(_ask_of_all, self.seen(), tuple(others), self.accepted)
 
     def _of_whole(self) -> Iterator[Finding]:
-        """Yield the answers that need the whole stream."""
         yield check_repeats(self._repeats, self.info.facts.repeated)
         if self.is_part:
             return
@@ -193,7 +192,6 @@ def _ask_of_all(
 
 
 def _fitted(finding: Finding, seen: Seen) -> Finding:
-    """Return a finding that names only what the input takes."""
     facts = seen.info.facts
     without_angles = frozenset() if seen.angle_rad is not None else frozenset(("nadir",))
     return fitting_finding(finding, facts.refuses | without_angles, facts.remedy)
