@@ -36,7 +36,7 @@ Rounding of angles and coordinates is small beside that.
 LEAST_APART_M = 0.1
 """Nearer points are rounded too coarsely."""
 ALONG = 0.7
-"""Pairs tell of the angle where the ranges differ by less than this share of the distance between the points."""
+"""Pairs measure the angle if their ranges differ by less than this share of their distance."""
 OFF = 0.2
 OFF_M = 0.03
 """Tolerance of the distance between two points, as a share and in metres."""

@@ -34,7 +34,7 @@ HOP = 3
 """Windows begin every third of their length."""
 BENT = 0.004
 ROUGH = 0.02
-"""A window whose inverse ranges are farther off the quadratic than this share, root mean square, is no plane."""
+"""Largest share (RMS) by which inverse ranges of a plane are off the quadratic."""
 CERTAIN = 0.08
 """Windows are taken whose curvature is known to this share."""
 LEVELS = ((BENT, CERTAIN), (ROUGH, CERTAIN), (ROUGH, 0.15), (ROUGH, 0.3))
@@ -108,7 +108,10 @@ class AngleStep:
         step = math.degrees(self.step_rad)
         taken = f"; taken as {self.usual}" if self.usual else ""
         field = f"a field of {step * points_per_line:.1f} deg"
-        return f"{step:.4f} deg ± {step * self.off:.4f} deg ({self.n_pieces} pieces of planes{taken}), {field}"
+        return (
+            f"{step:.4f} deg ± {step * self.off:.4f} deg ({self.n_pieces} pieces of "
+            f"planes{taken}), {field}"
+        )
 
 
 def measure_step(range_m: F32) -> AngleStep | None:
@@ -149,7 +152,7 @@ def measure_step(range_m: F32) -> AngleStep | None:
 
 
 class _Reading(NamedTuple):
-    """What windows of one width say."""
+    """The step that windows of one width measure."""
 
     step_rad: float
     off: float
@@ -189,7 +192,7 @@ def _read(
 
 
 def _peak(curvature: F64, error: F64, centre: float) -> float:
-    """Return where most curvatures lie, from a value near to it."""
+    """Return the mode of the curvatures, from a value near to it."""
     for _ in range(30):
         width = np.maximum(error, PEAK_WIDTH * centre)
         weight = np.exp(-0.5 * ((curvature - centre) / width) ** 2) / width**2
@@ -215,13 +218,13 @@ def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
 
 
 def _error_of_one(window: int) -> float:
-    """Return the standard error of the curvature where inverse ranges are as uncertain as they are large."""
+    """Return the standard error of the curvature for inverse ranges of a relative error of 1."""
     return 2.0 * math.sqrt(float((_quadratic(window)[1][2] ** 2).sum()))
 
 
 @lru_cache(maxsize=16)
 def _quadratic(window: int) -> tuple[F64, F64]:
-    """Return the design matrix of a quadratic over a window, (W, 3), and what gives its coefficients, (3, W)."""
+    """Return the design matrix of a quadratic, (W, 3), and its pseudo-inverse, (3, W)."""
     x = np.arange(window) - (window - 1) / 2
     design = np.stack([np.ones(window), x, x * x], axis=1)
     return design, np.linalg.pinv(design)
@@ -229,9 +232,9 @@ def _quadratic(window: int) -> tuple[F64, F64]:
 
 @lru_cache(maxsize=16)
 def _ratios(window: int) -> tuple[F64, F64]:
-    """Return steps and what a quadratic makes of their curvature.
+    """Return steps, (n,) [rad], and the curvatures of quadratics fitted to them.
 
-    a window is no point, and u is no quadratic.
+    They differ a little from the squared step, because ``u`` is no quadratic.
     """
     _, fit = _quadratic(window)
     steps = np.geomspace(1e-5, 2.4 / window, 500)

@@ -58,7 +58,7 @@ _LEAST_WRAPS = 4
 
 
 def are_radians(angle_rad: F64) -> bool:
-    """Return whether so many columns lie so close that the numbers of a half or whole turn are those of radians.
+    """Return whether a half or whole turn has the numbers of radians.
 
     >>> are_radians(np.deg2rad(np.linspace(0, 4.7, 1080))), are_radians(np.linspace(0, 4.7, 1080))
     (True, False)
@@ -98,7 +98,10 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     n_down = int(np.count_nonzero(step < 0))
     share = max(n_up, n_down) / max(n_up + n_down, 1)
     if share < MIN_AGREEMENT:
-        problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
+        problem = (
+            f"the scan angle grows in {n_up} steps and falls in {n_down}, "
+            "expected sweeps of one direction"
+        )
         raise InputError(where, problem, hint)
     # angles are rounded: small steps back are not a wrap
     noise = max(
@@ -124,7 +127,7 @@ class WrapState:
 
 
 def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: WrapState) -> tuple[I64, WrapState]:
-    """Begin a line where the angle jumps back by more than half the span of this or the last line."""
+    """Start a line if the angle jumps back by half the span of this or the last line."""
     value = np.asarray(angle, np.float64)
     position = np.flatnonzero(np.isfinite(value))
     begins = np.zeros(len(value), np.int64)
@@ -192,7 +195,10 @@ def find_angle_grid(
     if step_rad is None:
         equal = float(np.mean(forward[within] == 0))
         if equal > MAX_EQUAL:
-            problem = f"{100 * equal:.0f} % of neighbouring shots have equal scan angles: rounded too coarsely"
+            problem = (
+                f"{100 * equal:.0f} % of neighbouring shots have equal scan angles: "
+                "rounded too coarsely"
+            )
             raise InputError(
                 where, problem, "take the order, --columns order, or the time, --columns time:HZ"
             )
@@ -316,7 +322,7 @@ def _circular_mean(value: F64) -> float:
 
 
 def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Table:
-    """Return times, angles, line numbers and other dimensions of the first shots of the first scanner."""
+    """Return times, angles, line numbers and more of the first shots of the first scanner."""
     has = source.dimensions
     keys = tuple(name for name in ("time", "angle", "scan_line") if name in has)
     several = "number_of_returns" in has
@@ -421,7 +427,10 @@ def columns_of_angles(
         )
     return (
         True,
-        f"scan angles of the shots are there, in steps of {step}; shots without return are left out",
+        (
+            f"scan angles of the shots are there, in steps of {step}; "
+            "shots without return are left out"
+        ),
     )
 
 

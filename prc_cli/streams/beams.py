@@ -52,11 +52,14 @@ TURN_LINES = 4096
 MAX_SAMPLE_CELLS = 1 << 23
 """Most cells read per scanner to find these lines: its blocks wait in memory."""
 MADE_UP_RAD = (0.1, math.pi - 0.1)
-"""Placeholder directions of the outermost columns, where none are known and nothing can be classified [rad]."""
+"""Placeholder directions of the outermost columns if no shot can be classified [rad]."""
 KEY = "input.nadir"
 ANGLES = "input.angles"
 MEASURED = f"--set {ANGLES}=measured"
-_ANGLES_ALONE = "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), and --set input.nadir=DEG if known"
+_ANGLES_ALONE = (
+    "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), "
+    "and --set input.nadir=DEG if known"
+)
 _ARRAY = "array"
 
 
@@ -259,8 +262,12 @@ class BeamFinder:
     def _noted(self, frame: SensorFrame, scanner: int) -> str:
         which = self._which(scanner)
         before, after = frame.spread_deg
-        why = f"rings spread by {before:.2g} deg of elevation as the coordinates are, by {after:.2g} from there"
-        return f"{which + ': ' if which else ''}{frame.shown()} in the frame of x, y, z ({why}); undone"
+        why = (
+            f"rings spread by {before:.2g} deg of elevation as the coordinates are, "
+            f"by {after:.2g} from there"
+        )
+        prefix = f"{which}: " if which else ""
+        return f"{prefix}{frame.shown()} in the frame of x, y, z ({why}); undone"
 
     def _measured(self, sample: Sample, range_m: F32) -> Directions:
         """Use angles measured from the ranges; straight down is given, or level ground."""
@@ -280,7 +287,8 @@ class BeamFinder:
             directions = self._guessed(scanner, angle, range_m)
         column = int(np.argmin(np.abs(directions.beam_rad)))
         where = f"down at column {column}"
-        why = f"{'given' if self.down_deg is not None else 'from level ground'}: {where}; the input gives no angles"
+        origin = "given" if self.down_deg is not None else "from level ground"
+        why = f"{origin}: {where}; the input gives no angles"
         shown = step.shown(m)
         which = self._which(scanner)
         note = f"{which + ': ' if which else ''}angles measured from the ranges: {shown}; {where}"
@@ -322,7 +330,10 @@ class BeamFinder:
             ) from error
         if off_m is not None:
             shown = shown or f"{math.degrees(down_rad):.2f} deg"
-            why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
+            why = (
+                f"{why}; "
+                f"xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
+            )
         return Directions(
             beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt
         )
@@ -331,7 +342,10 @@ class BeamFinder:
         """Use the direction of level ground, where no other comes near."""
         if are_radians(angle):
             span = math.degrees(float(np.ptp(angle)))
-            problem = f"the angles of a line span {span:.3g} deg, as radians of a turn do: name them angle_rad"
+            problem = (
+                f"the angles of a line span {span:.3g} deg, as radians of a turn do: "
+                "name them angle_rad"
+            )
             hint = f"if they are degrees, give {KEY}; if they are of another scale: {MEASURED}"
             raise InputError(self._where(scanner), problem, hint)
         range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
@@ -351,7 +365,10 @@ class BeamFinder:
                 else f"only {guess.ratio:.1f} times weaker"
             )
             problem = f"no vertical direction known: {problem} ({weaker})"
-            hint = f"give the one that points straight down, --set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
+            hint = (
+                "give the one that points straight down, "
+                f"--set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
+            )
             raise InputError(self._where(scanner), problem, hint)
         why = f"{len(range_m)} lines see level ground around it; give {KEY} to be exact"
         directions = self._turned(angle, guess.down_rad, None, guess.shown(), why)
@@ -370,7 +387,10 @@ class BeamFinder:
         off_m: float,
     ) -> Directions:
         """Use heights of registered coordinates, if there are scan angles."""
-        problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"
+        problem = (
+            "xyz is not relative to the scanner: "
+            f"its length is {off_m:.2f} m off the range, in the middle"
+        )
         if angle is None:
             hint = "subtract the scanner's position from xyz, or add angle_deg"
             raise InputError(self._where(scanner), f"no vertical direction known: {problem}", hint)
@@ -380,7 +400,10 @@ class BeamFinder:
             fit = fit_heights(every, range_m.ravel(), xyz[..., 2].ravel(), line)
         except NoDirectionError as error:
             raise self._refusal(scanner, f"{problem}, and {error}", error) from error
-        why = f"found from the heights of xyz over {len(range_m)} lines, within {fit.off_m:.3f} m in the middle"
+        why = (
+            f"found from the heights of xyz over {len(range_m)} lines, "
+            f"within {fit.off_m:.3f} m in the middle"
+        )
         shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
         return self._turned(angle, fit.down_rad, off_m, shown, why, fit.cos_tilt)
 
@@ -412,19 +435,31 @@ class BeamFinder:
 
     def _hint(self, error: NoDirectionError | None) -> str:
         if isinstance(error, NoddingError):
-            return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
+            return (
+                "check that the origin is the scanner and z is up; "
+                "a scanner that nods is for --method prc"
+            )
         if self.info.facts.has_scans:
             if isinstance(error, LevelLinesError):
-                return "check whether rows and columns are exchanged in the header, and whether its pose turns z up"
+                return (
+                    "check whether rows and columns are exchanged in the header, "
+                    "and whether its pose turns z up"
+                )
             if isinstance(error, WrongOriginError):
-                return "export the scan with its origin at the scanner and the registration in the pose"
+                return (
+                    "export the scan with its origin at the scanner "
+                    "and the registration in the pose"
+                )
             return "check rows, columns and pose in the header, or export the scan again"
         if self.info.format == _ARRAY:
             if isinstance(error, LevelLinesError):
                 return "check whether lines and columns are exchanged, and that z is up"
             if isinstance(error, WrongOriginError):
                 return "subtract the scanner's position from xyz"
-            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {_ANGLES_ALONE}"
+            return (
+                "add zenith_deg, or xyz relative to the scanner, to an .npz, "
+                f"or give {_ANGLES_ALONE}"
+            )
         if isinstance(error, LevelLinesError):
             return "check the lines (--lines, -M), and that z is up"
         ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
@@ -449,7 +484,7 @@ class BeamFinder:
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
-    """Add the direction of every column's beam, found in the first lines where it comes from their values."""
+    """Add the direction of the beam of every column, given or found in the first lines."""
     split_by = None if config.scanner == "none" else config.scanner
     finder = BeamFinder(stream.info, config.nadir, split_by, config.angles == "measured")
     known: dict[int, Directions] = {}
@@ -569,7 +604,7 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
 
 
 def _off(xyz: NDArray[np.float32], range_m: F32) -> float | None:
-    """Return the difference between the length of coordinates and the range [m], None where they agree."""
+    """Return the median of ``|xyz| - range`` [m]; None if they agree."""
     length = np.sqrt((xyz.astype(np.float64) ** 2).sum(axis=-1))
     off = np.abs(length - range_m)
     both = np.isfinite(off)

@@ -84,7 +84,7 @@ class AngleGrid:
 
 @dataclass(frozen=True, slots=True)
 class ColumnRule:
-    """How columns are found: by the first of dimension, grid and shot frequency that is set, else by order."""
+    """How columns are found: the first of dimension, grid and shot frequency, else by order."""
 
     dimension: str | None = None
     """Dimension with the column number."""

@@ -40,8 +40,8 @@ MAX_TURNS = 1.1
 MIN_ARC_RAD = math.radians(0.5)
 """Shorter lines give no plane."""
 MAX_OFF_PLANE = 0.02
-"""Largest median distance of shots from a plane through the scanner, as a share of the arc of the line: scanners that
-turn while they sweep reach 0.011."""
+"""Largest median distance of shots from a plane through the scanner, as a share of the arc of the
+line: scanners that turn while they sweep reach 0.011."""
 MIN_OFF_PLANE_RAD = math.radians(0.1)
 """Shots closer to the plane than this are always accepted."""
 MAX_DRIFT_RAD = math.radians(15.0)
@@ -65,7 +65,7 @@ class Beams:
     """Beam directions of the columns of a scanner."""
 
     beam_rad: F64
-    """(M,) float64, angle from straight down [rad], in (-pi, pi]; it turns one way, by a turn at most."""
+    """(M,) float64, angle from straight down, (-pi, pi] [rad]; it turns one way, at most once."""
     is_straight: bool
     """Whether the angles are linear in the column."""
     n_lines: int
@@ -102,7 +102,8 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
     if float(np.median(rise)) < MIN_RISE_RAD:
         raise LevelLinesError(
-            f"the lines do not rise: their planes are {math.degrees(float(np.median(rise))):.1f} deg from horizontal, "
+            "the lines do not rise: their planes are "
+            f"{math.degrees(float(np.median(rise))):.1f} deg from horizontal, "
             f"expected at least {math.degrees(MIN_RISE_RAD):g}"
         )
     _check_level(unit, seen)
@@ -151,14 +152,16 @@ def _check_planes(arc: F64, off: F64, rise: F64) -> None:
     whole = float(np.median(arc))
     if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
         raise WrongOriginError(
-            f"xyz is not relative to the scanner: the shots of a line lie {math.degrees(out):.2f} deg off a plane "
+            "xyz is not relative to the scanner: the shots of a line lie "
+            f"{math.degrees(out):.2f} deg off a plane "
             f"through the origin, over an arc of {math.degrees(whole):.1f} deg"
         )
     # planes of short lines are uncertain
     low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
     if high - low > MAX_DRIFT_RAD:
         raise NoddingError(
-            f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} to {math.degrees(high):.0f} "
+            f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} "
+            f"to {math.degrees(high):.0f} "
             f"deg from horizontal, expected the same within {math.degrees(MAX_DRIFT_RAD):g} deg"
         )
 
@@ -226,7 +229,8 @@ def _columns(angle: F64, seen: Mask) -> Beams:
     scatter = float(np.nanmedian(np.abs(wrap(angle - middle))))
     if scatter > MAX_SCATTER_RAD:
         raise NoDirectionError(
-            f"the shots of a column look different ways, {math.degrees(scatter):.1f} deg apart in the middle"
+            "the shots of a column look different ways, "
+            f"{math.degrees(scatter):.1f} deg apart in the middle"
         )
     beam_rad, is_straight = turn_evenly(columns, middle, seen.sum(axis=0).astype(np.float64), m)
     return Beams(beam_rad, is_straight, len(angle))
@@ -251,7 +255,8 @@ def turn_evenly(
     if along[-1] - along[0] > MAX_TURNS * _TURN:
         turns = (along[-1] - along[0]) / _TURN
         raise NoDirectionError(
-            f"the directions do not turn with the column: {turns:.1f} turns in a line, expected one at most"
+            "the directions do not turn with the column: "
+            f"{turns:.1f} turns in a line, expected one at most"
         )
     beyond = step - float(np.median(step / np.diff(columns))) * np.diff(columns)
     seam = int(np.argmax(beyond)) + 1
@@ -298,12 +303,14 @@ def _grown(
 def _finish(beam: F64) -> F64:
     if len(beam) and beam[-1] - beam[0] > MAX_TURNS * _TURN:
         raise NoDirectionError(
-            f"the directions do not turn with the column: {(beam[-1] - beam[0]) / _TURN:.1f} turns in a line"
+            "the directions do not turn with the column: "
+            f"{(beam[-1] - beam[0]) / _TURN:.1f} turns in a line"
         )
     step = float(np.max(np.diff(beam), initial=0.0))
     if step >= math.pi:
         raise NoDirectionError(
-            f"neighbouring columns look {math.degrees(step):.0f} deg apart, expected less than half a turn"
+            f"neighbouring columns look {math.degrees(step):.0f} deg apart, "
+            "expected less than half a turn"
         )
     return wrap(np.round(beam, DECIMALS))
 

@@ -70,7 +70,7 @@ RIVAL_RAD = math.radians(40.0)
 SURE_RATIO = 1.5
 """Least score over that of a direction that contradicts it."""
 LEAST_LEVEL = 0.25
-"""Least share of what is seen around a direction that a floor or a ceiling fills, in the lines that show it."""
+"""Least share of the shots around a direction that a floor or a ceiling fills."""
 OPPOSITE_RAD = math.radians(10.0)
 """Floor and ceiling are level: one lies as near as this to the opposite direction of the other."""
 
@@ -302,7 +302,7 @@ def _level(
     range_m: F32,
     middle_m: F64,
 ) -> float:
-    """Return how much of what is seen around a direction a level plane fills, over the root of its distance."""
+    """Return the share of shots on a level plane, over the root of its distance."""
     ways = direction_rad + np.arange(-OPPOSITE_RAD, OPPOSITE_RAD, SEARCH_STEP_RAD)
     along = np.cos(ways[:, None] - angle_rad)
     fill, depth, inside = _planes(along, middle_m, 1.0)
@@ -345,7 +345,7 @@ def _thinned(angle_rad: F64, range_m: F32, most_columns: int) -> tuple[F64, F32]
 
 
 def middle_of_lines(range_m: F32) -> F64:
-    """Return the median range of every column, NaN where no more than half of the lines have one."""
+    """Return the median range of every column; NaN if at most half of the lines have one."""
     n_held = np.count_nonzero(np.isfinite(range_m), axis=0)
     ordered = np.sort(range_m.astype(np.float64), axis=0)  # NaN sorts last
     if not len(range_m):
@@ -371,7 +371,7 @@ def _planes(along: F64, middle_m: F64, step_rad: float) -> tuple[F64, F64, Mask]
 
 
 def _sky(along: F64, range_m: F32, step_rad: float) -> F64:
-    """Return the share of missing shots around the opposite of every direction, dead angles counting half."""
+    """Return the share of missing shots opposite to every direction; dead angles count half."""
     missing = np.isnan(range_m).mean(axis=0)
     missing[missing == 1.0] = DEAD_SHARE
     above = along < -math.cos(SKY_RAD)
@@ -396,7 +396,7 @@ def _peaks(score: F64, down_rad: F64) -> list[int]:
 
 
 def _share_of_lines(depth_m: NDArray[Any], distance_m: float) -> float:
-    """Return the share of lines of which at least half of the plane's columns, given by depths, lie in the plane."""
+    """Return the share of lines that have half of the columns of a plane in it."""
     on_plane = np.abs(depth_m - distance_m) < NEAR_PLANE_M
     return float(np.mean(on_plane.mean(axis=1) >= 0.5))
 

@@ -107,7 +107,7 @@ class LineRules:
     max_gap_lines: int = 0
     """Most lines that may be missing in a row."""
     refuse_back: bool = False
-    """Whether lines that go back by more than the slack are an error (else they are dropped and counted)."""
+    """Whether lines that go back by more than the slack are an error, else only counted."""
     slack: int = 0
     """Number of lines before the last that are still open."""
     n_known: int = 0
@@ -261,7 +261,8 @@ def admit_lines(
         offset = state.offset or 0
         problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
         hint = (
-            "split the file there, give --lines angle-wrap or --lines time:HZ, or, where its times go back as well, "
+            "split the file there, give --lines angle-wrap or --lines time:HZ, or, where "
+            "its times go back as well, "
             "--sort-by-time; --trust-order leaves such records unclassified"
         )
         raise OrderError(
@@ -274,7 +275,10 @@ def admit_lines(
     if first_ahead < len(ahead):
         i = first_ahead
         missing = int(line[i] - before[i] - 1)
-        problem = f"{missing} lines are missing before record {record[i]}, expected at most {rules.max_gap_lines}"
+        problem = (
+            f"{missing} lines are missing before record {record[i]}, "
+            f"expected at most {rules.max_gap_lines}"
+        )
         hint = "check the line numbers or times there, or raise max_gap_lines"
         raise InputError(rules.where, problem, hint)
     n_late = int(np.count_nonzero(late & ((line >= 0) | rules.begins_with_first)))
@@ -285,7 +289,7 @@ def admit_lines(
 
 
 def _all_admitted(last: int, state: LineState, rules: LineRules) -> bool:
-    """Whether rising lines up to ``last`` need no further check, which holds for nearly every chunk."""
+    """Whether rising lines up to ``last`` need no further check, as in nearly every chunk."""
     if last - state.top > rules.max_gap_lines + 1:
         return False
     return rules.n_spare is None or last < most_lines(np.array([state.n_seen]), rules)[0]
@@ -311,7 +315,10 @@ def _check_cells(
         problem = (
             f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
         )
-        hint = f"check the line numbers or times there; gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
+        hint = (
+            "check the line numbers or times there; "
+            f"gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
+        )
         raise InputError(rules.where, f"{problem}, expected at most {most} lines", hint)
 
 
@@ -399,7 +406,10 @@ def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> 
     open_from = state.lines.top - rules.slack
     n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
     if n_open > max_open(rules):
-        problem = f"line {state.lines.top} has more than {max_open(rules)} records and no end, expected scan lines"
+        problem = (
+            f"line {state.lines.top} has more than {max_open(rules)} records and no end, "
+            "expected scan lines"
+        )
         hint = "check the rule that finds the lines: --lines"
         raise InputError(rules.path, problem, hint)
 
@@ -600,7 +610,7 @@ def _last_lines(
 
 
 def _check_late(path: str, state: ScanState) -> None:
-    """Refuse too many shots of complete lines, as where an earlier drive is appended to a later one."""
+    """Refuse too many shots of complete lines, as in an earlier drive after a later one."""
     n_late = state.lines.n_late
     n_seen = state.lines.n_seen
     if n_late > MAX_LATE * n_seen:
@@ -677,17 +687,26 @@ def check_partial_line(
     n_over = n_shots % points_per_line
     if not n_over:
         return
-    problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
-    hint = 'check points_per_line (prc info estimates it), or pad the last line: --set input.partial_line="pad"'
+    problem = (
+        f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} "
+        "left over)"
+    )
+    hint = (
+        "check points_per_line (prc info estimates it), or pad the last line: --set "
+        'input.partial_line="pad"'
+    )
     if source is not None and "range" in source.dimensions:
         period = estimate_points_per_line(first_ranges(source))
         if period.strength >= WEAK_PERIOD and period.points_per_line != points_per_line:
-            hint = f"the ranges repeat after {period.points_per_line} shots: give -M {period.points_per_line}"
+            hint = (
+                f"the ranges repeat after {period.points_per_line} shots: "
+                f"give -M {period.points_per_line}"
+            )
     raise InputError(path, problem, hint)
 
 
 def first_ranges(source: RecordSource) -> F32:
-    """Return ranges at the start of a source, missing ones as NaN, (n,) float32, in the units of the source."""
+    """Return the first ranges of a source, (n,) float32 [its unit]; NaN = missing."""
     parts: list[F32] = []
     kept = 0
     for chunk in source.chunks(("range",)):

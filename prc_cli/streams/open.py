@@ -101,7 +101,7 @@ def open_input(
 def _with_lines(
     source: RecordSource, config: InputConfig
 ) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
-    """Return a source with lines and columns where only its points tell them, its rules, and what is assumed."""
+    """Add lines and columns found from points; return the source, its rules and assumptions."""
     if config.lines.startswith("elevation:"):
         from prc_cli.streams.rules import with_elevation
 
@@ -191,7 +191,7 @@ class WindowedStream:
 
     @property
     def info(self) -> StreamInfo:
-        """Metadata of the stream; the number of lines is not that of the drive, and not known before reading."""
+        """Metadata of the stream; the number of lines is not known before reading."""
         info = self.source.info
         note = self.note()
         facts = replace(info.facts, notes=(*info.facts.notes, *([note] if note else [])))
@@ -205,7 +205,10 @@ class WindowedStream:
         first = min(part.first or 0 for part in parts)
         stop = max(part.stop for part in parts)
         several = " of each scanner" if len(parts) > 1 else ""
-        return f"only lines {first:,} to {stop - 1:,}{several} were taken ({self.window.option}), as a drive of its own"
+        return (
+            f"only lines {first:,} to {stop - 1:,}{several} were taken ({self.window.option}), "
+            "as a drive of its own"
+        )
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""

@@ -122,7 +122,8 @@ class OrderEvidence:
             place = "largest"
             step = self.largest
         return (
-            f"{self.what} decreases in {share} of {self.n_steps:,} steps, {place} at record {step.record}: "
+            f"{self.what} decreases in {share} of {self.n_steps:,} steps, {place} at "
+            f"record {step.record}: "
             f"{_shown(step.value, step)} s after {_shown(step.before, step)} s{unknown}"
         )
 
@@ -273,7 +274,7 @@ class OrderWatch:
         return replace(evidence, begins_anew=self._begins_anew(evidence.most_back))
 
     def _begins_anew(self, most: float) -> int | None:
-        """Return the first record of a run that goes over more than some seconds of an earlier run again."""
+        """Return the first record of a run that repeats some seconds of an earlier run."""
         if self._last is None or len(self._tops) >= MAX_RUNS:
             return None
         first = self._starts[0][1]
@@ -300,7 +301,7 @@ class OrderWatch:
 
 
 def fire_in_turns(time_s: F64, column: NDArray[Any]) -> bool:
-    """Return whether the times of records fall from shot to shot, but rise in each of a few columns.
+    """Return whether times fall from shot to shot, but rise in each of a few columns.
 
     The rings of a spinning scanner do so: they fire in another order than they lie, and see a line
     at other times.
@@ -355,7 +356,10 @@ class RingOrderWatch:
 def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> str:
     """Return what to do with an input whose times are out of order."""
     if evidence.n_back == 1 and abs(evidence.largest_back - WEEK_S) < WEEK_S / 100:
-        return "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
+        return (
+            "the GPS week turned over in this file: "
+            "the order may be right, then insist with --trust-order"
+        )
     if evidence.unset is not None:
         of_records = (
             f"the time {evidence.unset:g} comes {evidence.n_back} times, as where a record has none"
@@ -368,7 +372,10 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
         return "COPC files lie in the order of their octree: sort with --sort-by-time"
     if evidence.begins_anew is not None:
         again = f"the times from record {evidence.begins_anew} on were there before"
-        return f"{again}: split the file there, or leave out what is repeated, or insist with --trust-order"
+        return (
+            f"{again}: split the file there, "
+            "or leave out what is repeated, or insist with --trust-order"
+        )
     if not can_sort:
         return "write the lines in the order they were scanned, or insist with --trust-order"
     return "sort with --sort-by-time if every record is there, or insist with --trust-order"

@@ -41,7 +41,7 @@ class ByteStream(Protocol):
 
 
 class PipeSource(FieldSource):
-    """Records from a pipe; what is read before :meth:`seal` is kept, afterwards it can be read once."""
+    """Records from a pipe: kept until :meth:`seal`, and read only once afterwards."""
 
     n_records = None
     """Unknown before reading."""
@@ -63,7 +63,7 @@ class PipeSource(FieldSource):
         self._sealed = True
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, NDArray[Any], int]]:
-        """Yield index of the first record, records as they arrive, from the start, and their number."""
+        """Yield records as they arrive: index of the first, the records, their number."""
         record_bytes = self._dtype.itemsize
         n_header = self._header_bytes
         first = 0
@@ -111,7 +111,10 @@ class PipeSource(FieldSource):
         self._kept.append(piece)
         self._n_kept += len(piece)
         if self._n_kept > KEPT_BYTES:
-            problem = f"lines and columns are not known after {self._n_kept >> 20} MiB, and a pipe cannot be read twice"
+            problem = (
+                f"lines and columns are not known after {self._n_kept >> 20} MiB, "
+                "and a pipe cannot be read twice"
+            )
             raise InputError(
                 self.path,
                 problem,

@@ -49,11 +49,20 @@ class RangeRule:
         if self.trajectory is None:
             return scale_told(self.scale)
         first, last = self.trajectory.span
-        value = f"trajectory of {len(self.trajectory.time_s)} positions from {first:.3f} to {last:.3f} s"
-        why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
+        value = (
+            f"trajectory of {len(self.trajectory.time_s)} positions from {first:.3f} to "
+            f"{last:.3f} s"
+        )
+        why = (
+            "straight lines between the positions of a trajectory; "
+            "they are those of the scanner, no lever arm"
+        )
         if self.trajectory.lever_arm_m is not None:
             shown = ", ".join(f"{arm_m:g}" for arm_m in self.trajectory.lever_arm_m)
-            why = f"straight lines between the positions of a trajectory, moved by the lever arm {shown} m"
+            why = (
+                "straight lines between the positions of a trajectory, "
+                f"moved by the lever arm {shown} m"
+            )
         return (Assumption("input.range", value, why), *scale_told(self.scale))
 
     @property
@@ -145,7 +154,7 @@ def measure_ranges(
 def clean_measured(
     values: dict[str, NDArray[Any]], rule: RangeRule
 ) -> tuple[F32, F32 | None, ReadTally]:
-    """Return cleaned ranges, coordinates as :func:`measure_ranges`, and counts of ranges made missing."""
+    """Return cleaned ranges, coordinates, and counts of ranges made missing."""
     lengths, xyz_m = measure_ranges(values, rule)
     if rule.dimension is not None and rule.scale != 1.0:
         lengths = lengths * np.float64(rule.scale)
@@ -154,7 +163,7 @@ def clean_measured(
 
 
 IN_PLANE = 0.05
-"""Directions of a profiler lie in a plane, or on a flat cone, within this share of what they spread along it."""
+"""Directions of a profiler are off a plane or flat cone by less than this share of its spread."""
 
 
 def is_in_plane(values: dict[str, NDArray[Any]]) -> bool:
@@ -180,7 +189,8 @@ def is_in_plane(values: dict[str, NDArray[Any]]) -> bool:
 def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
     """Whether coordinates beside ranges are relative to the sensor: then their length is the range.
 
-    >>> point = {"x": np.array([3.0]), "y": np.array([0.0]), "z": np.array([4.0]), "range": np.array([5.0])}
+    >>> point = {name: np.array([value]) for name, value in zip("xyz", (3.0, 0.0, 4.0))}
+    >>> point["range"] = np.array([5.0])
     >>> is_sensor_xyz(point, "range"), is_sensor_xyz(point | {"z": np.array([90.0])}, "range")
     (True, False)
     """

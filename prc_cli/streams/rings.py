@@ -1,4 +1,4 @@
-"""Turns frames of multi-ring scanners (x, y, z, ring after ring) into vertical lines (``input.lines = rings``).
+"""Turns frames of multi-ring scanners into vertical lines (``input.lines = rings``).
 
 A spinning scanner with one laser per ring writes frames of one ring after the other, each over the
 whole turn, without missing shots; or in raw column order, a shot of every ring after the other,
@@ -79,7 +79,7 @@ class Turns:
     ring: I64
     """(n,) int64, from 0 in file order."""
     along_rad: F64
-    """(n,) float64, azimuth from the start of the ring in the direction of rotation, 0 to a turn [rad]."""
+    """(n,) float64, azimuth from the start of the ring as it rotates, 0 to a turn [rad]."""
     cut_rad: float
     """Azimuth where rings begin [rad]."""
     way: float
@@ -102,10 +102,16 @@ def find_turns(xyz_m: F32, path: str) -> Turns:
     along = way * azimuth[0] + np.concatenate([[0.0], np.cumsum(step)])
     n_turns = (along[-1] - along[0]) / _TURN
     if not 1.0 < n_turns < min(MAX_RINGS, len(along) / 2):
-        problem = f"the records turn {abs(n_turns):.1f} times around the scanner, expected ring after ring"
+        problem = (
+            f"the records turn {abs(n_turns):.1f} times around the scanner, "
+            "expected ring after ring"
+        )
         hint = "check x, y, z and their order, or find lines in another way: --lines"
         if abs(n_turns) < MOST_OF_COLUMNS:
-            hint = "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
+            hint = (
+                "column after column, a frame needs the ring of every point: "
+                "give a PLY or PCD with the property ring"
+            )
         raise InputError(path, problem, hint)
     ways = list(_ways(along, float(np.median(step[step > 0])), way))
     if not ways:
@@ -150,7 +156,7 @@ def whole_rings(values: NDArray[Any], path: str) -> I64:
 
 
 def turns_of_rings(frame: Table, path: str) -> tuple[Table, Turns]:
-    """Return a frame sorted by ring and azimuth, since rings may be staggered, and its rings by elevation."""
+    """Return a frame sorted by ring and azimuth (rings may be staggered), and its rings."""
     xyz = frame[XYZ].astype(np.float64)
     azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
     _, ring = np.unique(frame[RING], return_inverse=True)
@@ -175,7 +181,7 @@ def turns_of_rings(frame: Table, path: str) -> tuple[Table, Turns]:
 MOST_TURNS = 1.5
 """Turns of the scanner in a frame, at most: beyond it there are several."""
 LEAST_ORDERED = 0.9
-"""Least share of the steps of a ring that go one way, where records are in the order of their times."""
+"""Least share of the steps of a ring that go one way, for records in the order of time."""
 
 
 def turns_in_order(frame: Table) -> float:
@@ -194,7 +200,7 @@ def turns_in_order(frame: Table) -> float:
 
 
 def _several_turns(source: RecordSource, n_turns: float, frame: Table) -> InputError:
-    """Return the error of a file of several turns, with the rate of its firing columns where there are times."""
+    """Return the error of a file of several turns, with the rate of its columns if known."""
     problem = f"the file holds {n_turns:.1f} turns of the scanner, expected one"
     if RING in frame and not _rise(frame[RING], frame[XYZ]):
         # lasers numbered as they fire are no columns
@@ -281,8 +287,10 @@ def ring_columns(
     if (back < -MAX_RING_ORDER_RAD).any():
         worst = int(np.argmin(back))
         problem = (
-            f"ring {worst + 1} lies at {math.degrees(middle[worst + 1]):.2f} deg of elevation after one at "
-            f"{math.degrees(middle[worst]):.2f} deg, expected rings from top to bottom or from bottom to top"
+            f"ring {worst + 1} lies at {math.degrees(middle[worst + 1]):.2f} deg of "
+            "elevation after one at "
+            f"{math.degrees(middle[worst]):.2f} deg, expected rings from top to bottom or "
+            "from bottom to top"
         )
         raise InputError(path, problem, "check that the file holds one frame, ring after ring")
     return n_rings, turns.ring if way > 0 else n_rings - 1 - turns.ring
@@ -306,7 +314,7 @@ def find_step(turns: Turns) -> float:
 
 
 def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
-    """Return the line of every record, and the mask of records in azimuth order along their ring."""
+    """Return the line of every record, and which records follow the azimuth of their ring."""
     from scipy.optimize import (
         isotonic_regression,
     )  # imported here: loading takes longer than classifying a small file
@@ -416,7 +424,10 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     )
     n_lines = max(round(_TURN / step), 1) if step > 0 else 0
     if not n_lines or n_lines * n_rings > MAX_EMPTY * n_records + SPARE_CELLS:
-        problem = f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more cells than records"
+        problem = (
+            f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more "
+            "cells than records"
+        )
         raise InputError(source.path, problem, "give input.azimuth_step")
     line, in_order = ring_lines(turns, n_rings, n_lines)
     frame[XYZ] = frame.pop(GIVEN)
@@ -436,7 +447,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
 
 
 def _in_own_frame(frame: Table, path: str) -> tuple[Table, Turns, SensorFrame | None]:
-    """Return a frame on the axes of its scanner, its rings, and these axes where they are not those of x, y, z."""
+    """Return a frame on the axes of its scanner, its rings, and these axes; None = x, y, z."""
     frame = {**frame, GIVEN: frame[XYZ]}
     if RING in frame:
         sensor_frame = find_frame(frame[XYZ], np.unique(frame[RING], return_inverse=True)[1])
@@ -561,7 +572,10 @@ def _assumptions(
 ) -> tuple[Assumption, ...]:
     sense = "anticlockwise" if turns.way > 0 else "clockwise"
     value = f"rings that begin at azimuth {math.degrees(turns.cut_rad):.2f} deg and turn {sense}"
-    why = f"least spread of elevation within rings; {n_out_of_order} records do not follow the azimuth of their ring"
+    why = (
+        "least spread of elevation within rings; "
+        f"{n_out_of_order} records do not follow the azimuth of their ring"
+    )
     taken = [Assumption("input.lines", value, why)]
     if config.range == "auto":
         taken.append(

@@ -1,13 +1,13 @@
-"""Step one, rules: chooses how lines, columns and ranges of an input are found, or says which options to give.
+"""Step one, rules: choose how lines, columns and ranges are found, or name the options to give.
 
 ``auto`` is resolved, and where only the directions to the points tell lines and columns, they are
 measured:
 
-- ``lines = elevation:DEG``, points with x, y, z alone, without missing shots: the elevation rises along a line and
-  drops to the first point of the next one.
-- ``range = trajectory`` or ``origin`` with times alone: what returns repeats only roughly from line to line; the
-  direction of a shot repeats exactly. So line rate and begin of lines are those of the sweep, also
-  where shots were stamped anew without time for the angles that a scanner does not measure.
+- ``lines = elevation:DEG``, for points with x, y, z but without missing shots: the elevation rises
+  along a line and drops to the first point of the next one.
+- ``range = trajectory`` or ``origin`` with times only: returns repeat only roughly from line to
+  line, but the direction of a shot repeats exactly. So the line rate and the start of lines are
+  those of the sweep, also if stamps leave out the angles that a scanner does not measure.
 """
 
 from __future__ import annotations
@@ -53,12 +53,15 @@ _NO_RANGE = "no slant range"
 _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
 """Dimensions that tell of the shots."""
 LOST = (
-    "registered points without times, scan lines or ranges: the order in which they were fired is lost, so they cannot "
+    "registered points without times, scan lines or ranges: the order in which they were "
+    "fired is lost, so they cannot "
     "be classified"
 )
 LOST_HINT = (
-    "classify the raw drive and carry its labels over (prc transfer), or give the points with their times; of x, y, z "
-    "from the scanner: --lines elevation:DEG with --range sensor-xyz; if they lie as fired insist with --trust-order"
+    "classify the raw drive and carry its labels over (prc transfer), or give the points "
+    "with their times; of x, y, z "
+    "from the scanner: --lines elevation:DEG with --range sensor-xyz; if they lie as fired "
+    "insist with --trust-order"
 )
 
 
@@ -135,7 +138,7 @@ class GridRules:
 
     @property
     def spent(self) -> tuple[str, ...]:
-        """Dimensions needed only to find shots and lines, which are dropped afterwards to save copying."""
+        """Dimensions that only find shots and lines, and are dropped afterwards."""
         kept = {self.column_dimension, "angle", "return_number"}
         # these may also be the dimension of lines or scanners
         if not self.only_ranges or self.shot_hz is not None:
@@ -271,7 +274,10 @@ def _said(
         why = "given; where shots are left out, the rest of the line moves up"
         yield Assumption("input.columns", "order", why)
     if lines.startswith("time:") and config.time_origin is None:
-        why = "line 0, column 0 is taken to be fired then: the phase of the mirror is not in the input"
+        why = (
+            "line 0, column 0 is taken to be fired then: "
+            "the phase of the mirror is not in the input"
+        )
         yield Assumption("input.time_origin", "time of the first record", why)
     if config.return_ != "strongest" and "number_of_returns" not in has:
         why = "the input does not say how many returns a shot has: every record is a shot"
@@ -279,7 +285,7 @@ def _said(
 
 
 def is_timed_cloud(source: RecordSource, config: InputConfig) -> bool:
-    """Whether an input is points with times, and nothing in it says how far they are from the scanner."""
+    """Whether an input is points with times, without ranges."""
     has = set(source.dimensions)
     knows = "range" in has or source.facts.rule("range") is not None
     return {*XYZ, "time"} <= has and config.range == "auto" and not knows
@@ -307,7 +313,7 @@ def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
 
 
 def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
-    """Return the configuration with which violations of the order are counted, not refused, unless it is lost."""
+    """Return the configuration that counts violations of the order, unless it is lost."""
     if config.order != "require" or (source is not None and is_order_lost(source, config)):
         return config
     return config.model_copy(update={"order": "trust"})
@@ -390,7 +396,7 @@ def _with_draft(source: RecordSource, error: InputError) -> InputError:
 
 
 def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tuple[str, ...]:
-    """Return the dimensions for heights, if there are heights, ranges and scan angles, and down is not given."""
+    """Return the dimensions that give straight down from heights, if down is not given."""
     has_angles = "angle" in source.dimensions or (
         config.angle_start is not None and config.angle_step is not None
     )
@@ -399,7 +405,7 @@ def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tup
 
 
 def _point_names(source: RecordSource, range_: str) -> tuple[str, ...]:
-    """Return the dimensions that test recorded scan angles, if there are ranges, angles and coordinates."""
+    """Return the dimensions that test recorded scan angles, if all are there."""
     is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(source.dimensions)
     return (range_.partition(":")[2], *XYZ) if is_there else ()
 
@@ -473,7 +479,10 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
             return "angle", why
     if lines.startswith("time:"):
         ways = ["--columns time:HZ (shots a second)", "--columns order if no shot is left out"]
-        problem = "no columns: the file has no dimension column, and lines found by time say nothing of them"
+        problem = (
+            "no columns: the file has no dimension column, "
+            "and lines found by time say nothing of them"
+        )
         raise InputError(source.path, problem, f"give {_either(ways)}")
     return "order", f"{why}; where shots are left out, the rest of the line moves up"
 
@@ -575,14 +584,17 @@ _LINE = "line by elevation"
 def with_elevation(
     source: RecordSource, config: InputConfig
 ) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
-    """Return the source with elevations as ``angle`` [rad] and line numbers, rules to use them, and what is assumed."""
+    """Add elevations as ``angle`` [rad] and line numbers; return rules and assumptions, too."""
     drop_deg = parse_rate(config.lines)
     if not 0 < abs(drop_deg) < 180:
         raise ConfigError(
             "input.lines", f"found {config.lines!r}, expected elevation:DEG with 0 < |DEG| < 180"
         )
     if config.range not in ("auto", "sensor-xyz"):
-        problem = f"found {config.range!r}, expected sensor-xyz: the elevation is that of x, y, z from the scanner"
+        problem = (
+            f"found {config.range!r}, expected sensor-xyz: "
+            "the elevation is that of x, y, z from the scanner"
+        )
         raise ConfigError(
             "input.range", problem, "add --range sensor-xyz, or find lines in another way"
         )
@@ -653,7 +665,7 @@ MAX_SHOTS = 1 << 22
 def with_sweeps(
     source: RecordSource, config: InputConfig
 ) -> tuple[InputConfig, tuple[Assumption, ...]]:
-    """Return the configuration with lines and columns by time, from the directions, where nothing else tells."""
+    """Find lines and columns by time from the directions, if nothing else gives them."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
     knows = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(
         source.dimensions

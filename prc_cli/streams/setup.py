@@ -82,7 +82,7 @@ SPARE_CELLS = 20_000_000
 _MAX_AHEAD = 10
 """Neighbours more columns apart than this multiple of the typical step are ignored."""
 _FEW_EQUAL = 0.995
-"""Times count as finer than the time between shots from this share of neighbours with different times on."""
+"""Least share of neighbours with different times if times are finer than shots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ class Estimates:
 def set_up(
     source: RecordSource, rules: GridRules, end: WindowEnd | None = None
 ) -> tuple[dict[int, ScannerSetup], ScannerSetup | None, int | None, tuple[Assumption, ...]]:
-    """Return what the rules need of known and of later scanners, the lines if counted, what is assumed."""
+    """Return setups of known and of later scanners, the number of lines, and assumptions."""
     m = rules.points_per_line
     if m is not None and rules.config.points_per_line is None:
         check_found_columns(rules.path, m, source.n_records)
@@ -336,7 +336,10 @@ def _agreed_angles(
     is_stuck = stuck_columns(angle)
     if is_stuck.any() and rules.columns != "angle":
         shown = f"{math.degrees(float(angle[is_stuck][0])):.4g} deg"
-        problem = f"the scan angles of {np.count_nonzero(is_stuck)} of {len(angle)} columns are cut off at {shown}"
+        problem = (
+            f"the scan angles of {np.count_nonzero(is_stuck)} of {len(angle)} columns are cut "
+            f"off at {shown}"
+        )
         mended = continued(angle, is_stuck)
         if mended is None:
             return None, [Assumption(key, NOT_USED, f"{problem}: none is used")]
@@ -426,7 +429,10 @@ def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None,
             1.0,
             Assumption(key, "not found", f"z is there beside range and scan angle, but {error}"),
         )
-    why = f"found from z, range and scan angle of {fit.n_shots} shots, heights within {fit.off_m:.3f} m in the middle"
+    why = (
+        f"found from z, range and scan angle of {fit.n_shots} shots, "
+        f"heights within {fit.off_m:.3f} m in the middle"
+    )
     shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
     return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
 
@@ -524,7 +530,7 @@ RISE = "rise by"
 
 
 def setup_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
-    """Return what a run tells of steps that it divides out, and of recorded angles that it does not use."""
+    """Return notes on steps that are divided out, and on recorded angles that are not used."""
     return tuple(
         assumption.why
         for assumption in assumptions
@@ -698,7 +704,7 @@ def _with_grid(
 
 @dataclass(slots=True)
 class WindowEnd:
-    """Tells whether records of one scanner, in the order of the lines, have passed the end of a window."""
+    """The end of a window, for records of one scanner in the order of the lines."""
 
     window: Window
     line_hz: float | None

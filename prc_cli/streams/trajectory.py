@@ -138,24 +138,33 @@ class Trajectory:
         gap_s = float(time_s[i])
         n_held = int(np.count_nonzero(held))
         problem = (
-            f"no position from {_shown(start)} to {_shown(end)} s, a gap of {_shown(end - start)} s that holds the "
-            f"point time {_shown(gap_s)} s; expected gaps of at most {_shown(self.gap_limit_s)} s ({n_held} of "
+            f"no position from {_shown(start)} to {_shown(end)} s, a gap of "
+            f"{_shown(end - start)} s that holds the "
+            f"point time {_shown(gap_s)} s; expected gaps of at most "
+            f"{_shown(self.gap_limit_s)} s ({n_held} of "
             f"{len(time_s)} point times are in such gaps)"
         )
         enough = _shown(math.ceil(end - start), 0) if end - start < _PLAIN_S else "more"
-        hint = f"give the whole trajectory, or set trajectory_max_gap = {enough} to take straight lines across"
+        hint = (
+            "give the whole trajectory, "
+            f"or set trajectory_max_gap = {enough} to take straight lines across"
+        )
         raise InputError(self.path, problem, hint)
 
     def _outside(self, time_s: F64, inside: NDArray[np.bool_]) -> InputError:
         finite = time_s[np.isfinite(time_s)]
         n_outside = int(np.count_nonzero(~inside))
         if not len(finite):
-            problem = f"all {len(time_s)} point times are NaN or infinite, expected times within the trajectory"
+            problem = (
+                f"all {len(time_s)} point times are NaN or infinite, "
+                "expected times within the trajectory"
+            )
             return InputError(self.path, problem, "look at gps_time with prc info")
         first = float(finite.min())
         last = float(finite.max())
         problem = (
-            f"{n_outside} of {len(time_s)} point times are outside the trajectory: points from {_shown(first)} to "
+            f"{n_outside} of {len(time_s)} point times are outside the trajectory: points "
+            f"from {_shown(first)} to "
             f"{_shown(last)} s, trajectory from {_shown(self.span[0])} to {_shown(self.span[1])} s"
         )
         if len(finite) < len(time_s):
@@ -165,26 +174,38 @@ class Trajectory:
     def _offset_hint(self, first: float, last: float) -> str:
         start, end = self.span
         middle = (first + last - start - end) / 2
-        unknown = "give the trajectory of this drive, or set trajectory_time_offset to what its times lack"
+        unknown = (
+            "give the trajectory of this drive, "
+            "or set trajectory_time_offset to what its times lack"
+        )
         if not abs(middle) < _PLAIN_S:
             return unknown
         slack = max((end - start - (last - first)) / 2, 0.0) + 1.0
         for offset in (_LEAP_S, -_LEAP_S):
             if start + offset <= first and last <= end + offset:
                 what = f"{offset:+g} s, as UTC and GPS do"
-                return f"the clocks seem to differ by {what}: try --set input.trajectory_time_offset={offset:.0f}"
+                return (
+                    f"the clocks seem to differ by {what}: "
+                    f"try --set input.trajectory_time_offset={offset:.0f}"
+                )
         hours = round(middle / _HOUR_S)
         is_inside = start + hours * _HOUR_S <= first and last <= end + hours * _HOUR_S
         if hours and abs(hours) < _WEEK_S / _HOUR_S and is_inside:
             offset = hours * _HOUR_S
-            return f"the clocks seem to differ by {hours:+d} h: try --set input.trajectory_time_offset={offset:.0f}"
+            return (
+                f"the clocks seem to differ by {hours:+d} h: "
+                f"try --set input.trajectory_time_offset={offset:.0f}"
+            )
         for base, name in _CLOCKS:
             weeks = 0 if name in _SINCE_1970 else round((middle - base) / _WEEK_S)
             offset = base + weeks * _WEEK_S
             if offset and abs(middle - offset) <= slack:
                 known = ((f"{weeks:+d} GPS weeks", weeks), (name, base))
                 what = " and ".join(text for text, there in known if there)
-                return f"the clocks seem to differ by {what}: try --set input.trajectory_time_offset={offset:.0f}"
+                return (
+                    f"the clocks seem to differ by {what}: "
+                    f"try --set input.trajectory_time_offset={offset:.0f}"
+                )
         return unknown
 
 
@@ -245,7 +266,10 @@ def load_trajectory(
         xyz_m = xyz_m * np.array(unit_m)
     if lever_arm_m is not None:
         if quaternion is None:
-            problem = "a lever arm needs the orientation of the vehicle, which this trajectory does not give"
+            problem = (
+                "a lever arm needs the orientation of the vehicle, "
+                "which this trajectory does not give"
+            )
             hint = (
                 "give the positions of the scanner, or poses: TUM (time x y z qx qy qz qw) or a bag"
             )
@@ -269,7 +293,8 @@ def _check(path: Path, time_s: F64) -> None:
     if len(stuck):
         i = int(stuck[0]) + 1
         problem = (
-            f"position {i + 1} (counted from 1) has time {_shown(time_s[i], 6)} s after {_shown(time_s[i - 1], 6)} s, "
+            f"position {i + 1} (counted from 1) has time {_shown(time_s[i], 6)} s after "
+            f"{_shown(time_s[i - 1], 6)} s, "
             f"expected times that increase ({len(stuck)} such steps)"
         )
         raise InputError(str(path), problem, "sort the trajectory by time and drop repeated rows")

@@ -122,7 +122,8 @@ def check_coordinates(seen: Seen) -> Finding | None:
         "range", f"the range {seen.info.facts.range_name!r}", 1
     )
     hint = (
-        "name the slant range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; if only the angles are wrong: "
+        "name the slant range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; if "
+        "only the angles are wrong: "
         f"--set {ANGLES}=measured"
     )
     expected = f"at most {MOST_OFF:.0%}"
@@ -184,7 +185,10 @@ def check_left_out(seen: Seen) -> Finding | None:
     if share is None or not by_order or seen.n_shots <= tally.n_records - tally.n_extra_returns:
         return None
     measured = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
-    hint = "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
+    hint = (
+        "name what tells columns: "
+        "--columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
+    )
     return Finding(
         "left-out", verdict_of(doubtful=share > MANY), measured, f"at most {MANY:.0%}", hint
     )
@@ -216,7 +220,10 @@ def check_other_readers(seen: Seen) -> Finding | None:
     if not seen.info.facts.refused:
         return None
     measured = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
-    hint = "a LAS or LAZ output copies them: copy the input from the archive again, or write another format"
+    hint = (
+        "a LAS or LAZ output copies them: "
+        "copy the input from the archive again, or write another format"
+    )
     return Finding(
         "other-readers", Verdict.DOUBTFUL, measured, "a file that other programs read", hint
     )
@@ -226,7 +233,10 @@ def check_unread(seen: Seen) -> Finding | None:
     """Ask whether the header counts all records."""
     if not seen.info.facts.unread:
         return None
-    hint = "they are not labelled: mend the counts of the header, for example with LAStools: lasinfo -i FILE -repair"
+    hint = (
+        "they are not labelled: "
+        "mend the counts of the header, for example with LAStools: lasinfo -i FILE -repair"
+    )
     return Finding(
         "unread", Verdict.DOUBTFUL, seen.info.facts.unread, "a header that counts all records", hint
     )
@@ -268,7 +278,10 @@ def _near_codes(known: F32) -> Finding | None:
     others = known[~is_near]
     if not CODED < share < NOTHING_ELSE or float(np.median(others)) < LEAST_MEDIAN_M:
         return None
-    measured = f"{share:.1%} of the ranges are below {CODE_M:g} m, at most {float(known[is_near].max()):.3g} m"
+    measured = (
+        f"{share:.1%} of the ranges are below {CODE_M:g} m, "
+        f"at most {float(known[is_near].max()):.3g} m"
+    )
     option = f"--set input.min_range={MIN_RANGE_M:g}"
     hint = f"scanners write error codes as such ranges: {option}"
     return Finding("missing-code", Verdict.DOUBTFUL, measured, f"at most {CODED:.0%}", hint, option)
@@ -315,13 +328,22 @@ def check_ranges(seen: Seen) -> Finding | None:
         return None
     far = float(np.mean(known > FAR_M))
     median = float(np.median(known))
-    measured = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+    measured = (
+        f"the median range is {median:.4g} m, "
+        f"and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+    )
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
-    hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
+    hint = (
+        "check the layout (byte order, types, scale, "
+        "header bytes), and --range with its coordinate system"
+    )
     option = ""
     is_far_off = median > HIGH_M and _is_narrow(known)
     if is_far_off:
-        hint = "x, y, z seem to be in another frame than that of the scanner: --range origin:X,Y,Z or trajectory:FILE"
+        hint = (
+            "x, y, z seem to be in another frame than that of the scanner: "
+            "--range origin:X,Y,Z or trajectory:FILE"
+        )
     for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
         if (
             not is_far_off
@@ -438,7 +460,10 @@ def check_few_rings(seen: Seen) -> Finding | None:
             np.any([np.isfinite(window.range_m).any(axis=0) for window in seen.windows], axis=0)
         )
     )
-    hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
+    hint = (
+        "ground, vegetation and noise are found all the same; "
+        "cars, and walls that few rings see, are not"
+    )
     verdict = verdict_of(doubtful=n < seen.least_rings)
     return Finding("few-rings", verdict, f"{n} rings", f"at least {seen.least_rings}", hint)
 

@@ -1,4 +1,4 @@
-"""Whether the rings of a spinning scanner are cones around z, as those of coordinates in its own frame are."""
+"""Test whether rings are cones around z, as in the frame of a spinning scanner."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ConeSample:
         self.found_rad = None
 
     def spread_rad(self) -> tuple[float, float] | None:
-        """Return the spread of elevation within rings as coordinates are used, and in the frame that suits best."""
+        """Return the spread of elevation within rings, as used and in the best frame [rad]."""
         if self.found_rad is None and self.xyz_m:
             xyz_m = np.concatenate(self.xyz_m)
             ring = np.concatenate(self.ring)
@@ -74,7 +74,10 @@ def check_cones(seen: Seen) -> Finding | None:
     is_elsewhere = spread > MOST_RAD and fitted < EXPLAINED * spread
     measured = f"elevation spreads by {math.degrees(spread):.2g} deg within rings"
     if is_elsewhere:
-        measured += f", by {math.degrees(fitted):.2g} deg around another axis or point, which a sector tells only roughly"
+        measured += (
+            f", by {math.degrees(fitted):.2g} deg around another axis or point, "
+            "which a sector tells only roughly"
+        )
     hint = "give x, y, z in the scanner's own frame: z along its axis, 0 at the scanner"
     verdict = verdict_of(doubtful=is_elsewhere or fitted > NO_CONES_RAD)
     return Finding(

@@ -1,4 +1,4 @@
-"""What is seen of a stream: a sample of its lines, and how alike neighbouring shots and neighbouring lines are.
+"""A sample of the lines of a stream, and how alike neighbouring shots and lines are.
 
 Likeness is the median difference of the logarithms of two ranges, so that near and far surfaces
 count alike: 0 = equal, about 0.5 to 1 for ranges picked at random from a street or a forest.
@@ -142,7 +142,7 @@ class Figures:
     reversed_line: float
     """Of a line and the next one, turned round."""
     moved: tuple[float, float]
-    """The least of the tenth that is least alike, of neighbouring lines and of lines far from each other."""
+    """Of neighbouring lines and of lines far apart: the least of the tenth that is least alike."""
     noise_m: float
     """Range noise [m], or above it where hardly anything is smooth.
 
@@ -269,7 +269,7 @@ def _shot_likeness(rows: F32, lag: int) -> float:
 
 
 def lag_likeness(windows: tuple[Window, ...], lag: int) -> float:
-    """Return how alike shots are that are so many shots apart in the stream, NaN with too few pairs.
+    """Return the likeness of shots that are ``lag`` shots apart; NaN with too few pairs.
 
     >>> saw = np.tile(np.linspace(5, 50, 100, dtype=np.float32), 64).reshape(64, 100)
     >>> lag_likeness((Window(0, saw),), 100) < lag_likeness((Window(0, saw),), 99)
@@ -297,7 +297,7 @@ def _again(rows: F32) -> float:
 
 
 def _noise(range_m: F32) -> float:
-    """Return the standard deviation that the least deviations from the middle of the neighbours would have."""
+    """Return the noise that the least deviations from the mean of the neighbours suggest."""
     off = likeness(range_m[:, 1:-1], (range_m[:, :-2] + range_m[:, 2:]) / 2, LEAST_OFF)
     return off / LEAST_OFF_SIGMA
 
@@ -311,7 +311,7 @@ The middle of two neighbours has noise too.
 
 
 def _lonely(rows: F32) -> tuple[int, int]:
-    """Count missing shots between smooth neighbours, two on either side, and all shots between such neighbours."""
+    """Count missing shots between two smooth neighbours on either side, and all such shots."""
     if rows.shape[1] < AROUND:
         return 0, 0
     left, near_left, middle_shot, near_right, right = (
@@ -508,7 +508,7 @@ class Seen:
     least_rings: int = 0
     """With fewer rings the method tells classes less well."""
     cone_spread_rad: tuple[float, float] | None = None
-    """Spread of elevation within rings as coordinates are used, and in the frame that suits best [rad]."""
+    """Spread of elevation within rings, as used and in the best frame [rad]."""
 
     @property
     def points_per_line(self) -> int:

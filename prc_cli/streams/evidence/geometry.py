@@ -53,8 +53,8 @@ MOST_ANGLES = 180
 LEAST_ANGLES = 10
 """Columns near to straight down of a scanner that looks down."""
 MOST_DOUBTLESS = 0.08
-"""The step in use may be off by this share, or by :data:`SURE` times the uncertainty of the step measured: of 64 lines
-this is up to 6 % off."""
+"""The step in use may be off by this share, or by :data:`SURE` times the uncertainty of the step
+measured: of 64 lines this is up to 6 % off."""
 SURE = 3.0
 UNSURE = 0.05
 """A step that is measured less well says nothing of one that is told."""
@@ -123,7 +123,10 @@ def check_down(seen: Seen) -> Finding | None:
 def _shown(guess: DownGuess) -> str:
     if guess.rival_rad is None:
         return "no runner-up"
-    return f"runner-up at {math.degrees(guess.rival_rad):.0f} deg, {min(guess.ratio, 100.0):.1f} times weaker"
+    return (
+        f"runner-up at {math.degrees(guess.rival_rad):.0f} deg, "
+        f"{min(guess.ratio, 100.0):.1f} times weaker"
+    )
 
 
 def _corrected(seen: Seen, guess: DownGuess) -> str:
@@ -177,8 +180,14 @@ def check_angle_step(seen: Seen) -> Finding | None:
         return None
     off = seen.info.angles_off
     if off > MOST_OFF:
-        measured_text = f"the angles were measured from the ranges to ± {off:.1%}: {math.degrees(step_rad):.4g} deg a shot"
-        expected = f"± {MOST_OFF:.0%}: 5 % off costs 0.02 of the mean F1 of streets, 20 % 0.11, and in forests 0.43"
+        measured_text = (
+            f"the angles were measured from the ranges to ± {off:.1%}: "
+            f"{math.degrees(step_rad):.4g} deg a shot"
+        )
+        expected = (
+            f"± {MOST_OFF:.0%}: 5 % off costs 0.02 of the mean F1 of streets, "
+            "20 % 0.11, and in forests 0.43"
+        )
         hint = "give the step of the scanner: --set input.angle_start=0 --set input.angle_step=DEG"
         return Finding(ANGLE_STEP, Verdict.DOUBTFUL, measured_text, expected, hint)
     measured = measure_step(_lines(seen))

@@ -1,4 +1,4 @@
-"""The limits of the checks of shots and lines, one a row: its value, its unit, and the reason for it.
+"""Limits of the checks of shots and lines, one a row: value, unit and reason.
 
 "Likeness" is the median difference of the logarithms of two ranges (:mod:`.figures`). "All scans"
 are 23 scans of streets and forests, static scans and frames that were read with the right M.

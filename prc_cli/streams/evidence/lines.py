@@ -83,8 +83,14 @@ def check_shot_order(figures: Figures) -> Finding | None:
     measured = f"ranges of neighbouring shots differ {times}as much as those of random shots"
     expected = f"below {ORDER_DOUBTFUL:g}"
     if figures.shot[1] < SECOND * figures.shot[0]:
-        measured = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
-        hint = "two scanners or several returns alternate: split them with --scanner, or give the return number"
+        measured = (
+            f"every second shot is more like a shot ({figures.shot[1]:.2g}) "
+            f"than the next ({figures.shot[0]:.2g})"
+        )
+        hint = (
+            "two scanners or several returns alternate: "
+            "split them with --scanner, or give the return number"
+        )
         return Finding(name, Verdict.AGAINST, measured, "neighbours more alike than others", hint)
     verdict = verdict_of(doubtful=ratio >= ORDER_DOUBTFUL, against=ratio >= ORDER_AGAINST)
     return Finding(name, verdict, measured, expected, _ORDER_HINT)
@@ -131,13 +137,19 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     if gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
         better = _next_alike(seen, list(folded)) or better
     if better != m and gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
-        measured = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
+        measured = (
+            f"along the stream lines of {better} shots agree {gain:.2g} times better than "
+            f"lines of {m}"
+        )
         verdict = verdict_of(doubtful=True, against=gain >= FOLD_AGAINST and is_long)
         expected = f"no length that agrees better by {FOLD_DOUBTFUL:g}"
         return Finding(name, verdict, measured, expected, *_remedy(seen, better))
     hint = "check -M and --lines, and whether lines and columns are exchanged"
     if folded[m] > FOLD_RANDOM:
-        measured = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
+        measured = (
+            "lines far apart have nothing in common, not even the ground: "
+            f"they differ by {folded[m]:.2g}"
+        )
         verdict = verdict_of(doubtful=True, against=folded[m] > FOLD_NOTHING)
         return Finding(name, verdict, measured, f"at most {FOLD_RANDOM:g}", hint)
     measured = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
@@ -154,7 +166,7 @@ def _is_fan(seen: Seen) -> bool:
 
 
 def _next_alike(seen: Seen, lengths: list[int]) -> int | None:
-    """Return the length at which lines are clearly more like the next one than at all others, if one is."""
+    """Return the length at which lines are most like the next one, if that is clear."""
     off = {length: lag_likeness(seen.windows, length) for length in lengths}
     first, second = sorted(off, key=lambda length: _or_inf(off[length]))[:2]
     return first if off[first] < NEXT_CLEAR * off[second] else None
@@ -178,10 +190,16 @@ def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
         return None
     expected = f"at least {TURNED:g} times"
     if not is_shifted(turned, seen.points_per_line):
-        measured = f"no single shift of all columns makes places along the stream differ less than {turned.gain:.2g} times"
+        measured = (
+            "no single shift of all columns makes places along the stream differ less than "
+            f"{turned.gain:.2g} times"
+        )
         return Finding("columns-along", Verdict.FINE, measured, expected)
     n_shots = round(abs(turned.share) * seen.points_per_line)
-    measured = f"before line {turned.line} all columns shift by {n_shots} shots ({turned.gain:.2g} times the difference)"
+    measured = (
+        f"before line {turned.line} all columns shift by {n_shots} shots "
+        f"({turned.gain:.2g} times the difference)"
+    )
     hint = "shots were lost or added there: split the file, or restore them"
     verdict = verdict_of(doubtful=True, against=turned.gain < TURNED_AGAINST)
     return Finding("columns-along", verdict, measured, expected, hint)
@@ -192,7 +210,10 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
     if not np.isfinite(seen.most_noise_m) or not np.isfinite(figures.noise_m):
         return None
     measured = f"ranges have noise of about {figures.noise_m:.3f} m"
-    hint = "the thresholds of this method are for less: widen them (prc calibrate), or take another method"
+    hint = (
+        "the thresholds of this method are for less: "
+        "widen them (prc calibrate), or take another method"
+    )
     verdict = verdict_of(doubtful=figures.noise_m > seen.most_noise_m)
     return Finding("range-noise", verdict, measured, f"at most {seen.most_noise_m:g} m", hint)
 
@@ -241,7 +262,8 @@ def _alternating(seen: Seen, figures: Figures, step: int) -> Finding:
             "lines scanned the same way",
             "reverse every second line",
         )
-    measured = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
+    ordinal = {2: "2nd", 3: "3rd"}.get(step, f"{step}th")
+    measured = f"a line is like the {ordinal} line after it, not the next"
     m = seen.points_per_line
     hint, option = _remedy(seen, m * step)
     hint = f"{hint}; split several scanners with --scanner DIMENSION"
@@ -279,7 +301,7 @@ def _is_as_alike(seen: Seen, period: int) -> bool:
 
 
 def _exact(seen: Seen, period: int) -> int:
-    """Return the multiple or part of M that a period is, else the length near it that agrees best all along."""
+    """Return the multiple or part of M near a period, else the best length near it."""
     m = seen.points_per_line
     times = round(max(m / period, period / m))
     for length in (m // times, m * times):
@@ -303,7 +325,10 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
         measured = (
             f"{figures.again:.0%} of the shots unlike their neighbours come again in the next line"
         )
-        hint = "the platform stands again and again, or lines are copies: cut such stretches out, or accept them"
+        hint = (
+            "the platform stands again and again, or lines are copies: "
+            "cut such stretches out, or accept them"
+        )
         return Finding("standing", Verdict.DOUBTFUL, measured, f"at most {SEEN_AGAIN:.0%}", hint)
     if seen.n_lines < LEAST_LINES or not near > 0 or not np.isfinite(far):
         return None

@@ -49,9 +49,9 @@ class PeriodEstimate:
     points_per_line: int | None
     """M, None if there is no estimate."""
     strength: float
-    """Least rise of the autocorrelation from between the lines to the next line, over the first multiples of
-    M: about 1 and more = lines alike, below :data:`WEAK` = no evidence; 0 if nothing could be
-    computed."""
+    """Least rise of the autocorrelation from between the lines to the next line, over the first
+    multiples of M: about 1 and more = lines alike, below :data:`WEAK` = no evidence; 0 if nothing
+    could be computed."""
     n_shots_used: int
     """Number of shots used."""
     reason: str
@@ -87,7 +87,10 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     strength = _comb(correlation, period) if period else 0.0
     looked = f"{len(flat)} shots, lines of up to {max_lag}"
     if strength < WEAK:
-        reason = f"no period in the ranges ({looked}): too few lines, missing shots left out, or not in order"
+        reason = (
+            f"no period in the ranges ({looked}): "
+            "too few lines, missing shots left out, or not in order"
+        )
         return PeriodEstimate(None, strength, len(flat), reason)
     refined = _refine(correlation, period)
     reason = f"the ranges repeat after {refined} shots ({looked})"
@@ -157,7 +160,7 @@ def _comb(correlation: F64, period: int) -> float:
 
 
 def _refine(correlation: F64, period: int) -> int:
-    """Follow the peak to higher multiples, because a scene that shifts from line to line moves the first one."""
+    """Follow the peak to higher multiples: a scene that moves between lines shifts the first."""
     refined = float(period)
     for k in range(2, _MULTIPLES_SEEN + 1):
         centre = round(k * refined)
@@ -252,7 +255,7 @@ LEAST_LINES = 3.0
 LEAST_SHOTS = 40
 """Shorter sweeps of scan angles are no lines."""
 LEAST_FIRINGS = 12
-"""Shorter lines are none: 16 lasers that fire one after the other are a line of a spinning scanner."""
+"""Shorter lines are none: 16 lasers in turn are a line of a spinning scanner."""
 LEAST_STRENGTH = 0.2
 """Least correlation from line to line."""
 FIRST_PEAK = 0.85
@@ -262,7 +265,7 @@ _DIRECTIONS = 72
 _PASSING_RAD = math.radians(20.0)
 """Neighbouring returns that are farther apart do not tell when the sweep passed between them."""
 _SEAM_RAD = math.radians(5.0)
-"""A step of the angle that is larger than its time allows by this is a dead angle that got no time."""
+"""Larger steps of the angle than the time allows are a dead angle without time."""
 _OFF_WHOLE = 0.1
 _UNEVEN = 0.05
 """Nine of ten lines are as long as the others, within this share."""
@@ -279,8 +282,8 @@ class TimedScan:
     line_hz: float
     """Lines a second [Hz]."""
     time_origin_s: float
-    """Time at which a line begins, in the middle of the longest stretch that rarely returns, at or before the first
-    return [s]."""
+    """Time at which a line begins, in the middle of the longest stretch that rarely returns, at or
+    before the first return [s]."""
     n_lines: float
     """Lines that were looked at."""
     strength: float
@@ -398,7 +401,7 @@ def _sweep_begin(
     way: float,
     line_s: float,
 ) -> tuple[float, bool]:
-    """Return the time within a line at which the sweep has its largest gap [s], and whether that got no time."""
+    """Return the time of the largest gap in a sweep [s], and whether the gap takes no time."""
     cell = (np.remainder(since_s, line_s) / line_s * _FOLDED).astype(np.int64) % _FOLDED
     seen = np.flatnonzero(np.bincount(cell, minlength=_FOLDED))
     cosine, sine = (np.bincount(cell, part(angle_rad), _FOLDED)[seen] for part in (np.cos, np.sin))
@@ -529,7 +532,7 @@ def _refine_period(correlation: F64, lag: int) -> float:
 
 
 def _begin(bins: np.ndarray, period: float, filled: F64) -> float:
-    """Return the place in the period that is the middle of the longest stretch that rarely returns [shots]."""
+    """Return the middle of the longest stretch of a period that rarely returns [shots]."""
     n_cells = min(_FOLDED, max(int(period), 1))
     shots = np.arange(len(filled))
     cell = (np.remainder(shots, period) / period * n_cells).astype(np.int64) % n_cells

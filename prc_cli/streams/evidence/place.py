@@ -26,7 +26,7 @@ REACH_RAD = math.radians(0.6)
 """Angle to the two shots of the line, one column at least."""
 JOINED_M = 0.3
 JOINED_STEPS = 6.0
-"""Shots are on one surface if the two are at most this far apart, or this many times their distance across the beam."""
+"""Two shots are on one surface up to this distance, or this many distances across the beam."""
 SMOOTH_M = 0.015
 SMOOTH_PER_M = 0.002
 """A smooth shot is this near to the line, and so much farther per metre of range.
@@ -53,9 +53,9 @@ lines are looked at: coarse noisy scanners have 0.978 in 64 lines of a street, 1
 CLOSE_SCORE = 0.03
 """So near to it the kind is in doubt."""
 BUILT_SHARE = 0.42
-"""Where less than this share of what stands higher is smooth, a place with a smooth floor may be a park, or a forest
-whose floor is level: of 48 simulated streets one has less in 256 lines, forests have 0.05 to 0.41,
-a park 0.2."""
+"""Where less than this share of what stands higher is smooth, a place with a smooth floor may be a
+park, or a forest whose floor is level: of 48 simulated streets one has less in 256 lines, forests
+have 0.05 to 0.41, a park 0.2."""
 
 
 Kind = Literal["street", "forest", "unknown"]
@@ -111,7 +111,10 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     off = abs(score - FOREST_SCORE)
     doubt = ""
     if off < CLOSE_SCORE:
-        doubt = f"the first and a third of the second are {score:.2f}, forests have less than {FOREST_SCORE:.2f}"
+        doubt = (
+            f"the first and a third of the second are {score:.2f}, "
+            f"forests have less than {FOREST_SCORE:.2f}"
+        )
     elif kind == "unknown":
         doubt = (
             f"forests have less smooth ground, streets at least {BUILT_SHARE:.0%} of what stands"

@@ -90,7 +90,7 @@ def other_reading(path: Path, points_per_line: int | None = None) -> Reading | N
 
 
 def _as_ranges(values: np.ndarray) -> tuple[float, float]:
-    """Return the unit in which numbers would be ranges, and their likeness, infinite where they are none."""
+    """Return the unit of numbers as ranges, and their likeness; infinite if they are none."""
     with np.errstate(all="ignore"):  # nearly every reading is wrong
         numbers = values.astype(np.float64)
         there = (numbers != 0) & ~np.isnan(numbers)

@@ -16,7 +16,7 @@ LEAST_VALUES = 32
 MOST_KEPT = 1 << 15
 """Lines that are remembered; of longer streams only each second, fourth, ... as its digits say."""
 MOST_TIMES = 4
-"""Lines that are equal more often belong to a standing scanner without noise, as in a simulation."""
+"""Lines that repeat more often are those of a standing scanner without noise."""
 LEAST_REPEATED = 8
 """Fewer repeated lines are not told."""
 _ODD = np.random.default_rng(20).integers(0, 1 << 62, COLUMNS).astype(np.uint64) * np.uint64(
@@ -74,7 +74,10 @@ def check_repeats(repeats: LineRepeats, of_recording: str = "") -> Finding:
     """Ask whether lines come twice; ``of_recording`` is what the recording itself holds twice."""
     n = repeats.n_repeated
     if of_recording:
-        hint = "the first of each was classified, the others have no class: record every topic or port once"
+        hint = (
+            "the first of each was classified, the others have no class: "
+            "record every topic or port once"
+        )
         return Finding("repeated-lines", Verdict.DOUBTFUL, of_recording, "each once", hint)
     measured = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
     hint = "leave out the part that is there twice"

@@ -35,7 +35,7 @@ LEAST_LINES = 32
 LEAST_RETURNS = 1000
 """Fewer kept lines, or fewer returns in them, are too few to tell."""
 LEAST_SHARE = 0.5
-"""Kept columns have at least this share of the returns that all have, unless columns are empty at regular steps."""
+"""Least share of returns in kept columns: fewer if columns are empty at regular steps."""
 DOWN_RAD = math.radians(60.0)
 """What lies this near to straight down is ground, or stands on it."""
 NEAR_M = 20.0
@@ -53,7 +53,7 @@ STRETCH_LINES = 16
 LEAST_STRETCHES = 8
 """Fewer are too few to tell what is usual along the stream."""
 WHOLE = 0.8
-"""Noise that leaves this much of the usual returns on surfaces came beside them, as the sun adds it to empty shots."""
+"""With this share of the usual returns left, noise fills empty shots, as from the sun."""
 LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
@@ -389,7 +389,10 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
     if n_near < LEAST_RETURNS:
         return
     share = n_below / n_near
-    measured = f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground"
+    measured = (
+        f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m "
+        "below the ground"
+    )
     verdict = verdict_of(doubtful=share > usual.below_share)
     yield Finding(
         "below-ground", verdict, measured, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN

@@ -1,4 +1,4 @@
-"""The table of checks: what each asks, its limit, why the limit is that number, and what it cannot see.
+"""The table of checks: the question, the limit with its reason, and what a check misses.
 
 ``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use these names. The
 limits of the result are those of :class:`prc_cli.methods.base.UsualLabels` of every method.

@@ -210,7 +210,7 @@ def watched(
     needs: Needs | None = None,
     others: tuple[Finding, ...] = (),
 ) -> EvidenceStream:
-    """Watch a stream; ``config`` says which findings the user accepts, ``needs`` what the method stands."""
+    """Watch a stream; ``config`` names accepted warnings, ``needs`` the limits of the method."""
     dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
     is_part = config.window is not None
     needs = needs or Needs(frozenset())
@@ -227,7 +227,7 @@ def watched(
 
 
 class LiveEvidence:
-    """A stream without end that is watched, and asked whenever it is twice as long, and at its end."""
+    """A live stream that is checked whenever it is twice as long, and at its end."""
 
     def __init__(self, watch: EvidenceStream, tell: Callable[[Finding], None]) -> None:
         self._watch = watch
