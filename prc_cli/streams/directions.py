@@ -160,9 +160,9 @@ def _check_planes(arc: F64, off: F64, rise: F64) -> None:
     low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
     if high - low > MAX_DRIFT_RAD:
         raise NoddingError(
-            f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} "
-            f"to {math.degrees(high):.0f} "
-            f"deg from horizontal, expected the same within {math.degrees(MAX_DRIFT_RAD):g} deg"
+            f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} to "
+            f"{math.degrees(high):.0f} deg from horizontal, "
+            f"expected the same within {math.degrees(MAX_DRIFT_RAD):g} deg"
         )
 
 

@@ -261,9 +261,9 @@ def admit_lines(
         offset = state.offset or 0
         problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
         hint = (
-            "split the file there, give --lines angle-wrap or --lines time:HZ, or, where "
-            "its times go back as well, "
-            "--sort-by-time; --trust-order leaves such records unclassified"
+            "split the file there, give --lines angle-wrap or --lines time:HZ, or, "
+            "where its times go back as well, --sort-by-time; "
+            "--trust-order leaves such records unclassified"
         )
         raise OrderError(
             rules.where, f"{problem}; expected lines in the order they were scanned", hint
@@ -407,8 +407,8 @@ def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> 
     n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
     if n_open > max_open(rules):
         problem = (
-            f"line {state.lines.top} has more than {max_open(rules)} records and no end, "
-            "expected scan lines"
+            f"line {state.lines.top} has more than {max_open(rules)} "
+            "records and no end, expected scan lines"
         )
         hint = "check the rule that finds the lines: --lines"
         raise InputError(rules.path, problem, hint)
@@ -688,8 +688,8 @@ def check_partial_line(
     if not n_over:
         return
     problem = (
-        f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} "
-        "left over)"
+        f"{n_shots} {what} are not a multiple of points_per_line = "
+        f"{points_per_line} ({n_over} left over)"
     )
     hint = (
         "check points_per_line (prc info estimates it), or pad the last line: --set "

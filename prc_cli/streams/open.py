@@ -206,8 +206,8 @@ class WindowedStream:
         stop = max(part.stop for part in parts)
         several = " of each scanner" if len(parts) > 1 else ""
         return (
-            f"only lines {first:,} to {stop - 1:,}{several} were taken ({self.window.option}), "
-            "as a drive of its own"
+            f"only lines {first:,} to {stop - 1:,}{several} were taken "
+            f"({self.window.option}), as a drive of its own"
         )
 
     def blocks(self) -> Iterator[ScanBlock]:

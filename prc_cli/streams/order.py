@@ -122,9 +122,9 @@ class OrderEvidence:
             place = "largest"
             step = self.largest
         return (
-            f"{self.what} decreases in {share} of {self.n_steps:,} steps, {place} at "
-            f"record {step.record}: "
-            f"{_shown(step.value, step)} s after {_shown(step.before, step)} s{unknown}"
+            f"{self.what} decreases in {share} of {self.n_steps:,} steps, "
+            f"{place} at record {step.record}: {_shown(step.value, step)} s after "
+            f"{_shown(step.before, step)} s{unknown}"
         )
 
 

@@ -50,8 +50,8 @@ class RangeRule:
             return scale_told(self.scale)
         first, last = self.trajectory.span
         value = (
-            f"trajectory of {len(self.trajectory.time_s)} positions from {first:.3f} to "
-            f"{last:.3f} s"
+            f"trajectory of {len(self.trajectory.time_s)} positions "
+            f"from {first:.3f} to {last:.3f} s"
         )
         why = (
             "straight lines between the positions of a trajectory; "

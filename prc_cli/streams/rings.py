@@ -287,10 +287,9 @@ def ring_columns(
     if (back < -MAX_RING_ORDER_RAD).any():
         worst = int(np.argmin(back))
         problem = (
-            f"ring {worst + 1} lies at {math.degrees(middle[worst + 1]):.2f} deg of "
-            "elevation after one at "
-            f"{math.degrees(middle[worst]):.2f} deg, expected rings from top to bottom or "
-            "from bottom to top"
+            f"ring {worst + 1} lies at {math.degrees(middle[worst + 1]):.2f} deg of elevation "
+            f"after one at {math.degrees(middle[worst]):.2f} deg, "
+            "expected rings from top to bottom or from bottom to top"
         )
         raise InputError(path, problem, "check that the file holds one frame, ring after ring")
     return n_rings, turns.ring if way > 0 else n_rings - 1 - turns.ring
@@ -425,8 +424,8 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     n_lines = max(round(_TURN / step), 1) if step > 0 else 0
     if not n_lines or n_lines * n_rings > MAX_EMPTY * n_records + SPARE_CELLS:
         problem = (
-            f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more "
-            "cells than records"
+            f"{n_rings} rings of one shot every {math.degrees(step):.3g} "
+            "deg are far more cells than records"
         )
         raise InputError(source.path, problem, "give input.azimuth_step")
     line, in_order = ring_lines(turns, n_rings, n_lines)

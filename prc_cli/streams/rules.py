@@ -53,15 +53,13 @@ _NO_RANGE = "no slant range"
 _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
 """Dimensions that tell of the shots."""
 LOST = (
-    "registered points without times, scan lines or ranges: the order in which they were "
-    "fired is lost, so they cannot "
-    "be classified"
+    "registered points without times, scan lines or ranges: "
+    "the order in which they were fired is lost, so they cannot be classified"
 )
 LOST_HINT = (
-    "classify the raw drive and carry its labels over (prc transfer), or give the points "
-    "with their times; of x, y, z "
-    "from the scanner: --lines elevation:DEG with --range sensor-xyz; if they lie as fired "
-    "insist with --trust-order"
+    "classify the raw drive and carry its labels over (prc transfer), "
+    "or give the points with their times; of x, y, z from the scanner: "
+    "--lines elevation:DEG with --range sensor-xyz; if they lie as fired insist with --trust-order"
 )
 
 

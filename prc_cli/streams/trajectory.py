@@ -146,8 +146,8 @@ class Trajectory:
         )
         enough = _shown(math.ceil(end - start), 0) if end - start < _PLAIN_S else "more"
         hint = (
-            "give the whole trajectory, "
-            f"or set trajectory_max_gap = {enough} to take straight lines across"
+            "give the whole trajectory, or set trajectory_max_gap = "
+            f"{enough} to take straight lines across"
         )
         raise InputError(self.path, problem, hint)
 
@@ -163,9 +163,9 @@ class Trajectory:
         first = float(finite.min())
         last = float(finite.max())
         problem = (
-            f"{n_outside} of {len(time_s)} point times are outside the trajectory: points "
-            f"from {_shown(first)} to "
-            f"{_shown(last)} s, trajectory from {_shown(self.span[0])} to {_shown(self.span[1])} s"
+            f"{n_outside} of {len(time_s)} point times are outside the trajectory: "
+            f"points from {_shown(first)} to {_shown(last)} s, "
+            f"trajectory from {_shown(self.span[0])} to {_shown(self.span[1])} s"
         )
         if len(finite) < len(time_s):
             problem += f" ({len(time_s) - len(finite)} times are NaN or infinite)"

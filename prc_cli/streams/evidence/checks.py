@@ -122,9 +122,8 @@ def check_coordinates(seen: Seen) -> Finding | None:
         "range", f"the range {seen.info.facts.range_name!r}", 1
     )
     hint = (
-        "name the slant range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; if "
-        "only the angles are wrong: "
-        f"--set {ANGLES}=measured"
+        "name the slant range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; "
+        f"if only the angles are wrong: --set {ANGLES}=measured"
     )
     expected = f"at most {MOST_OFF:.0%}"
     return Finding(
@@ -186,8 +185,8 @@ def check_left_out(seen: Seen) -> Finding | None:
         return None
     measured = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
     hint = (
-        "name what tells columns: "
-        "--columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
+        "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, "
+        "or angle if fine enough"
     )
     return Finding(
         "left-out", verdict_of(doubtful=share > MANY), measured, f"at most {MANY:.0%}", hint
@@ -234,8 +233,8 @@ def check_unread(seen: Seen) -> Finding | None:
     if not seen.info.facts.unread:
         return None
     hint = (
-        "they are not labelled: "
-        "mend the counts of the header, for example with LAStools: lasinfo -i FILE -repair"
+        "they are not labelled: mend the counts of the header, for example with LAStools: "
+        "lasinfo -i FILE -repair"
     )
     return Finding(
         "unread", Verdict.DOUBTFUL, seen.info.facts.unread, "a header that counts all records", hint
