@@ -26,7 +26,13 @@ from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import NO_CODE, RecordChunk, RecordSource
-from prc_cli.formats.writing.columns import SPACING_M, AtStations, LinesApart, Placement
+from prc_cli.formats.writing.columns import (
+    SPACING_M,
+    AtStations,
+    Coordinates,
+    LinesApart,
+    Placement,
+)
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import reading_beside
 from prc_cli.methods.rings.pipeline import is_fan
@@ -324,7 +330,7 @@ class Carried:
             pass
         return self._values.get(record)
 
-    def place(self, block: ScanBlock) -> tuple[F64, F64]:
+    def place(self, block: ScanBlock) -> Coordinates:
         """Return the coordinates of a block, (lines, M, 3), and of its further returns.
 
         NaN where there is no range.
@@ -333,7 +339,7 @@ class Carried:
         extra = self.get(block.extra.record)
         registered = np.stack([own[name] for name in XYZ], axis=-1)
         registered[np.isnan(block.range_m)] = np.nan
-        return registered, np.stack([extra[name] for name in XYZ], axis=-1)
+        return Coordinates(registered, np.stack([extra[name] for name in XYZ], axis=-1))
 
     def read_all(self) -> None:
         """Read what is left."""

@@ -139,7 +139,7 @@ class LasBuilder(StagedWriter):
             else {column.name: self._cells(column, block) for column in self._optional}
         )
         self._placed = self._coordinates(item)
-        self._set_offset(self._placed[0])
+        self._set_offset(self._placed.cells)
         lines = max(
             1, batch_size(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line
         )
@@ -217,10 +217,9 @@ class LasBuilder(StagedWriter):
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
         """Return coordinates in steps of the file, (n, 3) int64; raise an error if many do not fit."""
-        chosen_xyz, extra_xyz = self._placed
-        xyz = chosen_xyz[shots.line, shots.column]
+        xyz = self._placed.cells[shots.line, shots.column]
         is_extra = shots.extra >= 0
-        xyz[is_extra] = extra_xyz[shots.extra[is_extra]]
+        xyz[is_extra] = self._placed.extra[shots.extra[is_extra]]
         steps: F64 = np.rint((xyz - self._offset_m) / self._scale)
         is_far = ~np.all(np.abs(steps) <= 2**31 - 1, axis=1)  # also NaN
         if is_far.any() and np.count_nonzero(is_far) <= max(MOST_FAR * len(steps), 1):

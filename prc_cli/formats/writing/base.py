@@ -1,7 +1,4 @@
-"""The base classes of all writers.
-
-Blocks with labels or class codes in, a complete output with its run record out.
-"""
+"""The base classes of all writers: from blocks with class codes to a complete output with its run record."""
 
 from __future__ import annotations
 
@@ -26,6 +23,7 @@ from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.columns import (
     HIGH_NOISE_CODE,
+    Coordinates,
     LabelOutput,
     OptionalColumn,
     OutputConfig,
@@ -46,31 +44,28 @@ class StreamItem:
 
     block: ScanBlock
     codes: NDArray[Any] | None = None
-    """(lines, M), class code of every cell, :data:`NO_CODE` = none.
-
-    None where the input has no classes.
-    """
+    """(lines, M), class code of every cell, :data:`NO_CODE` = none; None = no classes."""
     extra_codes: NDArray[Any] | None = None
     """(n,), class codes of ``block.extra``."""
     registered_m: F64 | None = None
-    """(lines, M, 3) float64, coordinates of the input, or made up for a cloud [m], NaN = none.
+    """(lines, M, 3) float64, coordinates of the input, or made up for a cloud [m]; NaN = none.
 
-    None where they are
-    those of ``block.xyz_m``."""
+    None if ``block.xyz_m`` is used.
+    """
     extra_registered_m: F64 | None = None
     """(n, 3) float64, the same for ``block.extra``."""
     labelled: LabelledBlock | None = None
-    """Where a classifier gave the codes: its block, with what else it found."""
+    """Block of the classifier that gave the codes; None without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamShape:
-    """Which values the blocks of a stream have, known from the first block."""
+    """Values that the blocks of a stream have, known from the first block."""
 
     points_per_line: int
     """M, the largest of all scanners."""
     scanners: bool
-    """Whether the stream may hold several scanners."""
+    """Whether the stream may have several scanners."""
     returns: bool
     """Whether the input counts the returns of a shot."""
     angles: bool
@@ -84,10 +79,7 @@ class StreamShape:
     down_rad: float | None = None
     """Scan angle that points straight down [rad], None = unknown."""
     points: bool = False
-    """Whether clouds and frames (``.ply .pcd .bin``) hold returns alone.
-
-    Cells without a range have no point.
-    """
+    """Whether clouds and frames (``.ply .pcd .bin``) have no points for cells without a range."""
     rings: bool = False
     """Whether lines are cells of azimuth of a spinning scanner."""
     crs: str = ""
@@ -133,18 +125,15 @@ class Columns:
 
 
 class StagedWriter(ABC):
-    """A context manager that fills temporary files and gives them their names at the end, or leaves none.
+    """A context manager that fills temporary files and renames them at the end, or removes them.
 
-    It takes blocks of a classifier (:meth:`add`) or of a stream (:meth:`add_item`). A writer says
-    what becomes of an item (:meth:`_add`) and how the file is closed (:meth:`_close`, or
-    :meth:`_write` where it holds the run record).
+    Blocks come from a classifier (:meth:`add`) or from a stream (:meth:`add_item`). A subclass
+    writes an item (:meth:`_add`) and closes the file (:meth:`_close`, or :meth:`_write` if the file
+    contains the run record).
     """
 
     one_scanner = ""
-    """Name of the format in messages, for formats of a single scanner.
-
-    Empty = several scanners are allowed.
-    """
+    """Name of a format of a single scanner, for messages; empty = several scanners are allowed."""
 
     def __init__(
         self, path: Path, labels: LabelOutput | None = None, columns: Sequence[OptionalColumn] = ()
@@ -163,10 +152,7 @@ class StagedWriter(ABC):
         self._last_record: int | None = -1
         self._scanner: int | None = None
         self._files: list[tuple[Path, Path, bool]] = []
-        """Temporary name, name, and whether a file of this name is replaced.
-
-        One that is there at the beginning.
-        """
+        """Temporary name, name, and whether a file of this name existed at the start."""
         self._temporary = self._output(path)
         self._record_temporary = self._output(record_path(path))
         self._stack = contextlib.ExitStack()
@@ -202,7 +188,7 @@ class StagedWriter(ABC):
         self._stack.close()
 
     def add(self, block: LabelledBlock) -> None:
-        """Take the labels of a block."""
+        """Write the labels of a block."""
         with output_errors(self.path):
             self._settle(block)
             codes = self._encode(block.labels, block.block.range_m)
@@ -210,12 +196,13 @@ class StagedWriter(ABC):
             self._add(StreamItem(block.block, codes, extra, labelled=block))
 
     def add_item(self, item: StreamItem) -> None:
-        """Take a block of a stream."""
+        """Write a block of a stream."""
         scanner = item.block.scanner
         if self._scanner is None:
             self._scanner = scanner
         elif self.one_scanner and scanner != self._scanner:
-            problem = f"found scanners {self._scanner} and {scanner}, expected one: {self.one_scanner} holds one scanner"
+            scanners = f"found scanners {self._scanner} and {scanner}"
+            problem = f"{scanners}, expected one: {self.one_scanner} has one scanner"
             raise OutputError(
                 str(self.path), problem, "write .csv, .laz or .parquet, or split the input first"
             )
@@ -224,13 +211,10 @@ class StagedWriter(ABC):
             self._add(item)
 
     def finish(self, record: RunRecord) -> RunRecord:
-        """Write the output and ``<output>.prc.json`` and give them their names.
-
-        Return the record as written.
-        """
+        """Write the output and ``<output>.prc.json`` and rename them; return the written record."""
         with output_errors(self.path):
             self._settle(None)
-            # the record beside the output has size and hash of what was written
+            # the record beside the output has its size and hash
             record = replace(self._write(record), output=fingerprint(self._temporary))
             self._record_temporary.write_bytes(record.to_json())
             # the output is first, because another program may hold it open
@@ -282,7 +266,8 @@ class StagedWriter(ABC):
             return
         if known[0] < self._last_record or np.any(known[1:] < known[:-1]):
             self._notice(
-                "points are in the order of the shots, not of the input's records; label files keep that one"
+                "points are in the order of the shots, not of the input's records; "
+                "label files keep that one"
             )
             self._last_record = None
             return
@@ -306,14 +291,16 @@ class StagedWriter(ABC):
             return
         self._settled = True
         if block is not None:
-            found = {column.name: column.of_shots(block) is not None for column in self._optional}
-            added = {column.option for column in self._optional if found[column.name]}
+            is_present = {
+                column.name: column.of_shots(block) is not None for column in self._optional
+            }
+            added = {column.option for column in self._optional if is_present[column.name]}
             for column in self._optional:
-                if not found[column.name] and column.option not in added:
+                if not is_present[column.name] and column.option not in added:
                     self._notice(
                         f"output.{column.option} needs the {column.needs}; nothing was added"
                     )
-            self._optional = tuple(column for column in self._optional if found[column.name])
+            self._optional = tuple(column for column in self._optional if is_present[column.name])
         self._begin()
 
     def _cells(self, column: OptionalColumn, block: LabelledBlock) -> Values:
@@ -326,29 +313,27 @@ class StagedWriter(ABC):
             low = int(values.min())
             high = int(values.max())
             if low < 0 or high > limit:
-                problem = f"{column.what} {low if low < 0 else high} does not fit {column.dtype.name} (0 to {limit})"
+                value = low if low < 0 else high
+                problem = f"{column.what} {value} does not fit {column.dtype.name} (0 to {limit})"
                 raise OutputError(str(self.path), problem, f"set [output] {column.option} = false")
         return values.astype(column.dtype, copy=False)
 
-    def _coordinates(self, item: StreamItem) -> tuple[F64, F64]:
-        """Coordinates of the cells and further returns of a block.
-
-        Its own, else as the output asks for.
-        """
+    def _coordinates(self, item: StreamItem) -> Coordinates:
+        """Return the coordinates of the input, else those of the output's placement."""
         if item.registered_m is not None and item.extra_registered_m is not None:
-            return item.registered_m, item.extra_registered_m
-        found, notice = coordinates(
+            return Coordinates(item.registered_m, item.extra_registered_m)
+        placed, notice = coordinates(
             item.block, None if self._labels is None else self._labels.place
         )
         if notice:
             self._notice(notice)
-        return found
+        return placed
 
     def _count(self, codes: U8) -> None:
         self._counts += count_bytes(codes)
 
     def _completed(self, record: RunRecord) -> RunRecord:
-        """Return the record with counts by class, where there are some, and notices."""
+        """Return the record with notices and, if there are any, counts by class."""
         classes = tuple(
             ClassCount(
                 int(code), self._names.get(int(code), f"class {code}"), int(self._counts[code])
@@ -361,7 +346,7 @@ class StagedWriter(ABC):
 
 
 class StreamWriter(StagedWriter):
-    """A writer of streams alone, block by block."""
+    """A writer of streams, block by block."""
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
         super().__init__(path)
@@ -380,7 +365,7 @@ class ScatterWriter(StagedWriter):
         self._spools: dict[str, DiskColumn] = {}
         self._first = sys.maxsize
         self._stop = 0
-        """Bounds of the records that it holds."""
+        """First record of a part, and the one behind its last."""
 
     def _start(self) -> None:
         # of a part, records without a code are not in the output
@@ -404,28 +389,28 @@ class ScatterWriter(StagedWriter):
         block = item.labelled
         assert codes is not None
         assert extra_codes is not None
-        values = (
-            {}
-            if block is None
-            else {one.name: self._cells(one, block).ravel() for one in self._optional}
-        )
+        values = {}
+        if block is not None:
+            for optional in self._optional:
+                values[optional.name] = self._cells(optional, block).ravel()
         first = scan.first_line * scan.points_per_line
         most = sys.maxsize if self._n_records is None else self._n_records
         if scan.record is None and first + codes.size <= most:
             self._code_spool.put_run(first, codes.ravel())
             for name, column in values.items():
                 self._spools[name].put_run(first, column)
-            self._first, self._stop = min(self._first, first), max(self._stop, first + codes.size)
+            self._first = min(self._first, first)
+            self._stop = max(self._stop, first + codes.size)
         else:
             self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
             # records without a value have the fill value already
-            own = {
-                one.name: one.of_extra(block)
-                for one in self._optional
-                if one.of_extra and block is not None
+            extra_values = {
+                optional.name: optional.of_extra(block)
+                for optional in self._optional
+                if optional.of_extra and block is not None
             }
-            self._put(scan.extra.record, extra_codes, own)
+            self._put(scan.extra.record, extra_codes, extra_values)
 
     def _put(self, record: I64, codes: NDArray[Any], values: dict[str, Values]) -> None:
         keep = record >= 0
@@ -433,7 +418,10 @@ class ScatterWriter(StagedWriter):
             outside = record >= self._n_records
             # cells that pad the last line have no record, unless they have a label
             if np.any(outside & (codes != MISSING_CODE)):
-                problem = f"found a label for record {int(record.max())}, expected records below {self._n_records}"
+                last = int(record.max())
+                problem = (
+                    f"found a label for record {last}, expected records below {self._n_records}"
+                )
                 raise OutputError(
                     str(self.path), problem, "check that the input did not change while it was read"
                 )
@@ -465,15 +453,12 @@ class ScatterWriter(StagedWriter):
         return n
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
-        """Codes and optional columns in record order, in chunks.
-
-        Of a part, those of its records.
-        """
+        """Yield codes and optional columns of the output's records, in order, in chunks."""
         n = chunk or CHUNK_RECORDS
         first = 0
         end = total
         if self._is_part:
-            # chunks of a given size go with those of the input, from its first record on
+            # chunks of a given size are aligned with those of the input, from its first record on
             first = min(self._first, self._stop) if chunk is None else 0
             end = self._stop
         for start in range(first, end, n):
@@ -482,10 +467,10 @@ class ScatterWriter(StagedWriter):
             record = np.arange(start, stop)
             values = {name: spool.span(start, stop) for name, spool in self._spools.items()}
             if self._is_part:
-                there = codes != NO_CODE
-                codes = codes[there].astype(np.uint8)
-                record = record[there]
-                values = {name: column[there] for name, column in values.items()}
+                has_code = codes != NO_CODE
+                codes = codes[has_code].astype(np.uint8)
+                record = record[has_code]
+                values = {name: column[has_code] for name, column in values.items()}
             yield Columns(codes, values, record)
 
 

@@ -1,14 +1,11 @@
-"""What is written beside class codes.
-
-The ``[output]`` table, optional columns of all writers, where returns lie.
-"""
+"""The ``[output]`` table, optional columns of all writers, and coordinates of returns."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +20,20 @@ from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 
 SPACING_M = 0.1
-"""Distance of lines where nothing tells it [m]."""
-Placement: TypeAlias = Callable[[ScanBlock], tuple[F64, F64]]
-"""Returns coordinates of the cells, (lines, M, 3), and of the further returns of a block, (n, 3) float64 [m]."""
+"""Assumed distance of lines [m]."""
+
+
+class Coordinates(NamedTuple):
+    """Coordinates of the returns of a block [m]."""
+
+    cells: F64
+    """(lines, M, 3) float64."""
+    extra: F64
+    """(n, 3) float64, of further returns."""
+
+
+Placement: TypeAlias = Callable[[ScanBlock], Coordinates]
+"""Returns the coordinates of a block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,44 +48,47 @@ class LinesApart:
     """
 
     beams: Mapping[int, F64] = field(default_factory=dict)
-    """Angle of every column's beam from straight down by scanner [rad], where it is known."""
+    """Angle of every column's beam from straight down, by scanner [rad]; empty = unknown."""
     apart_m: float = SPACING_M
     how: str = "assumed"
-    """How the distance of lines is known."""
+    """Origin of the distance, for notices."""
 
-    def __call__(self, block: ScanBlock) -> tuple[F64, F64]:
+    def __call__(self, block: ScanBlock) -> Coordinates:
         """Return the coordinates of a block."""
         extra = block.extra
         line = np.arange(block.n_lines)[:, None]
         angle, is_upright = self._angles(block)
-        own = behind(self._along(block, line), angle[None, :], block.range_m, is_upright=is_upright)
-        other = behind(
+        xyz = behind(self._along(block, line), angle[None, :], block.range_m, is_upright=is_upright)
+        extra_xyz = behind(
             self._along(block, extra.line),
             angle[extra.column],
             extra.range_m,
             is_upright=is_upright,
         )
-        return own, other
+        return Coordinates(xyz, extra_xyz)
 
     def notice(self, block: ScanBlock) -> str:
-        """Return how the coordinates were made, for the user."""
+        """Return a notice on the origin of the coordinates."""
         if self._angles(block)[1]:
             plane = "scan planes stand upright"
         elif block.angle_rad is not None:
-            plane = "straight down is not known: scan planes lie flat, x = r cos(angle), y = r sin(angle)"
+            plane = (
+                "straight down is not known: scan planes lie flat, "
+                "x = r cos(angle), y = r sin(angle)"
+            )
         else:
             m = block.points_per_line
             plane = (
                 f"nor angles: scan planes lie flat, with {m} columns spread evenly over a full turn"
             )
-        told = f"{self.apart_m:.2g} m apart ({self.how})"
-        return f"the input has no coordinates; {plane}, one line behind the other, {told}"
+        spacing = f"{self.apart_m:.2g} m apart ({self.how})"
+        return f"the input has no coordinates; {plane}, one line behind the other, {spacing}"
 
     def _along(self, block: ScanBlock, line: NDArray[Any]) -> F64:
         return (block.first_line + line.astype(np.float64)) * self.apart_m
 
     def _angles(self, block: ScanBlock) -> tuple[F64, bool]:
-        """Return the angle of every column, and whether it is that from straight down."""
+        """Return the angle of every column, and whether it is counted from straight down."""
         beam = block.beam_rad if block.beam_rad is not None else self.beams.get(block.scanner)
         if beam is not None:
             return beam, True
@@ -88,7 +99,7 @@ class LinesApart:
 
 @dataclass(frozen=True, slots=True)
 class AtStations:
-    """Points of static scans among all scans: relative to the scanner, and where that stood.
+    """Coordinates of static scans: relative to the scanner, plus the position of the scanner.
 
     >>> place = AtStations({1: (100.0, 0.0, 5.0)})
     >>> xyz = np.array([[[1.0, 2.0, 3.0]]], np.float32)
@@ -99,11 +110,11 @@ class AtStations:
     stations: Mapping[int, tuple[float, float, float]]
     """Position of every scanner [m]."""
 
-    def __call__(self, block: ScanBlock) -> tuple[F64, F64]:
+    def __call__(self, block: ScanBlock) -> Coordinates:
         """Return the coordinates of a block."""
-        (own, extra), _ = coordinates(block, None)
+        (xyz, extra_xyz), _ = coordinates(block, None)
         station_m = np.array(self.stations.get(block.scanner, (0.0, 0.0, 0.0)))
-        return own + station_m, extra + station_m
+        return Coordinates(xyz + station_m, extra_xyz + station_m)
 
 
 def behind(
@@ -113,7 +124,10 @@ def behind(
     *,
     is_upright: bool = True,
 ) -> F64:
-    """Return shots of planes behind each other, upright ones along x, others one above the other, (..., 3) [m]."""
+    """Return the coordinates of shots in parallel scan planes, (..., 3) float64 [m].
+
+    Upright planes are one behind the other along x, flat planes one above the other.
+    """
     r = np.asarray(range_m, np.float64)
     along = np.broadcast_to(along_m, r.shape)
     down = r * np.cos(angle)
@@ -123,19 +137,22 @@ def behind(
     return xyz
 
 
-def coordinates(block: ScanBlock, place: Placement | None) -> tuple[tuple[F64, F64], str]:
-    """Return the coordinates of a block by a placement, else relative to the scanner, and a notice if made up."""
+def coordinates(block: ScanBlock, place: Placement | None) -> tuple[Coordinates, str]:
+    """Return the coordinates of a block by a placement, else relative to the scanner.
+
+    The second value is a notice on coordinates that were made up, or empty.
+    """
     if place is None and block.xyz_m is None:
         place = LinesApart()
     if place is not None:
         return place(block), place.notice(block) if isinstance(place, LinesApart) else ""
     assert block.xyz_m is not None
     extra = block.extra
-    own = block.xyz_m.astype(np.float64)
+    xyz = block.xyz_m.astype(np.float64)
     # all returns of a shot lie on the same beam
     ranges = block.range_m[extra.line, extra.column].astype(np.float64)
     ratio = extra.range_m / np.where(np.isnan(ranges), 1.0, ranges)
-    return (own, own[extra.line, extra.column] * ratio[:, None]), ""
+    return Coordinates(xyz, xyz[extra.line, extra.column] * ratio[:, None]), ""
 
 
 HIGH_NOISE_CODE = 18
@@ -146,7 +163,7 @@ FIVE_BIT_LIMIT = 32
 
 
 class OutputConfig(Params):
-    """What outputs hold (``[output]``)."""
+    """Contents of outputs (``[output]``)."""
 
     segment_ids: bool = Field(
         False,
@@ -194,7 +211,7 @@ class LabelOutput:
     """A classified file that is to be written."""
 
     path: Path
-    """Its suffix decides the format."""
+    """The suffix selects the format."""
     source: Path
     """Input; LAS, PLY, PCD and bags of an input of the same kind read it again."""
     n_records: int | None
@@ -204,21 +221,21 @@ class LabelOutput:
     codes: ClassCodes
     options: OutputConfig = field(default_factory=OutputConfig)
     laz_contexts: ClassContexts | None = None
-    """Kept from reading a LAZ input, to rewrite it faster; the output is the same without."""
+    """Contexts of a LAZ input, which make rewriting faster and change no byte."""
     user_names: Mapping[int, str] = field(default_factory=dict)
-    """Name of every user code that may be written; LAS and LAZ hold them."""
+    """Name of every user code that may be written, for LAS and LAZ."""
     is_part: bool = False
-    """Only a window of the input is classified: the output holds its records alone."""
+    """Whether only a window of the input is classified and written."""
     is_thinned: bool = False
-    """Records without a code are left out, and nothing but the class is added."""
+    """Whether records without a code are left out; only the class is added."""
     rules: InputConfig = field(default_factory=InputConfig)
-    """How the input was read; of a bag, which of its topics."""
+    """Configuration of the input, for example the topics of a bag."""
     place: Placement | None = None
-    """Where returns lie in a new point cloud; None = relative to the scanner."""
+    """Coordinates of returns in a new point cloud; None = relative to the scanner."""
 
 
 def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
-    """Refuse a class table with codes that the output may not hold.
+    """Raise an error if a class has a code that the output may not contain.
 
     >>> check_codes(ClassCodes(), OutputConfig())
     >>> check_codes(ClassCodes(), OutputConfig(codes="below-32"))
@@ -234,13 +251,14 @@ def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
         code = codes.code(label)
         if code >= FIVE_BIT_LIMIT:
             name = label.name.lower()
-            problem = f'found code {code}, expected a code below {FIVE_BIT_LIMIT} because [output] codes = "below-32"'
+            because = 'because [output] codes = "below-32"'
+            problem = f"found code {code}, expected a code below {FIVE_BIT_LIMIT} {because}"
             hint = f'set {name} to a code from 19 to 31 in [classes], or codes = "upgrade"'
             raise ConfigError(f"classes.{name}", problem, hint)
 
 
 def class_names(codes: ClassCodes, options: OutputConfig) -> dict[int, str]:
-    """Return the class name of every code that an output may hold, high noise included.
+    """Return the class name of every code of an output, high noise included.
 
     >>> class_names(ClassCodes(), OutputConfig(high_noise_beyond=80))[18]
     'high_noise'
@@ -288,9 +306,9 @@ class OptionalColumn:
     of_extra: Callable[[LabelledBlock], Values] | None = None
     """Values of the further returns of a block, (n,)."""
     keep: bool = False
-    """Whether values of a LAS input under this name stay; else they are replaced."""
+    """Whether values of this name in a LAS input stay; else they are replaced."""
     needs: str = ""
-    """Method that finds it; empty if all do."""
+    """Method that gives the values; empty if all do."""
 
     @property
     def name(self) -> str:
@@ -303,8 +321,8 @@ class OptionalColumn:
         return self.dimension.dtype
 
 
-def _found(path: str) -> Callable[[LabelledBlock], Values | None]:
-    """Return a function that looks an attribute of a block up, None where any part of its path is None."""
+def _attribute(path: str) -> Callable[[LabelledBlock], Values | None]:
+    """Return a function that gives an attribute of a block; None if any part of its path is None."""
 
     def look_up(block: Any) -> Any:
         for name in path.split("."):
@@ -323,7 +341,7 @@ def _of_stages(
     dimension = ExtraDimension(name, np.dtype(dtype), text)
     fill = np.nan if dimension.dtype.kind == "f" else 0
     needs = "fused, prc or sequential-angle method"
-    return OptionalColumn(dimension, name, "stages", "stage", fill, _found(path), needs=needs)
+    return OptionalColumn(dimension, name, "stages", "stage", fill, _attribute(path), needs=needs)
 
 
 OPTIONAL_COLUMNS = (
@@ -343,7 +361,7 @@ OPTIONAL_COLUMNS = (
         "range",
         "range",
         np.nan,
-        _found("block.range_m"),
+        _attribute("block.range_m"),
         lambda block: block.block.extra.range_m,
         keep=True,
     ),
@@ -364,7 +382,7 @@ OPTIONAL_COLUMNS = (
         "confidence",
         "confidence",
         0,
-        _found("confidence"),
+        _attribute("confidence"),
         lambda block: (
             np.zeros(len(block.extra_labels), np.uint8)
             if block.extra_confidence is None
@@ -378,7 +396,7 @@ OPTIONAL_COLUMNS = (
         "reason",
         "reason",
         0,
-        _found("reasons"),
+        _attribute("reasons"),
         lambda block: block.extra_labels | np.uint8(FURTHER_RETURN),
     ),
 )

@@ -1,10 +1,7 @@
-"""Values by record index on disk, in any order in and in any order out.
+"""Values by record index on disk, written and read in any order; arrays that grow; temporary files.
 
-Arrays that grow; temporary files.
-
-The order of writing and that of reading differ when several scanners share a file or a file was
-sorted: then values are scattered and gathered page by page. Memory is a page and a buffer, whatever
-the size of the file.
+The orders of writing and reading differ if several scanners share a file or a file was sorted. Then
+values are scattered and gathered page by page. Memory is a page and a buffer for any size of file.
 """
 
 from __future__ import annotations
@@ -27,15 +24,14 @@ from prc_cli.core.types import I64, U8
 PAGE_BYTES = 1 << 20
 BUFFER_ITEMS = 1 << 20
 WRITE_BYTES = 1 << 16
-"""Bytes per write: for more, Linux searches large blocks of free memory, which takes up to ten times as long as the
-copy."""
+"""Bytes per write.
+
+For more, Linux searches large blocks of free memory, which takes up to ten times the copy.
+"""
 
 
 class DiskColumn:
-    """One value, or one row of several, per record, in a file beside an output.
-
-    Others read as ``fill``.
-    """
+    """One value, or one row of several, per record in a file beside an output; others are ``fill``."""
 
     def __init__(
         self,
@@ -53,7 +49,7 @@ class DiskColumn:
         self._n_fixed = n_records
         self._n_seen = 0
         self._pending: list[tuple[I64, U8]] = []
-        """Records in any order that are not written yet, and their bytes, (n, bytes) uint8."""
+        """Records that are not written yet, in any order, and their bytes, (n, bytes) uint8."""
         self._n_pending = 0
         self._path = temporary_name(output)
         self._file: BinaryIO = self._path.open("w+b", buffering=0)
@@ -99,25 +95,19 @@ class DiskColumn:
         self._n_seen = max(self._n_seen, high + 1)
 
     def get(self, record: I64) -> NDArray[Any]:
-        """Return the values of records, in the shape of ``record``.
-
-        Unknown indices give the fill value.
-        """
+        """Return the values of records, in the shape of ``record``; the fill value for unknown ones."""
         self._flush()
         flat = record.ravel()
         rows: U8 = np.zeros((len(flat), self._size), np.uint8)
-        held = np.flatnonzero((flat >= 0) & (flat < len(self)))
-        held = held[np.argsort(flat[held], kind="stable")]
-        for some in self._pages(flat[held]):
-            wanted = flat[held[some]]
-            rows[held[some]] = self._read(int(wanted[0]), int(wanted[-1]) + 1)[wanted - wanted[0]]
+        inside = np.flatnonzero((flat >= 0) & (flat < len(self)))
+        inside = inside[np.argsort(flat[inside], kind="stable")]
+        for page in self._pages(flat[inside]):
+            wanted = flat[inside[page]]
+            rows[inside[page]] = self._read(int(wanted[0]), int(wanted[-1]) + 1)[wanted - wanted[0]]
         return self._values(rows).reshape(record.shape)
 
     def chunks(self, n: int, *, first: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
-        """Read arrays of up to ``n`` values, records ``first`` to ``stop``.
-
-        Beyond the last one: the fill value.
-        """
+        """Yield arrays of up to ``n`` values, records ``first`` to ``stop`` (exclusive)."""
         stop = len(self) if stop is None else stop
         for start in range(first, stop, n):
             yield self.span(start, min(start + n, stop))
@@ -136,7 +126,7 @@ class DiskColumn:
             self._path.unlink(missing_ok=True)
 
     def _stored(self, values: NDArray[Any]) -> U8:
-        """Return the bytes of values as they are stored, (n, bytes) uint8."""
+        """Return the stored bytes of values, (n, bytes) uint8."""
         rows: U8 = (
             np.ascontiguousarray(values, self._dtype).view(np.uint8).reshape(-1, self._size)
             ^ self._mask
@@ -147,7 +137,7 @@ class DiskColumn:
         return (rows ^ self._mask).view(self._dtype)[:, 0]
 
     def _flush(self) -> None:
-        """Write the records that wait, page by page."""
+        """Write the pending records, page by page."""
         if not self._pending:
             return
         record, rows = (np.concatenate(parts) for parts in zip(*self._pending, strict=True))
@@ -156,14 +146,14 @@ class DiskColumn:
         order = np.argsort(record, kind="stable")
         record = record[order]
         rows = rows[order]
-        for some in self._pages(record):
-            own = record[some]
-            span = self._read(int(own[0]), int(own[-1]) + 1)
-            span[own - own[0]] = rows[some]
-            self._write(int(own[0]), span)
+        for page in self._pages(record):
+            in_page = record[page]
+            span = self._read(int(in_page[0]), int(in_page[-1]) + 1)
+            span[in_page - in_page[0]] = rows[page]
+            self._write(int(in_page[0]), span)
 
     def _pages(self, record: I64) -> Iterator[slice]:
-        """Yield the slices of sorted records that lie on one page each."""
+        """Yield slices of sorted records, one per page."""
         bounds = np.flatnonzero(np.diff(record // self._page_items)) + 1
         for start, stop in pairwise([0, *bounds.tolist(), len(record)]):
             if stop > start:
@@ -177,7 +167,7 @@ class DiskColumn:
             done += self._file.write(data[done : done + WRITE_BYTES])
 
     def _read(self, first: int, stop: int) -> U8:
-        """Return what is stored, (n, bytes) uint8; zero beyond the end of the file."""
+        """Return stored bytes, (n, bytes) uint8; zero beyond the end of the file."""
         span: U8 = np.zeros(((stop - first), self._size), np.uint8)
         self._file.seek(first * self._size)
         data = span.reshape(-1).data
@@ -188,7 +178,7 @@ class DiskColumn:
 
 
 class NpyFile:
-    """A ``.npy`` file that grows; numpy leaves room in the header for any length."""
+    """A ``.npy`` file that grows; its header has room for any length."""
 
     def __init__(self, handle: BinaryIO, dtype: str, row: tuple[int, ...] = ()) -> None:
         self.handle = handle
@@ -236,7 +226,7 @@ def scratch_file(what: str) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def scratch_errors(what: str) -> Iterator[None]:
-    """Turn what the system says of an unnamed temporary file into one line."""
+    """Turn errors of an unnamed temporary file into output errors."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The run record: program, effective configuration, input and assumptions of an output, as reproducible JSON.
+"""The run record of an output: program, configuration, input and assumptions, as JSON.
 
 Equal runs give equal bytes: sorted keys, no time stamps, no folders.
 """
@@ -50,12 +50,12 @@ class Fingerprint:
     size: int
     """Size [bytes]."""
     sha256: str | None
-    """SHA-256 of the content, hexadecimal; None where only a window of the file was read."""
+    """SHA-256 of the content, hexadecimal; None if only a window of the file was read."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RunRecord(Brief):
-    """One run, as kept in the output (VLR) and beside it (``<output>.prc.json``)."""
+    """One run, stored in the output (VLR) and beside it (``<output>.prc.json``)."""
 
     config: Mapping[str, Any]
     """Effective configuration, nested tables."""
@@ -80,15 +80,15 @@ class RunRecord(Brief):
     classes: tuple[ClassCount, ...] = ()
     """Records by class code as written; filled in by the writer."""
     notices: tuple[str, ...] = ()
-    """What is unusual about the input; the writer adds what it had to decide."""
+    """Notices on the input, and those of the writer."""
     engine: str = "compiled"
-    """Which form of the loops ran; noted only where it is another."""
+    """Form of the loops; written only if it is not ``compiled``."""
     output: Fingerprint | None = None
-    """The finished output; only in the record beside it, for no file holds its own hash."""
+    """The finished output; only in the record beside it, because no file contains its own hash."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as nested plain values."""
-        found = {
+        values = {
             "program": PROGRAM,
             "version": __version__,
             "config": _without_folders(self.config),
@@ -107,8 +107,8 @@ class RunRecord(Brief):
             "notices": list(self.notices),
         }
         if self.output is not None:
-            found["output"] = {"size": self.output.size, "sha256": self.output.sha256}
-        return found if self.engine == "compiled" else {**found, "engine": self.engine}
+            values["output"] = {"size": self.output.size, "sha256": self.output.sha256}
+        return values if self.engine == "compiled" else {**values, "engine": self.engine}
 
     def to_json(self) -> bytes:
         """Return the record as ASCII JSON, sorted keys, ending in a line feed."""
@@ -121,9 +121,9 @@ class RunRecord(Brief):
         assumptions and notices; ``complete`` names the file beside the output that has them. JSON
         is never cut.
         """
-        whole = self.to_json()
-        if len(whole) <= limit:
-            return whole
+        complete = self.to_json()
+        if len(complete) <= limit:
+            return complete
         short = self.as_dict()
         short["complete"] = False
         for key in ("config", "assumptions", "notices"):
@@ -137,57 +137,53 @@ class RunRecord(Brief):
 
 
 def dropped_of(record: Any) -> str:
-    """Return what a run record says of shots that were left out (``prc thin``).
-
-    Empty where it says nothing.
+    """Return the note of a run record on shots that ``prc thin`` left out; empty without one.
 
     >>> dropped_of({"program": PROGRAM, "notices": ["thinned: 3 of 9 returns were dropped"]})
     '3 of 9 returns were dropped'
     """
-    notices = (
-        record.get("notices")
-        if isinstance(record, dict) and record.get("program") == PROGRAM
-        else ()
-    )
+    if not isinstance(record, dict) or record.get("program") != PROGRAM:
+        return ""
+    notices = record.get("notices")
     for text in notices if isinstance(notices, list) else ():
-        # of a file that was made of a thinned one, too
-        before, mark, told = text.partition("thinned: ") if isinstance(text, str) else ("", "", "")
+        if not isinstance(text, str):
+            continue
+        # a file that was made of a thinned one has it as a doubt
+        before, mark, note = text.partition("thinned: ")
         if mark and before in ("", "doubt ", "accepted doubt "):
-            return str(told.partition(", expected")[0][:200])
+            return note.partition(", expected")[0][:200]
     return ""
 
 
 def read_record(output: Path) -> Any:
-    """Return the run record beside an output as it stands there.
+    """Return the run record beside an output, unchecked.
 
-    Raises OSError, ValueError or RecursionError.
+    Raises
+    ------
+    OSError, ValueError, RecursionError
+        If it cannot be read.
     """
     return json.loads(read_small(record_path(output), LARGEST_RECORD))
 
 
 def dense_line_beside(path: Path) -> int | None:
-    """Return M where the run record beside labels says that there is one for every cell from line 0 on; else None."""
+    """Return M if labels have one record for every cell from line 0 on, by the run record beside them."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
         stream = record["stream"]
         tally = record["tally"]
         inputs = record["config"]["input"]
         m = stream["points_per_line"]
-        others = ("n_collisions", "n_extra_returns", "n_unplaced")
-        if record["program"] == PROGRAM and m * stream["n_lines"] == stream["n_records"] and m:
-            return (
-                None
-                if {"only_lines", "only_time"} & set(inputs) or any(tally[name] for name in others)
-                else int(m)
-            )
+        is_part = bool({"only_lines", "only_time"} & set(inputs))
+        has_others = any(tally[name] for name in ("n_collisions", "n_extra_returns", "n_unplaced"))
+        is_dense = m * stream["n_lines"] == stream["n_records"] and m
+        if record["program"] == PROGRAM and is_dense and not is_part and not has_others:
+            return int(m)
     return None
 
 
 def reading_beside(path: Path) -> dict[str, Any]:
-    """Return how the input of a run was read, as the run record beside its labels says.
-
-    Empty without a record.
-    """
+    """Return the configuration of the input in the run record beside labels; empty without one."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
         if record["program"] == PROGRAM:
@@ -200,7 +196,7 @@ def reading_beside(path: Path) -> dict[str, Any]:
 
 
 def dropped_beside(path: Path) -> str:
-    """Return :func:`dropped_of` the run record beside a file."""
+    """Return :func:`dropped_of` for the run record beside a file."""
     with suppress(OSError, ValueError, RecursionError):
         return dropped_of(read_record(path))
     return ""
@@ -216,13 +212,13 @@ def record_path(output: Path) -> Path:
 
 
 def fingerprint(path: Path, *, hashes: bool = True) -> Fingerprint:
-    """Return name, size and, unless it is not to be read whole, SHA-256 of a file, read in pieces."""
+    """Return name, size and, if ``hashes``, SHA-256 of a file, which is read in pieces."""
     with FingerprintBeside(path, threads=1, hashes=hashes) as beside:
         return beside.result()
 
 
 class FingerprintBeside:
-    """Computes a fingerprint in a thread while the file is read for its content, so that it comes from disk once.
+    """Computes a fingerprint in a thread while the file is read, so that it comes from disk once.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "a.bin"
@@ -237,11 +233,11 @@ class FingerprintBeside:
         self._hashes = hashes
         self._stop = threading.Event()
         self._pool = ThreadPoolExecutor(1, "fingerprint") if threads > 1 else None
-        self._found: Future[Fingerprint | None] | None = None
+        self._future: Future[Fingerprint | None] | None = None
 
     def __enter__(self) -> FingerprintBeside:
         if self._pool is not None:
-            self._found = self._pool.submit(self._read)
+            self._future = self._pool.submit(self._read)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -252,9 +248,9 @@ class FingerprintBeside:
     def result(self) -> Fingerprint:
         """Wait for the fingerprint."""
         with timed("waiting for the fingerprint"):
-            found = self._read() if self._found is None else self._found.result()
-        assert found is not None
-        return found
+            result = self._read() if self._future is None else self._future.result()
+        assert result is not None
+        return result
 
     @stage("fingerprint")
     def _read(self) -> Fingerprint | None:
@@ -285,10 +281,7 @@ def _dump(value: Any) -> bytes:
 
 
 def _without_folders(value: Any) -> Any:
-    """Replace absolute paths (also behind ``trajectory:``) by file names.
-
-    Records must not differ by machine.
-    """
+    """Replace absolute paths (also behind ``trajectory:``) by file names: records must not differ by machine."""
     if isinstance(value, Mapping):
         return {str(key): _without_folders(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -297,8 +290,8 @@ def _without_folders(value: Any) -> Any:
         value = str(value)
     if isinstance(value, str):
         head, separator, tail = value.partition(":")
-        for prefix, rest in (("", value), (head + separator, tail)):
+        for prefix, path in (("", value), (head + separator, tail)):
             for kind in (PurePosixPath, PureWindowsPath):
-                if rest and kind(rest).is_absolute():
-                    return prefix + kind(rest).name
+                if path and kind(path).is_absolute():
+                    return prefix + kind(path).name
     return value

@@ -15,7 +15,7 @@ ANGLE_DIGITS = 10
 
 
 def stream_rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
-    """Return the columns of some lines of a block; the chosen return of a shot comes first."""
+    """Return the columns of lines of a block, one row per return; the chosen return comes first."""
     block = item.block
     m = block.points_per_line
     n_lines = rows.stop - rows.start
@@ -55,9 +55,8 @@ def _with_extra(
     """Insert further returns behind the chosen return of their shot."""
     block = item.block
     extra = item.block.extra
-    cell = (extra.line[inside] - rows.start).astype(
-        np.int64
-    ) * block.points_per_line + extra.column[inside]
+    line = (extra.line[inside] - rows.start).astype(np.int64)
+    cell = line * block.points_per_line + extra.column[inside]
     more = {name: column[cell] for name, column in values.items()}
     more["range_m"] = extra.range_m[inside]
     more["intensity"] = np.full(len(inside), np.nan, np.float32)
@@ -70,8 +69,7 @@ def _with_extra(
         with np.errstate(invalid="ignore"):
             ratio = (extra.range_m[inside] / values["range_m"][cell]).astype(np.float64)
         more |= {axis: (values[axis][cell] * ratio).astype(np.float32) for axis in "xyz"}
-    n_own = len(values["line"])
-    owner = np.concatenate([np.arange(n_own), cell])
+    owner = np.concatenate([np.arange(len(values["line"])), cell])
     all_values = {name: np.concatenate([column, more[name]]) for name, column in values.items()}
     number_returns(all_values, owner)
     order = np.argsort(owner, kind="stable")
@@ -79,7 +77,7 @@ def _with_extra(
 
 
 def number_returns(values: dict[str, NDArray[Any]], owner: I64) -> None:
-    """Set return numbers by range among the rows of a cell, NaN last."""
+    """Set return numbers of rows by their range in the cell (``owner``), NaN last."""
     order = np.lexsort((values["range_m"], owner))
     sorted_owner = owner[order]
     first = np.flatnonzero(np.concatenate(([True], sorted_owner[1:] != sorted_owner[:-1])))
