@@ -22,7 +22,7 @@ _BAG_PARTS = (".db3", ".mcap")
 
 
 def scan_file(path: Path) -> Path:
-    """Return the file to read in a folder: a bag's metadata or only file; else the folder itself."""
+    """Return the file to read in a folder, such as a bag's metadata; else the folder itself."""
     if not path.is_dir():
         return path
     from prc_cli.formats.echopulse import count_file
@@ -86,7 +86,7 @@ def check_input(path: Path) -> str:
 
 HOLLOW_BYTES = 1 << 32
 HOLLOW_RATIO = 256
-"""A file of at least ``HOLLOW_BYTES`` that takes less than 1 / ``HOLLOW_RATIO`` of them on the disk is empty space."""
+"""Files of ``HOLLOW_BYTES`` are hollow if the disk stores less than 1 / ``HOLLOW_RATIO``."""
 
 
 def _is_hollow(path: Path) -> bool:

@@ -47,7 +47,8 @@ class BinaryBody:
                 if len(records) < wanted:
                     n_read = first + len(records)
                     end_byte = self.start + n_read * self.dtype.itemsize
-                    problem = f"byte {end_byte} (record {n_read}): the file ends, expected {self.n_records} records"
+                    where = f"byte {end_byte} (record {n_read})"
+                    problem = f"{where}: the file ends, expected {self.n_records} records"
                     hint = (
                         "the file became shorter while prc read it: wait until its writer is done"
                     )

@@ -1,4 +1,4 @@
-"""Clocks of records and of trajectories: times in other units than seconds, and clocks that restart.
+"""Clocks of records and of trajectories: units other than seconds, and clocks that restart.
 
 GPS receivers count the seconds of the week, some scanners the seconds of the day or of the hour. In
 a drive across the end of such a period the times fall by the whole period. prc adds the period to
@@ -53,7 +53,7 @@ def unit_of(time: F64) -> str:
 
 
 def unit_of_positions(time: F64) -> str:
-    """Return the unit of the times of a trajectory by their size, because its steps have no usual length.
+    """Return the unit of the times of a trajectory by their size: its steps have any length.
 
     >>> unit_of_positions(np.array([1.7e15, 1.7e15 + 1e4]))
     'us'
@@ -106,7 +106,7 @@ class Unwrapped:
         return counted
 
     def _turn(self, before_s: float, after_s: float) -> float:
-        """Return the period to add after a jump [s]: negative to take one back, 0 for other jumps."""
+        """Return the period to add after a jump [s]; negative to take one back, else 0."""
         for period_s, name in PERIODS_S.items():
             if period_s - NEAR_S < before_s <= period_s and 0 <= after_s < NEAR_S:
                 self.n += 1
@@ -159,7 +159,7 @@ class ClockSource(DerivedSource):
 
 
 def with_clock(source: RecordSource, time_unit: str = "auto") -> RecordSource:
-    """Return a source whose times are seconds and do not restart; without times, the source itself."""
+    """Return a source whose times are seconds and do not restart; as it is without times."""
     if "time" not in source.dimensions:
         return source
     unit = time_unit

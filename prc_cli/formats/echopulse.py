@@ -193,7 +193,9 @@ class EchoPulseSource(FieldSource):
                 count = self._count.read(handle, min(CHUNK_PULSES, self._n_pulses - first))
                 wrong = np.flatnonzero((count < 0) | (count > MAX_ECHOES))
                 if len(wrong):
-                    problem = f"shot {first + wrong[0]} has {count[wrong[0]]} returns, expected 0 to {MAX_ECHOES}"
+                    shot = first + wrong[0]
+                    n_returns = count[wrong[0]]
+                    problem = f"shot {shot} has {n_returns} returns, expected 0 to {MAX_ECHOES}"
                     raise InputError(str(self._count.path), problem, _COPY)
                 yield count.astype(np.int64)
 

@@ -39,7 +39,10 @@ _ARCHIVES = {
 _SHEETS = (".xlsx", ".xls", ".ods", ".numbers")
 _LIVOX = (".lvx", ".lvx2", ".lvx3")
 _PATHS = (".sbet", ".out", ".pos")
-_ROW = "python -c \"import numpy, scipy.io; numpy.savez({out}, range_m=scipy.io.loadmat({name})['NAME'])\""
+_ROW = (
+    'python -c "import numpy, scipy.io; '
+    "numpy.savez({out}, range_m=scipy.io.loadmat({name})['NAME'])\""
+)
 
 
 def hint_of(path: Path) -> str | None:
@@ -55,7 +58,8 @@ def hint_of(path: Path) -> str | None:
         if suffix in suffixes:
             return f"a scan of {maker}: export {export} with {program}"
     if suffix in _ARCHIVES:
-        return f"an archive: unpack it, {_ARCHIVES[suffix].format(shlex.quote(str(path)))}, and name the file in it"
+        unpack = _ARCHIVES[suffix].format(shlex.quote(str(path)))
+        return f"an archive: unpack it, {unpack}, and name the file in it"
     if suffix in _SHEETS:
         return "a spreadsheet: save the sheet as CSV (.csv)"
     if suffix in _LIVOX:
@@ -64,9 +68,11 @@ def hint_of(path: Path) -> str | None:
         return f"a trajectory: give it beside the scan, --range trajectory:{shlex.quote(str(path))}"
     if suffix == ".mat":
         row = _ROW.format(out=repr(f"{path.stem}.npz"), name=repr(path.name))
-        return f"a file of MATLAB: write its ranges (lines x shots) as .npz, {row}, where NAME is the variable"
+        write = f"write its ranges (lines x shots) as .npz, {row}"
+        return f"a file of MATLAB: {write}, where NAME is the variable"
     if suffix in (".h5", ".hdf5"):
-        return "an HDF5 file: write its ranges (lines x shots) as .npz with numpy.savez(FILE, range_m=...)"
+        write = "write its ranges (lines x shots) as .npz"
+        return f"an HDF5 file: {write} with numpy.savez(FILE, range_m=...)"
     if suffix == ".osf":
         target = shlex.quote(path.stem + ".pcap")
         return f"a recording of Ouster: ouster-cli source {shlex.quote(str(path))} save {target}"

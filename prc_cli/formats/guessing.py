@@ -121,7 +121,7 @@ def _are_rings(numbers: F64) -> bool:
 
 
 def _are_sweeps(azimuth: F64, step: F64, elevation: F64) -> bool:
-    """Whether points of a sector are in the order of their rings: azimuths restart, elevations hardly change."""
+    """Whether points of a sector are ring after ring: azimuths restart, elevations stay."""
     way = np.sign(np.median(step[step != 0]))
     low, high = np.percentile(azimuth, [5, 95])
     back = np.flatnonzero(-way * step > (high - low) / 2) + 1
@@ -136,7 +136,7 @@ def _mostly(mask: Mask) -> bool:
 
 
 def guess_records(path: Path) -> Layout | None:
-    """Guess header, byte order and fields of a dump from the period of its bytes; None without a period."""
+    """Guess header, byte order and fields of a dump from the period of its bytes; None without."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
         # without what may be the header
@@ -246,7 +246,7 @@ def _merit(rows: U8, fields: list[tuple[int, str]], endian: str) -> float:
 
 
 def _likeness(values: F64) -> float:
-    """Return the difference of neighbours as a share of the difference of random pairs; 1 for constants."""
+    """Return the difference of neighbours as a share of that of random pairs; 1 for constants."""
     known = values[np.isfinite(values)]
     if len(known) < LEAST_RECORDS:
         return 1.0
@@ -347,7 +347,7 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
 
 
 def _is_large(known: F64) -> bool:
-    """Whether numbers are map coordinates: too large for ranges in metres, and not whole as millimetres."""
+    """Whether numbers are map coordinates: too large for metres, not whole as millimetres."""
     return float(np.median(np.abs(known))) > LEAST_EASTING_M and not np.all(
         known == np.floor(known)
     )

@@ -21,7 +21,7 @@ from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.registry import by_suffix
 
 GAP_S = 1.0
-"""Longest time between the last record of a file and the first one of the next file of a drive [s]."""
+"""Longest time between the last record of a file and the first of the next file [s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,8 +100,8 @@ _NUMBERED = "class "
 def code_of_name(where: str, name: str) -> int:
     """Return the class code of a name or number in a cell; -1 where it is empty.
 
-    >>> code_of_name("a.csv", "Ground"), code_of_name("a.csv", "low vegetation"), code_of_name("a.csv", "class 40")
-    (2, 3, 40)
+    >>> [code_of_name("a.csv", name) for name in ("Ground", "low vegetation", "class 40")]
+    [2, 3, 40]
     """
     text = name.strip(' \t"').lower().replace("_", " ")
     number = text.removeprefix(_NUMBERED)
@@ -190,7 +190,8 @@ class LabelFileWriter(ScatterWriter):
         for column in asked:
             if column.heading is None:
                 self._notice(
-                    f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz"
+                    f"label files hold no {column.what}s; "
+                    f"[output] {column.option} needs .las or .laz"
                 )
             elif column not in written:
                 needs = f"{column.what}s need .csv, .parquet, .las or .laz"

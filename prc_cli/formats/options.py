@@ -1,4 +1,4 @@
-"""The configuration of inputs (``[input]``), and the layout of raw dumps and text (``[layout]``)."""
+"""The configuration of inputs (``[input]``) and the layout of raw dumps and text (``[layout]``)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_RATE_HZ = 1e12
 
 
 def _rule(*patterns: str) -> AfterValidator:
-    """Accept a word or ``word:argument`` that matches one of the patterns (``*`` = a non-empty argument)."""
+    """Accept words that match a pattern (``*`` = a name, ``#`` = a number)."""
 
     def check(value: str) -> str:
         for pattern in patterns:
@@ -77,18 +77,26 @@ class InputConfig(Params):
 
     lines: LineRule = Field(
         "auto",
-        description="where scan lines begin: dimension:NAME, fixed (every points_per_line records), angle-wrap, "
-        "time:HZ (line frequency), rings (x, y, z of a frame, ring after ring: lines are azimuths), "
-        "or elevation:DEG (x, y, z alone: lines end where the elevation drops by more)",
+        description=(
+            "where scan lines begin: dimension:NAME, fixed (every points_per_line records), "
+            "angle-wrap, time:HZ (line frequency), rings (x, y, z of a frame, ring after ring: "
+            "lines are azimuths), or elevation:DEG (x, y, z alone: lines end where the elevation "
+            "drops by more)"
+        ),
     )
     columns: ColumnRule = Field(
         "auto",
-        description="which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order",
+        description=(
+            "which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order"
+        ),
     )
     range: RangeRule = Field(
         "auto",
-        description="slant range: dimension:NAME, trajectory:FILE (CSV, TUM, SBET, a bag), origin:X,Y,Z (static scan), "
-        "sensor-xyz, or points (registered cloud with times: rotation and path from the points)",
+        description=(
+            "slant range: dimension:NAME, trajectory:FILE (CSV, TUM, SBET, a bag), origin:X,Y,Z "
+            "(static scan), sensor-xyz, or points (registered cloud with times: rotation and path "
+            "from the points)"
+        ),
     )
     scanner: Literal["none", "scanner_channel", "point_source_id", "user_data"] = Field(
         "none", description="split the input by this field, classify each part, write one file"
@@ -103,12 +111,16 @@ class InputConfig(Params):
     )
     order: Literal["require", "trust", "sort-time"] = Field(
         "require",
-        description="require = refuse an input that is not chronological; trust = take it as it is; "
-        "sort-time = sort the records by time first",
+        description=(
+            "require = refuse an input that is not chronological; trust = take it as it is; "
+            "sort-time = sort the records by time first"
+        ),
     )
     partial_line: Literal["error", "pad"] = Field(
         "error",
-        description="when M does not divide the records of a fixed layout: refuse, or pad with missing",
+        description=(
+            "when M does not divide the records of a fixed layout: refuse, or pad with missing"
+        ),
     )
     range_scale: float = Field(
         1.0,
@@ -120,12 +132,17 @@ class InputConfig(Params):
     max_range: float | None = Field(None, gt=0.0, description="ranges beyond are missing [m]")
     time_unit: Literal["auto", "s", "ms", "us", "ns", "turn"] = Field(
         "auto",
-        description="unit of the times of points in clouds of bags and in lists of points; auto = in clouds the unit "
-        "in which the scanner turns as scanners do, else as the format says; turn = parts of a turn (clouds)",
+        description=(
+            "unit of the times of points in clouds of bags and in lists of points; auto = in "
+            "clouds the unit in which the scanner turns as scanners do, else as the format says; "
+            "turn = parts of a turn (clouds)"
+        ),
     )
     time_origin: float | None = Field(
         None,
-        description="time at which line 0, column 0 was fired [s]; default: the first record's time",
+        description=(
+            "time at which line 0, column 0 was fired [s]; default: the first record's time"
+        ),
     )
     angle_start: float | None = Field(
         None, description="scan angle of column 0 [deg]; default: found in the input"
@@ -135,12 +152,17 @@ class InputConfig(Params):
     )
     angles: Literal["auto", "measured"] = Field(
         "auto",
-        description="auto = scan angles as given, as recorded with the shots, or from coordinates, and where there are "
-        "none, measured from the ranges; measured = from the ranges, column 0 at 0 deg",
+        description=(
+            "auto = scan angles as given, as recorded with the shots, or from coordinates, and "
+            "where there are none, measured from the ranges; measured = from the ranges, column 0 "
+            "at 0 deg"
+        ),
     )
     nadir: float | None = Field(
         None,
-        description="scan angle of the beam that points straight down [deg]; default: found in the input",
+        description=(
+            "scan angle of the beam that points straight down [deg]; default: found in the input"
+        ),
     )
     azimuth_step: float | None = Field(
         None,
@@ -154,8 +176,10 @@ class InputConfig(Params):
     trajectory_max_gap: float | None = Field(
         None,
         gt=0,
-        description="points in a longer gap of the trajectory are an error [s]; default: ten times the median step, "
-        "at least 1 s",
+        description=(
+            "points in a longer gap of the trajectory are an error [s]; default: ten times the "
+            "median step, at least 1 s"
+        ),
     )
     trajectory_topic: str | None = Field(
         None,
@@ -164,12 +188,17 @@ class InputConfig(Params):
     )
     trajectory_lever_arm: tuple[float, float, float] | None = Field(
         None,
-        description="from the trajectory's point to the scanner, on the axes of the vehicle [m]; for poses with an "
-        "orientation (TUM, bags)",
+        description=(
+            "from the trajectory's point to the scanner, on the axes of the vehicle [m]; for poses "
+            "with an orientation (TUM, bags)"
+        ),
     )
     trajectory_crs: str | None = Field(
         None,
-        description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
+        description=(
+            "coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the "
+            "file's"
+        ),
     )
     topic: str | None = Field(
         None,
@@ -180,7 +209,10 @@ class InputConfig(Params):
     metadata: str | None = Field(
         None,
         min_length=1,
-        description="captures: the JSON metadata of an Ouster sensor; default: the name of the capture with .json",
+        description=(
+            "captures: the JSON metadata of an Ouster sensor; default: the name of the capture "
+            "with .json"
+        ),
     )
     max_gap_lines: int = Field(
         100_000,
@@ -194,14 +226,20 @@ class InputConfig(Params):
     )
     only_time: Annotated[str, _window_text("only_time")] | None = Field(
         None,
-        description="read only the lines of these times, A:B in the stream's own seconds, or +A:+B since its first one",
+        description=(
+            "read only the lines of these times, A:B in the stream's own seconds, or +A:+B since "
+            "its first one"
+        ),
     )
     first: Annotated[str, _window_text("first")] | None = Field(
         None, description="read only the first part: 30s, 2min or 500lines"
     )
     accept_doubts: tuple[CheckName, ...] | None = Field(
         None,
-        description="names of checks whose doubts the office knows better; they are recorded, and do no more",
+        description=(
+            "names of checks whose doubts the office knows better; they are recorded, and do no "
+            "more"
+        ),
     )
 
     @model_validator(mode="after")
@@ -217,7 +255,8 @@ class InputConfig(Params):
         for name in ("lines", "columns"):
             rule = getattr(self, name)
             if rule.startswith("time:") and not LEAST_RATE_HZ <= parse_rate(rule) <= MOST_RATE_HZ:
-                message = f"{name} = time:HZ with {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g} Hz, found {rule!r}"
+                rates = f"{LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g} Hz"
+                message = f"{name} = time:HZ with {rates}, found {rule!r}"
                 raise ValueError(message)
         parse_window(self.only_lines, self.only_time, self.first)
         return self
@@ -273,7 +312,10 @@ class LayoutField(Params):
 
     name: str = Field(
         min_length=1,
-        description="range, scan_line, column, angle, time, x, y, z, intensity; any other name is carried or skipped",
+        description=(
+            "range, scan_line, column, angle, time, x, y, z, intensity; any other name is carried "
+            "or skipped"
+        ),
     )
     type: Annotated[str, AfterValidator(_numpy_type)] = Field(
         "f4", description="raw binary: numpy number type"
@@ -287,8 +329,10 @@ class LayoutField(Params):
     missing: float | None = Field(None, description="stored value that means no return")
     unit: Literal["m", "cm", "mm", "ft", "s", "ms", "us", "ns", "rad", "deg", "gon", ""] = Field(
         "",
-        description="range, x, y, z: m, cm, mm or ft (default m); time: s, ms, us or ns (default s); "
-        "angle: deg, rad or gon (default deg)",
+        description=(
+            "range, x, y, z: m, cm, mm or ft (default m); time: s, ms, us or ns (default s); "
+            "angle: deg, rad or gon (default deg)"
+        ),
     )
 
 
@@ -305,7 +349,9 @@ class Layout(Params):
         None,
         ge=1,
         le=MAX_RECORD_BYTES,
-        description="raw binary: size of a record if it is larger than its fields (padding at the end)",
+        description=(
+            "raw binary: size of a record if it is larger than its fields (padding at the end)"
+        ),
     )
     decimal: Literal[".", ","] | None = Field(
         None, description="text: character before the decimals; default: found by looking"
@@ -421,7 +467,8 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
     A value is ``stored * scale + offset`` in the unit of the field.
 
     >>> import numpy as np
-    >>> decode(np.array([12_345, 0], "<i4"), LayoutField(name="range", type="i4", scale=0.001, missing=0))
+    >>> item = LayoutField(name="range", type="i4", scale=0.001, missing=0)
+    >>> decode(np.array([12_345, 0], "<i4"), item)
     array([12.345,    nan])
     """
     factor = 1.0 if item.unit in ("", "deg") else FACTORS[item.unit]

@@ -55,7 +55,7 @@ def outputs_of(path: Path) -> tuple[Path, ...]:
 
 
 def beside_of(path: Path) -> tuple[Path, ...]:
-    """Return files that an output adds to its folder if they are absent: metadata of a ROS 2 bag."""
+    """Return absent files that an output adds to its folder: metadata of a ROS 2 bag."""
     return (path.with_name(METADATA),) if suffix_of(path) == DATABASE else ()
 
 
@@ -66,7 +66,10 @@ def prepare_stream_output(
     inputs: tuple[Path, ...] = (),
     folders: tuple[Path, ...] = (),
 ) -> None:
-    """Prepare the files of a stream output, and more of its set (:func:`prc_cli.core.files.prepare_outputs`)."""
+    """Prepare the files of a stream output and ``more``.
+
+    See :func:`prc_cli.core.files.prepare_outputs`.
+    """
     members = (*more, *outputs_of(path))
     prepare_outputs(
         *members, overwrite=overwrite, inputs=inputs, folders=folders, beside=beside_of(path)

@@ -291,8 +291,9 @@ class CodeSource:
             )
         if wrong.any():
             first_wrong = int(np.flatnonzero(wrong)[0])
-            problem = f"record {first + first_wrong}: found the class code {values[first_wrong]}, expected a whole number"
-            raise InputError(self.path, problem, "name the column that holds class codes")
+            problem = f"record {first + first_wrong}: found the class code {values[first_wrong]}"
+            hint = "name the column that holds class codes"
+            raise InputError(self.path, f"{problem}, expected a whole number", hint)
         return wide.astype(np.int64)
 
 

@@ -67,7 +67,7 @@ class Format:
     records: str = ""
     """Opens a scan as a list of records: ``(path, layout) -> RecordSource``."""
     images: str = ""
-    """Opens a scan of lines and columns: ``(path, input configuration, lines at once) -> ScanStream``."""
+    """Opens a scan of lines and columns: ``(path, configuration, lines at once) -> ScanStream``."""
     has_layout: bool = False
     """Whether a layout describes the records of its scans."""
     is_dump: bool = False
@@ -79,7 +79,7 @@ class Format:
     holds: frozenset[Held] = EVERYTHING
     """Values that a written stream can hold."""
     makes_xyz: bool = False
-    """Whether a written stream has coordinates relative to the scanner even if its blocks have none."""
+    """Whether a written stream has relative coordinates even if its blocks have none."""
     labels: tuple[str, ...] = ()
     """Suffixes of outputs of ``prc classify``."""
     write_labels: str = ""

@@ -2,8 +2,8 @@
 
 Drivers and data sets give clouds on the axes of a vehicle, levelled, or with z counted from the
 ground. The elevation of a ring then changes with azimuth and range. The axis and the apex with the
-least spread of elevation within rings are found by Gauss-Newton steps. Tukey weights leave out shots
-that fit badly.
+least spread of elevation within rings are found by Gauss-Newton steps. Tukey weights leave out
+shots that fit badly.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FEW_SHOTS = 3_000
 FEWEST_SHOTS = 500
 FEWEST_RINGS = 4
 WIDEST_GAP = 0.75
-"""Widest sector without shots, as a share of a turn: a narrow view cannot separate axis and apex."""
+"""Widest sector without shots [turns]: a narrow view cannot separate axis and apex."""
 NARROW_RAD = math.radians(0.1)
 """Rings that spread less are cones [rad]; angles of scanners and frames spread up to 0.15 deg."""
 BETTER = 0.6
@@ -67,7 +67,8 @@ def is_spinning(xyz_m: F32) -> bool:
     """Whether lines, (lines, M, 3) float32 [m], turn like the lines of a spinning scanner.
 
     >>> azimuth = np.linspace(0, 1, 50)[:, None] + np.zeros(8)
-    >>> is_spinning(np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=-1).astype(np.float32))
+    >>> xyz_m = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=-1)
+    >>> is_spinning(xyz_m.astype(np.float32))
     True
     """
     direction = np.nansum(xyz_m[..., :2].astype(np.float64), axis=1)
@@ -84,7 +85,7 @@ def is_spinning(xyz_m: F32) -> bool:
 
 
 def are_rings(xyz_m: F32) -> bool:
-    """Whether columns of lines that turn, (lines, M, 3) float32 [m], are rings of constant elevation.
+    """Whether columns of turning lines, (lines, M, 3) float32 [m], are rings of one elevation.
 
     With a wrong number of shots in a line, elevations repeat in a line or change from line to line.
     """

@@ -17,7 +17,7 @@ from prc_cli.core.types import F64
 from prc_cli.formats.records import AXES, DerivedSource, RecordChunk, RecordSource
 
 REPROJECT = (
-    "reproject it to a system in metres, for example with PDAL: pdal translate IN.las OUT.las reprojection "
+    "reproject it to metres, for example: pdal translate IN.las OUT.las reprojection "
     "--filters.reprojection.out_srs=EPSG:CODE"
 )
 LONGEST_DEG = 0.1
@@ -62,7 +62,8 @@ class SystemUnits:
 def units_of_system(crs: str | None) -> SystemUnits | None:
     """Return the units of a coordinate system, WKT or ``EPSG:CODE``; None if it is not known.
 
-    >>> wkt = 'PROJCS["NY",GEOGCS["g",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",0.304800609601219]]'
+    >>> degrees = 'GEOGCS["g",UNIT["degree",0.0174532925199433]]'
+    >>> wkt = f'PROJCS["NY",{degrees},UNIT["US survey foot",0.304800609601219]]'
     >>> units_of_system(wkt).unit, units_of_system(wkt).z_m
     ('US survey foot', 0.304800609601219)
     >>> units_of_system('GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]').is_geographic
@@ -166,7 +167,8 @@ class _InMetres(DerivedSource):
         facts = self.source.facts
         units = self.units
         heights = "" if units.z_m == units.xy_m else f", heights of {units.z_m:g} m"
-        note = f"x, y, z are in {units.unit} of {units.xy_m:.6g} m{heights} ({units.name}): converted to metres"
+        unit = f"{units.unit} of {units.xy_m:.6g} m{heights} ({units.name})"
+        note = f"x, y, z are in {unit}: converted to metres"
         return replace(facts, notes=(*facts.notes, note))
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:

@@ -124,7 +124,7 @@ def _read_damaged(
 
 
 def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
-    """Write a stream twice and read it again: equal bytes, equal ranges, and no file if abandoned."""
+    """Write a stream twice and read it again: equal bytes and ranges, no file if abandoned."""
     item, shape = example(form)
     hashes = set()
     for attempt in range(2):
@@ -157,7 +157,7 @@ def check_round_trip(form: Format, suffix: str, folder: Path) -> None:
 def example(
     form: Format, n_lines: int = 5, points_per_line: int = 12
 ) -> tuple[StreamItem, StreamShape]:
-    """Return a small stream with all values that a format can hold: a corridor with missing shots."""
+    """Return a small stream with all values of a format: a corridor with missing shots."""
     angle = np.linspace(-2.0, 2.0, points_per_line)
     line, column = np.indices((n_lines, points_per_line))
     range_m = (2.5 / np.maximum(np.abs(np.cos(angle)), 0.3) + 0.01 * line).astype(np.float32)

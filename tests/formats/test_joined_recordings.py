@@ -56,6 +56,6 @@ def test_files_that_cannot_be_joined_leave_no_folder(tmp_path: Path) -> None:
     parts = [tmp_path / "a.npy", tmp_path / "b.npy"]
     for part in parts:
         np.save(part, np.ones((40, 50), np.float32))
-    with pytest.raises(InputError, match="bags alone, or captures alone"):
+    with pytest.raises(InputError, match="only bags, or only captures"):
         classify_drive(parts, tmp_path / "out", load_config())
     assert not (tmp_path / "out").exists()

@@ -16,7 +16,7 @@ from prc_cli.formats.records import CodeSource
 
 
 def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open an array of codes, 1-D or 2-D, or that of an archive."""
+    """Open an array of class codes, (records,) or (lines, M), in a file or an archive."""
     file = ArrayFile(path)
     if file.is_archive:
         name = dimension_of_codes(path, list(file.headers), dimension)

@@ -31,27 +31,21 @@ from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 CHUNK_SHOTS = 1 << 19
 """Shots read at a time."""
 FEWEST_POINTS_PER_LINE = 8
-"""A longer image of shorter lines is refused.
-
-Every line takes some time, however few shots it has.
-"""
+"""Images of more than ``MANY_LINES`` shorter lines are refused, because every line takes time."""
 MANY_LINES = 100_000
-"""What is long in this sense."""
+"""See :data:`FEWEST_POINTS_PER_LINE`."""
 
 MOST_RINGS = 512
-"""Images of more rows are not taken for rings."""
+"""Most rows of an image of rings."""
 LEVEL = 0.3
-"""Elevations scatter within a ring by at most this share of what they do from ring to ring."""
+"""Elevations within rings scatter at most by this share of their scatter from ring to ring."""
 
 RANGE = "range_m"
 TIME = "time_s"
 XYZ = "xyz"
 INTENSITY = "intensity"
 CLASS = "class"
-"""Name of the array of class codes.
-
-Not part of the stream, but conversion and evaluation read it.
-"""
+"""Name of the array of class codes, which conversion and evaluation read."""
 XYZ_DIMENSIONS = 3
 """Lines, columns and axes."""
 _RECORD_LISTS = ("line", "scan_line", "column", "record")
@@ -121,7 +115,7 @@ class ArrayStream:
                 time_name=TIME, has_line_times=has_line_times, refuses=self._refused(header)
             ),
         )
-        """What is known before reading."""
+        """Metadata of the stream."""
 
     def _refused(self, header: Any) -> frozenset[str]:
         refused = {
@@ -140,7 +134,7 @@ class ArrayStream:
         return frozenset(refused | ({"range_scale"} if self._range == XYZ else set()))
 
     def _find_beside(self) -> tuple[str, ...]:
-        """Return the names of the arrays beside the ranges, their shapes and types checked."""
+        """Return the names of the arrays beside the ranges; check their shapes and types."""
         image = (self._n_lines, self._m)
         shapes: dict[str, tuple[tuple[int, ...], ...]] = {
             TIME: ((self._n_lines,), image),
@@ -164,9 +158,9 @@ class ArrayStream:
         return present
 
     def _find_angles(self, assumed: list[Assumption]) -> tuple[str | None, F64 | None]:
-        """Return the array of scan angles and the angle of every column [rad].
+        """Return the name of the array of scan angles and the angle of every column [rad].
 
-        Say where they come from.
+        The origin of the angles is added to ``assumed``.
         """
         start = self._config.angle_start
         step = self._config.angle_step
@@ -211,7 +205,7 @@ class ArrayStream:
         return name, angle_rad
 
     def _find_line_hz(self) -> float | None:
-        """Return the line frequency [Hz] from the first lines' times, None if they do not tell."""
+        """Return the line frequency [Hz] from the first lines' times, None if it is unknown."""
         if TIME not in self._names:
             return None
         n = min(self._n_lines, self._chunk_lines, 1024)
@@ -286,7 +280,9 @@ def _check_rules(path: Path, config: InputConfig) -> None:
     )
     rule = config.range
     if rule != "auto" and not (rule.startswith("dimension:") and path.suffix.lower() == ".npz"):
-        problem = f"found {rule!r}, expected auto, or dimension:NAME in an .npz: {path.name} is a range image"
+        problem = f"{rule!r} does not fit the range image {path.name}, expected auto"
+        if path.suffix.lower() == ".npz":
+            problem = f"{problem} or dimension:NAME"
         raise ConfigError("input.range", problem, "leave the key out")
 
 
@@ -315,17 +311,14 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
         return images[0], "it is the only array of two dimensions"
     if not images and len(file.headers[XYZ].shape if XYZ in file.headers else ()) == XYZ_DIMENSIONS:
         return XYZ, "the length of xyz, which is taken to be relative to the scanner"
-    problem = f"no array {RANGE!r} and not just one of two dimensions, the file has: {shown}"
+    problem = f"no array {RANGE!r}, nor a single one of two dimensions; the file has: {shown}"
     raise InputError(
         str(file.path), problem, f"name the ranges {RANGE}, or set input.range to dimension:NAME"
     )
 
 
 def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
-    """Return why rows are rings, whose elevation stays while they go round.
-
-    Empty where rows are lines.
-    """
+    """Return a reason if rows are rings of constant elevation; empty if rows are lines."""
     header = file.headers[name]
     n_rows, n_columns = (*header.shape, 0, 0)[:2]
     if (
@@ -364,12 +357,10 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
     if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:
         shape = shape[:2]
     if len(shape) == 1 and header.dtype == np.uint8 and not file.is_archive:
-        # labels are written like this; taken for ranges they would be drawn, and classified, as if
-        # they were a scan
-        problem = "found bytes in a row, as class codes are written, expected ranges in metres"
-        raise InputError(
-            header.where, problem, "give the scan, and these with --labels or to prc evaluate"
-        )
+        # label files look like this: read as ranges they would be classified as a scan
+        problem = "found bytes in a row, which look like class codes, expected ranges in metres"
+        hint = "give the scan; give class codes with --labels or to prc evaluate"
+        raise InputError(header.where, problem, hint)
     if len(shape) not in (1, 2):
         problem = f"found ranges of shape {shape}, expected (lines, points per line)"
         raise InputError(header.where, problem, "save the ranges alone, one row a scan line")
@@ -383,7 +374,8 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
             problem = f"found {shape[1]} points per line, expected at most {MAX_POINTS_PER_LINE}"
             raise InputError(header.where, problem, "save one row a scan line")
         if shape[0] > MANY_LINES and shape[1] < FEWEST_POINTS_PER_LINE:
-            problem = f"found {shape[0]} lines of {shape[1]} points, expected at least {FEWEST_POINTS_PER_LINE} points"
+            lines = f"found {shape[0]} lines of {shape[1]} points"
+            problem = f"{lines}, expected at least {FEWEST_POINTS_PER_LINE} points"
             raise InputError(
                 header.where, problem, "save one row a scan line, or all ranges in a row"
             )
@@ -392,18 +384,15 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
         name for name in _RECORD_LISTS if name in file.headers and file.headers[name].shape == shape
     ]
     if lists:
-        problem = f"{shape[0]} records with the array {lists[0]!r} beside them, expected an image of every shot"
-        raise InputError(
-            header.where,
-            problem,
-            "save the ranges as (lines, points per line), NaN where there is none",
-        )
+        problem = f"{shape[0]} records beside an array {lists[0]!r}, expected an image of all shots"
+        hint = "save the ranges as (lines, points per line), NaN for missing ones"
+        raise InputError(header.where, problem, hint)
     if wanted is None:
         problem = f"found {shape[0]} ranges in a row, expected (lines, points per line)"
         raise InputError(header.where, problem, "set input.points_per_line")
     n_lines, rest = divmod(shape[0], wanted)
     if rest and config.partial_line == "error":
-        problem = f"{shape[0]} ranges are {n_lines} lines of {wanted} and {rest} more, expected whole lines"
+        problem = f"{shape[0]} ranges are {n_lines} lines of {wanted} and {rest} more"
         hint = "check input.points_per_line, or set input.partial_line to pad"
         raise InputError(header.where, problem, hint)
     return n_lines + bool(rest), wanted, shape[0]

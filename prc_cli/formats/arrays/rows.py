@@ -1,7 +1,7 @@
 """Arrays in ``.npy`` and ``.npz`` files, read a few rows at a time.
 
-numpy loads a member of an ``.npz`` archive whole; here both kinds of file are read like any other
-stream, so that memory does not grow with the file. Pickled objects are never loaded.
+numpy loads an array of an ``.npz`` archive as a whole. Here memory does not grow with the file.
+Pickled objects are never loaded.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ class NpyHeader:
     where: str
     """File, and the name of the array in an archive, for messages."""
     stored_shape: tuple[int, ...]
-    """Shape as the file has it."""
+    """Shape in the file."""
     dtype: np.dtype[Any]
     fortran: bool
-    """Fortran order: the first index runs fastest, so rows are not contiguous."""
+    """Whether the first index runs fastest (Fortran order), so that rows are not contiguous."""
     offset: int
     """Bytes before the first number."""
     turned: bool = False
@@ -69,7 +69,7 @@ class NpyHeader:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of what is read, rows first."""
+        """Shape of the array as it is read, rows first."""
         shape = self.stored_shape
         return (shape[1], shape[0], *shape[2:]) if self.turned else shape
 
@@ -78,7 +78,8 @@ class NpyHeader:
         if self.dtype.kind not in "iuf":
             names = self.dtype.names
             kind = _KINDS.get(self.dtype.kind, f"type {self.dtype.name}")
-            kind = kind if names is None else f"records with the fields {', '.join(names[:8])}"
+            if names is not None:
+                kind = f"records with the fields {', '.join(names[:8])}"
             problem = f"found an array of {kind}, expected {expected}"
             raise InputError(
                 self.where, problem, "save it as numbers, for example array.astype('f4')"
@@ -101,13 +102,14 @@ class Rows:
         with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
             raw = self._handle.read(n * self._row_bytes)
         if len(raw) < n * self._row_bytes:
-            problem = f"the numbers end in row {first + len(raw) // self._row_bytes}, expected {header.shape[0]} rows"
+            row = first + len(raw) // self._row_bytes
+            problem = f"the numbers end in row {row}, expected {header.shape[0]} rows"
             raise InputError(header.where, problem, _COPY)
         self._n_read += n
         return np.frombuffer(raw, header.dtype).reshape(n, *header.shape[1:])
 
     def finish(self) -> None:
-        """Check that nothing follows; in an archive, zipfile compares the checksum here."""
+        """Check that no bytes follow; in an archive, zipfile compares the checksum here."""
         with _damage(self.header.where, "the numbers are damaged"):
             more = self._handle.read(1)
         if more:
@@ -115,16 +117,13 @@ class Rows:
 
 
 class _MappedRows(Rows):
-    """Reads rows whose numbers lie apart.
-
-    Of arrays in Fortran order, or with rows and columns exchanged.
-    """
+    """Reads rows that are not contiguous: Fortran order, or rows and columns exchanged."""
 
     def read(self, n: int) -> NDArray[Any]:
         header = self.header
         first = self._n_read
         with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
-            # mapped anew every time: pages that were read do not stay in memory
+            # a new map every time, so that pages do not stay in memory
             stored: NDArray[Any] = np.memmap(
                 self._handle,
                 header.dtype,
@@ -165,7 +164,7 @@ class ArrayFile:
                     pass
 
     def exchange(self, shape: tuple[int, ...]) -> None:
-        """Exchange rows and columns of all arrays of the shape of an image."""
+        """Exchange rows and columns of all arrays with the shape of an image."""
         for name, header in self.headers.items():
             if header.shape[:2] == shape:
                 self.headers[name] = replace(header, turned=not header.turned)
@@ -214,18 +213,12 @@ class ArrayFile:
             return
         where = f"{self.path}: {name}"
         info = archive.getinfo(f"{name}.npy")
-        if info.flag_bits & 1 or info.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):
-            method = (
-                "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
-            )
-            raise InputError(
-                where,
-                f"found {method}, expected deflate or none",
-                "write it with numpy.savez_compressed",
-            )
+        known_methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+        if info.flag_bits & 1 or info.compress_type not in known_methods:
+            is_encrypted = info.flag_bits & 1
+            method = "encryption" if is_encrypted else f"compression method {info.compress_type}"
+            problem = f"found {method}, expected deflate or none"
+            raise InputError(where, problem, "write it with numpy.savez_compressed")
         with _damage(where, "the array cannot be read"):
             handle = archive.open(info)
         with handle:
@@ -242,7 +235,7 @@ def _damage(where: str, problem: str, hint: str = _COPY) -> Iterator[None]:
 
 @contextmanager
 def _unpacked(header: NpyHeader, handle: IO[bytes]) -> Iterator[IO[bytes]]:
-    """Copy an array from an archive to an unnamed temporary file, where any row can be reached."""
+    """Copy an array of an archive to an unnamed temporary file with access to any row."""
     with tempfile.TemporaryFile(prefix="prc-array-") as copy:
         copy.seek(header.offset)
         with _damage(header.where, "the array cannot be unpacked"):
@@ -253,7 +246,7 @@ def _unpacked(header: NpyHeader, handle: IO[bytes]) -> Iterator[IO[bytes]]:
 
 
 def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
-    """Read the header of an array that takes ``size`` bytes, header included."""
+    """Read the header of an array of ``size`` bytes, header included."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # headers written by Python 2 are read all the same

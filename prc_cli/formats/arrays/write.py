@@ -1,7 +1,6 @@
 """Writers of streams as range images: ``.npz`` with all values, ``.npy`` with the ranges alone.
 
-Arrays grow in temporary files, because an archive holds one after the other, each with its shape in
-front.
+Arrays grow in temporary files, because an archive stores one after the other.
 """
 
 from __future__ import annotations
@@ -9,6 +8,7 @@ from __future__ import annotations
 import shutil
 import zipfile
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from prc_cli.formats.writing.disk import NpyFile
 
 COPY_BYTES = 1 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Date of every member, the same as numpy's: equal runs give equal bytes."""
+"""Date of every array, as in numpy: equal runs give equal bytes."""
 
 
 class NpyStream(StreamWriter):
@@ -39,7 +39,7 @@ class NpyStream(StreamWriter):
 
 
 class NpzStream(StreamWriter):
-    """Writer of ``range_m``, ``angle_deg``, ``time_s``, ``xyz``, ``intensity``, ``class`` (int32, -1 = none)."""
+    """Writer of an archive of all values; ``class`` is int32, -1 = none."""
 
     one_scanner = "a range image"
 
@@ -80,7 +80,7 @@ class NpzStream(StreamWriter):
                 with self._member(archive, "angle_deg") as member:
                     np.save(member, self._angle_deg.astype("<f8"))
 
-    def _member(self, archive: zipfile.ZipFile, name: str) -> zipfile._ZipWriteHandle:  # type: ignore[name-defined]
+    def _member(self, archive: zipfile.ZipFile, name: str) -> IO[bytes]:
         info = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
         info.compress_type = self._method
         info.create_system = 3  # the same bytes on every platform

@@ -1,8 +1,8 @@
 """Writers of new LAS or LAZ files from other formats.
 
-The files are LAS 1.4, point format 6, one record per return, chronological. Coordinates are those of
-the input, or of its scan planes one behind the other. Extra bytes contain the range bit for bit, scan
-line and column.
+The files are LAS 1.4, point format 6, one record per return, chronological. Coordinates are those
+of the input, or of its scan planes one behind the other. Extra bytes contain the range bit for bit,
+scan line and column.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _POINT_FORMAT = 6
 
 
 class LasBuilder(StagedWriter):
-    """Writer of a new LAS or LAZ file; the chosen return of a shot comes first, so readers choose it."""
+    """Writer of a new LAS or LAZ file; the chosen return of a shot is the first one."""
 
     def __init__(
         self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None
@@ -206,7 +206,7 @@ class LasBuilder(StagedWriter):
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
     def _scaled(self, intensity: F32) -> F64:
-        """Return intensities scaled to 0 to 65535 if the first ones are fractions, else unchanged."""
+        """Return intensities, scaled to 0 to 65535 if the first ones are fractions."""
         value = np.nan_to_num(intensity.astype(np.float64), nan=0.0, posinf=65536.0, neginf=-1.0)
         if self._intensity_scale is None and len(value):
             is_share = bool(value.min() >= 0 and value.max() <= 1 and (value % 1 != 0).any())
@@ -216,7 +216,7 @@ class LasBuilder(StagedWriter):
         return value * (self._intensity_scale or 1.0)
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
-        """Return coordinates in steps of the file, (n, 3) int64; raise an error if many do not fit."""
+        """Return coordinates in steps, (n, 3) int64; raise an error if many do not fit."""
         xyz = self._placed.cells[shots.line, shots.column]
         is_extra = shots.extra >= 0
         xyz[is_extra] = self._placed.extra[shots.extra[is_extra]]

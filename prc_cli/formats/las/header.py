@@ -1,9 +1,9 @@
 """Reads header, VLRs and extended VLRs of a LAS file, with the position of every part.
 
 Every count and length is compared with the size of the file first, so that a damaged or hostile
-file costs neither memory nor time. VLRs keep their bytes, because a rewritten file must not lose any.
-The fields follow the LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in
-LAZ files.
+file costs neither memory nor time. VLRs keep their bytes, because a rewritten file must not lose
+any. The fields follow the LAS specification 1.4 R15; LASzip sets the highest bit of the format byte
+in LAZ files.
 """
 
 from __future__ import annotations
@@ -276,7 +276,7 @@ class LasHeader:
 
     @property
     def n_unread_bytes(self) -> int:
-        """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
+        """LAS: bytes behind the last record, up to extended VLRs or the end of the file; LAZ: 0."""
         stop = self.evlrs[0].start if self.evlrs else self.file_bytes
         return (
             0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
@@ -284,7 +284,7 @@ class LasHeader:
 
     @property
     def n_unread_records(self) -> int:
-        """LAS: whole records behind those that the header counts; 0 if they are zeros or waveforms."""
+        """LAS: whole records beyond the count of the header; 0 if they are zeros or waveforms."""
         n = self.n_unread_bytes // self.record_bytes
         if n < 1 or self.fields().get("waveform_start"):
             return 0
@@ -486,8 +486,8 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
             path, 104, f"point format {point_format}, expected 0 to {N_POINT_FORMATS - 1}"
         )
     if record_bytes < (least := standard_bytes(point_format)):
-        problem = f"records of {record_bytes} bytes, expected at least {least} for point format {point_format}"
-        raise damaged(path, 105, problem)
+        problem = f"records of {record_bytes} bytes, expected at least {least}"
+        raise damaged(path, 105, f"{problem} for point format {point_format}")
     source.seek(0)
     return HeaderFields(source.read(size))
 
@@ -504,7 +504,7 @@ def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
 
 
 def check_decodable(header: LasHeader) -> None:
-    """Refuse files without records, or with scales that are no finite numbers: they can only be copied."""
+    """Raise an error for files without records or finite scales, which can only be copied."""
     for i, axis in enumerate("xyz"):
         scale = header.scales[i]
         offset = header.offsets[i]

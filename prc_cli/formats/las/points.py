@@ -211,7 +211,7 @@ def read_layout(header: LasHeader) -> RecordLayout:
 
 
 def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> dict[str, str]:
-    """Rename extra dimensions with usual names to standard ones; return their old names by new one."""
+    """Give extra dimensions with usual names standard ones; return old names by new name."""
     usual = usual_names([extra.name for extra in described.values()])
     names = list(described)
     taken: dict[str, str] = {}
@@ -235,7 +235,7 @@ def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> d
 
 
 def _unit_said(description: str) -> str:
-    """Return the unit of angles in a description such as ``scan angle [rad]``; empty without one."""
+    """Return the unit in a description such as ``scan angle [rad]``; empty without one."""
     match = re.search(r"\b(rad|deg|gon)(?:ians?|rees?|s)?\b", description.lower())
     return "" if match is None else match[1]
 

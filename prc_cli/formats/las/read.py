@@ -1,4 +1,4 @@
-"""Reader of LAS and LAZ files of all point formats; decodes only the requested dimensions, in chunks."""
+"""Reader of LAS and LAZ files of all point formats; decodes requested dimensions in chunks."""
 
 from __future__ import annotations
 
@@ -116,7 +116,8 @@ class LasSource:
             )
         if self.header.is_legacy_count:
             notes.append(
-                "the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken"
+                "the header's count of records (byte 247) is 0: "
+                "the legacy count (byte 107) was taken"
             )
         if "time" in self._zero:
             notes.append("gps_time is 0 throughout the first chunk: taken as no time")
@@ -124,7 +125,8 @@ class LasSource:
             notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
         if self.header.n_unread_bytes and not self.header.n_unread_records:
             notes.append(
-                f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read"
+                f"{self.header.n_unread_bytes} bytes follow the last record the header counts: "
+                "not read"
             )
         notes.extend(self._layout.notes)
         return tuple(notes)

@@ -1,8 +1,8 @@
 """Writes LAS or LAZ files again with other classes, or with some of their records.
 
 Header, VLRs, user bytes, points and all bytes behind them are copied in order. Only the points, the
-offsets in the header and the columns of ``[output]`` change. If records are left out, the counts and
-bounds of the header change too.
+offsets in the header and the columns of ``[output]`` change. If records are left out, the counts
+and bounds of the header change too.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Plan:
 
     @property
     def is_checked(self) -> bool:
-        """Whether the compressed records are read back, because waveform packets are sometimes damaged."""
+        """Whether the records are read back: compressed waveform packets may be damaged."""
         return self.compress and self.point_format in (9, 10)
 
     @property
@@ -154,7 +154,7 @@ def copy_las(
     masks: Masks | None = None,
     record: RunRecord | None = None,
 ) -> tuple[str, ...]:
-    """Write a LAS or LAZ file again under a temporary name, with the records of the masks; return notices."""
+    """Copy the records of the masks to a temporary LAS or LAZ file; return notices."""
     plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
     notices: list[str] = []
     vlrs = _planned_vlrs(plan, notices.append)
@@ -274,7 +274,7 @@ class _Points:
             fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
 
     def check(self, written: Path, output: Path) -> None:
-        """Decompress the output and compare its CRC-32: lazrs 0.8.2 damages packets of several channels."""
+        """Compare the CRC-32 of the output: lazrs 0.8.2 damages packets of several channels."""
         if not self._plan.is_checked:
             return
         las = read_header(written)
@@ -296,7 +296,7 @@ def _write_again(
     points: _Points,
     drop: tuple[str, ...],
 ) -> Tail:
-    """Copy a file: header, VLRs and user bytes, points, the bytes behind them, and the final header."""
+    """Copy header, VLRs and user bytes, points, the bytes behind them, and the final header."""
     las = plan.las
     vlrs = [readable(vlr) for vlr in vlrs]
     with open_source(las.path) as source, temporary.open("w+b") as writing:
@@ -381,7 +381,7 @@ class Tail:
     """EVLRs of the output."""
 
     def moved(self, position: int) -> int:
-        """Return the position in the output of a byte of the input; its old one if it is not copied.
+        """Return the position in the output of a byte of the input; the same if it is not copied.
 
         >>> Tail((Span(100, 120), Span(150, 160)), 300, 0, 0).moved(155)
         325
@@ -615,7 +615,7 @@ class LasRecoder(LasRewriter):
 
 
 def open_label_writer(labels: LabelOutput) -> StagedWriter:
-    """Return a writer that changes the classes of a LAS or LAZ input, or makes a new file of another input."""
+    """Return the rewriter of a LAS or LAZ input, or the builder of a new file."""
     if labels.source.suffix.lower() in SUFFIXES:
         return LasRewriter(labels)
     return LasBuilder(labels.path, labels=labels)

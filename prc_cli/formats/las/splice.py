@@ -1,4 +1,4 @@
-"""Replaces the classes in LAZ chunks of point formats 6-8; other layers are copied, COPC stays COPC.
+"""Replaces the classes in LAZ chunks of point formats 6-8 and copies other layers; COPC stays COPC.
 
 A layered chunk of LASzip holds its first record uncompressed, the number of records, the size of
 every layer and the layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ
@@ -82,7 +82,7 @@ def contexts_of(records: U8) -> U8:
 
 
 def records_of(contexts: U8) -> U8:
-    """Return raw records of point format 6 with these contexts and zeros, the inverse of :func:`contexts_of`."""
+    """Return raw records of point format 6 with these contexts, else zeros."""
     records = np.zeros((len(contexts), standard_bytes(6)), np.uint8)
     records[:, _RETURNS_AT] = np.where(contexts & _ONLY, 0x11, 0x21)
     records[:, _CHANNEL_AT] = (contexts & 3) << np.uint8(4)
@@ -141,7 +141,7 @@ class Splice:
 
 
 def find_chunks(source: Source, las: LasHeader) -> Splice | None:
-    """Return the chunks whose classes can be replaced; None for other than usual LAZ of formats 6 to 8."""
+    """Return the chunks of usual LAZ of point formats 6 to 8; None for other files."""
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
     chunks = LazRecords(source, las)
@@ -217,7 +217,13 @@ def splice_classes(
     codes: Iterator[U8],
     kept: ClassContexts | None = None,
 ) -> dict[int, tuple[int, int]]:
-    """Write all chunks with new classes and their table; return their new position and length by old position."""
+    """Write all chunks with new classes, and their table.
+
+    Returns
+    -------
+    dict
+        New position and length of every chunk, by old position.
+    """
     chunks = splice.chunks
     sizes = chunks.sizes()[:, 0].tolist()
     places = chunks.table.first_byte.tolist()
@@ -248,7 +254,7 @@ def splice_classes(
 
 @contextlib.contextmanager
 def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
-    """Reserve the table's position, yield the table of records and bytes to fill, then write both."""
+    """Yield a table of records and bytes to fill; write it and its position at the end."""
     start = target.tell()
     target.write(struct.pack("<q", 0))
     table: list[tuple[int, int]] = []
@@ -339,7 +345,7 @@ def move_index(
     moved: dict[int, tuple[int, int]],
     place: dict[int, int],
 ) -> None:
-    """Write the new positions of chunks (``moved``) and pages (``place``) into the index of a COPC output."""
+    """Write new positions of chunks (``moved``) and pages (``place``) into a COPC index."""
     with open_source(las.path) as source, written.open("r+b") as handle:
         for page in splice.pages:
             entries = []

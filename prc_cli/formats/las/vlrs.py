@@ -121,7 +121,7 @@ def _names(data: bytes) -> dict[int, str]:
 
 
 def find_crs(header: LasHeader) -> str | None:
-    """Return the coordinate system: the WKT of the file, else ``EPSG:CODE`` of GeoTIFF keys, else None."""
+    """Return the coordinate system: WKT, else ``EPSG:CODE`` of GeoTIFF keys, else None."""
     codes = (_horizontal(_geo_keys(data)) for data in header.find(GEO_KEYS_KEY))
     named = (f"EPSG:{code}" for code in codes if code)
     texts = (map(text_of, header.find(key)) for key in (WKT_KEY, _LIBLAS_WKT_KEY))

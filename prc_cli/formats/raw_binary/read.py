@@ -38,7 +38,7 @@ class RawBinarySource(FieldSource):
         )
 
     def align_chunks(self, n_records: int) -> None:
-        """Decode a multiple of this many records at a time, so that chunks end with a block of lines."""
+        """Decode a multiple of ``n_records`` at a time: chunks end with a block of lines."""
         n_at_once = self.body.n_at_once
         self.body.chunk_records = max(1, n_at_once // n_records) * min(n_records, n_at_once)
 
@@ -55,21 +55,23 @@ class RawBinarySource(FieldSource):
 
 
 def _count(path: Path, header: int, record_bytes: int) -> int:
-    """Return the number of records behind the header; a partial record is an error."""
+    """Return the number of records behind the header; raise an error for a partial record."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
     if size <= header:
-        problem = f"nothing follows the header of {header} bytes, expected records of {record_bytes} bytes"
+        expected = f"expected records of {record_bytes} bytes"
+        problem = f"no bytes follow the header of {header} bytes, {expected}"
         hint = ""
         if not size:
-            problem = f"the file is empty (0 bytes), expected records of {record_bytes} bytes"
+            problem = f"the file is empty (0 bytes), {expected}"
             hint = "copy it again"
         elif size < header:
             problem = f"found {size} bytes, fewer than the header of {header} bytes"
         raise InputError(str(path), problem, hint or "check layout.header_bytes")
-    n_records, rest = divmod(size - header, record_bytes)
-    if rest:
-        problem = f"byte {size - rest} (record {n_records}): found {rest} bytes, expected a record of {record_bytes} bytes"
+    n_records, n_left = divmod(size - header, record_bytes)
+    if n_left:
+        where = f"byte {size - n_left} (record {n_records})"
+        problem = f"{where}: found {n_left} bytes, expected a record of {record_bytes} bytes"
         hint = (
             "copy it from the archive again, or check layout.header_bytes, fields and record_bytes"
         )
@@ -78,16 +80,14 @@ def _count(path: Path, header: int, record_bytes: int) -> int:
 
 
 def open_dump(path: Path, layout: Layout | None) -> RecordSource:
-    """Open a dump by its layout, as ranges alone where the layout has no fields, or a folder of pulses by its file."""
+    """Open a dump by its layout, without fields as ranges; or a folder of pulses by its file."""
     if path.name.startswith("pulse-"):
         from prc_cli.formats.echopulse import EchoPulseSource, is_count_file
 
         if is_count_file(path):
             return EchoPulseSource(path)
-    if layout is None or not layout.fields:
-        layout = (
-            RANGES_ONLY
-            if layout is None
-            else layout.model_copy(update={"fields": RANGES_ONLY.fields})
-        )
+    if layout is None:
+        layout = RANGES_ONLY
+    elif not layout.fields:
+        layout = layout.model_copy(update={"fields": RANGES_ONLY.fields})
     return RawBinarySource(path, layout)

@@ -1,4 +1,4 @@
-"""Writers of streams as raw dumps, a record a shot with a configuration beside it, and as KITTI's folders of frames."""
+"""Writers of raw dumps with a configuration beside them, and of folders of frames (KITTI)."""
 
 from __future__ import annotations
 
@@ -29,18 +29,12 @@ def config_path(path: Path) -> Path:
 
 
 def open_stream(path: Path, shape: StreamShape) -> StreamWriter:
-    """Return the writer of a dump.
-
-    a frame where only returns with coordinates relative to the scanner are wanted.
-    """
+    """Return the writer of a dump; a frame for returns with coordinates relative to the scanner."""
     return FrameStream(path, shape) if shape.points and shape.xyz else RawStream(path, shape)
 
 
 class FrameStream(StreamWriter):
-    """Writer of returns as KITTI stores them.
-
-    Float32 x, y, z, intensity, in the order of the input's records.
-    """
+    """Writer of a frame of KITTI: float32 x, y, z, intensity in the order of the input."""
 
     one_scanner = "a frame"
 
@@ -87,10 +81,7 @@ class FrameStream(StreamWriter):
 
 
 class RawStream(StreamWriter):
-    """Writer of little-endian records.
-
-    Range, then intensity, time, x, y, z, angle, class if present.
-    """
+    """Writer of little-endian records: range, intensity, time, x, y, z, angle, class."""
 
     one_scanner = "a raw dump"
 
@@ -106,7 +97,6 @@ class RawStream(StreamWriter):
         self._m = item.block.points_per_line
         angle_rad = item.block.angle_rad
         # with registered heights, write the angle per record: both are needed to find straight down
-        # again
         if angle_rad is not None and not shape.registered:
             degrees: F64 = np.rad2deg(angle_rad).round(10)
             self._even = even_steps(degrees)
@@ -150,7 +140,8 @@ class RawStream(StreamWriter):
     def _config(self) -> str:
         assert self._dtype is not None
         lines = [
-            f"# reads {self.path.name}: prc classify {self.path.name} OUT --config {config_path(self.path).name}"
+            f"# reads {self.path.name}: "
+            f"prc classify {self.path.name} OUT --config {config_path(self.path).name}"
         ]
         lines += [
             "",
@@ -191,9 +182,7 @@ def even_steps(degrees: F64) -> tuple[float, float] | None:
 
 
 class FrameFolder:
-    """Writes ``velodyne/NNNNNN.bin``, ``labels/NNNNNN.label``, ``poses.txt`` and ``times.txt``.
-
-    Whole or not at all.
+    """Writes ``velodyne/NNNNNN.bin``, ``labels/NNNNNN.label``, ``poses.txt``, ``times.txt``.
 
     Points are float32 x, y, z, intensity of the returns, ring after ring from the lowest, each ring
     in the order of firing; classes are uint32 class codes. A pose is the first three rows of the
@@ -222,25 +211,27 @@ class FrameFolder:
         discard(self._temporary)
 
     def add(self, item: StreamItem, pose: F64) -> None:
-        """Take a turn: a block of firings with coordinates and classes, and its pose, (4, 4) float64."""
+        """Write a turn: a block of firings with coordinates and classes; pose (4, 4) float64."""
         block = item.block
         assert block.xyz_m is not None
         assert block.time_s is not None
         assert item.codes is not None
-        seen = ~np.isnan(block.range_m.T)
-        points = np.zeros((int(seen.sum()), 4), "<f4")
-        points[:, :3] = block.xyz_m.transpose(1, 0, 2)[seen]
+        has_return = ~np.isnan(block.range_m.T)
+        points = np.zeros((int(has_return.sum()), 4), "<f4")
+        points[:, :3] = block.xyz_m.transpose(1, 0, 2)[has_return]
         if block.intensity is not None:
-            points[:, 3] = block.intensity.T[seen]
+            points[:, 3] = block.intensity.T[has_return]
         name = f"{len(self._poses):06d}"
         with output_errors(self.folder):
             points.tofile(self._temporary / "velodyne" / f"{name}.bin")
-            item.codes.T[seen].astype("<u4").tofile(self._temporary / "labels" / f"{name}.label")
+            item.codes.T[has_return].astype("<u4").tofile(
+                self._temporary / "labels" / f"{name}.label"
+            )
         self._poses.append(pose)
         self._times.append(float(block.time_s[0].min()))
 
     def finish(self) -> None:
-        """Write poses and times, and give the folder its name."""
+        """Write poses and times, and rename the folder."""
         start = np.linalg.inv(self._poses[0]) if self._poses else np.eye(4)
         rows = [(start @ pose)[:3].ravel() for pose in self._poses]
         with output_errors(self.folder):

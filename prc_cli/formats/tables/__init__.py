@@ -1,4 +1,4 @@
-"""Tables: arrays, Parquet and Feather read by column, CSV and Parquet written with one row per cell."""
+"""Tables: arrays, Parquet and Feather read by column; CSV and Parquet written by row."""
 
 from prc_cli.formats.registry import Format
 

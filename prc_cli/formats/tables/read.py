@@ -36,7 +36,7 @@ XYZ = "xyz"
 
 
 def open_table(path: Path) -> RecordSource | None:
-    """Open a file of columns; None for files of class codes alone."""
+    """Open a file of columns; None for files that only have class codes."""
     suffix = suffix_of(path)
     form = by_suffix("scans").get(suffix) or by_suffix("codes").get(suffix)
     return None if form is None else form.column_source(path)
@@ -53,7 +53,7 @@ class ArrayTable:
     format = "array"
     """Reader name."""
     facts = SourceFacts()
-    """The columns are all there is."""
+    """The file has no other metadata."""
 
     def __init__(self, path: Path) -> None:
         self._file = ArrayFile(path)
@@ -95,8 +95,8 @@ class ArrayTable:
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Read from the start, in bounded memory."""
         _check_names(self, names)
-        row = self._image[1] if len(self._image) == 2 else 1
-        n_lines = max(1, CHUNK_RECORDS // row)
+        m = self._image[1] if len(self._image) == 2 else 1
+        n_lines = max(1, CHUNK_RECORDS // m)
         arrays = tuple(
             dict.fromkeys(self._columns[name][0] for name in names if name in self._columns)
         )
@@ -106,22 +106,16 @@ class ArrayTable:
                 read = {name: rows.read(n) for name, rows in zip(arrays, readers, strict=True)}
                 values: dict[str, NDArray[Any]] = {}
                 for name in names:
-                    if name not in self._columns:
-                        line = np.arange(first, first + n)
-                        column = np.arange(row)
-                        values[name] = (
-                            np.repeat(line, row) if name == "scan_line" else np.tile(column, n)
-                        )
-                        continue
-                    array, axis = self._columns[name]
-                    stored = read[array]
-                    stored = (
-                        stored.reshape(n * row, 3)[:, axis]
-                        if stored.size == 3 * n * row
-                        else stored.ravel()
-                    )
-                    values[name] = _decoded(stored, self._units.get(name))
-                yield RecordChunk(first * row, values, n * row)
+                    if name in self._columns:
+                        array, axis = self._columns[name]
+                        is_xyz = read[array].size == 3 * n * m
+                        stored = read[array].reshape(n * m, 3 if is_xyz else 1)
+                        values[name] = _decoded(stored[:, axis], self._units.get(name))
+                    elif name == "scan_line":
+                        values[name] = np.repeat(np.arange(first, first + n), m)
+                    else:
+                        values[name] = np.tile(np.arange(m), n)
+                yield RecordChunk(first * m, values, n * m)
             for rows in readers:
                 rows.finish()
 
@@ -132,7 +126,7 @@ class ParquetTable:
     format = "Parquet"
     """Reader name."""
     facts = SourceFacts()
-    """The columns are all there is."""
+    """The file has no other metadata."""
 
     def __init__(self, path: Path) -> None:
         import pyarrow as pa
@@ -192,10 +186,7 @@ class ParquetTable:
 
 
 class FeatherTable(ParquetTable):
-    """Reader of the numeric columns of a Feather file.
-
-    a ring and coordinates are frames of rings.
-    """
+    """Reader of the numeric columns of a Feather file; rings beside x, y, z are a frame."""
 
     format = "Feather"
     """Reader name."""
@@ -232,7 +223,7 @@ _Place = TypeVar("_Place")
 
 
 def _by_standard(columns: dict[str, _Place]) -> tuple[dict[str, _Place], dict[str, LayoutField]]:
-    """Return columns by standard names where their own are usual ones, and how those in other units are decoded."""
+    """Return columns by standard name, if theirs is a usual one, and decodings of other units."""
     usual = usual_names(list(columns))
     standard = {dimension.name: name for name, dimension in usual.items()}
     units = {

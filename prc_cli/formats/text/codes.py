@@ -32,5 +32,5 @@ def open_text_codes(path: Path, dimension: str | None) -> CodeSource:
                 [code_of_name(f"{path}: line {line}", cell) for line, cell in cells], np.int64
             )
 
-    # without a name: the reader of numbers cannot deliver this column beside others
+    # without a name, because the reader of numbers cannot read this column
     return CodeSource(path, None, read)

@@ -50,11 +50,11 @@ class TextFormat:
     names: tuple[str, ...]
     """Names of the columns, empty strings without a header."""
     found_delimiter: bool
-    """Whether the delimiter was detected."""
+    """Whether the delimiter was detected, not given."""
     decimal: str = "."
     """Character before the decimals."""
     last_head: int = 0
-    """Number of the last line before the rows, where more than the line of names is there."""
+    """Number of the last line before the rows, if there are more than the line of names."""
 
     @property
     def n_columns(self) -> int:
@@ -62,7 +62,7 @@ class TextFormat:
         return len(self.names)
 
     def stripped(self, line: bytes) -> bytes:
-        """Return a line without surrounding blanks; tabs that delimit empty cells stay."""
+        """Return a line without surrounding blanks; tabs between empty cells stay."""
         return line.strip(b" \r\n" if self.delimiter == "\t" else None)
 
     def is_row(self, line: bytes) -> bool:
@@ -92,7 +92,7 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         rows = rows[1:]
     is_found = layout is None or not {"delimiter", "fields"} & layout.model_fields_set
     texts = [text for _, text in rows]
-    # a line with the number of rows has no delimiter
+    # a line with only the number of rows has no delimiter
     texts = [text for text in texts if not text.strip().isdecimal()] or texts
     delimiter = (
         (separator or _find_delimiter(texts, options.decimal)) if is_found else options.delimiter
@@ -126,13 +126,11 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         raise InputError(
             f"{path}: line {number}",
             problem,
-            "check the delimiter, or that one record stands in one row",
+            "check the delimiter, or that every row is one record",
         )
-    has_header = (
-        options.header
-        if options.header is not None
-        else any(not is_number(cell, decimal) for cell in cells)
-    )
+    has_header = options.header
+    if has_header is None:
+        has_header = any(not is_number(cell, decimal) for cell in cells)
     if has_header and len(rows) == 1:
         problem = f"no row follows the header in line {number}, expected a record a row"
         raise InputError(str(path), problem, "copy it from the archive again")
@@ -173,7 +171,7 @@ def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> He
         not has_mark(text) and all(is_number(cell, decimal) for cell in cells)
         for _, text, cells in rows
     ]
-    # the rows have as many cells as the last one, of which R's row names may be quoted numbers
+    # all rows have as many cells as the last one; row names of R may be quoted numbers
     n_columns = len(rows[-1][2]) if rows and is_row[-1] else 0
     first = next(
         (i for i, (_, _, cells) in enumerate(rows) if is_row[i] and len(cells) == n_columns), 0
@@ -183,8 +181,8 @@ def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> He
     )
     is_even = all(is_row[first:]) and all(len(cells) == n_columns for _, _, cells in rows[first:])
     # rows with fewer or more cells are damage
-    is_odd = any(is_row[i] and len(rows[i][2]) > 1 for i in range(first))
-    if is_plain or n_columns < 2 or is_odd or not is_even:
+    is_damaged = any(is_row[i] and len(rows[i][2]) > 1 for i in range(first))
+    if is_plain or n_columns < 2 or is_damaged or not is_even:
         return None
     head = read_head(rows[:first], n_columns)
     return replace(head, names=("",) * n_columns) if head is not None and not head.names else head
@@ -212,7 +210,7 @@ _RECODE = "convert it: iconv -f ISO-8859-1 -t UTF-8 IN > OUT"
 
 
 def _find_decimal(rows: list[str], delimiter: str) -> str:
-    """Return the comma where cells of the last rows are numbers with it and none is one with a point."""
+    """Return the comma if cells of the last rows are numbers with a comma, none with a point."""
     cells = [
         cell.strip()
         for row in rows[-_LAST_ROWS:]
@@ -227,7 +225,7 @@ def _has_inner_comma(cell: str) -> bool:
 
 
 def _find_delimiter(rows: list[str], decimal: str | None) -> str:
-    """Return the first of ``;``, tab and comma that occurs equally often in every row, else blanks if there are any."""
+    """Return the first of ``;``, tab and comma with equal counts in all rows, else blanks."""
     last = [row.split() for row in rows[-_LAST_ROWS:]]
     if all(len(cells) > 1 and all(map(_has_inner_comma, cells)) for cells in last) and any(
         "," in row for row in rows
@@ -239,7 +237,7 @@ def _find_delimiter(rows: list[str], decimal: str | None) -> str:
             counts = {row.count(delimiter) for row in sample}
             if counts != {0} and len(counts) == 1:
                 return delimiter
-    # where rows differ, take the delimiter of the first row, so that the error names the odd row
+    # if rows differ, use the delimiter of the first row, so that the error names the wrong row
     for delimiter in (mark for mark in _DELIMITERS if mark != decimal):
         if delimiter in rows[0]:
             return delimiter

@@ -1,7 +1,4 @@
-"""Lines before the rows of a text file.
-
-Names, units, the number of rows, text of the program that wrote it.
-"""
+"""Lines before the rows of a text file: names, units, number of rows, text of its program."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from prc_cli.formats.options import FACTORS
 MOST_HEAD = 12
 """Most lines before the rows."""
 MARKS = ("//", "%", "#")
-"""What lines of names begin with in exports of CloudCompare, MATLAB and NumPy."""
+"""Marks of lines of names in exports of CloudCompare, MATLAB and NumPy."""
 _SEPARATOR = re.compile(r'"?sep=(.|\\t)"?', re.IGNORECASE)
 _UNIT = re.compile(r"[\[(]?\s*([^\[\]()]*?)\s*[\])]?")
 _NO_UNIT = ("", "-", "--", "1", "none", "#", "n/a")
@@ -23,10 +20,10 @@ _NO_UNIT = ("", "-", "--", "1", "none", "#", "n/a")
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What stands before the rows."""
+    """The lines before the rows."""
 
     names: tuple[str, ...] = ()
-    """Of the columns; empty = none."""
+    """Names of the columns; empty = none."""
     names_line: int | None = None
     """Number of the line with the names."""
     last_line: int = 0
@@ -34,9 +31,7 @@ class Head:
 
 
 def separator_of(text: str) -> str | None:
-    r"""Return the delimiter that the first line of a file for Excel gives.
-
-    None where it is no such line.
+    r"""Return the delimiter in the first line of a file for Excel; None for other lines.
 
     >>> separator_of("sep=;"), separator_of("sep=\\t"), separator_of("a;b")
     (';', '\t', None)
@@ -59,12 +54,12 @@ def without_mark(text: str) -> str:
 
 
 def has_mark(text: str) -> bool:
-    """Whether a line begins as a comment of some program does."""
+    """Whether a line starts with a mark of a comment."""
     return text.strip().startswith(MARKS)
 
 
 def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> Head | None:
-    """Find the names among the lines before the rows; None where a line has no explanation.
+    """Find the names among the lines before the rows; None if a line is not understood.
 
     Parameters
     ----------

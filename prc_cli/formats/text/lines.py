@@ -23,7 +23,7 @@ MAX_LINE_BYTES = 1 << 20
 
 MAX_RATIO = 500
 LEAST_BYTES = 1 << 27
-"""A text larger than the second number [bytes] and this many times its compressed size repeats one line: refused."""
+"""Texts of more than ``LEAST_BYTES`` and ``MAX_RATIO`` times their compressed size are refused."""
 
 _CODECS = {".gz": "gzip", ".zst": "zstd"}
 _COMPRESSED = {b"\x1f\x8b": ("gzip", ".gz"), b"\x28\xb5\x2f\xfd": ("zstd", ".zst")}
@@ -50,9 +50,18 @@ def iter_lines(
 ) -> Iterator[Lines]:
     """Read text, compressed or not, in blocks of whole lines.
 
-    Of ``span`` bytes alone, from ``line`` on.
+    Parameters
+    ----------
+    path
+        The file.
+    block_bytes
+        Bytes read at a time.
+    span
+        First byte and end of the part to read; None = all.
+    line
+        Number of the first line.
     """
-    rest = b""
+    remainder = b""
     at_start = span is None
     n_bytes = 0
     with _open(path) as handle:
@@ -72,26 +81,24 @@ def iter_lines(
                 problem = (
                     f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
                 )
-                raise InputError(str(path), problem, "unpack it first if it is what it should be")
+                raise InputError(str(path), problem, "unpack it first if this is right")
             if at_start:
                 piece = _without_mark(path, handle, piece, block_bytes)
                 at_start = False
-            data = rest + piece
+            data = remainder + piece
             end = data.rfind(b"\n") + 1
-            rest = data[end:]
-            if len(rest) > MAX_LINE_BYTES:
+            remainder = data[end:]
+            if len(remainder) > MAX_LINE_BYTES:
                 raise too_long(path, line + count_line_ends(data))
             if end:
                 yield Lines(line, data[:end])
                 line += count_line_ends(data)
-    if rest:
-        yield Lines(line, rest)
+    if remainder:
+        yield Lines(line, remainder)
 
 
 def count_line_ends(data: bytes) -> int:
-    r"""Return how many line ends a text has.
-
-    Where lines are short, four times as fast as ``bytes.count``.
+    r"""Return the number of line ends; for short lines four times as fast as ``bytes.count``.
 
     >>> count_line_ends(b"1.5\n2.5\n3")
     2
@@ -100,7 +107,7 @@ def count_line_ends(data: bytes) -> int:
 
 
 def too_long(path: Path, line: int) -> InputError:
-    """Return the error of a line without end."""
+    """Return the error of a line that is too long."""
     problem = f"more than {MAX_LINE_BYTES} bytes without a line end, expected rows of text"
     return InputError(
         f"{path}: line {line}", problem, "check that this is a text file with LF or CR LF line ends"

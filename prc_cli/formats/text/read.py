@@ -1,7 +1,7 @@
 """Reader of text files, one record per row, plain or compressed, in bounded memory.
 
 Blocks of whole lines go through pyarrow's CSV parser. Blocks that it refuses are read again by a
-slow exact parser, which either names the line and cell or accepts what pyarrow was too strict for.
+slow exact parser, which names the wrong cell, or accepts cells that pyarrow does not.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class TextBody:
         self.text = text
         self._block_bytes = block_bytes
         self.n_records = n_records
-        """Number of rows, where a header says it: what follows is not read."""
+        """Number of rows by a header; later rows are not read. None = all."""
         # possessive: a run of comments is one match without backtracking, which would take minutes
         run = rb"^(?:[ \t]*+" + re.escape(text.comment) + rb"[^\n]*+(?:\n|\Z))++"
         self._comments = re.compile(run, re.MULTILINE) if text.comment else None
@@ -86,7 +86,7 @@ class TextBody:
             raise InputError(str(self._path), problem, "copy it from the archive again")
 
     def _blocks(self, used: list[int]) -> Iterator[list[F64]]:
-        """Parse the rows; from the second block on several at a time."""
+        """Parse the rows; from the second block on, several blocks at a time."""
         rows = self._rows()
         if self.n_records is not None:
             rows = _first_rows(rows, self.n_records)
@@ -109,18 +109,15 @@ class TextBody:
                 yield Lines(lines.first + n_skipped, parts[-1])
 
     def _without_gaps(self, blocks: Iterator[Lines]) -> Iterator[Lines]:
-        """Refuse blank lines between the rows of one column, perhaps missing shots.
-
-        At the end they say nothing.
-        """
+        """Raise an error for blank lines between rows of one column: they may be missing shots."""
         blank = None
         for lines in blocks:
             gap = _BLANK.search(lines.data) if blank is None else None
             if gap is not None:
                 blank = lines.first + lines.data.count(b"\n", 0, gap.start())
-            rest = lines.data[0 if gap is None else gap.end() :]
-            if blank is not None and self._plain(rest).strip():
-                problem = "a blank line between the rows of one column, which may be a missing shot or nothing"
+            behind = lines.data[0 if gap is None else gap.end() :]
+            if blank is not None and self._plain(behind).strip():
+                problem = "a blank line between rows of one column, which may be a missing shot"
                 hint = "write nan for a missing shot: sed 's/^$/nan/' IN > OUT; or delete the line"
                 raise InputError(f"{self._path}: line {blank}", problem, hint)
             if blank is None or gap is not None:
@@ -140,10 +137,7 @@ class TextBody:
         return self._parse_exactly(lines, used) if columns is None else columns
 
     def _plain(self, data: bytes) -> bytes:
-        """Return lines without comments and with single delimiters.
-
-        Fast where nothing is to be done.
-        """
+        """Return lines without comments and with single blanks."""
         if self._comments is not None and self.text.comment in data:
             data = self._comments.sub(b"", data)
         return single_blanks(data) if self.text.delimiter == BLANKS else data
@@ -186,7 +180,8 @@ class TextBody:
         text = self.text
         cells = split(self._path, number, row, text.delimiter)
         if len(cells) != text.n_columns:
-            problem = f"{len(cells)} cells, expected {text.n_columns} as in line {text.first_row}: {shorten(row)!r}"
+            expected = f"expected {text.n_columns} as in line {text.first_row}"
+            problem = f"{len(cells)} cells, {expected}: {shorten(row)!r}"
             raise InputError(
                 f"{self._path}: line {number}", problem, "correct the row; an empty cell is missing"
             )
@@ -220,7 +215,7 @@ _HINTS = (
     ),
     (r"\x1a", "the end mark of an old program: tr -d '\\032' < IN > OUT"),
 )
-"""Cells that are no numbers, by what they hold, and what to do."""
+"""Patterns of cells that are no numbers, and hints."""
 
 
 def _hint_of_cell(
@@ -269,7 +264,23 @@ def parse_fast(
     delimiter: str = BLANKS,
     decimal: str = ".",
 ) -> list[F64] | None:
-    """Parse columns of rows with pyarrow; None where it refuses or may count lines differently."""
+    """Parse columns of rows with pyarrow; None if it fails or may count lines differently.
+
+    Parameters
+    ----------
+    data
+        Whole lines.
+    n_columns
+        Cells of a row.
+    used
+        Columns to parse.
+    delimiter, decimal
+        See :class:`TextFormat`.
+
+    Returns
+    -------
+    list of (n,) float64, or None
+    """
     import pyarrow as pa
     from pyarrow import csv
 
@@ -385,7 +396,7 @@ class TextSource(FieldSource):
 
 
 def open_uos(path: Path, layout: Layout | None) -> TextSource:
-    """Open a scan of 3DTK; a layout without fields gives line length and frequency alone."""
+    """Open a scan of 3DTK; a layout without fields only gives line length and frequency."""
     layout = UOS if layout is None else layout
     fields = {} if layout.fields else {"fields": UOS.fields, "delimiter": UOS.delimiter}
     return TextSource(path, layout.model_copy(update=fields))

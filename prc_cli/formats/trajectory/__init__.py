@@ -77,12 +77,12 @@ def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
 
 
 def read_turns(path: Path, target: str | None) -> F64:
-    """Read the orientations of a text file or an SBET, (n, 4) quaternions (x, y, z, w), vehicle to points.
+    """Read the orientations of a text file or an SBET, (n, 4) quaternions (x, y, z, w).
 
-    The axes of the vehicle are forward, left, up. Text has ``roll``, ``pitch`` and ``yaw`` (from x
-    to the left, pitch positive with the nose down) or ``heading`` (from grid north to the right,
-    pitch positive with the nose up), in degrees. The true heading of an SBET is its platform
-    heading less the wander angle.
+    They turn the axes of the vehicle to those of the points. The axes of the vehicle are forward,
+    left, up. Text has ``roll``, ``pitch`` and ``yaw`` (from x to the left, pitch positive with the
+    nose down) or ``heading`` (from grid north to the right, pitch positive with the nose up), in
+    degrees. The true heading of an SBET is its platform heading less the wander angle.
     """
     from scipy.spatial.transform import Rotation
 
@@ -164,7 +164,8 @@ def _find_columns(
     for wanted, known in wanted_names.items():
         places = [names.index(name) for name in known if name in names]
         if not places:
-            problem = f"no column for {wanted} (one of {', '.join(known)}), found {', '.join(cells)[:200]!r}"
+            expected = f"{wanted} (one of {', '.join(known)})"
+            problem = f"no column for {expected}, found {', '.join(cells)[:200]!r}"
             example = "time,x,y,z" if wanted in _NAMES else "time,x,y,z,roll,pitch,yaw"
             raise InputError(
                 where, problem, f"name the columns in the first row, for example {example}"
@@ -214,7 +215,7 @@ def _parse_row(where: str, cells: list[str], columns: list[int]) -> list[float]:
 
 ODOMETRY = "nav_msgs/Odometry"
 KINDS = (ODOMETRY, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped")
-"""Types of messages with a pose behind their header; odometry has the name of a frame in between."""
+"""Types of messages with a pose behind their header, and in odometry a name of a frame."""
 _N_CELLS = 8
 _LENGTH = 0.01
 """Tolerance for the length of a quaternion."""
@@ -333,7 +334,8 @@ def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
     if not sane.all():
         i = int(np.argmin(sane))
         shown = ", ".join(f"{value:g}" for value in values[i])
-        problem = f"time, latitude, longitude, altitude are {shown}, expected finite numbers, angles in radians"
+        what = f"time, latitude, longitude, altitude are {shown}"
+        problem = f"{what}, expected finite numbers, angles in radians"
         position = f"{path}: record {i} (byte {i * SBET_BYTES})"
         raise InputError(position, problem, "check that this is an SBET file")
     return values[:, 0].copy(), values[:, [2, 1, 3]]
@@ -374,7 +376,7 @@ def project(path: Path, position: F64, target: str | None) -> F64:
 
 
 def unproject(path: Path, xyz_m: F64, target: str | None) -> F64:
-    """Return longitude, latitude [rad] and height [m] of positions (n, 3), the inverse of :func:`project`."""
+    """Return longitude, latitude [rad] and height [m] (n, 3), the inverse of :func:`project`."""
     system = _projected_system(path, target)
     longitude, latitude = system.backward(xyz_m[:, 0], xyz_m[:, 1])
     place: F64 = np.stack([np.radians(longitude), np.radians(latitude), xyz_m[:, 2]], axis=1)

@@ -1,4 +1,4 @@
-"""Writes the path of a scanner: CSV with its uncertainty, and SBET, which has no place for one."""
+"""Writes the path of a scanner: CSV with uncertainties, or SBET without."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEAD = "time,x,y,z,sigma_x,sigma_y,sigma_z,axis_x,axis_y,axis_z,pass"
 BATCH_ROWS = 1 << 14
 COURSE_S = 0.5
 """The course of an SBET is that over this time [s]."""
-STANDS_M_S = 0.2
+SLOW_M_S = 0.2
 """Slower platforms keep their course [m/s]."""
 
 
@@ -39,7 +39,7 @@ class PathTable:
 
 
 def check_path_suffix(path: Path) -> None:
-    """Refuse names that say no format of a trajectory."""
+    """Raise an error if the suffix is of no trajectory format."""
     if path.suffix.lower() not in (*CSV_SUFFIXES, *SBET_SUFFIXES):
         known = ", ".join((*CSV_SUFFIXES, *SBET_SUFFIXES))
         raise OutputError(
@@ -121,7 +121,7 @@ def _course(table: PathTable) -> tuple[F64, F64]:
     after_s = np.maximum(table.time_s[after] - table.time_s[before], 1e-9)
     speed = (table.xyz[after] - table.xyz[before]) / after_s[:, None]
     heading = np.arctan2(speed[:, 0], speed[:, 1])
-    moves = np.hypot(speed[:, 0], speed[:, 1]) > STANDS_M_S
+    moves = np.hypot(speed[:, 0], speed[:, 1]) > SLOW_M_S
     last = np.maximum.accumulate(np.where(moves, place, -1))
     first = int(np.argmax(moves)) if moves.any() else 0
     return speed, heading[np.where(last >= 0, last, first)]

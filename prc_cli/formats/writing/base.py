@@ -1,4 +1,4 @@
-"""The base classes of all writers: from blocks with class codes to a complete output with its run record."""
+"""Base classes of all writers: blocks with class codes become an output with its run record."""
 
 from __future__ import annotations
 

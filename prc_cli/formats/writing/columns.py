@@ -167,37 +167,51 @@ class OutputConfig(Params):
 
     segment_ids: bool = Field(
         False,
-        description="add the segment id R_b of every shot: extra bytes uint32 `segment_id`, or a column `segment`",
+        description=(
+            "add the segment id R_b of every shot: extra bytes uint32 `segment_id`, or a column "
+            "`segment`"
+        ),
     )
     range: bool = Field(
         False, description="add the range of every shot [m]: extra bytes float32 `range` (LAS, LAZ)"
     )
     stages: bool = Field(
         False,
-        description="add what the classifier found on the way, as extra bytes or columns: float32 "
-        "`height_above_ground` [m; NaN unknown] (fused, sequential-angle); of sequential-angle also uint8 `surface` "
-        "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T'), "
-        "float32 `ground_height` [m, relative to the scanner; NaN unknown], uint8 `trigger` (of a suspicious "
-        "half-line: 1 before the trigger, 2 the trigger, 3 after it), uint16 `car_interval` (number of the interval "
-        "between dividers; 0 none) and uint8 `car_test` (what became of a return in an interval: 1 cut out as a tall "
-        "vertical run, 2 vegetation by the Fourier test, 3 behind a high vertical, 4 next to the ground, 5 on or "
-        "behind a curb, 6 car); of prc float32 `critical_zeta_p` and `critical_zeta_s` (a shot is supported if they "
-        "are below zeta_p and zeta_s [m]; infinite = never)",
+        description=(
+            "add what the classifier found on the way, as extra bytes or columns: float32 "
+            "`height_above_ground` [m; NaN unknown] (fused, sequential-angle); of sequential-angle "
+            "also uint8 `surface` (coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 "
+            "undecided), uint8 `dense_vegetation` (T'), float32 `ground_height` [m, relative to "
+            "the scanner; NaN unknown], uint8 `trigger` (of a suspicious half-line: 1 before the "
+            "trigger, 2 the trigger, 3 after it), uint16 `car_interval` (number of the interval "
+            "between dividers; 0 none) and uint8 `car_test` (what became of a return in an "
+            "interval: 1 cut out as a tall vertical run, 2 vegetation by the Fourier test, 3 "
+            "behind a high vertical, 4 next to the ground, 5 on or behind a curb, 6 car); of prc "
+            "float32 `critical_zeta_p` and `critical_zeta_s` (a shot is supported if they are "
+            "below zeta_p and zeta_s [m]; infinite = never)"
+        ),
     )
     confidence: bool = Field(
         False,
-        description="add how sure every label is: extra bytes uint8 `confidence`, or a column, 0 to 100 = per cent of "
-        "such shots whose label is right on simulated scans; 0 = not known (fused)",
+        description=(
+            "add how sure every label is: extra bytes uint8 `confidence`, or a column, 0 to 100 = "
+            "per cent of such shots whose label is right on simulated scans; 0 = not known (fused)"
+        ),
     )
     reason: bool = Field(
         False,
-        description="add the number of the rule that gave every label: extra bytes uint8 `reason`, or a column; the "
-        "page on reasons has a sentence for each, 0 = no return",
+        description=(
+            "add the number of the rule that gave every label: extra bytes uint8 `reason`, or a "
+            "column; the page on reasons has a sentence for each, 0 = no return"
+        ),
     )
     codes: Literal["upgrade", "below-32"] = Field(
         "upgrade",
-        description="codes above 31 in LAS point formats 0-5: upgrade = write the matching format 6-10 when such a "
-        "code occurs; below-32 = refuse to start unless every code in [classes] is below 32",
+        description=(
+            "codes above 31 in LAS point formats 0-5: upgrade = write the matching format 6-10 "
+            "when such a code occurs; below-32 = refuse to start unless every code in [classes] is "
+            "below 32"
+        ),
     )
     high_noise_beyond: float | None = Field(
         None,
@@ -322,7 +336,7 @@ class OptionalColumn:
 
 
 def _attribute(path: str) -> Callable[[LabelledBlock], Values | None]:
-    """Return a function that gives an attribute of a block; None if any part of its path is None."""
+    """Return a function that gives an attribute of a block, None if a part is None."""
 
     def look_up(block: Any) -> Any:
         for name in path.split("."):

@@ -31,7 +31,7 @@ For more, Linux searches large blocks of free memory, which takes up to ten time
 
 
 class DiskColumn:
-    """One value, or one row of several, per record in a file beside an output; others are ``fill``."""
+    """One value, or one row, per record in a file beside an output; others are ``fill``."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class DiskColumn:
         self._n_seen = max(self._n_seen, high + 1)
 
     def get(self, record: I64) -> NDArray[Any]:
-        """Return the values of records, in the shape of ``record``; the fill value for unknown ones."""
+        """Return values in the shape of ``record``; the fill value for unknown records."""
         self._flush()
         flat = record.ravel()
         rows: U8 = np.zeros((len(flat), self._size), np.uint8)

@@ -167,7 +167,7 @@ def read_record(output: Path) -> Any:
 
 
 def dense_line_beside(path: Path) -> int | None:
-    """Return M if labels have one record for every cell from line 0 on, by the run record beside them."""
+    """Return M if labels have a record for every cell, by the run record beside them."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
         stream = record["stream"]
@@ -281,7 +281,7 @@ def _dump(value: Any) -> bytes:
 
 
 def _without_folders(value: Any) -> Any:
-    """Replace absolute paths (also behind ``trajectory:``) by file names: records must not differ by machine."""
+    """Replace absolute paths by file names: records must not differ by machine."""
     if isinstance(value, Mapping):
         return {str(key): _without_folders(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -89,7 +89,7 @@ def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
     [
         (b"", "the file is empty (0 bytes), expected records of 24 bytes"),
         (b"HEA", "found 3 bytes, fewer than the header of 5 bytes; check layout.header_bytes"),
-        (b"HEAD\n", "nothing follows the header of 5 bytes, expected records of 24 bytes"),
+        (b"HEAD\n", "no bytes follow the header of 5 bytes, expected records of 24 bytes"),
         (b"HEAD\n" + bytes(23), "byte 5 (record 0): found 23 bytes, expected a record of 24 bytes"),
         (
             b"HEAD\n" + bytes(24 * 3 + 1),

@@ -176,8 +176,8 @@ def test_values_do_not_depend_on_blocks(
             "line 2: a carriage return inside the line, expected lines that end in LF or CR LF",
         ),
         ("range,x\r1,2\r3,4", "line 1: a carriage return inside the line"),
-        ("range\n1\n\n2\n", "line 3: a blank line between the rows of one column"),
-        ("range\n1\n# c\n  \n2\n", "line 4: a blank line between the rows of one column"),
+        ("range\n1\n\n2\n", "line 3: a blank line between rows of one column"),
+        ("range\n1\n# c\n  \n2\n", "line 4: a blank line between rows of one column"),
         (
             "range,range,x\n1,2,3\n",
             "line 1: the name 'range' is in columns 0 and 1, expected once",
