@@ -343,3 +343,12 @@ def close_items(items: Iterator[object]) -> None:
     close = getattr(items, "close", None)
     if close is not None:
         close()
+
+
+@contextlib.contextmanager
+def closing_items(items: Iterator[_A]) -> Iterator[Iterator[_A]]:
+    """Close a generator at the end of a ``with``: its reader may have threads."""
+    try:
+        yield items
+    finally:
+        close_items(items)
