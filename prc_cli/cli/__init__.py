@@ -36,47 +36,47 @@ from prc_cli.core.version import __version__
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": (
         "prc_cli.cli.demo:demo",
-        "Simulate scans, classify them, evaluate them, draw them: no data needed.",
+        "Simulate a street, classify it and draw it. Needs no data.",
     ),
     "info": (
         "prc_cli.cli.info:info",
-        "Say what a file holds, whether it can be classified, and how.",
+        "Check whether a file can be classified, and print the command to type.",
     ),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "render": (
         "prc_cli.cli.render:render",
-        "Draw a scan, its steps, its classes, differences, or the cloud.",
+        "Draw a scan, its classes, the differences of two labellings, or the cloud.",
     ),
-    "explain": ("prc_cli.cli.explain:explain", "Say why a shot has its class, stage by stage."),
+    "explain": ("prc_cli.cli.explain:explain", "Explain why a shot has its class."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "batch": (
         "prc_cli.cli.batch:batch",
-        "Classify an archive of files; resumes, journals, many at a time.",
+        "Classify all files of an archive. An interrupted run can be resumed.",
     ),
     "stream": (
         "prc_cli.cli.stream:stream",
-        "Label a live stream: ranges on stdin, one class code a shot on stdout.",
+        "Classify a live stream: ranges on stdin, one class code per shot on stdout.",
     ),
     "calibrate": (
         "prc_cli.cli.calibrate:calibrate",
-        "Measure the sensor and derive the parameters.",
+        "Measure the scanner and choose the parameters.",
     ),
-    "objects": ("prc_cli.cli.objects:objects", "List stems, poles, cars and curbs as they pass."),
+    "objects": ("prc_cli.cli.objects:objects", "List stems, poles, cars and curbs."),
     "convert": (
         "prc_cli.cli.convert:convert",
-        "Write a file in another format, and say what it cannot hold.",
+        "Convert a file to another format, and report what is lost.",
     ),
     "transfer": (
         "prc_cli.cli.transfer:transfer",
-        "Carry classes onto the registered points of the same drive.",
+        "Copy the classes to the registered points of the same drive.",
     ),
-    "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),
+    "thin": ("prc_cli.cli.thin:thin", "Remove noise and thin out the classes that you name."),
     "simulate": (
         "prc_cli.cli.simulate:simulate",
-        "Make a scan of a street or a forest whose classes are known.",
+        "Simulate a scan of a street or a forest with known classes.",
     ),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
-    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
+    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation, and a folder for outputs."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
 """Commands by name: their module (loaded when called) and the line in ``prc --help``."""
@@ -116,10 +116,8 @@ class LazyGroup(click.Group):
             import difflib
 
             near = difflib.get_close_matches(name, COMMANDS, n=1)
-            hint = (
-                f"did you mean {near[0]!r}?" if near else f"known commands: {', '.join(COMMANDS)}"
-            )
-            ctx.fail(f"no such command {name!r}; {hint}")
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            ctx.fail(f"there is no command {name!r}{hint}")
         return super().resolve_command(ctx, args)
 
 
@@ -133,9 +131,10 @@ class LazyGroup(click.Group):
 def cli(debug: bool) -> None:
     """Classify raw mobile laser scanning streams before registration, shot by shot.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate
-    failed, 4 done, but look at it: a doubt, or in an archive unusual classes; of prc batch also 5
-    another run is at work.
+    Start with prc demo, or with prc info and your own file.
+
+    Exit codes: 0 done. 1 a file failed. 2 wrong usage or configuration. 3 a score is below the
+    limit of --fail-under. 4 done with a warning. 5 another prc batch works in the same folder.
     """
     context = click.get_current_context()
     begin_command(context.invoked_subcommand or "")
@@ -191,26 +190,12 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         message = printable(str(error))
         code = error.exit_code
     except click.ClickException as error:
-        if (
-            type(error).__name__ == "NoArgsIsHelpError"
-        ):  # click 8.2 and newer: its message is the whole help
+        # click 8.2 and newer: the message is the whole help
+        if type(error).__name__ == "NoArgsIsHelpError":
             error.show()
             return error.exit_code
         failure = error
-        context = getattr(error, "ctx", None)
-        said = _without_line_ends(error)
-        if context is not None:
-            # click ends its sentences with a full stop, some after a colon of their own
-            said = (
-                said.removesuffix(".")
-                + (" " if said.endswith("?") else "; ")
-                + f"see {context.command_path} --help"
-            )
-            if isinstance(error, click.MissingParameter) and isinstance(
-                error.param, click.Argument
-            ):
-                said += f", expected {' '.join(context.command.collect_usage_pieces(context)[1:])}"
-        message = printable(said)
+        message = printable(_usage_problem(error))
         code = error.exit_code
     except MemoryError as error:
         failure = error
@@ -242,25 +227,30 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     return code
 
 
-def _without_line_ends(error: click.ClickException) -> str:
-    """Return what click says; it lists the choices of a missing argument a line each."""
-    said = error.format_message()
-    return " ".join(said.split()) if isinstance(error, click.MissingParameter) else said
+def _usage_problem(error: click.ClickException) -> str:
+    """Return the message of click in one line, and the command that prints the help."""
+    context: click.Context | None = getattr(error, "ctx", None)
+    text = " ".join(error.format_message().split()).removesuffix(".")
+    if context is None:
+        return text
+    if isinstance(error, click.MissingParameter) and error.param is not None:
+        needed = error.param.opts[0]
+        if isinstance(error.param, click.Argument):
+            needed = " ".join(context.command.collect_usage_pieces(context)[1:])
+        text = f"{context.command_path} needs {needed}"
+    return f"{text}{' ' if text.endswith('?') else '; '}see {context.command_path} --help"
 
 
 _LIMITS = {
     errno.EMFILE: "raise the limit of this shell: ulimit -n 4096",
-    errno.ENFILE: "end other programs, or raise the limit of the system: fs.file-max",
+    errno.ENFILE: "close other programs, or raise the limit of the system: fs.file-max",
     errno.EFBIG: "raise the limit of this shell: ulimit -f unlimited",
 }
-"""What helps when a limit of the system is reached."""
+"""Hints for limits of the system."""
 
 
 def _system_problem(error: OSError) -> str:
-    """Say what the system refused.
-
-    Errors of files are handled where they occur: the rest is the terminal or a pipe.
-    """
+    """Return the message of a system error; without a file name it is the terminal or a pipe."""
     why = error.strerror or str(error)
     if error.errno in _LIMITS:
         return f"{why}; {left_words()}; {_LIMITS[error.errno]}"
@@ -270,7 +260,7 @@ def _system_problem(error: OSError) -> str:
 
 
 def _leave_on_signals() -> None:
-    """Make SIGTERM (``kill``, ``timeout``) end a run like Ctrl-C, so that temporary files are removed."""
+    """Make SIGTERM (``kill``, ``timeout``) end a run like Ctrl-C: temporary files are removed."""
     if threading.current_thread() is not threading.main_thread():
         return
     signal.signal(
@@ -298,7 +288,7 @@ def _hear(number: int, error: BaseException) -> None:
 
 
 def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
-    """Raise a signal again if Python dropped its exception because it arrived while an object was deleted."""
+    """Raise a signal again if Python dropped it because an object was being deleted."""
     if not isinstance(dropped.exc_value, (KeyboardInterrupt, SystemExit)):
         sys.__unraisablehook__(dropped)
         return

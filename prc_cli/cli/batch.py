@@ -44,7 +44,7 @@ _MAX_COMMAND = 1 << 20
 
 
 class BatchCommand(click.Group):
-    """A command with arguments of its own whose first word may also be the name of one of its parts."""
+    """A command whose first word is a folder, or the name of one of its subcommands."""
 
     def make_context(
         self,
@@ -62,7 +62,7 @@ class BatchCommand(click.Group):
         context.meta[_TYPED] = typed
         out = str(context.params.get("out"))
         if out in self.commands and out in typed and f"./{out}" not in typed:
-            message = f"did you mean {context.command_path} {out} FOLDER? A folder of this name is ./{out}"
+            message = f"did you mean {context.command_path} {out} FOLDER? Type ./{out} for a folder"
             raise click.UsageError(message, context)
         return context
 
@@ -89,59 +89,66 @@ _SELECTION = [
         "--include",
         multiple=True,
         metavar="GLOB",
-        help="Only inputs of such names, e.g. '2026/**/*.laz'.",
+        help="Use only files whose names match, e.g. '2026/**/*.laz'.",
     ),
     _option(
         "--exclude",
         multiple=True,
         metavar="GLOB",
-        help="Not those of such names, or in such folders.",
+        help="Skip files and folders whose names match.",
     ),
     _option(
         "--drive",
         "drives",
         multiple=True,
         metavar="GLOB",
-        help="Files of such names that differ only in what the last wildcards stand for, as '??' in "
-        "'drive_*_??.laz', are the parts of one drive, in the order of these numbers: one stream, an output each.",
+        help="Read files that differ only in the last wildcards, as '??' in 'drive_*_??.laz', "
+        "as one "
+        "drive, in the order of these numbers. Each file gets its own output.",
     ),
     _option(
         "--since",
         type=READ_TEXT,
         metavar="WHEN",
-        help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file.",
+        help="Use only files changed since WHEN: 2026-01-31, 7d, 12h, or the time of a file.",
     ),
     _option(
         "--limit",
         type=click.IntRange(min=1),
         metavar="N",
-        help="At most N files; the rest another time. A drive is not cut.",
+        help="Classify at most N files in this run. A drive is not split.",
     ),
-    _option("--shard", metavar="I/N", help="Only the I-th of N parts, for as many machines."),
-    _option("--only-failed", is_flag=True, help="Only files that failed or were cut off before."),
+    _option(
+        "--shard", metavar="I/N", help="Use only part I of N. Give every machine another part."
+    ),
+    _option(
+        "--only-failed", is_flag=True, help="Use only files that failed or were interrupted before."
+    ),
 ]
 _WORK = [
     _option(
         "--jobs",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Files at a time; default: one for every core.",
+        help="Files at the same time. Default: one per core.",
     ),
     _option(
         "--threads",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Threads a file; default: cores / jobs.",
+        help="Threads per file. Default: cores / jobs.",
     ),
     _option(
         "--engine",
         type=click.Choice(["local", "dask"]),
         default="local",
         show_default=True,
-        help="Processes of this machine, or a Dask cluster.",
+        help="Use this machine or a Dask cluster.",
     ),
     _option(
-        "--scheduler", metavar="ADDRESS", help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786."
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Address of the Dask cluster, e.g. tcp://10.0.0.1:8786.",
     ),
     _option(
         "--retry",
@@ -149,12 +156,12 @@ _WORK = [
         default=0,
         show_default=True,
         metavar="N",
-        help="Try a file N times more in this run where the problem may pass.",
+        help="Try a file up to N times more if the problem may be temporary.",
     ),
     _option(
         "--fail-fast/--keep-going",
         default=False,
-        help="Begin no file after the first failure, or go on.  [default: keep-going]",
+        help="Stop after the first failure, or continue.  [default: keep-going]",
     ),
     _option(
         "--stall",
@@ -163,14 +170,14 @@ _WORK = [
         default=600.0,
         show_default=True,
         metavar="SECONDS",
-        help="Give up a file without progress for so long.",
+        help="Give up a file that makes no progress for this time.",
     ),
     _option(
         "--memory-limit",
         "memory_limit",
         type=click.IntRange(min=1),
         metavar="MB",
-        help="Memory that a worker may take [MiB].",
+        help="Memory limit of each worker [MiB].",
     ),
 ]
 _OUTPUTS = [
@@ -179,62 +186,67 @@ _OUTPUTS = [
         default="same",
         show_default=True,
         metavar="FORMAT",
-        help="laz, las, npy, csv or parquet; same: LAS and LAZ stay what they are, of all else labels (.npy).",
+        help="laz, las, npy, csv or parquet. same: LAS for LAS, LAZ for LAZ, "
+        "labels (.npy) for others.",
     ),
-    _option("--overwrite", is_flag=True, help="Replace outputs that no run of prc batch wrote."),
+    _option("--overwrite", is_flag=True, help="Replace outputs that prc batch did not write."),
     _option(
         "--adopt",
         is_flag=True,
-        help="Take such outputs as done if their record says that they are the same.",
+        help="Keep such outputs if their record shows the same input and configuration.",
     ),
     _option(
         "--verify",
         is_flag=True,
-        help="Compare the content of inputs and outputs, not only "
-        "size and time; prc batch --verify OUT only says which outputs are whole.",
+        help="Compare the content of inputs and outputs, not only size and time. "
+        "prc batch --verify OUT "
+        "only checks the outputs.",
     ),
     _option(
         "--keep-version",
         "keep_versions",
         multiple=True,
         metavar="VERSION",
-        help="Outputs that this older version of prc made are not made again.",
+        help="Keep the outputs of this older version of prc.",
     ),
-    _option("--dry-run", is_flag=True, help="Only say what would be done, and what it would take."),
+    _option(
+        "--dry-run", is_flag=True, help="Only print the plan, with estimates of time and memory."
+    ),
 ]
 _CHECKS = [
     _option(
         "--reference",
         type=READ,
         metavar="TREE",
-        help="Evaluate against this reference folder: files of the same name, any suffix.",
+        help="Compare with the files of the same name in this folder, with any suffix.",
     ),
     _option(
         "--mapping",
         type=READ_TEXT,
         metavar="NAME|FILE.toml",
         shell_complete=complete_mapping,
-        help="Which codes mean which class, as prc evaluate.  [default: that of the method in the run records]",
+        help="Classes of the codes, as for prc evaluate.  [default: the mapping of the method]",
     ),
     _option(
         "--match",
         default="order",
         show_default=True,
         metavar="HOW",
-        help="How records find their partner: order, time, dimension:NAME or nearest.",
+        help="How records are matched: order, time, dimension:NAME or nearest.",
     ),
     _option(
         "--fail-under",
         "gates",
         multiple=True,
         metavar="SCORE.CLASS=VALUE",
-        help="Exit code 3 if a score of all files together is lower, e.g. recall.ground=0.95.",
+        help="If a score of all files together is lower, exit with code 3, e.g. "
+        "recall.ground=0.95.",
     ),
     _option(
         "--drift/--no-drift",
         default=True,
         show_default=True,
-        help="Exit code 4 if the classes of a file are unlike those of earlier ones.",
+        help="If the class shares of a file differ from the earlier files, exit with code 4.",
     ),
 ]
 _TELLING = [
@@ -242,9 +254,9 @@ _TELLING = [
         "--log-json",
         type=WRITTEN_TEXT,
         metavar="FILE|-",
-        help="Write every event as a line of JSON, at the end of FILE.",
+        help="Append every event to FILE as a line of JSON.",
     ),
-    _option("--time-stamps", is_flag=True, help="Begin log lines with the time (UTC)."),
+    _option("--time-stamps", is_flag=True, help="Start log lines with the time (UTC)."),
 ]
 
 
@@ -255,15 +267,14 @@ _TELLING = [
 @stream_options
 @output_options
 def batch(**options: Any) -> None:
-    """Classify every file of ARCHIVE that is not done yet into the same place of OUT.
+    """Classify every file of ARCHIVE, and write it to the same place in OUT.
 
-    Finished files are skipped; changed inputs, configurations and programs are done again. A run
-    that was cut off goes on where it was, and a second one in the same OUT does nothing (exit code
-    5). The journal lies in OUT/.prc. The file of --config may hold [[override]] tables for some of
-    the files.
+    prc skips finished files. If an input, the configuration or the version of prc has changed, prc
+    classifies the file again. An interrupted run continues where it stopped. The journal is in
+    OUT/.prc. The file of --config may contain [[override]] tables for some of the files.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage, 3 a gate failed, 4 look at it: a file is
-    doubted, or its classes are unlike those of earlier ones, 5 another run is at work in OUT.
+    Exit codes: 0 done. 1 a file failed. 2 wrong usage. 3 a score is below --fail-under. 4 a file has
+    a warning or unusual classes. 5 another run works in OUT.
 
     \b
     Examples:
@@ -289,10 +300,10 @@ def batch(**options: Any) -> None:
 @_option(
     "--verify",
     is_flag=True,
-    help="Also read every output and compare its hash; exit code 1 if one is not whole.",
+    help="Also compare the hash of every output. If one is damaged, exit with code 1.",
 )
 def status(out: Path, as_json: bool, verify: bool) -> None:
-    """Say what is done, what is doubted, what failed and why, and who is at work in OUT.
+    """Print what is done in OUT, what failed and why, the warnings, and which runs are active.
 
     \b
     Examples:
@@ -323,18 +334,21 @@ def status(out: Path, as_json: bool, verify: bool) -> None:
 @click.argument("out", type=READ)
 @_option("--shard", metavar="I/N", help="Repeat the last run of this shard.")
 @_option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time, other than last time."
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Files at the same time.  [default: as in the last run]",
 )
 @_option(
     "--retry",
     type=click.IntRange(min=0),
     metavar="N",
-    help="Try a file N times more, other than last time.",
+    help="Try a file up to N times more.  [default: as in the last run]",
 )
-@_option("--dry-run", is_flag=True, help="Only say what would be done.")
+@_option("--dry-run", is_flag=True, help="Only print the plan.")
 @output_options
 def retry(out: Path, shard: str | None, **changes: Any) -> None:
-    """Do the files of OUT again, now, that failed or were cut off, as the last run was asked to.
+    """Repeat the files of OUT that failed or were interrupted, with the options of the last run.
 
     \b
     Examples:
@@ -360,9 +374,9 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
     "archive",
     type=READ,
     metavar="ARCHIVE",
-    help="Forget inputs in the journal that this folder does not hold any more.",
+    help="Remove inputs from the journal that are no longer in this folder.",
 )
-@_option("--dry-run", is_flag=True, help="Only say what would be removed.")
+@_option("--dry-run", is_flag=True, help="Only print what prc would remove.")
 @_option("--json", "as_json", is_flag=True, help="Print it as JSON on stdout.")
 def clean(
     out: Path,
@@ -370,7 +384,7 @@ def clean(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Remove temporary files that dead runs left in OUT; outputs stay.
+    """Remove temporary files of interrupted runs from OUT. Outputs stay.
 
     \b
     Examples:
@@ -380,24 +394,23 @@ def clean(
     from prc_cli.cli.batch_report import print_cleaned
     from prc_cli.jobs.batch.outputs import clean as clean_folder
 
-    found = clean_folder(out, archive=archive, dry_run=dry_run)
+    cleaned = clean_folder(out, archive=archive, dry_run=dry_run)
     if as_json:
         table = {
-            "removed": [str(path) for path in found.files],
-            "bytes": found.n_bytes,
-            "forgotten": list(found.forgotten),
-            "kept": [str(path) for path in found.kept],
+            "removed": [str(path) for path in cleaned.files],
+            "bytes": cleaned.n_bytes,
+            "forgotten": list(cleaned.forgotten),
+            "kept": [str(path) for path in cleaned.kept],
             "dry_run": dry_run,
         }
         click.echo(json.dumps(table, indent=1))
     else:
-        print_cleaned(found, dry_run=dry_run)
+        print_cleaned(cleaned, dry_run=dry_run)
 
 
 def _run(options: dict[str, Any], typed: Sequence[str]) -> None:
-    """Run a batch, or say what it would do, and leave with its exit code."""
     if options["as_json"] and options["log_json"] == "-":
-        message = "--json and --log-json - both want stdout; give the log a file"
+        message = "--json and --log-json - both write to stdout; give --log-json a file"
         raise click.UsageError(message)
     settings = _settings(options)
     if options["dry_run"]:
@@ -421,12 +434,12 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
     from prc_cli.cli.batch_report import print_verified
     from prc_cli.jobs.batch.outputs import verify_outputs
 
-    found = tuple(verify_outputs(out))
+    outputs = tuple(verify_outputs(out))
     if as_json:
-        click.echo(json.dumps([asdict(one) for one in found], indent=1))
+        click.echo(json.dumps([asdict(output) for output in outputs], indent=1))
     else:
-        print_verified(out, found, quiet=quiet)
-    click.get_current_context().exit(_verified_code(found))
+        print_verified(out, outputs, quiet=quiet)
+    click.get_current_context().exit(_verified_code(outputs))
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:
@@ -474,9 +487,9 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
 
 
 def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | None:
-    """Return the engine that is asked for; None for that of this machine."""
+    """Return the engine; None = this machine."""
     if (options["engine"] == "dask") != (options["scheduler"] is not None):
-        message = "--engine dask and --scheduler ADDRESS belong together; start a scheduler with: dask scheduler"
+        message = "--engine dask needs --scheduler ADDRESS; start a scheduler with: dask scheduler"
         raise click.UsageError(message)
     if options["engine"] == "local":
         return None
@@ -491,7 +504,7 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     from prc_cli.cli.batch_report import plan_dict, print_plan, say
     from prc_cli.jobs.batch.run import plan_batch
 
-    _engine(options, say)  # a wrong option is as wrong here
+    _engine(options, say)  # checks the options
     plan, estimate = plan_batch(settings)
     if options["as_json"]:
         click.echo(json.dumps(plan_dict(plan, estimate), indent=1, allow_nan=False))
@@ -543,7 +556,7 @@ def _run_and_tell(
     except (KeyboardInterrupt, SystemExit) as stop:
         code = int(stop.code or 0) if isinstance(stop, SystemExit) else ExitCode.INTERRUPTED
         problem = "interrupted"
-        say("interrupted; what was finished stays, and the next run goes on from there")
+        say("interrupted; finished files stay, and the next run continues")
         raise SystemExit(code) from None
     finally:
         if log is not None:
@@ -559,7 +572,7 @@ def _run_and_tell(
 
 
 def _end_with_terminal() -> None:
-    """Let a terminal that is closed end a run as SIGTERM does, unless ``nohup`` said otherwise."""
+    """End a run when its terminal is closed, as SIGTERM does, but not under ``nohup``."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
         return
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
@@ -568,11 +581,11 @@ def _end_with_terminal() -> None:
         )
 
 
-# -- the last run, for retry ------------------------------------------------------------------------------------------
+# -- the last run, for retry -----------------------------------------------------------------
 
 
 def _write_command(settings: BatchSettings, typed: Sequence[str]) -> None:
-    """Keep what was typed beside the journal; what cannot be kept is no reason to stop."""
+    """Keep the arguments beside the journal; if that fails, the run continues."""
     from prc_cli.jobs.batch.types import OWN_FOLDER, own_name
 
     table = {"schema": _COMMAND_SCHEMA, "folder": str(Path.cwd()), "arguments": typed}
@@ -584,8 +597,8 @@ def _write_command(settings: BatchSettings, typed: Sequence[str]) -> None:
 
 
 def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
-    """Return the folder that the last run was started in, what was typed there, and the options that it means."""
-    hint = "give the whole command with --only-failed instead"
+    """Read the last run: its working folder, its arguments, and its options."""
+    hint = "type the whole command again with --only-failed"
     try:
         table = json.loads(read_own(path, _MAX_COMMAND))
         folder = Path(table["folder"])
@@ -600,10 +613,10 @@ def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
             raise ValueError
     except FileNotFoundError:
         raise ConfigError(
-            str(path), "is not there, expected what the last run was asked for", hint
+            str(path), "is missing: it contains the options of the last run", hint
         ) from None
     except PermissionError as error:
-        problem = f"could have been changed by others ({error.strerror}), expected a file of this user alone"
+        problem = f"other users can change this file ({error.strerror})"
         raise ConfigError(str(path), problem, hint) from None
     except (
         click.ClickException,
@@ -615,6 +628,6 @@ def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
         RecursionError,
     ):
         raise ConfigError(
-            str(path), "cannot be used, expected what the last run was asked for", hint
+            str(path), "cannot be read: it contains the options of the last run", hint
         ) from None
     return folder, typed, context.params

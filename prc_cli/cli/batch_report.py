@@ -1,4 +1,4 @@
-"""What ``prc batch`` says: while it runs, in its log, when it has ended, and about what lies in an output folder."""
+"""Texts of ``prc batch``: progress, log, summary, and the state of an output folder."""
 
 from __future__ import annotations
 
@@ -69,16 +69,16 @@ def _say_all(rows: Sequence[str]) -> None:
         say(f"and {len(rows) - SHOWN} more, see summary.json")
 
 
-# -- words ------------------------------------------------------------------------------------------------------------
+# -- words -----------------------------------------------------------------------------------
 
 
 def failed_words(event: Failed | Compared) -> str:
-    """Return why a file failed; its name stands once, as it is in the archive."""
+    """Return why a file failed, with the name of the file once, as in the archive."""
     name = event.name
     problem = event.problem
     assert problem is not None
-    before, found, rest = problem.where.partition(name)
-    if found and (not before or before.endswith(("/", "\\"))):
+    before, text, rest = problem.where.partition(name)
+    if text and (not before or before.endswith(("/", "\\"))):
         where = name + rest
     else:
         where = f"{name}: {problem.where}" if problem.where else name
@@ -94,7 +94,7 @@ def _now() -> str:
 
 
 def count_of(count: int, what: str) -> str:
-    """Return how many there are of something, for people.
+    """Return a count with its noun.
 
     >>> count_of(1, "file"), count_of(2000, "file")
     ('1 file', '2,000 files')
@@ -103,7 +103,7 @@ def count_of(count: int, what: str) -> str:
 
 
 def size_of(n_bytes: float) -> str:
-    """Return a size for people.
+    """Return a size in MiB, GiB or TiB.
 
     >>> size_of(3 << 20), size_of(1 << 30), size_of(1 << 40)
     ('3.0 MiB', '1.0 GiB', '1.0 TiB')
@@ -115,7 +115,7 @@ def size_of(n_bytes: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time for people.
+    """Return a duration in s, min or h.
 
     >>> duration(5.04), duration(3725), duration(7500)
     ('5.0 s', '62 min', '2 h 5 min')
@@ -130,11 +130,11 @@ def _listed(counts: Sequence[tuple[int, str]]) -> str:
     return ", ".join(f"{count:,} {what}" for count, what in counts if count)
 
 
-# -- while a run is at work -------------------------------------------------------------------------------------------
+# -- during a run ----------------------------------------------------------------------------
 
 
 class Final:
-    """Passes events on; a failure only when it is known that the file is not tried again."""
+    """Passes events on, and a failure only if the file is not tried again."""
 
     def __init__(self, *listeners: Callable[[RunEvent], None]) -> None:
         self._listeners = listeners
@@ -152,23 +152,19 @@ class Final:
             self._tell(event)
 
     def close(self) -> None:
-        """Pass on what was held back."""
+        """Pass on the last failure."""
         if self._held is not None:
             self._tell(self._held)
 
     def _tell(self, event: RunEvent) -> None:
         for listener in self._listeners:
-            with contextlib.suppress(
-                OSError
-            ):  # a terminal or pipe that is gone must not stop the work
+            # a closed terminal or pipe must not stop the work
+            with contextlib.suppress(OSError):
                 listener(event)
 
 
 class Teller:
-    """Says what happens: a line a finished file, or a bar on a terminal.
-
-    Quiet: only what is wrong.
-    """
+    """Prints a line per finished file, or a bar on a terminal; if quiet, only failures and warnings."""
 
     def __init__(
         self,
@@ -183,14 +179,14 @@ class Teller:
         self._quiet = quiet
         self._verbose = verbose
         self._stamps = stamps
-        # empty files count a byte, so that an archive of them has an end
+        # an empty file counts as one byte, so that the bar of empty files moves
         self._bar = tqdm(
             unit="B", unit_scale=True, leave=False, dynamic_ncols=True, disable=not bar
         )
         self._has_bar = bar
         self._sizes: dict[str, int] = {}
         self._lines: dict[str, int] = {}
-        """Finished lines of the files in work."""
+        """Number of finished lines of the files that are being classified."""
         self._n_todo = self._n_ended = self._n_failed = 0
 
     def __call__(self, event: RunEvent) -> None:
@@ -205,7 +201,7 @@ class Teller:
         elif isinstance(event, Started):
             self._lines[event.name] = 0
             if self._verbose:
-                self._say(f"begin {event.name} (worker {event.worker})")
+                self._say(f"start {event.name} (worker {event.worker})")
         elif isinstance(event, Progress):
             self._lines[event.name] = self._lines.get(event.name, 0) + event.n_lines
         elif isinstance(event, Doubted):
@@ -214,7 +210,8 @@ class Teller:
             self._say(f"alarm {event.name}: {event.sentence}")
         elif isinstance(event, Again) and not self._quiet:
             self._say(
-                f"again {event.name}: tried once more ({event.problem.kind}: {event.problem.problem})"
+                f"again {event.name}: tried once more ({event.problem.kind}: "
+                f"{event.problem.problem})"
             )
         elif isinstance(event, Noted) and not self._quiet:
             self._say(f"note: {event.text}")
@@ -231,7 +228,8 @@ class Teller:
         self._bar.total = sum(self._sizes.values())
         if self._verbose:
             self._say(
-                f"{count_of(self._n_todo, 'file')} to do, {event.jobs} at a time with {event.threads} threads each"
+                f"{count_of(self._n_todo, 'file')} to do, {event.jobs} at a time with "
+                f"{event.threads} threads each"
             )
 
     def _done(self, event: Done) -> None:
@@ -239,7 +237,7 @@ class Teller:
         text = f"done {event.name}: {event.n_shots:,} shots in {event.seconds:.1f} s{rate}"
         self._end(event.name, "" if self._quiet or self._has_bar else text)
         for notice in event.notices if self._verbose and not self._quiet else ():
-            if not is_doubt(notice):  # a warning of its own
+            if not is_doubt(notice):  # warnings are printed separately
                 self._say(f"note {event.name}: {notice}")
 
     def _end(self, name: str, text: str) -> None:
@@ -265,7 +263,7 @@ class Teller:
 
 
 def _check_log(path: Path) -> None:
-    """Refuse a file that is no log: lines are added to it in place."""
+    """Refuse a file that is not a log: prc appends to it."""
     try:
         status = path.stat()
         is_log = stat.S_ISREG(status.st_mode) and status.st_nlink == 1
@@ -279,12 +277,12 @@ def _check_log(path: Path) -> None:
             str(path), f"cannot be read ({error.strerror})", "check its permissions"
         ) from error
     if not is_log:
-        problem = "is no log of prc batch: found another kind of file, or one with two names"
+        problem = "is not a log of prc batch: it is another kind of file, or has two names"
         raise OutputError(str(path), problem, "name a new file for --log-json, or - for stdout")
 
 
 class JsonLog:
-    """One JSON object a line; a file is opened for every line, so that it may be rotated away at any moment."""
+    """Log of JSON lines. Every line opens the file again, so that it can be rotated."""
 
     def __init__(self, target: str) -> None:
         self._path = None if target == "-" else Path(target)
@@ -294,7 +292,7 @@ class JsonLog:
         self._told = False
 
     def start(self, archive: Path, out: Path, shard: str | None) -> None:
-        """Write that a run begins."""
+        """Write that a run starts."""
         self._who["shard"] = shard
         self._write(
             "run_start", schema=LOG_SCHEMA, archive=str(archive), out=str(out), version=__version__
@@ -369,12 +367,10 @@ class JsonLog:
                 sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python fails at exit
 
 
-# -- when a run has ended ---------------------------------------------------------------------------------------------
+# -- after a run -----------------------------------------------------------------------------
 
 
-TRUSTING = (
-    "files that were done before were judged by size and time; --verify compares their content"
-)
+TRUSTING = "prc compared earlier files by size and time only; --verify compares their content"
 
 
 def print_end(
@@ -385,11 +381,19 @@ def print_end(
     only_failed: bool = False,
     trusting: bool = False,
 ) -> None:
-    """Print what a run did; quiet.
+    """Print the summary of a run.
 
-    a line, and only if something is wrong; listed: failures stand above already.
-
-    A run that is ``trusting`` did not read the outputs of earlier ones.
+    Parameters
+    ----------
+    summary : BatchSummary
+    quiet : bool
+        Print one line, and only if something is wrong.
+    listed : bool
+        The failures are already on the screen.
+    only_failed : bool
+        Only earlier failures were to be done.
+    trusting : bool
+        The run did not read the outputs of earlier runs.
     """
     trusting = trusting and not quiet and summary.n_skipped > 0
     is_wrong = summary.exit_code or summary.ended != "finished"
@@ -401,12 +405,12 @@ def print_end(
         or summary.alarms
     )
     if idle and summary.evaluation is None:
-        found = count_of(summary.n_found, "file") + (
+        files = count_of(summary.n_found, "file") + (
             " is done" if summary.n_found == 1 else " are done"
         )
-        nothing = "no file failed or was cut off" if only_failed else "no files were found"
+        nothing = "no file failed or was interrupted" if only_failed else "no files were found"
         if not quiet:
-            say(f"nothing to do: {found if summary.n_found else nothing} ({summary.out})")
+            say(f"nothing to do: {files if summary.n_found else nothing} ({summary.out})")
         if trusting:
             say(TRUSTING)
         if is_wrong or not quiet:
@@ -414,16 +418,17 @@ def print_end(
         return
     if not quiet:
         _print_classes(summary)
-        rows = [] if listed else [f"failed {failed_words(found)}" for found in summary.failed]
-        rows += [f"failed before {failed_words(found)}" for found in summary.failed_before]
-        _say_all([*rows, *(f"left out {found.name}: {found.reason}" for found in summary.left_out)])
+        rows = [] if listed else [f"failed {failed_words(failure)}" for failure in summary.failed]
+        rows += [f"failed before {failed_words(failure)}" for failure in summary.failed_before]
+        _say_all([*rows, *(f"left out {file.name}: {file.reason}" for file in summary.left_out)])
         _print_doubts(summary)
         _print_compared(summary)
     if summary.evaluation is not None and not (quiet and summary.evaluation.passed):
         for gate in summary.evaluation.gates:
             value = "undefined" if gate.value != gate.value else f"{gate.value:.4f}"
             say(
-                f"{gate.name}: found {value}, demanded {gate.limit:.4f}: {'passed' if gate.passed else 'failed'}"
+                f"{gate.name}: found {value}, demanded {gate.limit:.4f}: "
+                f"{'passed' if gate.passed else 'failed'}"
             )
     if is_wrong or not quiet:
         say(_end_words(summary))
@@ -432,21 +437,23 @@ def print_end(
 
 
 def _end_words(summary: BatchSummary) -> str:
-    told = _listed(
+    states = _listed(
         [
             (len(summary.done), "done"),
             (summary.n_skipped, "skipped"),
             (len(summary.failed), "failed"),
             (len(summary.failed_before), "failed before"),
             (summary.n_waiting, "left for another run"),
-            (summary.n_doubted, "doubted"),
+            (summary.n_doubted, "with warnings"),
             (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
         ]
     )
     rate = summary.shots_per_s
     pace = "" if rate is None else f"; {summary.n_shots:,} shots, {rate / 1e6:.2g} million a second"
     how = "" if summary.ended == "finished" else f"{summary.ended}; "
-    return f"{how}{told or 'no files'} of {summary.n_found:,} in {duration(summary.seconds)}{pace}"
+    return (
+        f"{how}{states or 'no files'} of {summary.n_found:,} in {duration(summary.seconds)}{pace}"
+    )
 
 
 def _print_classes(summary: BatchSummary) -> None:
@@ -464,23 +471,26 @@ def _print_classes(summary: BatchSummary) -> None:
 
 
 def _print_doubts(summary: BatchSummary) -> None:
-    """Print how many files each check doubts; the sentences stood above."""
+    """Print the number of files by check; the warnings themselves are printed before."""
     counts = Counter(doubt.check for doubt in summary.doubts)
     if counts:
-        told = ", ".join(f"{check} {count:,}" for check, count in counts.most_common())
+        checks = ", ".join(f"{check} {count:,}" for check, count in counts.most_common())
         say(
-            f"{count_of(summary.n_doubted, 'file')} doubted ({told}); all are in summary.json and prc batch status"
+            f"{count_of(summary.n_doubted, 'file')} with warnings ({checks}); "
+            "all are in summary.json and prc batch status"
         )
 
 
 def _print_compared(summary: BatchSummary) -> None:
     """Print scores of every file, and of all together, on stdout."""
-    found = summary.evaluation
-    if found is None:
+    evaluation = summary.evaluation
+    if evaluation is None:
         return
-    compared = [(item.name, scores(item.matrix)) for item in found.files if item.matrix is not None]
+    compared = [
+        (item.name, scores(item.matrix)) for item in evaluation.files if item.matrix is not None
+    ]
     if compared:
-        pooled = scores(found.matrix)
+        pooled = scores(evaluation.matrix)
         names = [
             item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference
         ]
@@ -490,24 +500,25 @@ def _print_compared(summary: BatchSummary) -> None:
             if len(compared) <= SHOWN
             else sorted(compared, key=lambda item: item[1].accuracy)[:SHOWN]
         )
-        for name, each in (*shown, ("all files", pooled)):
-            recall = {item.name: item.recall for item in each.classes}
+        for name, matrix in (*shown, ("all files", pooled)):
+            recall = {item.name: item.recall for item in matrix.classes}
             cells = (percent(recall[key]) for key in names)
-            table.add_row(printable(name), f"{each.n_scored:,}", *cells, percent(each.accuracy))
+            table.add_row(printable(name), f"{matrix.n_scored:,}", *cells, percent(matrix.accuracy))
         results().print(table)
         if len(compared) > SHOWN:
             tell(
-                f"the {SHOWN} of {len(compared)} files with the lowest accuracy; all are in summary.json"
+                f"the {SHOWN} of {len(compared)} files with the lowest accuracy; "
+                "all are in summary.json"
             )
         table = table_of("all files", "class", *CLASS_SCORES)
         for item in pooled.classes:
             if item.name in names:
                 table.add_row(item.name, *(percent(getattr(item, score)) for score in CLASS_SCORES))
         results().print(table)
-    _say_all([f"not compared {failed_words(missing)}" for missing in found.unpaired])
+    _say_all([f"not compared {failed_words(missing)}" for missing in evaluation.unpaired])
 
 
-# -- before a run, and about an output folder -------------------------------------------------------------------------
+# -- the plan, and the state of an output folder ---------------------------------------------
 
 
 def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
@@ -524,9 +535,9 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
         ],
         "bytes": plan.n_bytes,
         "skipped": len(plan.done),
-        "adopted": [found.name for _, found in plan.adopted],
-        "refused": [failed_dict(found) for found in plan.refused],
-        "left_out": [asdict(found) for found in plan.left_out],
+        "adopted": [file.name for _, file in plan.adopted],
+        "refused": [failed_dict(file) for file in plan.refused],
+        "left_out": [asdict(file) for file in plan.left_out],
         "beyond_limit": plan.n_beyond_limit,
         "not_selected": plan.n_not_selected,
         "estimate": {
@@ -554,7 +565,7 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
         tell(f"{'refused':<15} {failed_words(refused)}")
     for left in plan.left_out:
         tell(f"{'left out':<15} {left.name}: {left.reason}")
-    told = _listed(
+    states = _listed(
         [
             (len(plan.done), "done already"),
             (len(plan.adopted), "would be adopted"),
@@ -564,7 +575,7 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     )
     tell(
         f"{count_of(len(plan.todo), 'file')} to do ({size_of(plan.n_bytes)})"
-        + (f", {told}" if told else "")
+        + (f", {states}" if states else "")
     )
     if not plan.todo:
         return
@@ -591,8 +602,8 @@ def status_dict(
 ) -> dict[str, Any]:
     """Return the state of an output folder as plain values."""
     return {
-        "at_work": [asdict(found.owner) for found in owners if found.alive],
-        "dead_owners": [asdict(found.owner) for found in owners if not found.alive],
+        "at_work": [asdict(holder.owner) for holder in owners if holder.alive],
+        "dead_owners": [asdict(holder.owner) for holder in owners if not holder.alive],
         "counts": dict(Counter(entry.state for entry in entries)),
         "doubted": [asdict(doubt) for entry in entries for doubt in doubts_of(entry)],
         "runs": [asdict(run) | {"totals": dict(run.totals)} for run in runs],
@@ -629,28 +640,28 @@ def print_status(
     """Print the state of an output folder on stdout."""
     counts = Counter(entry.state for entry in entries)
     doubts = [doubt for entry in entries for doubt in doubts_of(entry)]
-    at_work = {str(found.owner) for found in owners if found.alive}
-    # what a dead owner left running was cut off
+    at_work = {str(holder.owner) for holder in owners if holder.alive}
+    # a run that died leaves files in the state "running"
     n_running = sum(entry.state == "running" and entry.owner in at_work for entry in entries)
-    told = _listed(
+    states = _listed(
         [
             (counts["done"], "done"),
             (counts["failed"], "failed"),
             (n_running, "running"),
-            (counts["running"] - n_running, "cut off"),
-            (len({doubt.name for doubt in doubts}), "doubted"),
+            (counts["running"] - n_running, "interrupted"),
+            (len({doubt.name for doubt in doubts}), "with warnings"),
         ]
     )
-    tell(f"{out}: {count_of(len(entries), 'file')}: {told}")
+    tell(f"{out}: {count_of(len(entries), 'file')}: {states}")
     for owner in sorted(at_work):
-        tell(f"at work: {owner}")
+        tell(f"running now: {owner}")
     if not at_work:
-        tell("no run is at work")
+        tell("no run is active")
     table = table_of(
-        "last runs", "begun (UTC)", "shard", "version", "exit code", "counts", n_words=5
+        "last runs", "start (UTC)", "shard", "version", "exit code", "counts", n_words=5
     )
     for run in runs[-5:]:
-        ended = "at work" if run.owner in at_work else "cut off"
+        ended = "running" if run.owner in at_work else "interrupted"
         code = ended if run.exit_code is None else str(run.exit_code)
         totals = ", ".join(f"{count} {name}" for name, count in run.totals if count)
         table.add_row(_minute(run.started), run.shard or "-", run.version, code, printable(totals))
@@ -662,7 +673,7 @@ def print_status(
         if isinstance(entry.outcome, Failed) and entry.state == "failed":
             tell(f"failed {failed_words(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
         else:
-            how = "running" if entry.owner in at_work else "cut off"
+            how = "running" if entry.owner in at_work else "interrupted"
             tell(f"{how} {entry.name} (since {_minute(entry.started)}{tries})")
     for doubt in doubts[:SHOWN]:
         tell(_doubt_words(doubt))
@@ -680,26 +691,33 @@ def _minute(stamp: str) -> str:
     return stamp[:19].replace("T", " ")
 
 
-def print_verified(out: Path, found: Sequence[Verified], *, quiet: bool) -> None:
+def print_verified(out: Path, outputs: Sequence[Verified], *, quiet: bool) -> None:
     """Print which outputs are not as they were written, on stdout."""
-    wrong = [one for one in found if one.state != "whole"]
-    for one in wrong:
-        tell(f"{one.state:<8} {one.name}: {one.why}")
+    wrong = [output for output in outputs if output.state != "whole"]
+    for output in wrong:
+        tell(f"{output.state:<8} {output.name}: {output.why}")
     if wrong or not quiet:
-        hint = "; the next run of prc batch does the others again" if wrong else ""
-        tell(f"{out}: {len(found) - len(wrong):,} of {count_of(len(found), 'output')} whole{hint}")
+        hint = "; the next prc batch repeats the others" if wrong else ""
+        tell(
+            f"{out}: {len(outputs) - len(wrong):,} of {count_of(len(outputs), 'output')} "
+            f"whole{hint}"
+        )
 
 
-def print_cleaned(found: Cleaned, *, dry_run: bool) -> None:
+def print_cleaned(cleaned: Cleaned, *, dry_run: bool) -> None:
     """Print what was removed, on stdout."""
     removed, forgot = ("would remove", "would forget") if dry_run else ("removed", "forgot")
-    for path in found.files:
+    for path in cleaned.files:
         tell(f"{removed} {path}")
-    for name in found.forgotten[:SHOWN]:
+    for name in cleaned.forgotten[:SHOWN]:
         tell(f"{forgot} {name}")
-    if len(found.forgotten) > SHOWN:
-        tell(f"and {len(found.forgotten) - SHOWN:,} more")
-    for path in found.kept:
+    if len(cleaned.forgotten) > SHOWN:
+        tell(f"and {len(cleaned.forgotten) - SHOWN:,} more")
+    for path in cleaned.kept:
         tell(f"kept {path}: another machine may still write it")
-    forgotten = f", {forgot} {count_of(len(found.forgotten), 'input')}" if found.forgotten else ""
-    tell(f"{removed} {count_of(len(found.files), 'file')} ({size_of(found.n_bytes)}){forgotten}")
+    forgotten = (
+        f", {forgot} {count_of(len(cleaned.forgotten), 'input')}" if cleaned.forgotten else ""
+    )
+    tell(
+        f"{removed} {count_of(len(cleaned.files), 'file')} ({size_of(cleaned.n_bytes)}){forgotten}"
+    )

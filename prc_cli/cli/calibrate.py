@@ -1,4 +1,4 @@
-"""``prc calibrate``: parameters that follow from the sensor, or from a reference."""
+"""``prc calibrate``: parameters from the measured scanner, or from a reference."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _OPTIONS = [
         "--output",
         type=WRITTEN,
         metavar="CONFIG.toml",
-        help="Write the calibrated configuration, every value with its reason.",
+        help="Write the calibrated configuration, with a reason for every value.",
     ),
     click.option(
         "--plot",
@@ -60,7 +60,7 @@ _OPTIONS = [
         "--reference",
         type=READ,
         metavar="LABELS",
-        help="Codes of the records of IN, in their order: search the parameters that agree best.",
+        help="Class codes of the records of IN: search the parameters that agree best.",
     ),
     click.option(
         "--mapping",
@@ -69,7 +69,7 @@ _OPTIONS = [
         show_default=True,
         metavar="NAME|FILE.toml",
         shell_complete=complete_mapping,
-        help="Which codes mean which class.",
+        help="Classes of the codes.",
     ),
     click.option(
         "--reference-dimension",
@@ -81,7 +81,7 @@ _OPTIONS = [
         default=MEAN_F1,
         show_default=True,
         metavar="SCORE",
-        help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.",
+        help="Score to maximise: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.",
     ),
     click.option(
         "--training-share",
@@ -89,34 +89,34 @@ _OPTIONS = [
         default=0.6,
         show_default=True,
         metavar="SHARE",
-        help="Share of the groups of lines that the search sees; the others give the honest figure.",
+        help="Share of the line groups for the search. The others are held out for the scores.",
     ),
     click.option(
         "--budget",
         type=click.IntRange(2, 100_000),
         default=300,
         show_default=True,
-        help="Sets of parameters tried at most.",
+        help="Largest number of parameter sets to try.",
     ),
     click.option(
         "--seed",
         type=click.IntRange(0, 2**63 - 1),
         default=0,
         show_default=True,
-        help="Draws the training lines.",
+        help="Seed for the choice of training lines.",
     ),
     click.option(
         "--keep",
         multiple=True,
         metavar="KEY",
-        help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies.",
+        help="Do not search this key, e.g. prc.support.zeta_p: derive it from the scanner.",
     ),
     click.option(
         "--max-shots",
         type=click.IntRange(min=1000),
         default=4_000_000,
         show_default=True,
-        help="Shots kept in memory for the search; longer inputs are sampled.",
+        help="Shots in memory for the search. Longer inputs are sampled.",
     ),
 ]
 
@@ -136,20 +136,20 @@ def calibrate(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Measure the sensor of IN and derive the parameters that follow from it.
+    """Measure the scanner on the stream of IN, and derive the parameters of PRC.
 
-    Noise, angular step, rounding and missing shots are measured on the stream itself; with a
-    reference the parameters are searched on a part of the lines and judged on the others. A stream
-    that is doubted gives parameters that may be wrong: exit code 4.
+    prc measures noise, angular step, rounding and missing shots. With --reference it also searches
+    the best parameters on a part of the lines, and prints their scores on the other lines. If IN
+    gives a warning, the parameters may be wrong (exit code 4).
 
-    It is PRC that needs this. Where no method is named and the angles of the beams are known, prc
-    classify takes fused, which measures the sensor itself: nothing is calibrated then, and the
-    configuration changes nothing.
+    Only PRC needs this. fused measures the scanner itself. If you name no method and prc chooses
+    fused, there is nothing to calibrate, and the configuration changes nothing.
 
     \b
     Examples:
       prc calibrate drive.laz --method prc -o drive.toml --plot drive.svg
-      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o strip.toml
+      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland \\
+        -o strip.toml
       prc classify drive.laz out.laz --config drive.toml
     """
     form = form_of(options)
@@ -162,22 +162,24 @@ def calibrate(
     prepare_outputs(*wanted, overwrite=overwrite, inputs=inputs)
     search = _search_options(reference, options)
     with line_progress(source.name, quiet=quiet) as progress, _trials(quiet=quiet) as tried:
-        found = calibrate_file(source, loaded, search, progress=progress, tried=tried)
+        calibration = calibrate_file(source, loaded, search, progress=progress, tried=tried)
     with whole_set():
         for target, text in ((output, as_toml), (plot, as_svg)):
             if target is not None:
                 with atomic_output(target, overwrite=overwrite) as temporary:
-                    temporary.write_text(text(found), encoding="utf-8")
+                    temporary.write_text(text(calibration), encoding="utf-8")
     if form != "table":
         click.echo(
-            printable_lines((as_json(found) if form == "json" else as_markdown(found)).rstrip("\n"))
+            printable_lines(
+                (as_json(calibration) if form == "json" else as_markdown(calibration)).rstrip("\n")
+            )
         )
     elif not quiet:
-        _print(found)
+        _print(calibration)
     if not quiet:
         for path in wanted:
             print_line(f"wrote {path}")
-    end_with(found.doubts)
+    end_with(calibration.doubts)
 
 
 SEARCH_OPTIONS = (
@@ -194,7 +196,6 @@ SEARCH_OPTIONS = (
 
 
 def _search_options(reference: Path | None, options: dict[str, Any]) -> SearchOptions | None:
-    """Build the options of the search, if there is one, from those of the command."""
     if reference is None:
         context = click.get_current_context()
         for name in SEARCH_OPTIONS:
@@ -208,7 +209,6 @@ def _search_options(reference: Path | None, options: dict[str, Any]) -> SearchOp
 
 @contextlib.contextmanager
 def _trials(*, quiet: bool) -> Iterator[Tried | None]:
-    """Tell on a terminal how far the search is."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -220,18 +220,20 @@ def _trials(*, quiet: bool) -> Iterator[Tried | None]:
     click.echo("\r" + " " * 40 + "\r", nl=False, err=True)
 
 
-def _print(found: Calibration) -> None:
+def _print(calibration: Calibration) -> None:
     tables: list[tuple[str, tuple[str, ...], Iterable[Sequence[str]]]]
-    tables = [("measured on the stream", ("", ""), sensor_rows(found.sensor))]
-    if found.advice:
-        tables.append(("share of the returns", CURVE_HEADER, curve_rows(found)))
-        tables.append(("parameters", ("key", "before", "value", "reason"), advice_rows(found)))
-    if found.search is not None:
-        title = f"{found.search.n_trials} trials; figures on training and on held-out lines"
-        tables.append((title, *judged_rows(found)))
+    tables = [("measured on the stream", ("", ""), sensor_rows(calibration.sensor))]
+    if calibration.advice:
+        tables.append(("share of the returns", CURVE_HEADER, curve_rows(calibration)))
+        tables.append(
+            ("parameters", ("key", "before", "value", "reason"), advice_rows(calibration))
+        )
+    if calibration.search is not None:
+        title = f"{calibration.search.n_trials} trials; figures on training and on held-out lines"
+        tables.append((title, *judged_rows(calibration)))
     for title, header, rows in tables:
         table = table_of(title, *header, rows=rows, n_words=len(header))
         table.show_header = any(header)
         results().print(table)
-    for note in found.notes:
+    for note in calibration.notes:
         results().print(f"note: {note}", soft_wrap=True)

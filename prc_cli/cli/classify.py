@@ -39,7 +39,7 @@ from prc_cli.jobs.classify import classify as classify_file
 from prc_cli.kernels import ENGINES, Engine
 
 FEW_SHOTS = 100
-"""Fewer are too few for the checks, and for a rate."""
+"""The checks and the rate need at least so many shots."""
 
 
 @click.command(cls=Sectioned)
@@ -52,19 +52,20 @@ FEW_SHOTS = 100
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
-    help="Threads that classify; default: one for every core. They do not change a byte of OUT, and are not recorded.",
+    help="Number of threads. Default: one per core. The output does not depend on it.",
 )
 @click.option(
     "--engine",
     type=click.Choice(ENGINES),
     default="compiled",
     show_default=True,
-    help="Compiled loops; or the papers' methods in plain NumPy and SciPy: slow, one thread, the same labels.",
+    help="reference: the methods of the papers in plain NumPy and SciPy. Slow, one thread, "
+    "same labels.",
 )
 @click.option(
     "--profile",
     is_flag=True,
-    help="Print where the time went, on stderr, and with --json on stdout.",
+    help="Print the time of every stage.",
 )
 @output_options
 def classify(
@@ -80,14 +81,17 @@ def classify(
 ) -> None:
     """Give every shot of IN its class and write OUT.
 
-    OUT is .las or .laz (class codes; everything else stays as it is in IN), a bag where IN is one,
-    or the labels alone: .npy, .csv, .parquet. The run is recorded in OUT and in OUT.prc.json beside
-    it. The files of one drive, in order, are one stream: OUT is then a folder, with an output for
-    each.
+    OUT is .las or .laz (only the class codes differ from IN), a bag if IN is a bag, or the labels
+    alone: .npy, .csv, .parquet. prc records the run in OUT and in OUT.prc.json.
 
-    Without --preset, --method or a configuration that names one, the method that labels IN best is
-    taken: fused where the angles of the beams are known, with its forest classes where the place
-    looks like a forest; else PRC. A line on stderr and the run record say which and why.
+    If you name several files, prc reads them as one drive, in this order. OUT is then a folder with
+    one output per file.
+
+    If you name no method, prc chooses one from the input: fused if the beam angles are known, else
+    PRC. It prints the method and the reason.
+
+    prc checks the input and its own labels. If a check fails, nothing is written (exit code 1). If
+    a check is unsure, labels and a warning are written (exit code 4).
 
     \b
     Examples:
@@ -95,7 +99,8 @@ def classify(
       prc classify drive.laz drive_classified.laz --preset urban
       prc classify drive.bin labels.npy --preset urban -M 2154
       prc classify drive_01.laz drive_02.laz drive_03.laz classified/
-      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97 --columns time:414190
+      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv \\
+        --lines time:97 --columns time:414190
     """
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")
@@ -114,9 +119,8 @@ def classify(
     loaded = config_from(options)
     source = sources[0]
     with profiling() if wants_profile else nullcontext() as profile:
-        if (
-            source.is_file() and loaded.config.is_decided
-        ):  # otherwise refuse it without waiting for the compiler
+        # a missing file is refused without waiting for the compiler
+        if source.is_file() and loaded.config.is_decided:
             with loading():
                 load_classifier(loaded, engine)
         start = time.perf_counter()
@@ -151,7 +155,6 @@ def classify(
 def _classify_all(
     sources: tuple[Path, ...], output: Path, loaded: LoadedConfig, **common: Any
 ) -> list[RunSummary]:
-    """Classify one file, or the files of one drive."""
     if len(sources) == 1:
         return [classify_file(sources[0], output, loaded, **common)]
     from prc_cli.jobs.drive import classify_drive  # few need it
@@ -160,10 +163,7 @@ def _classify_all(
 
 
 def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose: bool) -> None:
-    """Print classes, notes and the rate.
-
-    Of several files a line each, and what all have in common once.
-    """
+    """Print classes, notes and rate of all files together, and a line for each file."""
     first = summaries[0].record
     more = f" and {len(summaries) - 1} more" if len(summaries) > 1 else ""
     labels = sum((summary.counts.labels for summary in summaries[1:]), summaries[0].counts.labels)
@@ -171,7 +171,7 @@ def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose
     print_taken(first, verbose=verbose)
     n_back = sum(summary.record.tally.n_time_steps_back for summary in summaries)
     if n_back:
-        print_line(f"note: the time goes back {n_back:,} times: see prc info")
+        print_line(f"note: the time goes back {n_back:,} times: prc info prints where")
     print_notices(
         dict.fromkeys(notice for summary in summaries for notice in summary.record.notices)
     )

@@ -16,6 +16,6 @@ def completion(shell: str) -> None:
     """
     from prc_cli.cli import cli
 
-    found = get_completion_class(shell)
-    assert found is not None  # the choice above lists what click ships
-    click.echo(found(cli, {}, "prc", "_PRC_COMPLETE").source())
+    script = get_completion_class(shell)
+    assert script is not None  # the choice above lists what click ships
+    click.echo(script(cli, {}, "prc", "_PRC_COMPLETE").source())

@@ -26,12 +26,10 @@ def config() -> None:
 
 @config.command()
 @stream_options
-@click.option("--bare", is_flag=True, help="Without comments.")
-@click.option(
-    "--json", "as_json", is_flag=True, help="As JSON, with the source of every value that was set."
-)
+@click.option("--bare", is_flag=True, help="Print no comments.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, with the source of every value.")
 def show(bare: bool, as_json: bool, **options: Any) -> None:
-    """Print the effective configuration as TOML that can be used as a configuration file.
+    """Print the effective configuration as TOML, ready to use as a configuration file.
 
     \b
     Example: prc config show --preset urban --set prc.support.zeta_p=0.1
@@ -48,9 +46,9 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
 @config.command()
 @click.argument("file", type=READ)
 def check(file: Path) -> None:
-    """Check a configuration file; exit code 2 names the first wrong key.
+    """Check a configuration file. If a key is wrong, print it and exit with code 2.
 
-    A file for prc batch may hold [[override]] tables.
+    The file may contain the [[override]] tables of prc batch.
 
     \b
     Example: prc config check night_run.toml
@@ -68,19 +66,24 @@ def check(file: Path) -> None:
         loaded = BatchConfig(ConfigLayers(file)).base
         more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"
     click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set{more}"))
-    if loaded.config.method == "prc" and (found := unusual(loaded.config.prc.support)) is not None:
-        click.echo(f"warning: {found}", err=True)
+    if (
+        loaded.config.method == "prc"
+        and (warning := unusual(loaded.config.prc.support)) is not None
+    ):
+        click.echo(f"warning: {warning}", err=True)
 
 
 @config.command()
 @click.option(
-    "--json", "as_json", is_flag=True, help="As JSON, with every value and the file of each preset."
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print JSON, with all values and the file of each preset.",
 )
 def presets(as_json: bool) -> None:
-    """List the presets and what each is for.
+    """List the presets and the sample configurations, with their purpose.
 
-    Also shown is how many values a preset changes, compared with the defaults; then the other
-    sample configurations.
+    "changed" is the number of values that differ from the defaults.
 
     \b
     Example: prc config presets
@@ -89,26 +92,26 @@ def presets(as_json: bool) -> None:
     if as_json:
         rows = [
             {
-                "name": each.name,
-                "purpose": each.purpose,
-                "method": each.method,
-                "changed": each.n_changed,
-                "values": each.values,
-                "file": str(each.file),
+                "name": preset.name,
+                "purpose": preset.purpose,
+                "method": preset.method,
+                "changed": preset.n_changed,
+                "values": preset.values,
+                "file": str(preset.file),
             }
-            for each in summaries
+            for preset in summaries
         ]
         click.echo(json.dumps({"presets": rows}, indent=2))
         return
-    width = max(len(each.name) for each in summaries)
+    width = max(len(preset.name) for preset in summaries)
     click.echo(f"{'preset':{width}}  changed  what for")
-    for each in summaries:
-        click.echo(f"{each.name:{width}}  {each.n_changed:7}  {each.purpose}")
+    for preset in summaries:
+        click.echo(f"{preset.name:{width}}  {preset.n_changed:7}  {preset.purpose}")
     click.echo("\nsample configurations, for --config:")
     for file, purpose in sample_summaries():
         click.echo(f"{file.name:{width}}  {purpose}")
     click.echo(
-        "\nWithout a preset the input decides: prc info FILE says how, and prints the command to type."
+        "\nIf you name no preset, prc chooses the method from the input: prc info FILE prints it."
     )
 
 

@@ -45,12 +45,14 @@ def convert(
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Write IN in another format, and say what OUT cannot hold.
+    """Convert IN to the format of OUT, and report what is lost.
 
     OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .ply, .pcd, .e57 or a
-    bag (.bag, .mcap, .db3). Between .las and .laz only the compression changes. Everything else is
-    read as a stream, as prc classify would; ranges and times keep every bit. What was lost, and
-    every doubt about the stream (exit code 4), is printed and kept in OUT.prc.json.
+    bag (.bag, .mcap, .db3). From .las to .laz and back only the compression changes. prc reads all
+    other files as prc classify does. Ranges and times keep every bit.
+
+    prc prints what OUT cannot contain, and warnings about IN (exit code 4). Both are in
+    OUT.prc.json.
 
     \b
     Examples:

@@ -28,19 +28,19 @@ TITLES = {
 """Titles of the parts."""
 
 OTHERS = {
-    "walk": "a walk in a forest, the method chosen for it",
-    "static": "a static scan of a street, sequential-angle",
-    "published": "the same drive, PRC as published",
+    "walk": "a walk in a forest, with the method that prc chose",
+    "static": "a static scan of a street, with sequential-angle",
+    "published": "the same drive, with PRC as published",
 }
 """The parts that are shown in a line each."""
 
 OPEN = {
-    "look around in it, in a browser": "street.html",
-    "how well it is classified": "street_report.html",
-    "as a picture (ranges, classes, the simulator's classes)": "street.png",
-    "the classified cloud, for other programs": "street.laz",
+    "3-D view, for your browser": "street.html",
+    "accuracy of the labels": "street_report.html",
+    "picture (ranges, classes, true classes)": "street.png",
+    "classified point cloud": "street.laz",
 }
-"""What to look at first."""
+"""The files of the drive."""
 
 
 @click.command()
@@ -64,11 +64,16 @@ OPEN = {
         type=click.IntRange(0, 2**63 - 1),
         default=1,
         show_default=True,
-        help="Another seed, another world.",
+        help="Every seed gives another street.",
     ),
 )
-@click.option("--all", "everything", is_flag=True, help="The other methods and scans as well.")
-@click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
+@click.option(
+    "--all",
+    "everything",
+    is_flag=True,
+    help="Also simulate a forest and a static scan, and run the other methods.",
+)
+@click.option("--overwrite", is_flag=True, help="Write into a folder that contains files.")
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @QUIET
 def demo(
@@ -80,10 +85,10 @@ def demo(
     json_wanted: bool,
     quiet: bool,
 ) -> None:
-    """Simulate a drive along a street, classify, evaluate and draw it; ends with what to open.
+    """Simulate a drive along a street, classify it, evaluate the labels and draw them.
 
-    --all does the same for a walk in a forest and a static scan, and for the drive with PRC as published; their files
-    are in the folder more.
+    At the end prc prints which files to open. --all adds a walk in a forest, a static scan, and the
+    drive with PRC as published.
 
     \b
     Example: prc demo --output /tmp/prc-demo
@@ -91,7 +96,7 @@ def demo(
     chosen = tuple(PARTS) if everything else MAIN
     with compiling_note(quiet=quiet, what="simulator and the classifier"):
         load_simulator()
-        for name in chosen:  # a walk is known to be one only when it is looked at
+        for name in chosen:  # the method of a walk is chosen later
             load_classifier(load_config(preset=PARTS[name].preset or "fused"))
     with line_progress("simulated scans", quiet=quiet) as progress:
         result = run_demo(
@@ -108,10 +113,8 @@ def demo(
         _print(result.parts, tables=not json_wanted)
     for what, name in OPEN.items():
         print_line(f"{what}: {output / name}")
-    print_line(
-        f"labels, configurations and, with --all, the other scans and methods: {output / MORE}"
-    )
-    print_line("your own file: prc info FILE prints the command to type")
+    print_line(f"labels, configurations and the parts of --all: {output / MORE}")
+    print_line("next, with your own file: prc info FILE")
 
 
 def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
@@ -122,7 +125,7 @@ def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
     print_taken(record, verbose=False)
     if not tables:
         return
-    click.echo("\na drive along a street: labels against those of the simulator")
+    click.echo("\na drive along a street: labels compared with the true classes of the simulator")
     print_evaluation(drive.matrix, scores(drive.matrix))
     for name, what in OTHERS.items():
         if name in parts:

@@ -17,25 +17,24 @@ from prc_cli.core.errors import ExitCode, printable
     "--out",
     type=WRITTEN,
     metavar="FOLDER",
-    help="Also ask a folder for outputs for what prc batch needs of it.",
+    help="Also check this folder for the outputs of prc batch.",
 )
-@click.option(
-    "--no-run", is_flag=True, help="Without the small runs from end to end and by both engines."
-)
+@click.option("--no-run", is_flag=True, help="Skip the two small test runs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print only what is not as it should be.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only warnings and faults.")
 def doctor(
     out: Path | None,
     no_run: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Check the installation: packages, LAZ, compiled loops, memory, disks, and a small run from end to end.
+    """Check the installation: packages, LAZ, compiled loops, memory and disks.
 
-    The compiled loops must give the same labels as --engine reference of prc classify.
+    Then prc classifies a small simulated street, and compares the compiled loops with prc classify
+    --engine reference.
 
-    Every check is ok, warn (slower, or not for everything) or bad, and says what to do. Exit code 1
-    if one is bad.
+    Each check prints ok, warn or bad, and what to do. warn: prc works, but slowly or not with every
+    file. If a check is bad, the exit code is 1.
 
     \b
     Examples:
@@ -45,35 +44,35 @@ def doctor(
     """
     from prc_cli.jobs.doctor import examine
 
-    found = []
+    done = []
     width = 0
     for check in examine(out, run=not no_run):
-        found.append(check)
+        done.append(check)
         if as_json or (quiet and check.status == "ok"):
             continue
         width = max(width, len(check.name), 16)
         console_text = (
-            f"{check.status:<4}  {printable(check.name):<{width}}  {printable(check.found)}"
+            f"{check.status:<4}  {printable(check.name):<{width}}  {printable(check.text)}"
         )
         results().print(console_text, soft_wrap=True)
         if check.hint:
             results().print(f"      {'':<{width}}  -> {printable(check.hint)}", soft_wrap=True)
     counts = {
-        status: sum(check.status == status for check in found) for status in ("ok", "warn", "bad")
+        status: sum(check.status == status for check in done) for status in ("ok", "warn", "bad")
     }
     if as_json:
         checks = [
             {
                 "name": c.name,
                 "status": c.status,
-                "found": c.found,
+                "found": c.text,
                 "hint": c.hint,
                 "details": dict(c.details),
             }
-            for c in found
+            for c in done
         ]
         click.echo(json.dumps({"counts": counts, "checks": checks}, indent=2))
     elif not quiet:
-        console().print(f"{counts['ok']} ok, {counts['warn']} to know, {counts['bad']} bad")
+        console().print(f"{counts['ok']} ok, {counts['warn']} warn, {counts['bad']} bad")
     if counts["bad"]:
         click.get_current_context().exit(ExitCode.FAILED)

@@ -76,8 +76,8 @@ _OPTIONS = [
         type=READ_TEXT,
         metavar="NAME|FILE.toml",
         shell_complete=complete_mapping,
-        help="Which codes mean which class: a preset (prc, street, asprs, terrascan, ...) or a file.  "
-        "[default: that of the method in the run record beside PREDICTED, else prc]",
+        help="Classes of the codes: a preset (prc, street, asprs, terrascan, ...) or a file.  "
+        "[default: the mapping of the method in the run record beside PREDICTED, else prc]",
     ),
     click.option(
         "--predicted-dimension",
@@ -96,15 +96,16 @@ _OPTIONS = [
         nargs=2,
         type=READ,
         metavar="PREDICTED REFERENCE",
-        help="Another pair of files or folders, pooled into the same matrix.",
+        help="Add a pair of files or folders to the same matrix. Can be repeated.",
     ),
     click.option(
         "--match",
         default="order",
         show_default=True,
         metavar="HOW",
-        help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length "
-        "or order are matched by line and column, where both know them.",
+        help="How records are matched: order, time, dimension:NAME or nearest. "
+        "If lengths or orders "
+        "differ, prc matches by line and column, if both files have them.",
     ),
     click.option(
         "--tolerance",
@@ -112,76 +113,79 @@ _OPTIONS = [
         "tolerance",
         type=float,
         metavar="NUMBER",
-        help="Largest difference of a pair: seconds (time), metres (nearest).  [default: 6e-7 s; metres from "
-        "the spacing and the distance of both clouds]",
+        help="Largest difference of a pair: seconds (time), metres (nearest).  [default: 6e-7 s; "
+        "for "
+        "nearest, from the spacing and the distance of both clouds]",
     ),
     click.option(
         "--unmatched",
         type=click.Choice(["leave", "noise"]),
         default=DEFAULTS.unmatched,
         show_default=True,
-        help="With nearest: predicted shots without partner are not scored, or are noise in the reference "
-        "where it covers the ground (registered clouds mostly have their noise deleted).",
+        help="For nearest: do not score predicted shots without partner, "
+        "or count them as noise in the "
+        "reference, inside its area (in most registered clouds noise was deleted).",
     ),
     click.option(
         "--inside",
         type=READ_TEXT,
         metavar="X1,Y1,X2,Y2|FILE.geojson",
-        help="With nearest: compare only shots inside.",
+        help="For nearest: compare only shots inside this area.",
     ),
     click.option(
         "--height",
         metavar="LOW:HIGH",
-        help="With nearest: score only shots this high above the reference's ground [m], e.g. 0:2.",
+        help="For nearest: score only shots at these heights above the ground of the reference "
+        "[m], e.g. 0:2.",
     ),
     click.option(
         "--trees",
         type=READ,
         metavar="FILE.csv",
-        help="With nearest: shots inside these cylinders (x,y,radius[,height]) are stems in the reference.",
+        help="For nearest: shots in these cylinders (x,y,radius[,height]) are stems in the "
+        "reference.",
     ),
     click.option(
         "--third",
         type=READ,
         metavar="PATH",
-        help="A third labelling, compared with both: by order or nearest.",
+        help="Compare both with a third labelling, by order or nearest.",
     ),
     click.option(
         "--third-mapping",
         type=READ_TEXT,
         metavar="NAME|FILE.toml",
         shell_complete=complete_mapping,
-        help="Mapping whose [reference] lists the codes of the third.  [default: that of REFERENCE]",
+        help="Classes of the codes of the third labelling.  [default: as for REFERENCE]",
     ),
     click.option(
         "--allow-missing",
         is_flag=True,
-        help="Leave out files of a folder that have no partner in the other.",
+        help="Skip files that are in only one of the folders.",
     ),
     click.option(
         "--pool",
         is_flag=True,
-        help="Take all files of a side as one, whatever their names; not with order.",
+        help="Read all files of a side as one cloud, with any names. Not for --match order.",
     ),
     click.option(
         "--min-matched",
         type=click.FloatRange(0, 1),
         default=DEFAULTS.min_matched,
         show_default=True,
-        help="Least share of the smaller side that must find a partner.",
+        help="Smallest share of records with a partner, of the smaller side.",
     ),
     click.option(
         "--predicted-points",
         type=READ,
         metavar="PATH",
-        help="The points that predicted labels alone belong to, record by record: the input of the run, or a "
-        "folder.",
+        help="Points of PREDICTED, if it contains only labels: the input of the run, or a folder.",
     ),
     click.option(
         "--reference-points",
         type=READ,
         metavar="PATH",
-        help="The points that reference labels alone belong to, or their folder.",
+        help="Points of REFERENCE, if it contains only labels, or their folder.",
     ),
     *POSES,
     click.option(
@@ -199,32 +203,31 @@ _OPTIONS = [
         "--by-confidence",
         "split_confidence",
         metavar="EDGES",
-        help="Split by the confidence of the predictions [per cent], e.g. 50,80,90,95,99: how reliable it "
-        "is.",
+        help="Split by the confidence of the predictions [%], e.g. 50,80,90,95,99.",
     ),
     click.option(
         "--min-confidence",
         type=click.IntRange(0, 100),
         metavar="PERCENT",
-        help="Leave out predictions with less confidence.",
+        help="Skip predictions with less confidence.",
     ),
     click.option(
         "-M",
         "--points-per-line",
         type=click.IntRange(min=1),
-        help="Shots in a scan line of a dense stream.",
+        help="Shots per scan line of a dense stream.",
     ),
     click.option(
         "--intervals",
         is_flag=True,
-        help="Confidence intervals of all scores, by a block jackknife.",
+        help="Print confidence intervals of all scores (block jackknife).",
     ),
     click.option(
         "--interval-lines",
         type=click.IntRange(min=1),
         default=DEFAULTS.interval_lines,
         show_default=True,
-        help="Scan lines of a block that is left out as a whole.",
+        help="Scan lines per block of the jackknife.",
     ),
     *form_options("table", "json", "csv", "markdown", "latex", "html"),
     click.option(
@@ -234,7 +237,7 @@ _OPTIONS = [
         multiple=True,
         type=WRITTEN,
         metavar="FILE",
-        help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times.",
+        help="Also write the result to FILE: .json, .csv, .md, .tex or .html. Can be repeated.",
     ),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     click.option(
@@ -243,7 +246,7 @@ _OPTIONS = [
         type=READ_TEXT,
         multiple=True,
         metavar="[TITLE=]FILE.png",
-        help="Put a picture into the HTML page; may be given several times.",
+        help="Add a picture to the HTML page. Can be repeated.",
     ),
     QUIET_FORM,
     click.option(
@@ -251,7 +254,7 @@ _OPTIONS = [
         "gates",
         multiple=True,
         metavar="SCORE.CLASS=VALUE",
-        help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9.",
+        help="If a score is lower, exit with code 3, e.g. recall.ground=0.95 or accuracy=0.9.",
     ),
 ]
 
@@ -264,13 +267,12 @@ _OPTIONS = [
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
-    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders,
-    whose files of the same name (any suffix) are pooled into one matrix. Text and Parquet may hold
-    class names instead of codes. The result goes to stdout, and to the files of --output.
+    Both contain class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz. Text and Parquet may
+    contain class names instead. If both are folders, prc compares files of the same name (with any
+    suffix) in one matrix. The result goes to stdout, and to the files of --output.
 
-    Records that are not in the same order are matched with --match. A reference of registered
-    points (CAR: classified after registration, tiled, thinned, without noise) needs --match
-    nearest.
+    If the records are in different orders, use --match. A reference that was classified after
+    registration (CAR) needs --match nearest.
 
     \b
     Examples:
@@ -278,7 +280,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
       prc evaluate classified.laz car.laz --match nearest --unmatched noise --mapping asprs
-      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory path.csv --mount 0,25,0
+      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz \\
+        --trajectory path.csv --mount 0,25,0
     """
     form = form_of(options)
     how = _how(options)
@@ -299,17 +302,17 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         path.suffix.lower() == ".html" for path in options["outputs"]
     )
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
-    found = evaluate_all(left, right, name, options=how)
-    gates = check_gates(scores(found.matrix), demanded)
+    evaluation = evaluate_all(left, right, name, options=how)
+    gates = check_gates(scores(evaluation.matrix), demanded)
     if (
-        found.match.method == "order" and page_wanted and how.window is None
+        evaluation.match.method == "order" and page_wanted and how.window is None
     ):  # they show the first lines
         dimensions = how.predicted_dimension, how.reference_dimension
         points = how.predicted_points, how.reference_points
         pictures = (
             *class_pictures(
-                Path(found.predicted[0]),
-                Path(found.reference[0]),
+                Path(evaluation.predicted[0]),
+                Path(evaluation.reference[0]),
                 mapping,
                 how.points_per_line,
                 dimensions,
@@ -317,13 +320,13 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
             ),
             *pictures,
         )
-    if found.plan is not None:
+    if evaluation.plan is not None:
         pictures = (
-            ("From above: where predicted and third are right and wrong", found.plan),
+            ("From above: where predicted and third are right and wrong", evaluation.plan),
             *pictures,
         )
     texts = [
-        _text(FORMS[path.suffix.lower()], found, gates, mapping, pictures)
+        _text(FORMS[path.suffix.lower()], evaluation, gates, mapping, pictures)
         for path in options["outputs"]
     ]
     with whole_set():
@@ -331,43 +334,41 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
             with atomic_output(path, overwrite=options["overwrite"]) as temporary:
                 temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
-        click.echo(printable_lines(_text(form, found, gates, mapping, pictures).rstrip("\n")))
+        click.echo(printable_lines(_text(form, evaluation, gates, mapping, pictures).rstrip("\n")))
     elif not options["quiet"]:
-        print_evaluation(found.matrix, scores(found.matrix), found.intervals)
-        print_evaluation_details(found, gates)
+        print_evaluation(evaluation.matrix, scores(evaluation.matrix), evaluation.intervals)
+        print_evaluation_details(evaluation, gates)
     if why and not options["quiet"]:
         console().print(
             f"mapping: {name} ({why}); --mapping names another", markup=False, soft_wrap=True
         )
     refuse_failed(gates)
-    if doubts(found):
+    if doubts(evaluation):
         raise SystemExit(ExitCode.LOOK)
 
 
 def _text(
     form: str,
-    found: Evaluation,
+    evaluation: Evaluation,
     gates: Sequence[GateResult],
     mapping: ClassMapping,
     pictures: Pictures,
 ) -> str:
-    """Return the result in one of the report formats."""
     if form == "html":
         return as_html(
-            found,
+            evaluation,
             gates,
             mapping=mapping,
             pictures=pictures,
-            origin=origin([Path(name) for name in found.predicted]),
+            origin=origin([Path(name) for name in evaluation.predicted]),
         )
     if form in ("csv", "latex"):
-        return as_csv(found) if form == "csv" else as_latex(found)
-    return as_json(found, gates) + "\n" if form == "json" else as_markdown(found, gates)
+        return as_csv(evaluation) if form == "csv" else as_latex(evaluation)
+    return as_json(evaluation, gates) + "\n" if form == "json" else as_markdown(evaluation, gates)
 
 
 def _how(options: dict[str, Any]) -> EvaluateOptions:
-    """Return the options of the comparison; those of the command have its names."""
-    own = {
+    explicit = {
         item.name: options[item.name] for item in fields(EvaluateOptions) if item.name in options
     }
     read = {
@@ -377,11 +378,11 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         "mount": numbers(options["mount"], "--mount"),
         "window": _window(options),
     }
-    return EvaluateOptions(**{**own, **read})
+    return EvaluateOptions(**{**explicit, **read})
 
 
 def _heights(text: str | None) -> tuple[float, float] | None:
-    """Read heights above ground, ``0:2``."""
+    """Read heights above ground, e.g. ``0:2`` [m]."""
     if text is None:
         return None
     words = text.split(":")
@@ -403,20 +404,19 @@ _WINDOWS = ("only_lines", "only_time", "first")
 
 
 def _window(options: dict[str, Any]) -> Window | None:
-    """Return the part that is scored."""
-    given = {
+    flags = {
         f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"]
         for name in _WINDOWS
     }
     try:
-        return parse_window(*given.values())
+        return parse_window(*flags.values())
     except ValueError as error:
-        found = ", ".join(f"{name} {text}" for name, text in given.items() if text is not None)
-        raise ConfigError("window", f"found {found}, expected {error}") from None
+        limits = ", ".join(f"{name} {text}" for name, text in flags.items() if text is not None)
+        raise ConfigError("window", f"found {limits}, expected {error}") from None
 
 
 def _edges(text: str | None) -> tuple[float, ...]:
-    """Read the edges of range bins, ``5,10,20``."""
+    """Read the edges of range bins, e.g. ``5,10,20`` [m]."""
     if text is None:
         return ()
     try:
@@ -425,40 +425,36 @@ def _edges(text: str | None) -> tuple[float, ...]:
         edges = (math.nan,)
     rising = all(low < high for low, high in zip((-1.0, *edges), (*edges, math.inf), strict=True))
     if not rising or edges[0] < 0:
-        problem = f"found {text!r}, expected ranges in metres that rise, such as 5,10,20,40"
+        problem = f"found {text!r}, expected increasing ranges in metres, such as 5,10,20,40"
         raise ConfigError("--by-range", problem)
     return edges
 
 
 def _per_cents(text: str | None) -> tuple[int, ...]:
-    """Read the edges of spans of confidence, ``50,80,90``."""
+    """Read the edges of bins of confidence, e.g. ``50,80,90`` [%]."""
     if text is None:
         return ()
     words = [word.strip() for word in text.split(",")]
     edges = tuple(int(word) for word in words if word.isdecimal() and len(word) < 4)
     if len(edges) < len(words) or any(low >= high for low, high in pairwise((-1, *edges, 101))):
-        problem = (
-            f"found {text!r}, expected whole per cents that rise, 0 to 100, such as 50,80,90,95,99"
-        )
+        problem = f"found {text!r}, expected increasing percentages, such as 50,80,90,95,99"
         raise ConfigError("--by-confidence", problem)
     return edges
 
 
 def _check_outputs(outputs: Sequence[Path], *, overwrite: bool, inputs: tuple[Path, ...]) -> None:
-    """Refuse outputs before any work is done."""
     for path in outputs:
         if path.suffix.lower() not in FORMS:
             problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
-            raise ConfigError(str(path), problem, "the suffix says how the result is written")
+            raise ConfigError(str(path), problem, "choose a name with one of these suffixes")
     prepare_outputs(*outputs, overwrite=overwrite, inputs=inputs)
 
 
 def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
-    """Read pictures for the page."""
     if texts and not wanted:
         raise ConfigError(
             "--picture",
-            "pictures have their place in the HTML page alone",
+            "only the HTML page contains pictures",
             "add --output report.html",
         )
     pictures = []
@@ -479,7 +475,7 @@ def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
 
 
 def print_evaluation(
-    matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
+    matrix: ConfusionMatrix, table: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
 ) -> None:
     """Print a confusion matrix with row shares, and the scores, on stdout."""
     shown = matrix.trimmed()
@@ -499,34 +495,34 @@ def print_evaluation(
         ("class", *CLASS_SCORES),
         [score_row(item, intervals) for item in scores(shown).classes],
     )
-    counts = f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}"
-    results().print(f"{counts}: {overall_line(found, intervals)}")
+    counts = f"scored {table.n_scored:,} records, ignored {table.n_ignored:,}"
+    results().print(f"{counts}: {overall_line(table, intervals)}")
 
 
 def _print(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     results().print(table_of(title, *header, rows=rows, overflow="fold"))
 
 
-def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> None:
+def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]) -> None:
     """Print the parts of an evaluation, its gates and how the records were matched, on stdout."""
-    if found.intervals:
-        results().print(f"intervals: {found.interval_method}")
-    for split, parts in found.splits.items():
-        header, rows = split_table(parts, found.matrix.trimmed())
+    if evaluation.intervals:
+        results().print(f"intervals: {evaluation.interval_method}")
+    for split, parts in evaluation.splits.items():
+        header, rows = split_table(parts, evaluation.matrix.trimmed())
         _print(f"by {split}", header, rows[:MAX_PARTS])
         if len(rows) > MAX_PARTS:
             results().print(
                 f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them"
             )
-    if found.three is not None:
-        _print("three labellings", *found.three.table())
-        for sentence in found.three.sentences():
+    if evaluation.three is not None:
+        _print("three labellings", *evaluation.three.table())
+        for sentence in evaluation.three.sentences():
             results().print(sentence)
     for gate in gates:
         name, limit, value = gate_cells(gate)
         results().print(
             f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}"
         )
-    results().print(match_line(found.match))
-    for note in (*found.match.notes, *doubts(found)):
+    results().print(match_line(evaluation.match))
+    for note in (*evaluation.match.notes, *doubts(evaluation)):
         results().print(note)

@@ -1,12 +1,12 @@
 """Runs a command in a child process, which a small parent watches.
 
-Libraries that decode files of others may end the process: a stack that overflows, a violated
-address, an abort. Then the parent removes temporary files, prints one line, and ends with exit code
-1. It is the process that was started: it forks before any thread and any large library is there,
-passes signals on, and ends with the exit code of the child.
+Libraries that decode foreign files may end the process: by a stack overflow, a wrong address or an
+abort. Then the parent removes temporary files, prints one line, and ends with exit code 1. The
+parent forks before it has threads or large libraries. It passes signals on, and ends with the exit
+code of the child.
 
-On Linux only. Elsewhere, or with ``PRC_GUARD=0``, the command runs in the process that was started,
-and a crash ends it by a signal; ``prc batch`` has worker processes on every system.
+This works only on Linux. On other systems, or with ``PRC_GUARD=0``, the command runs in the first
+process, and a crash ends it by a signal. ``prc batch`` has worker processes on every system.
 """
 
 from __future__ import annotations
@@ -27,19 +27,16 @@ from prc_cli.core.process import STEP_CPU_S, hold_limits
 SWITCH = "PRC_GUARD"
 """Environment variable; 0 = no child process, for debuggers."""
 UNGUARDED = frozenset({"completion", "config", "demo", "doctor", "simulate"})
-"""Commands that decode no files of others."""
+"""Commands that decode no foreign files."""
 LAST_PRINTED = 300
-"""How much is shown of what a library printed before it ended the process [bytes]."""
+"""Length of the last output of a crashed library in the message [bytes]."""
 MOST_NAMED = 2
-"""Most files named in the message."""
+"""Largest number of files in the message."""
 PATIENCE_S = 5.0
 BATCH_PATIENCE_S = 30.0
-"""A child that a signal has not ended after so long is killed.
-
-``prc batch`` ends its workers first [s].
-"""
+"""Time from a signal until the child is killed; ``prc batch`` must end its workers first [s]."""
 REPEATED_S = 0.3
-"""Two signals of a kind within so long are one: systemd and ``timeout`` send two [s]."""
+"""Two signals of a kind within this time are one: systemd and ``timeout`` send two [s]."""
 _PASSED = ("SIGINT", "SIGTERM", "SIGHUP")
 _PR_SET_PDEATHSIG = 1
 _CRASHES = (
@@ -57,9 +54,9 @@ _CRASHES = (
 
 
 def begin(arguments: list[str], commands: frozenset[str]) -> bool:
-    """Go on in a child process, and return there.
+    """Fork; the child returns True, and the parent waits for it and exits.
 
-    Return False where that is not needed or not possible.
+    Returns False if no child is needed or possible.
     """
     name = next((word for word in arguments if not word.startswith("-")), "")
     if name not in commands - UNGUARDED or not {"-h", "--help"}.isdisjoint(arguments):
@@ -98,10 +95,7 @@ def begin(arguments: list[str], commands: frozenset[str]) -> bool:
 
 
 def _end_with(parent: int) -> None:
-    """Let the system kill this process when its parent dies.
-
-    Nobody may go on with the work of a killed command.
-    """
+    """Let the system kill this process when its parent dies."""
     import ctypes
 
     with contextlib.suppress(OSError, AttributeError):
@@ -111,9 +105,9 @@ def _end_with(parent: int) -> None:
 
 
 def _keep_for_parent(printed: int, notes: int) -> None:
-    """Keep what libraries print from the terminal, and note temporary files.
+    """Hide the output of libraries from the terminal, and note temporary files.
 
-    Python's own stderr goes on.
+    Messages of Python still reach the terminal.
     """
     from prc_cli.core import files
 
@@ -131,31 +125,30 @@ def _keep_for_parent(printed: int, notes: int) -> None:
 def _wait(
     child: int, passed: set[signal.Signals], patience_s: float
 ) -> tuple[int, list[int], bool]:
-    """Wait for the child, pass signals on, kill it at the second.
+    """Wait for the child and pass signals on; a second signal kills the child.
 
-    Return status, signals, whether it was killed.
-
-    A signal from the terminal reaches the child by itself, one that a process sent to this one
-    alone does not. The child takes two of a kind within a moment for one.
+    Returns the status, the signals, and whether the child was killed. A signal from the terminal
+    reaches the child directly, a signal that a process sent to the parent does not. The child
+    counts two signals of a kind within a moment as one.
     """
     awaited = {*passed, signal.SIGCHLD}
     sent: list[int] = []
     first = math.inf
     while True:
         left = max(0.0, first + patience_s - time.monotonic())
-        found = signal.sigtimedwait(awaited, left) if sent else signal.sigwaitinfo(awaited)
-        if found is not None and found.si_signo == signal.SIGCHLD:
+        received = signal.sigtimedwait(awaited, left) if sent else signal.sigwaitinfo(awaited)
+        if received is not None and received.si_signo == signal.SIGCHLD:
             ended, status = os.waitpid(child, os.WNOHANG)
             if ended:
                 return status, sent, False
             continue
-        if found is None or time.monotonic() - first > REPEATED_S:
+        if received is None or time.monotonic() - first > REPEATED_S:
             os.kill(child, signal.SIGKILL)
             return os.waitpid(child, 0)[1], sent, True
         first = min(first, time.monotonic())
-        sent.append(found.si_signo)
-        if found.si_code <= 0:
-            os.kill(child, found.si_signo)
+        sent.append(received.si_signo)
+        if received.si_code <= 0:
+            os.kill(child, received.si_signo)
 
 
 def _exit_code(
@@ -166,7 +159,7 @@ def _exit_code(
     printed: int,
     notes: int,
 ) -> int:
-    """Return the exit code for the status of the child; tell of a crash and clean up after it."""
+    """Return the exit code for the status of the child; after a crash print it and clean up."""
     said = _read(printed)
     if "--debug" in arguments and said:
         _print(said.decode("utf-8", "replace"))
@@ -211,9 +204,9 @@ def _message(
         f"the process that read it was ended by signal {number} ({name})"
         + f"; it said: {last}" * bool(last)
     )
-    hint = "the file is damaged or made to do this: copy it again, or ask where it comes from"
+    hint = "the file is damaged or malicious: copy it again, or check where it comes from"
     if number == signal.SIGKILL:
-        hint = "the system kills so when memory is short: fewer --threads or --jobs, or more memory"
+        hint = "probably too little memory: use fewer --threads or --jobs"
     elif number == signal.SIGXCPU:
         problem = f"decoding it made no progress in {STEP_CPU_S} s of processor time"
     return printable(f"{where or arguments[0]}: {problem}; {left}; {hint}")
@@ -233,7 +226,7 @@ def _read(descriptor: int) -> bytes:
 
 
 def _clean_up(notes: bytes) -> str:
-    """Remove what the child would have removed itself; return what it leaves behind."""
+    """Remove the temporary files of the child; return a sentence about finished outputs."""
     import shutil
 
     from prc_cli.core.files import left_words, remove_unfinished

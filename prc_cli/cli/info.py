@@ -1,4 +1,4 @@
-"""``prc info``: the contents of a file, and whether it can be classified."""
+"""``prc info``: whether a file can be classified, the command to type, and its contents."""
 
 from __future__ import annotations
 
@@ -31,31 +31,33 @@ from prc_cli.streams.evidence.table import check_table
 @click.command(cls=Sectioned)
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=ScanPath())
 @click.option(
-    "--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs."
+    "--deep", is_flag=True, help="Decode all layers of LAZ, also those that no method needs."
 )
 @stream_options
 @click.option(
     "--draft",
     type=WRITTEN,
     metavar="FILE.toml",
-    help="Write a layout that reads FILE, from its header, its first records or the period of its bytes.",
+    help="Write a layout for FILE, guessed from its header, "
+    "its first records or the period of its bytes.",
 )
 @click.option(
     "--path",
     "path_output",
     type=WRITTEN,
     metavar="OUTPUT",
-    help="Write the path of the scanner that --range points finds: .csv with its uncertainty, or .sbet, .out.",
+    help="Write the path of the scanner that --range points computes: .csv with uncertainties, "
+    ".sbet, .out.",
 )
 @click.option(
     "--check-path",
     is_flag=True,
-    help="Hold --range trajectory:FILE against the path found from the points: clock, lever arm, coordinates.",
+    help="Compare --range trajectory:FILE with the path computed from the points: clock, "
+    "lever arm, "
+    "coordinates.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing draft or path.")
-@click.option(
-    "--checks", is_flag=True, help="List every check, with what it found and what it expects."
-)
+@click.option("--checks", is_flag=True, help="List every check with its result and its limit.")
 @output_options
 def info(
     files: tuple[Path, ...],
@@ -70,15 +72,17 @@ def info(
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Say whether FILE can be classified, what to type, and what it holds.
+    """Check whether FILE can be classified, print the command to type, and describe FILE.
 
-    The same options as for classify say how lines, columns and ranges are found. --verbose tells
-    all that is known. The exit code is 0 for a file that can be read, also where the answer is no:
-    ask "classifiable" of --json.
+    The options for lines, columns and ranges are the same as for prc classify. --verbose prints
+    everything. If FILE can be read, the exit code is 0 also if the answer is no: scripts read
+    "classifiable" of --json.
 
     \b
-    Examples: prc info drive.laz --lines time:200 --columns time:1000000
-              prc info tile.laz --range points --path path.csv
+    Examples:
+      prc info drive.laz
+      prc info drive.laz --lines time:200 --columns time:1000000
+      prc info tile.laz --range points --path path.csv
     """
     loaded = config_from(options)
     if draft is not None:
@@ -86,7 +90,7 @@ def info(
         options = {**options, "config_file": draft}
     if path_output is not None:
         _prepare_path(files, path_output, loaded, is_checked=check_path, overwrite=overwrite)
-    found: list[dict[str, Any]] = []
+    reports: list[dict[str, Any]] = []
     code = ExitCode.DONE
     for path in files:
         written: tuple[Path, ...] = ()
@@ -99,18 +103,18 @@ def info(
                 code = max(code, print_doubts(doubted))
         except PrcError as error:
             click.echo(f"error: {printable(str(error))}", err=True)
-            found.append({"path": str(path), "error": str(error), "classifiable": False})
+            reports.append({"path": str(path), "error": str(error), "classifiable": False})
             code = max(code, error.exit_code)
             continue
         command = _command(inspection, options)
         files_written = {"written": [str(name) for name in written]} if written else {}
-        found.append(inspection.as_dict() | {"command": command} | files_written)
+        reports.append(inspection.as_dict() | {"command": command} | files_written)
         if not as_json and not quiet:
             _print(inspection, command, checks=checks, verbose=verbose)
             for name in written:
-                click.echo(printable(f"{name}: the path of the scanner"))
+                click.echo(printable(f"{name}: path of the scanner"))
     if as_json:
-        click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
+        click.echo(json.dumps(reports[0] if len(files) == 1 else reports, indent=2))
     if code:
         raise SystemExit(code)
 
@@ -124,10 +128,10 @@ def _prepare_path(
     overwrite: bool,
 ) -> None:
     if len(files) != 1:
-        message = "--path takes one file"
+        message = "--path works with one file"
         raise click.UsageError(message)
     if not is_checked and loaded.config.input.range != "points":
-        message = "--path needs the path of the scanner: give --range points, or --check-path with a trajectory"
+        message = "--path needs --range points, or --check-path with --range trajectory:FILE"
         raise click.UsageError(message)
     prepare_path(output, loaded, files[0], overwrite=overwrite)
 
@@ -153,9 +157,8 @@ def _drafted(
     *,
     overwrite: bool,
 ) -> LoadedConfig:
-    """Write the draft of one file; return the configuration with it."""
     if len(files) != 1 or loaded.files:
-        message = "--draft takes one file, and no --config or --layout"
+        message = "--draft works with one file, without --config and --layout"
         raise click.UsageError(message)
     from prc_cli.jobs.draft import draft as write_draft  # the only one that needs it
 
@@ -170,31 +173,31 @@ def _print(
     checks: bool,
     verbose: bool,
 ) -> None:
-    """Print a file on one screen.
-
-    The verdict, what to type, doubts, facts, and how many checks are fine.
-    """
-    method = {"prc": "PRC"}.get(inspection.method, inspection.method)
-    doubted = [one for one in inspection.doubts if one.problem != inspection.problem]
-    verdict = f"yes, {method} can classify it" + (
-        f", but look at {', '.join(one.check for one in doubted)}" if doubted else " as it is"
-    )
-    if inspection.problem:
-        verdict = f"no, {method} cannot classify it: {inspection.problem}"
-        if inspection.missing:
-            verdict = f"not yet: {inspection.problem}"
-        verdict += f"; {inspection.hint}" if inspection.hint else ""
-    click.echo(printable(f"{inspection.path}: {verdict}"))
+    """Print whether a file can be classified, what to type, warnings, facts and checks."""
+    warnings = [finding for finding in inspection.doubts if finding.problem != inspection.problem]
+    click.echo(printable(f"{inspection.path}: {_verdict(inspection, warnings)}"))
+    if inspection.problem and inspection.hint:
+        click.echo(printable(f"what to do: {inspection.hint}"))
     if command:
         click.echo(printable(f"type: {command}"))
-    for one in doubted:
-        click.echo(printable(f"look at {one.sentence()}"))
+    for finding in warnings:
+        click.echo(printable(f"warning: {finding.sentence()}"))
     rows = [*_rows(inspection, verbose=verbose), *_check_rows(inspection, listed=checks or verbose)]
     wide = min(max(len(name) for name, _ in rows), MOST_NAME) + 2
     width = max(shutil.get_terminal_size((100, 24)).columns, wide + LEAST_WIDTH)
     for name, value in rows:
         head = f"{name:{wide - 2}}  "
         click.echo(textwrap.fill(printable(head + value), width, subsequent_indent=" " * wide))
+
+
+def _verdict(inspection: Inspection, warnings: Sequence[Finding]) -> str:
+    if inspection.problem:
+        return f"{'not yet' if inspection.missing else 'no'}: {inspection.problem}"
+    method = {"prc": "PRC"}.get(inspection.method, inspection.method)
+    if warnings:
+        names = ", ".join(finding.check for finding in warnings)
+        return f"yes, {method} can classify it, with a warning: {names}"
+    return f"yes, {method} can classify it"
 
 
 LISTED = ("bag", "packets")
@@ -241,27 +244,28 @@ FLAGS = (
     "scan_direction_flag",
     "edge_of_flight_line",
 )
-"""Dimensions of every LAS file that tell nothing of a scan."""
+"""Dimensions of every LAS file that say nothing about the scan."""
+SAID_BEFORE = ("method", "input.points_per_line")
+"""Assumptions that the verdict and the scan lines state already."""
 MOST_NAME = 24
 LEAST_WIDTH = 40
-"""Columns of the screen for the name of a fact, at most, and for the fact, at least."""
+"""Width of the names of facts at most, and of the facts at least [characters]."""
 LIST_THEM = " (--checks lists them)"
+VERDICTS = {Verdict.FINE: "fine", Verdict.DOUBTFUL: "warning", Verdict.AGAINST: "refused"}
+"""Words for the results of checks."""
 
 
 def _command(inspection: Inspection, options: dict[str, Any]) -> str:
-    """Return the command that classifies the file.
-
-    The options given and those that mend it; may be empty.
-    """
+    """Return the command that classifies the file, with all options that it needs; may be empty."""
     doubts = inspection.doubts
     mends = [inspection.mend] if inspection.mend else list(inspection.missing)
     if not mends and inspection.problem:
-        against = [one for one in doubts if one.verdict is Verdict.AGAINST]
-        if not all(one.option for one in against) or inspection.problem not in {
-            one.problem for one in against
+        against = [finding for finding in doubts if finding.verdict is Verdict.AGAINST]
+        if not all(finding.option for finding in against) or inspection.problem not in {
+            finding.problem for finding in against
         }:
             return ""
-    mends = mends or list(dict.fromkeys(one.option for one in doubts if one.option))
+    mends = mends or list(dict.fromkeys(finding.option for finding in doubts if finding.option))
     words = ["prc", "classify", typed(inspection.path), typed(output_for(Path(inspection.path)))]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
     return shlex.join([*words, *given_words(options, mended)]) + "".join(
@@ -287,11 +291,16 @@ def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]
         yield "time order", inspection.order.sentence()
     yield from _stream_rows(inspection, verbose=verbose)
     yield from _path_rows(inspection, verbose=verbose)
-    # how many shots a line has is said with the lines
-    taken = [one for one in inspection.assumptions if verbose or one.key != "input.points_per_line"]
-    for why, alike in groupby(taken, lambda one: one.why):
-        values = (f"{one.key.removeprefix('input.')} {one.value}" for one in alike)
-        yield "taken", f"{', '.join(values)} ({why})"
+    assumptions = [
+        assumption
+        for assumption in inspection.assumptions
+        if verbose or assumption.key not in SAID_BEFORE
+    ]
+    for why, alike in groupby(assumptions, lambda assumption: assumption.why):
+        values = (
+            f"{assumption.key.removeprefix('input.')} {assumption.value}" for assumption in alike
+        )
+        yield "used", f"{', '.join(values)} ({why})"
     yield from (("note", note) for note in inspection.notes)
     if inspection.facts is not None:
         for name, count in inspection.facts.tally.counts(everything=verbose):
@@ -301,51 +310,54 @@ def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]
 
 
 def _path_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    """Tell what was found from the points of a registered cloud, and how a trajectory fits it."""
     drive = inspection.drive
     if drive is None:
         return
-    for number, one in enumerate(drive.figures if verbose else drive.figures[:MOST_SHOWN]):
+    for number, figures in enumerate(drive.figures if verbose else drive.figures[:MOST_SHOWN]):
         name = f"pass {number}" if len(drive.figures) > 1 else "path"
-        head = f"scanner {one.scanner}, " if len(drive.heads) > 1 else ""
-        height = "" if math.isnan(one.height_m) else f", {one.height_m:.2f} m above the ground"
+        head = f"scanner {figures.scanner}, " if len(drive.heads) > 1 else ""
+        height = (
+            "" if math.isnan(figures.height_m) else f", {figures.height_m:.2f} m above the ground"
+        )
         yield (
             name,
-            f"{head}{one.length_m:.1f} m in {one.duration_s:.1f} s, {one.speed_m_s:.2f} m/s (median){height}",
+            f"{head}{figures.length_m:.1f} m in {figures.duration_s:.1f} s, "
+            f"{figures.speed_m_s:.2f} m/s (median){height}",
         )
-        turns = "" if one.turns_hz == one.lines_hz else f"{one.turns_hz:.6g} turns and "
-        rates = f"{turns}{one.lines_hz:.6g} lines a second, {one.shots_hz:,.0f} shots a second"
+        turns = "" if figures.turns_hz == figures.lines_hz else f"{figures.turns_hz:.6g} turns and "
+        rates = (
+            f"{turns}{figures.lines_hz:.6g} lines a second, {figures.shots_hz:,.0f} shots a second"
+        )
         yield (
             "rotation",
-            f"{rates}, M = {one.points_per_line:,}; the scan plane leans by {one.tilt_deg:.1f} deg",
+            f"{rates}, M = {figures.points_per_line:,}; the scan plane leans by "
+            f"{figures.tilt_deg:.1f} deg",
         )
-        fit = f"points lie {1e3 * one.residual_m:.1f} mm off their beams (median), {one.share_on_beam:.0%} on a beam"
-        certain = f"stations are certain to {1e3 * one.sigma_m:.1f} mm (median)"
-        bridged = f"{one.share_bridged:.0%} of the lines stand on their neighbours"
+        fit = f"points are {1e3 * figures.residual_m:.1f} mm from their beams (median)"
+        fit += f", {figures.share_on_beam:.0%} are on a beam"
+        certain = f"standard deviation of the path {1e3 * figures.sigma_m:.1f} mm (median)"
+        bridged = f"{figures.share_bridged:.0%} of the lines are interpolated"
         yield (
             "fit",
-            f"{fit}; {certain}, {bridged}; {one.share_holes:.1%} of the cells amid surfaces are empty",
+            f"{fit}; {certain}, {bridged}; {figures.share_holes:.1%} of the cells on surfaces are "
+            "empty",
         )
     left = len(drive.figures) - MOST_SHOWN
     if left > 0 and not verbose:
         yield "passes", f"and {left} more"
     if drive.n_unplaced:
-        yield "no path", f"{drive.n_unplaced:,} points belong to passes that no path fits"
+        yield "no path", f"prc found no path for {drive.n_unplaced:,} points"
     for comparison in inspection.comparisons:
         head = f"scanner {comparison.scanner}: " if len(inspection.comparisons) > 1 else ""
         yield "trajectory", head + sentence(comparison)
 
 
 def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, str]]:
-    """Tell how many checks are fine.
-
-    Or what each found and expected, and the limit of those that found nothing.
-    """
-    found = {one.check: one for one in inspection.findings}
+    findings = {finding.check: finding for finding in inspection.findings}
     if not listed:
-        fine = sum(one.verdict is Verdict.FINE for one in found.values())
-        accepted = [one.check for one in found.values() if one.is_accepted]
-        if found:
+        fine = sum(finding.verdict is Verdict.FINE for finding in findings.values())
+        accepted = [finding.check for finding in findings.values() if finding.is_accepted]
+        if findings:
             yield (
                 "checks",
                 f"{fine} fine"
@@ -354,29 +366,25 @@ def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, 
             )
         return
     for check in check_table():
-        one = found.get(check.name)
-        if one is None:
-            asked = (
-                "asked of the labels, by prc classify"
-                if check.name in LABEL_CHECKS
-                else "not asked of this input"
-            )
-            yield f"check: {check.name}", f"{asked}. {check.limit}"
+        finding = findings.get(check.name)
+        if finding is None:
+            when = "not for this file"
+            if check.name in LABEL_CHECKS:
+                when = "after prc classify"
+            yield f"check: {check.name}", f"{when}. {check.limit}"
             continue
-        verdict = "accepted" if one.is_accepted else one.verdict.name.lower()
-        hint = f"; {one.hint}" if one.hint and one.verdict is not Verdict.FINE else ""
-        yield f"check: {one.check}", f"{verdict}: {one.problem}{hint}"
+        verdict = "accepted" if finding.is_accepted else VERDICTS[finding.verdict]
+        hint = f"; {finding.hint}" if finding.hint and finding.verdict is not Verdict.FINE else ""
+        yield f"check: {finding.check}", f"{verdict}: {finding.problem}{hint}"
 
 
-def _some(words: Sequence[str], *, verbose: bool) -> list[str]:
-    """Return words, so many as are printed."""
+def _first_words(words: Sequence[str], *, verbose: bool) -> list[str]:
     if verbose or len(words) <= MOST_SHOWN:
         return list(words)
     return [*words[:MOST_SHOWN], f"and {len(words) - MOST_SHOWN} more"]
 
 
 def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    """Tell what the records hold, as surveyors know it from lasinfo."""
     if contents.bounds_m:
         spans = ", ".join(
             f"{axis} {low:,.2f} to {high:,.2f}" for axis, (low, high) in contents.bounds_m.items()
@@ -412,7 +420,9 @@ def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, 
         if counts and (verbose or name == "classes" or len(counts) > 1):
             yield (
                 name,
-                ", ".join(_some([f"{what}: {n:,}" for what, n in counts.items()], verbose=verbose)),
+                ", ".join(
+                    _first_words([f"{what}: {n:,}" for what, n in counts.items()], verbose=verbose)
+                ),
             )
 
 
@@ -422,7 +432,8 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
     rates = inspection.rates
     if facts is not None:
         rate = "" if facts.line_hz is None else f", {facts.line_hz:.6g} lines a second"
-        missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({_share(facts.n_missing, facts.n_shots)})"
+        share = _share(facts.n_missing, facts.n_shots)
+        missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({share})"
         yield (
             "scan lines",
             f"{facts.n_lines:,} of {inspection.points_per_line:,} shots{rate}; {missing}",
@@ -434,18 +445,20 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
             yield "ranges", f"{low:.3f} to {high:.3f} m, median {median:.3f} m"
         if facts.correlation is not None and verbose:
             yield "spatial correlation", facts.correlation.verdict
-    # where M is known, the check line-length judges it
+    # if M is known, the check line-length tests it
     if period is not None and (verbose or facts is None):
         estimate = "none" if period.points_per_line is None else f"{period.points_per_line:,}"
         is_used = facts is None or period.points_per_line == inspection.points_per_line
         used = "" if is_used else f"; not used: the lines have {inspection.points_per_line:,} shots"
         yield "M estimated", f"{estimate} ({period.reason}){used}"
-    if rates is not None and (
-        verbose or facts is None
-    ):  # where lines were told, a note says what does not fit them
-        found = f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, M = {rates.points_per_line:,}"
-        begins = f"a line begins at {rates.time_origin_s!r} s, in the middle of what rarely returns"
-        yield "rates", f"{found}, from the times ({rates.share:.0%} return); {begins}"
+    # if lines were given, a note says which rates differ
+    if rates is not None and (verbose or facts is None):
+        measured = f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second"
+        text = f"{measured}, M = {rates.points_per_line:,}, from the times"
+        if verbose:
+            text += f"; {rates.share:.0%} of the shots return"
+            text += "; scan lines start where the scanner points into the sky"
+        yield "rates", text
 
 
 def _share(part: int, whole: int) -> str:

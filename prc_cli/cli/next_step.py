@@ -1,4 +1,4 @@
-"""What to type next: commands that carry on with the options of the one before."""
+"""Commands to type next, with the options of the last command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prc_cli.formats.registry import is_cloud, is_dump, keeps_points
 
 
 def typed(path: Path | str) -> str:
-    """Return a file name as it can be typed: one that begins with a dash would be an option.
+    """Return a file name to type: without ``./`` a name that starts with a dash is an option.
 
     >>> typed(Path("-dash.npz")), typed(Path("drive.npz"))
     ('./-dash.npz', 'drive.npz')
@@ -23,9 +23,7 @@ def typed(path: Path | str) -> str:
 
 
 def output_for(source: Path) -> Path:
-    """Return a name for the classified file.
-
-    Point clouds stay what they are, of other files the labels are written.
+    """Return a name for the output: a cloud for a cloud, labels for other files.
 
     Examples
     --------
@@ -33,7 +31,7 @@ def output_for(source: Path) -> Path:
     ('drive_classified.laz', 'drive_labels.npy')
     """
     folder = source.parent
-    if scan_file(folder) == source:  # a file in it would be taken for a part of the recording
+    if scan_file(folder) == source:  # a new file in the folder would be read as a part of the scan
         return (
             folder / ".." if folder.name in ("", "..") else folder.parent
         ) / f"{folder.resolve().name}_labels.npy"
@@ -46,7 +44,7 @@ def _stem(path: Path) -> str:
 
 
 def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[str]:
-    """Return the commands that draw the result and compare it with a reference, if the output allows it.
+    """Return the commands that draw the result and compare it with a reference, if possible.
 
     Parameters
     ----------
@@ -60,11 +58,11 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), {})[0]
     'draw it: prc render drive.v2.npy out.v2.png --labels out.v2.csv.gz'
     """
-    # a cloud that was made of another kind of input has its own records, in another number or order
+    # a new cloud has other records than its input
     has_records = not is_cloud(output) or keeps_points(source, output)
     picture = output.with_name(f"{_stem(output)}.png")
     if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
-        # labels of a part do not fit the whole input; a cloud of a part stands for itself
+        # labels of a part do not fit the whole input, a cloud of a part is complete
         draw = ["prc", "render", typed(output), typed(picture), "--labels", typed(output)]
         return [] if not is_cloud(output) else [f"draw it: {shlex.join(draw)}"]
     draw = ["prc", "render", typed(source), typed(picture), *given_words(options)]
@@ -72,6 +70,6 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
         return [f"draw it: {shlex.join(draw)}"]
     draw = [*draw[:4], "--labels", typed(output), *given_words(options, ("--method", "--preset"))]
     reference = source.with_suffix(KITTI_SUFFIX)
-    found = is_dump(source) and reference.is_file()
-    compare = ["prc", "evaluate", typed(output), str(reference) if found else "REFERENCE"]
+    has_reference = is_dump(source) and reference.is_file()
+    compare = ["prc", "evaluate", typed(output), str(reference) if has_reference else "REFERENCE"]
     return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]

@@ -39,7 +39,7 @@ from prc_cli.jobs.objects import COLUMNS, KINDS, ScanObject, find_objects, plain
     "kinds",
     multiple=True,
     type=click.Choice(KINDS),
-    help="Only these; repeat for several.",
+    help="List only this kind. Can be repeated.",
 )
 @stream_options
 @window_options
@@ -55,12 +55,14 @@ def objects(
     verbose: bool,
     **options: Any,
 ) -> None:
-    """List the stems, poles, cars and curbs of IN as they pass.
+    """List the stems, poles, cars and curbs of IN.
 
-    Where IN has such classes and no method is named, they are taken; else IN is classified on the
-    way. Shots of such a class that lie near each other in a line and across lines are one object.
-    Without OUT the list is CSV on stdout, a line as soon as an object has passed. x, y, z are there
-    where IN has registered coordinates. With --json the list on stdout is JSON, a line an object.
+    If IN contains such classes and you name no method, prc uses them. Else prc classifies IN first.
+    Neighbouring shots of such a class are one object. If IN has registered coordinates, the list
+    contains x, y, z.
+
+    Without OUT prc prints the list as CSV, each object as soon as it is complete. With --json it is
+    one line of JSON per object.
 
     \b
     Examples:
@@ -75,7 +77,7 @@ def objects(
     rows = count(1)
 
     def head() -> None:
-        # after what may be refused
+        # not before the first object: the input may be refused
         if is_table and next(rows) == 1:
             click.echo(",".join(COLUMNS))
 
@@ -95,6 +97,6 @@ def objects(
     if not quiet:
         print_taken(summary.record, verbose=verbose)
         print_notices(summary.record.notices)
-        found = ", ".join(f"{n:,} {kind}{'s' * (n != 1)}" for kind, n in summary.n_objects.items())
-        print_line(f"{source.name}: {found} in {summary.counts.n_lines:,} lines")
+        counts = ", ".join(f"{n:,} {kind}{'s' * (n != 1)}" for kind, n in summary.n_objects.items())
+        print_line(f"{source.name}: {counts} in {summary.counts.n_lines:,} lines")
     end_with(summary.doubts)

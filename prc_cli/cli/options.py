@@ -1,6 +1,6 @@
 """Options shared by several commands.
 
-One table from which flags, sections of the help, ``--set`` and next steps come.
+One table gives the flags, the sections of the help, the keys and the next steps.
 
 ``stream_options``  how a stream is read from an input, and with which parameters it is classified
 ``input_options``   only how a stream is read
@@ -10,6 +10,7 @@ One table from which flags, sections of the help, ``--set`` and next steps come.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -39,10 +40,7 @@ def complete_mapping(ctx: click.Context, parameter: click.Parameter, incomplete:
 def complete_assignment(
     ctx: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
-    """Return ``KEY=`` of every key of the configuration.
-
-    Behind the ``=`` the words that it may be.
-    """
+    """Complete ``KEY=VALUE``: the keys of the configuration, then the words of a choice."""
     key, equals, value = incomplete.partition("=")
     kinds = dict(_keys())
     if not equals:
@@ -51,7 +49,6 @@ def complete_assignment(
 
 
 def _keys() -> list[tuple[str, Any]]:
-    """Return every key of the configuration with its type."""
     from prc_cli.config import RunConfig
 
     return list(_keys_of(RunConfig, ""))
@@ -71,31 +68,44 @@ def _keys_of(model: Any, prefix: str) -> Any:
 
 
 def _words(kind: Any) -> list[str]:
-    """Return the words of a choice."""
     if kind is bool:
         return ["true", "false"]
-    found = [word for word in get_args(kind) if isinstance(word, str)]
-    return found or [word for inner in get_args(kind) for word in _words(inner)]
+    words = [word for word in get_args(kind) if isinstance(word, str)]
+    return words or [word for inner in get_args(kind) for word in _words(inner)]
 
 
 def _toml_files(incomplete: str) -> list[str]:
-    """Return folders and TOML files that begin so."""
     folder = Path(incomplete) if incomplete.endswith("/") else Path(incomplete).parent
     try:
-        found = [
+        paths = [
             path for path in sorted(folder.iterdir()) if path.suffix == ".toml" or path.is_dir()
         ]
     except OSError:
         return []
     shown = [
         f"{path}/" if path.is_dir() else str(path)
-        for path in found
+        for path in paths
         if not path.name.startswith(".")
     ]
     return [name for name in shown if name.startswith(incomplete)]
 
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
+
+
+class CheckName(click.Choice):  # type: ignore[type-arg]  # not generic before click 8.2
+    """Name of a check; an unknown name gets a short message, not the list of all names."""
+
+    def __init__(self) -> None:
+        super().__init__(CHECK_NAMES)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the name if it is known."""
+        if value not in CHECK_NAMES:
+            near = difflib.get_close_matches(value, CHECK_NAMES, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else "prc info FILE --checks lists them"
+            self.fail(f"there is no check {value!r}; {hint}", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class SharedOption(NamedTuple):
@@ -131,15 +141,16 @@ SHARED = (
         "--method",
         key="method",
         type=click.Choice(METHODS),
-        help="Classifier; default: what the preset or the configuration says, else what labels IN best.",
+        help="Classifier. Default: the method of the preset or of the configuration, "
+        "else prc chooses one.",
     ),
     _option(
         "method",
         "Method",
         "--preset",
         type=click.Choice(list(PRESETS)),
-        help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
-        "fused, fused-forest: both combined; rings: spinning scanners. Default: what labels IN best.",
+        help="Parameters. urban, forest: PRC. street-scan: sequential-angle, for static scans. "
+        "fused, fused-forest: both combined. rings: spinning scanners. Default: prc chooses one.",
     ),
     _option(
         "input",
@@ -148,7 +159,7 @@ SHARED = (
         "config_file",
         type=READ,
         metavar="FILE.toml",
-        help="Configuration, or the name of a sample: prc config presets lists them.",
+        help="Configuration file, or the name of a sample (prc config presets lists them).",
     ),
     _option(
         "input",
@@ -159,7 +170,7 @@ SHARED = (
         multiple=True,
         metavar="KEY=VALUE",
         shell_complete=complete_assignment,
-        help="Any key, e.g. prc.support.zeta_p=0.1.",
+        help="Set a key of the configuration, e.g. prc.support.zeta_p=0.1. Can be repeated.",
     ),
     _option(
         "input",
@@ -175,14 +186,15 @@ SHARED = (
         "Input",
         "--lines",
         key="input.lines",
-        help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings.",
+        help="How lines are found: dimension:NAME, fixed, angle-wrap, time:HZ, "
+        "elevation:DEG or rings.",
     ),
     _option(
         "input",
         "Input",
         "--columns",
         key="input.columns",
-        help="dimension:NAME, angle, time:HZ or order.",
+        help="How columns are found: dimension:NAME, angle, time:HZ or order.",
     ),
     _option(
         "input",
@@ -191,21 +203,22 @@ SHARED = (
         "range_",
         key="input.range",
         type=READ_TEXT,
-        help="dimension:NAME, points (registered cloud with times), trajectory:FILE, origin:X,Y,Z or sensor-xyz.",
+        help="How ranges are found: dimension:NAME, points (a registered cloud with times), "
+        "trajectory:FILE, origin:X,Y,Z or sensor-xyz.",
     ),
     _option(
         "input",
         "Input",
         "--scanner",
         key="input.scanner",
-        help="none, scanner_channel, point_source_id or user_data.",
+        help="How scanners are separated: none, scanner_channel, point_source_id or user_data.",
     ),
     _option(
         "input",
         "Input",
         "--topic",
         key="input.topic",
-        help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas.",
+        help="Bags: topics to read. Captures: ADDRESS:PORT. Separate several by commas.",
     ),
     _option(
         "input",
@@ -214,7 +227,7 @@ SHARED = (
         key="input.metadata",
         type=READ_TEXT,
         metavar="FILE.json",
-        help="Captures: metadata of an Ouster sensor.",
+        help="Captures: metadata file of an Ouster sensor.",
     ),
     _option(
         "input",
@@ -222,7 +235,7 @@ SHARED = (
         "--return",
         "return_",
         key="input.return",
-        help="strongest, first or last.",
+        help="Return to use: strongest, first or last.",
     ),
     _option(
         "input",
@@ -232,7 +245,7 @@ SHARED = (
         "points_per_line",
         key="input.points_per_line",
         type=click.IntRange(min=1),
-        help="Shots in a scan line.",
+        help="Shots per scan line.",
     ),
     _option(
         "input",
@@ -241,7 +254,7 @@ SHARED = (
         key="input.max_range",
         type=float,
         metavar="METRES",
-        help="Ranges beyond are missing.",
+        help="Longer ranges count as missing.",
     ),
     _option(
         "input",
@@ -251,15 +264,15 @@ SHARED = (
         key="input.accept_doubts",
         multiple=True,
         metavar="NAME",
-        type=click.Choice(CHECK_NAMES),
-        help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several.",
+        type=CheckName(),
+        help="Accept the warning or refusal of the check NAME. Can be repeated.",
     ),
     _option(
         "input",
         "Input",
         "--trust-order",
         is_flag=True,
-        help="Take the order of the records as it is.",
+        help="Do not check the order of the records.",
     ),
     _option(
         "sort", "Input", "--sort-by-time", is_flag=True, help="Sort the records by time first."
@@ -271,7 +284,7 @@ SHARED = (
         "window_lines",
         key="input.only_lines",
         metavar="A:B",
-        help="Take lines A to B - 1 alone, from 0.",
+        help="Use only lines A to B - 1, counted from 0.",
     ),
     _option(
         "window",
@@ -280,7 +293,7 @@ SHARED = (
         "window_time",
         key="input.only_time",
         metavar="A:B",
-        help="Take the lines of these times alone [s]; +A:+B = since the first one.",
+        help="Use only the lines from time A to B [s]. +A:+B counts from the first line.",
     ),
     _option(
         "window",
@@ -289,7 +302,7 @@ SHARED = (
         "window_first",
         key="input.first",
         metavar="LENGTH",
-        help="Take the first 30s, 2min or 500lines alone.",
+        help="Use only the first 30s, 2min or 500lines.",
     ),
     _option(
         "output",
@@ -305,7 +318,7 @@ SHARED = (
         "-q",
         "--quiet",
         is_flag=True,
-        help="Print nothing but errors and warnings (and --json).",
+        help="Print only errors and warnings (and --json).",
     ),
     _option(
         "output", "Run", "-v", "--verbose", is_flag=True, help="Print every assumption and count."
@@ -324,9 +337,9 @@ _OWN_SECTIONS = {
     "threads": "Run",
     "profile": "Run",
 }
-"""Sections of options that one command has.
+"""Sections of the options of a single command.
 
-All others stand under "Options", before all sections.
+Options without a section are listed first, under "Options".
 """
 _SECTIONS = {option.parameter: option.section for option in SHARED} | _OWN_SECTIONS
 
@@ -337,7 +350,7 @@ class Sectioned(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, section by section.
 
-        a command that classifies nothing keeps one list.
+        A command without options of a method keeps one list.
         """
         rows: dict[str, list[tuple[str, str]]] = {
             name: [] for name in ("Options", "Method", "Input", "Output", "Run")
@@ -385,24 +398,24 @@ output_options = _groups("output")
 
 
 def form_options(*forms: str) -> list[Callable[[Any], Any]]:
-    """Return ``--format`` and ``--json``, for commands that print their result in one of several forms."""
+    """Return ``--format`` and ``--json``, for commands with several forms of output."""
     return [
         click.option(
             "--format",
             "form",
             type=click.Choice(forms),
-            help="How the result is printed.  [default: table]",
+            help="Format of the result.  [default: table]",
         ),
         click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
     ]
 
 
-QUIET = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+QUIET = click.option("-q", "--quiet", is_flag=True, help="Print only errors (and --json).")
 QUIET_FORM = click.option(
     "-q",
     "--quiet",
     is_flag=True,
-    help="Print nothing but errors (and what --json or --format asks for).",
+    help="Print only errors (and the result of --json or --format).",
 )
 
 
@@ -420,35 +433,43 @@ POSES = (
         "--trajectory",
         type=READ,
         metavar="FILE",
-        help="With nearest: poses that give the shots of a raw drive coordinates, from ranges, scan angles "
-        "and times. CSV with roll, pitch, yaw; TUM; SBET; a bag.",
+        help="For nearest: poses of the vehicle. prc computes coordinates of the raw shots with "
+        "them. "
+        "CSV with roll, pitch, yaw, or TUM, SBET, a bag.",
     ),
     click.option(
         "--mount",
         metavar="ROLL,PITCH,YAW[,X,Y,Z]",
-        help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up]; a scan "
-        "plane whose lower part points back has a pitch above 0.  [default: level, 0,0,0]",
+        help="How the scanner is mounted on the vehicle of --trajectory [degrees; metres forward, "
+        "left, "
+        "up]. If the lower part of the scan plane points back, the pitch is above 0.  [default: "
+        "0,0,0]",
     ),
 )
 """Options that give raw shots coordinates."""
 
 
 def given_words(options: Mapping[str, Any], leave_out: Collection[str] = ()) -> list[str]:
-    """Return the options of :data:`stream_options` as they were given, to go on with.
+    """Return the options of :data:`stream_options` as they were typed, for the next command.
 
-    Without some flags.
+    Parameters
+    ----------
+    options : dict
+        Values by parameter.
+    leave_out : collection of str
+        Flags that are left out.
 
     Examples
     --------
-    >>> given_words({"preset": "urban", "points_per_line": 2154, "assignments": (), "trust_order": False})
+    >>> given_words({"preset": "urban", "points_per_line": 2154, "trust_order": False})
     ['--preset', 'urban', '-M', '2154']
     """
     words: list[str] = []
     for option in SHARED:
         value = options.get(option.parameter)
         if value and option.flag not in leave_out and option.group in ("method", "input", "sort"):
-            for one in value if isinstance(value, tuple) else (value,):
-                words += [option.flag] if one is True else [option.flag, str(one)]
+            for part in value if isinstance(value, tuple) else (value,):
+                words += [option.flag] if part is True else [option.flag, str(part)]
     return words
 
 
@@ -489,9 +510,9 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     if (
         method is not None
         and preset is not None
-        and (other := load_config(preset=preset).config.method) != method
+        and (preset_method := load_config(preset=preset).config.method) != method
     ):
-        message = f"--preset {preset} is for --method {other}, not {method}"
+        message = f"--preset {preset} is for --method {preset_method}, not {method}"
         raise click.UsageError(message)
     keys = {option.parameter: option.key for option in SHARED if option.key}
     table = merge(table, table_from(options["assignments"], options, keys))
@@ -504,7 +525,7 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
 
 
 def layout_in(path: Path) -> dict[str, Any]:
-    """Return the configuration with the layout of a file, which may be its table ``[layout]`` or all of it."""
+    """Return the configuration of a layout file: its table ``[layout]``, else all of it."""
     content = read_toml(path)
     return {"layout": content.get("layout", content)}
 
@@ -512,11 +533,11 @@ def layout_in(path: Path) -> dict[str, Any]:
 def table_from(
     assignments: Iterable[str], options: Mapping[str, Any], keys: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the nested table of ``--set`` and of options that stand for keys; these win.
+    """Return the nested table of ``--set`` and of the options of keys; an option wins.
 
     Examples
     --------
-    >>> table_from(["input.lines=fixed"], {"points_per_line": 8, "range_": None}, {"points_per_line": "input.M"})
+    >>> table_from(["input.lines=fixed"], {"points_per_line": 8}, {"points_per_line": "input.M"})
     {'input': {'lines': 'fixed', 'M': 8}}
     """
     tables = [parse_assignment(assignment) for assignment in assignments]
@@ -535,5 +556,5 @@ def numbers(text: str | None, option: str) -> tuple[float, ...]:
         return tuple(float(word) for word in text.split(",")) if text else ()
     except ValueError:
         raise ConfigError(
-            option, f"found {text!r}, expected numbers with commas, such as 0,25,0"
+            option, f"found {text!r}, expected numbers separated by commas, such as 0,25,0"
         ) from None

@@ -25,88 +25,94 @@ from prc_cli.jobs.render import render as render_file
     "--html",
     type=WRITTEN,
     metavar="FILE.html",
-    help="Instead of OUT: cloud and range image to turn, zoom and click, in one page.",
+    help="Instead of OUT: a page with the cloud and the range image, to turn, zoom and click.",
 )
 @click.option(
     "--steps",
     metavar="A,B,...",
-    help="Pictures, e.g. range,support,classes; default: those that suit.",
+    help="Pictures to draw, e.g. range,support,classes. Default: prc chooses.",
 )
-@click.option("--block", type=int, metavar="N", help="One block of prc, from 0.")
-@click.option("--only-lines", metavar="A:B", help="Lines A to B - 1, from 0.")
+@click.option("--block", type=int, metavar="N", help="Draw only block N of PRC, counted from 0.")
+@click.option("--only-lines", metavar="A:B", help="Draw only lines A to B - 1, counted from 0.")
 @click.option(
-    "--figure1", is_flag=True, help="The steps of one block as in Lehtola et al. (2019), Fig. 1."
+    "--figure1",
+    is_flag=True,
+    help="Draw the steps of one block as in Lehtola et al. (2019), Fig. 1.",
 )
 @click.option(
-    "--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]"
+    "--station",
+    type=int,
+    metavar="N",
+    help="Number of the scanner or of the scan.  [default: the first]",
 )
+@click.option("--labels", type=READ, metavar="FILE", help="Draw these classes, do not classify IN.")
+@click.option("--labels-dimension", metavar="NAME", help="Column or dimension of --labels.")
 @click.option(
-    "--labels", type=READ, metavar="FILE", help="Draw these classes instead of classifying."
+    "--reference", type=READ, metavar="FILE", help="Draw the differences to these classes."
 )
-@click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
-@click.option("--reference", type=READ, metavar="FILE", help="Classes to compare with.")
-@click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
+@click.option("--reference-dimension", metavar="NAME", help="Column or dimension of --reference.")
 @click.option(
     "--mapping",
     type=READ_TEXT,
     metavar="NAME|FILE.toml",
     shell_complete=complete_mapping,
-    help="Which codes mean which class, as for prc evaluate.",
+    help="Classes of the codes, as for prc evaluate.",
 )
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
     default="scan",
     show_default=True,
-    help="Lines and columns, or the points from above or in perspective.",
+    help="Draw lines and columns, or the points from above or in perspective.",
 )
 @click.option(
     "--from",
     "eye",
     metavar="AZIMUTH,ELEVATION",
-    help="Where the eye of the perspective stands [deg], azimuth clockwise from north.  [default: the side from which "
-    "the picture is fullest, 30]",
+    help="View point of the perspective [deg], azimuth clockwise from north.  [default: "
+    "the azimuth with "
+    "the fullest picture, 30]",
 )
-@click.option("--hide", metavar="CLASS,...", help="Classes that are not drawn, e.g. noise.")
-@click.option("--colour", type=click.Choice(COLOURS), help="What points are coloured by.")
+@click.option("--hide", metavar="CLASS,...", help="Do not draw these classes, e.g. noise.")
+@click.option("--colour", type=click.Choice(COLOURS), help="Colours of the points.")
 @click.option(
     "--width",
     type=click.IntRange(200, 20_000),
     default=2200,
     show_default=True,
-    help="Widest picture [pixels].",
+    help="Largest width of a picture [pixels].",
 )
 @click.option(
     "--height",
     type=click.IntRange(200, 60_000),
     default=6000,
     show_default=True,
-    help="Highest page [pixels].",
+    help="Largest height of a page [pixels].",
 )
 @click.option(
     "--pages",
     type=click.IntRange(1, 100),
     default=1,
     show_default=True,
-    help="Most pages; what does not fit is thinned.",
+    help="Largest number of pages. Lines that do not fit are thinned.",
 )
 @click.option(
     "--shots",
     type=click.IntRange(1_000, 20_000_000),
     default=1_500_000,
     show_default=True,
-    help="Most shots in the page of --html.",
+    help="Largest number of shots in the page of --html.",
 )
 @click.option(
     "--line-spacing",
     type=click.FloatRange(0, min_open=True),
     metavar="METRES",
-    help="Distance of lines in the page of --html, if there is no trajectory.",
+    help="Distance between lines in the page of --html, if there is no trajectory.",
 )
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+@click.option("-q", "--quiet", is_flag=True, help="Print only errors (and --json).")
 def render(
     source: Path,
     output: Path | None,
@@ -117,10 +123,10 @@ def render(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Draw IN into OUT, a .png or a single .html, or into a page to look around in (--html).
+    """Draw IN into OUT (.png or .html), or into a page to turn, zoom and click (--html).
 
-    Ranges, the steps of the classifier, classes, differences to a reference; or the points from
-    above or in perspective.
+    prc draws ranges, the steps of the method, classes and differences to a reference, or the points
+    from above or in perspective.
 
     \b
     Examples:
@@ -128,16 +134,13 @@ def render(
       prc render out.laz --html out.html
       prc render drive.laz block.png --preset urban --block 12
       prc render drive.laz figure1.html --preset urban --figure1
-      prc render drive.laz differences.png --labels out.laz --reference car.laz --steps classes,reference,difference
+      prc render drive.laz differences.png --labels out.laz --reference car.laz \\
+        --steps classes,reference,difference
       prc render out.laz cloud.png --view perspective --from 215,30
     """
     chosen = _render_options(options)
     if (output is None) == (html is None):
-        problem = (
-            "expected one output, found none"
-            if html is None
-            else "given together with OUT, expected one of them"
-        )
+        problem = "there is no output" if html is None else "prc draws either OUT or --html"
         raise ConfigError(
             "OUT" if html is None else "--html",
             problem,
@@ -186,7 +189,6 @@ _AS_GIVEN = (
 
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
-    """Build what is drawn from the options of the command."""
     azimuth_deg, elevation_deg = (None, 30.0) if options["eye"] is None else _eye(options["eye"])
     steps = options["steps"]
     lines = options["only_lines"]
@@ -224,6 +226,6 @@ def _eye(text: str) -> tuple[float, float]:
     except ValueError:
         azimuth = elevation = math.nan
     if not (math.isfinite(azimuth) and -90 <= elevation <= 90):
-        problem = f"found {text!r}, expected AZIMUTH,ELEVATION in degrees, elevation from -90 to 90, such as 215,30"
+        problem = f"found {text!r}, expected AZIMUTH,ELEVATION in degrees, elevation from -90 to 90"
         raise ConfigError("--from", problem)
     return azimuth, elevation

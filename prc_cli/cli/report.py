@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 
 NOT_KEPT = "not kept: "
-"""Begins a notice of what the output cannot hold."""
+"""Prefix of a note about values that the output cannot contain."""
 
 
 class SafeConsole(Console):
@@ -52,9 +53,9 @@ def console() -> Console:
 @cache
 def results() -> Console:
     """Return the console on stdout, for tables that are the result of a command."""
-    # a pipe or a file gets the whole table, not one cut to 80 columns, unless COLUMNS says how wide
-    is_told = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
-    return SafeConsole(width=None if is_told else 160, markup=False, highlight=False, emoji=False)
+    # in a pipe or a file rich would cut tables at 80 columns
+    is_known = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
+    return SafeConsole(width=None if is_known else 160, markup=False, highlight=False, emoji=False)
 
 
 COMPILING_S = 2.0
@@ -64,9 +65,7 @@ COMPILING_S = 2.0
 @contextlib.contextmanager
 def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
     """Show a note if loading the classifier, or the simulator, takes long."""
-    text = (
-        f"loading the {what}; after installation it is compiled, once, which takes up to a minute"
-    )
+    text = f"loading the {what}; the first start compiles it, which takes up to a minute"
     timer = threading.Timer(COMPILING_S, lambda: console().print(text, soft_wrap=True))
     timer.daemon = True
     if not quiet:
@@ -79,10 +78,7 @@ def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
 
 @contextlib.contextmanager
 def line_progress(name: str, *, quiet: bool, unit: str = "lines") -> Iterator[Progress | None]:
-    """Show a bar of scan lines, or points, on a terminal, nothing elsewhere.
-
-    Per cent where the number is known.
-    """
+    """Show a progress bar if stderr is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -107,26 +103,23 @@ class LineBar:
         self._bar.update(n_lines)
 
     def reached(self, share: float) -> None:
-        """Take the share of the input that is done with the next lines.
-
-        Less than before = the input is read again.
-        """
+        """Set the share of the input that is done; less than before = the input is read again."""
         self._share = share if share >= self._share else 0.0
 
 
 def print_doubts(doubts: Iterable[Finding]) -> ExitCode:
-    """Print every doubt on stderr, quiet or not; return the exit code."""
+    """Print every warning on stderr, also with ``--quiet``; return the exit code."""
     code = ExitCode.DONE
     for doubt in doubts:
         insist = f"accept it with --accept-doubt {doubt.check}"
-        told = f"warning: {doubt.sentence()}; {'or ' if doubt.hint else ''}{insist}"
-        click.echo(printable(told), err=True)
+        text = f"warning: {doubt.sentence()}; {'or ' if doubt.hint else ''}{insist}"
+        click.echo(printable(text), err=True)
         code = ExitCode.LOOK
     return code
 
 
 def end_with(doubts: Iterable[Finding]) -> None:
-    """Print doubts, and end the command with their exit code if there are any."""
+    """Print warnings, and end the command with exit code 4 if there are any."""
     if code := print_doubts(doubts):
         raise SystemExit(code)
 
@@ -134,10 +127,7 @@ def end_with(doubts: Iterable[Finding]) -> None:
 def table_of(
     title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any
 ) -> Table:
-    """Return a table whose first columns hold words, the others numbers.
-
-    Narrow ones fold, none is cut.
-    """
+    """Return a table with ``n_words`` columns of words, then columns of numbers."""
     table = Table(title=title)
     column.setdefault("overflow", "fold")
     for i, heading in enumerate(headings):
@@ -165,22 +155,36 @@ def print_classes(name: str, labels: I64, config: Mapping[str, Any]) -> None:
     console().print(table)
 
 
+def short_reason(text: str) -> str:
+    """Return the first part of a reason.
+
+    >>> short_reason("the place looks like a street: 94 % of the ground is smooth")
+    'the place looks like a street'
+    """
+    return re.split("[:;] ", text)[0]
+
+
 def print_choice(choice: Assumption | None) -> None:
-    """Print which method was chosen and why, where none was named."""
+    """Print the method that prc chose, and a short reason; None = the user named it."""
     if choice is not None:
-        print_line(f"method: {choice.value}: {choice.why}")
+        print_line(f"method: {choice.value}: {short_reason(choice.why)}")
 
 
 def print_taken(record: RunRecord, *, verbose: bool) -> None:
-    """Print all that was taken for granted, or only which method."""
+    """Print all assumptions, or only the method that prc chose."""
     if verbose:
         print_assumptions(record.assumptions, record.tally)
     else:
-        print_choice(next((one for one in record.assumptions if one.key == "method"), None))
+        print_choice(
+            next(
+                (assumption for assumption in record.assumptions if assumption.key == "method"),
+                None,
+            )
+        )
 
 
 def print_notices(notices: Iterable[str]) -> None:
-    """Print what a run notes; its doubts are printed as warnings."""
+    """Print the notes of a run, without its warnings."""
     for notice in notices:
         if not is_doubt(notice):
             print_line(notice if notice.startswith(NOT_KEPT) else f"note: {notice}")
@@ -190,7 +194,7 @@ def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> No
     """Print the assumptions and the counts of the reader."""
     if assumptions:
         rows = ((item.key, item.value, item.why) for item in assumptions)
-        console().print(table_of("taken for granted", "key", "value", "why", rows=rows, n_words=3))
+        console().print(table_of("assumptions", "key", "value", "reason", rows=rows, n_words=3))
     for name, count in tally.counts():
         console().print(f"{name}: {count:,} records")
 
@@ -212,14 +216,14 @@ def profile_of(profile: Profile, n_shots: int, threads: int) -> dict[str, Any]:
         "peak_memory_bytes": peak_memory(),
         "stages": [
             {
-                "name": found.name,
-                "wall_s": found.wall_s,
-                "cpu_s": found.cpu_s,
-                "share_of_cpu": found.cpu_s / profile.cpu_s if profile.cpu_s else 0.0,
-                "mshots_per_cpu_s": _rate(found, n_shots),
-                "calls": found.calls,
+                "name": stage.name,
+                "wall_s": stage.wall_s,
+                "cpu_s": stage.cpu_s,
+                "share_of_cpu": stage.cpu_s / profile.cpu_s if profile.cpu_s else 0.0,
+                "mshots_per_cpu_s": _rate(stage, n_shots),
+                "calls": stage.calls,
             }
-            for found in _rows(profile)
+            for stage in _rows(profile)
         ],
     }
 
@@ -238,24 +242,24 @@ def print_profile(profile: Profile, n_shots: int, threads: int) -> None:
     memory = "" if peak is None else f", {peak / 2**20:.0f} MiB of memory at most"
     console().print(
         f"{shown['wall_s']:.3f} s by the clock, {shown['cpu_s']:.3f} s of processor time on "
-        f"{threads} thread{'s' * (threads > 1)}{memory}; what ran at the same time adds up to more than the clock",
+        f"{threads} thread{'s' * (threads > 1)}{memory}; stages run at the same time",
         soft_wrap=True,
     )
 
 
 def _rows(profile: Profile) -> Iterator[StageTime]:
-    """Yield stages by cost, then those that wait, then the rest of the process's time."""
+    """Yield the stages by cost, then the remaining time, then the stages that wait."""
     stages = profile.stages()
-    is_waiting = [found.name.startswith(_WAITING) for found in stages]
-    at_work = (found for found, waits in zip(stages, is_waiting, strict=True) if not waits)
-    yield from sorted(at_work, key=lambda found: -found.cpu_s)
-    rest = profile.cpu_s - sum(found.cpu_s for found in stages)
+    is_waiting = [stage.name.startswith(_WAITING) for stage in stages]
+    at_work = (stage for stage, waits in zip(stages, is_waiting, strict=True) if not waits)
+    yield from sorted(at_work, key=lambda stage: -stage.cpu_s)
+    rest = profile.cpu_s - sum(stage.cpu_s for stage in stages)
     yield StageTime(REST, 0.0, max(rest, 0.0), 0)
-    yield from (found for found, waits in zip(stages, is_waiting, strict=True) if waits)
+    yield from (stage for stage, waits in zip(stages, is_waiting, strict=True) if waits)
 
 
-def _rate(found: StageTime, n_shots: int) -> float | None:
-    """Million shots per second of processor time; None where that has no meaning."""
-    if found.name.startswith(_WAITING) or found.name in _NO_RATE or found.cpu_s < _NEGLIGIBLE_S:
+def _rate(stage: StageTime, n_shots: int) -> float | None:
+    """Million shots per second of processor time; None if the stage has no rate."""
+    if stage.name.startswith(_WAITING) or stage.name in _NO_RATE or stage.cpu_s < _NEGLIGIBLE_S:
         return None
-    return n_shots / found.cpu_s / 1e6
+    return n_shots / stage.cpu_s / 1e6

@@ -38,31 +38,34 @@ _OUTPUT = [
         "--labels",
         type=WRITTEN,
         metavar="FILE.npy",
-        help="Reference class of every record; written by itself where OUT cannot hold it.",
+        help="Write the true class of every record. Default: if OUT cannot contain classes.",
     ),
 ]
 _FOREST = [
-    _option("--stems", type=WRITTEN, metavar="FILE.csv", help="Also list the trees by the way."),
+    _option("--stems", type=WRITTEN, metavar="FILE.csv", help="Also write a list of the trees."),
     _option(
         "--reference",
         type=click.Choice(["truth", "cylinders"]),
         default="truth",
         show_default=True,
-        help="What was hit; or cylinders around stems, ground by height, noise elsewhere.",
+        help="truth: the object that was hit. cylinders: stems by cylinders, ground by height, "
+        "else noise.",
     ),
 ]
 _PLACE = [
     _option(
         "--seed",
         type=click.IntRange(0, 2**63 - 1),
-        help="Another seed, another world.  [default: 1]",
+        help="Every seed gives another world.  [default: 1]",
     ),
-    _option("--lines", type=click.IntRange(min=1), help="Scan lines, instead of a length."),
+    _option(
+        "--lines", type=click.IntRange(min=1), help="Number of scan lines, instead of --length."
+    ),
     _option(
         "--sight",
         type=click.FloatRange(min=1),
         metavar="METRES",
-        help="Nothing farther is simulated.",
+        help="Simulate objects up to this distance.",
     ),
 ]
 _LENGTH = [
@@ -70,13 +73,13 @@ _LENGTH = [
         "--length",
         type=click.FloatRange(min=0, min_open=True),
         metavar="METRES",
-        help="Way of the platform; default 300 in streets, 100 in forests.",
+        help="Length of the path. Default: 300 in streets, 100 in forests.",
     ),
     _option(
         "--duration",
         type=click.FloatRange(min=0, min_open=True),
         metavar="SECONDS",
-        help="Instead of a length.",
+        help="Duration, instead of --length.",
     ),
     _option(
         "--speed",
@@ -88,34 +91,41 @@ _LENGTH = [
         "--mount-slant",
         type=float,
         metavar="DEGREES",
-        help="Tilt of the scan plane, its lower part backwards.",
+        help="Tilt of the scan plane. Above 0: its lower part points back.",
     ),
     _option(
-        "--mount-heading", type=float, metavar="DEGREES", help="Turn of the scan plane to the left."
+        "--mount-heading",
+        type=float,
+        metavar="DEGREES",
+        help="Rotation of the scan plane to the left.",
     ),
     _option(
         "--trajectory",
         type=WRITTEN,
         metavar="FILE",
-        help="Also write where the scanner was: .csv, or .sbet.",
+        help="Also write the path of the scanner: .csv or .sbet.",
     ),
     _option(
         "--frames",
         type=WRITTEN,
         metavar="FOLDER",
-        help="Spinning scanners: also write every turn as a frame of KITTI, with classes, poses and times.",
+        help="For spinning scanners: also write each turn as a KITTI frame, with classes, "
+        "poses and times.",
     ),
 ]
 _PARAMETERS = [
     _option(
-        "--noise", type=click.FloatRange(min=0), metavar="METRES", help="Range noise close by."
+        "--noise",
+        type=click.FloatRange(min=0),
+        metavar="METRES",
+        help="Range noise at short distance.",
     ),
     _option(
         "--config",
         "config_file",
         type=READ,
         metavar="FILE.toml",
-        help="Parameters, in tables [scene], [scanner] and [trajectory] or [station].",
+        help="Parameters, in the tables [scene], [scanner] and [trajectory] or [station].",
     ),
     _option(
         "--set",
@@ -123,17 +133,21 @@ _PARAMETERS = [
         type=READ_TEXT,
         multiple=True,
         metavar="KEY=VALUE",
-        help="Any of them, e.g. scene.trees=0.9.",
+        help="Set a parameter, e.g. scene.trees=0.9. Can be repeated.",
     ),
-    _option("--threads", type=click.IntRange(min=1), help="Threads; they do not change a byte."),
+    _option(
+        "--threads",
+        type=click.IntRange(min=1),
+        help="Number of threads. The output does not depend on it.",
+    ),
     _option("--overwrite", is_flag=True, help="Replace existing outputs."),
 ]
 
 
 _SCENE_HELP: dict[Kind, str] = {
-    "street": "What stands along the street; mixed changes every 120 m.",
-    "forest": "What kind of forest; mixed is a managed stand of pine, spruce and birch.",
-    "street-scan": "What stands along the street; mixed changes every 120 m.",
+    "street": "Kind of street; mixed changes every 120 m.",
+    "forest": "Kind of forest; mixed is a managed stand of pine, spruce and birch.",
+    "street-scan": "Kind of street; mixed changes every 120 m.",
 }
 
 
@@ -142,7 +156,9 @@ def _presets(kind: Kind) -> list[Any]:
     scanners = [name for name, scanner in SCANNERS.items() if scanner.is_static == static]
     return [
         _option(
-            "--scanner", type=click.Choice(scanners), help="Preset; see prc simulate scanners."
+            "--scanner",
+            type=click.Choice(scanners),
+            help="Model of the scanner: prc simulate scanners lists them.",
         ),
         _option("--scene", type=click.Choice(list(SCENES[kind])), help=_SCENE_HELP[kind]),
     ]
@@ -150,11 +166,11 @@ def _presets(kind: Kind) -> list[Any]:
 
 @click.group()
 def simulate() -> None:
-    """Simulate a scan of a street or a forest, with the reference class of every shot.
+    """Simulate a scan of a street or a forest, with the true class of every shot.
 
     OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz,
-    .npy, .bin, .e57, or a bag (.bag, .mcap, .db3). The same parameters and seed give the same
-    bytes. Parameters and version stand in OUT.prc.json.
+    .npy, .bin, .e57, or a bag (.bag, .mcap, .db3). The same parameters and the same seed give the
+    same bytes. OUT.prc.json contains the parameters and the version.
 
     \b
     Examples:
@@ -170,14 +186,15 @@ def simulate() -> None:
 @add_options(*_OUTPUT, *_LENGTH, *_PLACE, *_presets("street"), *_PARAMETERS)
 @output_options
 def street(**options: Any) -> None:
-    """Simulate a drive down a street.
+    """Simulate a drive along a street.
 
-    Point clouds and tables hold registered coordinates from the true pose beside the ranges.
+    Point clouds and tables contain ranges, and registered coordinates from the true path.
 
     \b
     Examples:
       prc simulate street drive.laz --length 900 --seed 7 --trajectory drive.csv
-      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
+      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 \\
+        --set trajectory.stop_every_m=0
       prc simulate street drive.e57 --config terraces.toml
       prc simulate street spin.npz --scanner vlp-16 --duration 5 --frames frames/
       prc simulate street spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
@@ -191,8 +208,7 @@ def street(**options: Any) -> None:
 def forest(**options: Any) -> None:
     """Simulate a walk through a forest.
 
-    With --reference cylinders the classes are those that the rule of Lehtola et al. (2019, III)
-    gives.
+    --reference cylinders gives the classes by the rule of Lehtola et al. (2019, III).
 
     \b
     Examples:
@@ -206,7 +222,7 @@ def forest(**options: Any) -> None:
 @add_options(*_OUTPUT, *_PLACE, *_presets("street-scan"), *_PARAMETERS)
 @output_options
 def street_scan(**options: Any) -> None:
-    """Simulate a static scan of a street, upright lines from a tripod.
+    """Simulate a static scan of a street, from a tripod.
 
     \b
     Examples:
@@ -217,7 +233,7 @@ def street_scan(**options: Any) -> None:
 
 
 @simulate.command()
-@click.option("--json", "as_json", is_flag=True, help="Every parameter, as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print all parameters as JSON.")
 def scanners(as_json: bool) -> None:
     """List the scanners that can be simulated.
 
@@ -259,7 +275,7 @@ def scanners(as_json: bool) -> None:
     type=READ_TEXT,
     multiple=True,
     metavar="KEY=VALUE",
-    help="Any of them; scanner.name=NAME.",
+    help="Set a parameter, e.g. scanner.name=NAME. Can be repeated.",
 )
 @click.option("--bare", is_flag=True, help="Without comments.")
 def parameters(
@@ -268,7 +284,7 @@ def parameters(
     assignments: tuple[str, ...],
     bare: bool,
 ) -> None:
-    """Print every parameter of a KIND of simulation as TOML that --config reads.
+    """Print all parameters of a simulation as TOML, ready for --config.
 
     \b
     Example: prc simulate parameters street --set scanner.name=profiler-1mhz > fast.toml
@@ -292,7 +308,7 @@ _KEYS = {
     "scanner": "scanner.name",
     "scene": "scene.name",
 }
-"""What options stand for."""
+"""Keys of the options."""
 
 
 def _run(kind: Kind, options: dict[str, Any]) -> None:
@@ -334,8 +350,8 @@ def _print_summary(summary: SimulationSummary, seconds: float, *, verbose: bool)
     record = summary.record
     total = int(counts.labels.sum())
     if verbose:
-        found = ((label.name.lower(), int(counts.labels[label])) for label in Label)
-        rows = ((name, f"{n:,}", f"{n / total:.1%}") for name, n in found if n)
+        label_counts = ((label.name.lower(), int(counts.labels[label])) for label in Label)
+        rows = ((name, f"{n:,}", f"{n / total:.1%}") for name, n in label_counts if n)
         console().print(table_of("reference", "class", "shots", "share", rows=rows))
     print_notices(record.notices)
     for path in summary.files:

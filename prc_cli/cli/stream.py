@@ -33,7 +33,8 @@ from prc_cli.jobs.stream import stream as label_stream
     "--line-hz",
     type=click.FloatRange(min=0, min_open=True),
     metavar="HZ",
-    help="Lines a second that the scanner makes, for the real-time factor; default: as the layout says.",
+    help="Lines per second of the scanner, for the real-time factor. Default: "
+    "the value of the layout.",
 )
 @click.option(
     "--report",
@@ -42,36 +43,38 @@ from prc_cli.jobs.stream import stream as label_stream
     default=10.0,
     show_default=True,
     metavar="SECONDS",
-    help="Report the rate on stderr so often; 0 = only at the end.",
+    help="Time between two reports of the rate on stderr. 0 = only at the end.",
 )
 @output_options
 def stream(
     line_hz: float | None, every: float, as_json: bool, quiet: bool, verbose: bool, **options: Any
 ) -> None:
-    """Label a live stream: ranges in on stdin, one byte a shot out on stdout.
+    """Classify a live stream: ranges on stdin, one byte per shot on stdout.
 
-    Without a layout the input is float32 ranges, -M of them a line; the output is the class code of
-    every shot, 0 = no return, the same bytes that prc classify writes as an array. Labels leave
-    block by block (prc.lines_per_block, fused.lines_per_block). Where no method is named it is
-    chosen as prc classify does, with angles measured from the ranges where there are none; a line
-    on stderr says so. The rate is reported on stderr, and every doubt about the input as soon as it
-    is known (exit code 4); with --json a line of JSON each, the last one with the labels' counts
-    and all doubts.
+    Without --layout the input is float32 ranges, -M of them per line. The output is the class code
+    of every shot (0 = no return), the same bytes that prc classify writes as an array. prc writes
+    it block by block (prc.lines_per_block, fused.lines_per_block).
+
+    If you name no method, prc chooses one as prc classify does. If there are no angles, prc
+    measures them from the ranges.
+
+    prc reports the method, the rate and every warning (exit code 4) on stderr. With --json each is
+    a line of JSON. The last line contains the counts of the classes and all warnings.
 
     \b
     Examples:
       scanner | prc stream --preset urban -M 2154 > labels.bin
       cat drive.bin | prc stream --layout profiler.toml | logger
     """
-    for name, file, own in (
+    for name, file, original in (
         ("stdin", sys.stdin, sys.__stdin__),
         ("stdout", sys.stdout, sys.__stdout__),
     ):
-        if own is None:
-            message = f"{name} is closed, expected a pipe or a file"
+        if original is None:
+            message = f"{name} is closed; connect a pipe or a file"
             raise click.UsageError(message)
         if file.isatty():
-            message = f"{name} is a terminal, expected a pipe or a file: ranges and labels are bytes, not text"
+            message = f"{name} is a terminal, but ranges and labels are bytes; use a pipe or a file"
             raise click.UsageError(message)
     loaded = config_from(options)
     if loaded.config.is_decided:
@@ -141,15 +144,13 @@ class _Reporter:
 
 
 def _sentence(rate: Rate, line_hz: float | None) -> str:
-    """Return the rate for people."""
     shots = rate.n_shots / rate.seconds / 1e6 if rate.seconds else 0.0
-    text = f"{rate.n_lines:,} lines, {rate.n_shots:,} shots in {rate.seconds:.1f} s ({shots:.3g} million shots a second)"
+    text = f"{rate.n_lines:,} lines, {rate.n_shots:,} shots in {rate.seconds:.1f} s"
+    text += f" ({shots:.3g} million shots a second)"
     factor = rate.real_time(line_hz)
     if factor is not None:
         text += f", {factor:.3g} x real time"
-    return (
-        f"{text}; labels left at most {1e3 * rate.latency_s:.1f} ms after the last shot they needed"
-    )
+    return f"{text}; latency at most {1e3 * rate.latency_s:.1f} ms"
 
 
 def _as_dict(rate: Rate, line_hz: float | None) -> dict[str, object]:

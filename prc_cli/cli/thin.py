@@ -32,42 +32,42 @@ from prc_cli.jobs.thin import thin as thin_file
     "--keep",
     multiple=True,
     metavar="CLASS=FRACTION,...",
-    help="Keep a share, by line and column: ground=1/4.",
+    help="Keep this share of a class, by line and column: ground=1/4.",
 )
 @click.option(
     "--spacing",
     multiple=True,
     metavar="CLASS=METRES,...",
-    help="Keep shots so far apart in a line: ground=0.1.",
+    help="Keep shots of a class at this distance in a line: ground=0.1.",
 )
 @click.option(
     "--drop",
     multiple=True,
     metavar="CLASS,...",
-    help="Keep nothing of a class (noise: always, unless kept).",
+    help="Remove a class. prc always removes noise, unless --keep names it.",
 )
-@click.option(
-    "--keep-only", multiple=True, metavar="CLASS,...", help="Keep these classes and nothing else."
-)
+@click.option("--keep-only", multiple=True, metavar="CLASS,...", help="Keep only these classes.")
 @click.option(
     "--labels",
     type=READ,
     metavar="FILE",
-    help="Classes, one code a record of IN; of a folder of frames, the folder of theirs.",
+    help="Classes of IN, one code per record. For a folder of frames: the folder of their labels.",
 )
 @click.option(
     "--min-confidence",
     type=click.IntRange(0, 100),
     metavar="PERCENT",
-    help="Also drop returns whose label has less confidence.",
+    help="Also remove returns whose label has less confidence.",
 )
 @click.option(
-    "--keep-empty", is_flag=True, help="In .ply, .pcd, .bin: the whole grid, not the returns alone."
+    "--keep-empty",
+    is_flag=True,
+    help="In .ply, .pcd, .bin: write empty cells too, not only the returns.",
 )
 @click.option(
     "--every-frame",
     is_flag=True,
-    help="Folders: number the frames 000000, 000001, ... instead of keeping their names.",
+    help="For folders: number the frames 000000, 000001, ... instead of keeping their names.",
 )
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
@@ -85,14 +85,15 @@ def thin(
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
+    """Remove noise from IN and thin out the classes that you name.
 
-    Classes are those of IN or of --labels. Where IN has none, or with --preset, --method or
-    --config, it is classified on the way. OUT is any format that prc convert writes, or a bag of a
-    bag; of a frame, a .bin holds x, y, z and intensity, as KITTI's. From .las or .laz to .las or
-    .laz, records are left out and everything else stays as it is; so are points of bags, and of
-    frames of spinning scanners from .ply to .ply and .pcd to .pcd. A folder of frames becomes a new
-    folder of them, each under its name, also where no point is left.
+    The classes are in IN or in --labels. If IN has none, or with --preset, --method or --config,
+    prc classifies IN first.
+
+    OUT is any format that prc convert writes, or a bag if IN is a bag. From .las or .laz to .las or
+    .laz only records are removed, and everything else stays. The same holds for points of bags, and
+    for frames of spinning scanners from .ply to .ply and from .pcd to .pcd. A .bin of a frame
+    contains x, y, z and intensity, as in KITTI. A folder of frames becomes a folder of frames.
 
     \b
     Examples:

@@ -23,7 +23,7 @@ _OPTIONS = [
         "--points",
         type=READ,
         metavar="RAW",
-        help="Input that LABELS belong to, record by record, where they have no times of their own.",
+        help="Raw input of LABELS, if LABELS has no times.",
     ),
     click.option(
         "--layout", "layout_file", type=READ, metavar="FILE.toml", help="Record layout of RAW."
@@ -34,9 +34,11 @@ _OPTIONS = [
         default="time",
         show_default=True,
         metavar="HOW",
-        help="How points find their label: time (and return number), order (the same on both sides), "
-        "record:NAME (a dimension of REGISTERED with the index of the raw record), dimension:NAME (an integer "
-        "dimension of both), or nearest (in space).",
+        help="How points are matched: time (and return number), order (the same in both), "
+        "record:NAME "
+        "(dimension of REGISTERED with the index of the raw record), "
+        "dimension:NAME (integer dimension of "
+        "both), or nearest (in space).",
     ),
     click.option(
         "--tolerance",
@@ -45,8 +47,9 @@ _OPTIONS = [
         type=float,
         default=0.0,
         metavar="NUMBER",
-        help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres "
-        "from the spacing and the distance of both clouds]",
+        help="Largest difference: seconds (time), metres (nearest).  [default: "
+        "rounding of the times; for "
+        "nearest, from the spacing and the distance of both clouds]",
     ),
     click.option(
         "--time-offset",
@@ -54,16 +57,15 @@ _OPTIONS = [
         type=float,
         default=0.0,
         metavar="SECONDS",
-        help="Added to the times of LABELS, e.g. from seconds of week to adjusted standard GPS time.",
+        help="Add this to the times of LABELS, e.g. from seconds of week to adjusted standard GPS "
+        "time.",
     ),
-    click.option(
-        "--ignore-return", is_flag=True, help="Match by the time alone, not by the return number."
-    ),
+    click.option("--ignore-return", is_flag=True, help="Match only by time, not by return number."),
     click.option(
         "--same",
         multiple=True,
         metavar="NAME",
-        help="Integer dimension that must be equal too, e.g. scanner_channel.",
+        help="Integer dimension that must also be equal, e.g. scanner_channel.",
     ),
     click.option(
         "--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes."
@@ -72,13 +74,13 @@ _OPTIONS = [
         "--carry",
         multiple=True,
         metavar="NAME",
-        help="Extra dimension of LABELS that goes along: segment_id, surface, ...",
+        help="Also copy this extra dimension of LABELS: segment_id, surface, ...",
     ),
     click.option(
         "--min-confidence",
         type=click.IntRange(0, 100),
         metavar="PERCENT",
-        help="Transfer no label with less confidence; such points keep their class.",
+        help="Do not copy labels with less confidence. Their points keep their class.",
     ),
     click.option(
         "--min-matched",
@@ -86,7 +88,7 @@ _OPTIONS = [
         default=0.5,
         show_default=True,
         metavar="SHARE",
-        help="Refuse when a smaller share of the smaller side finds a partner.",
+        help="Smallest share of records with a partner, of the smaller side.",
     ),
     click.option("--overwrite", is_flag=True, help="Replace an existing output."),
 ]
@@ -110,11 +112,11 @@ def transfer(
     verbose: bool,
     **matching: Any,
 ) -> None:
-    """Write REGISTERED again as OUT, with the classes of LABELS.
+    """Copy the classes of LABELS to the points of REGISTERED, and write OUT.
 
-    LABELS is a classified .las or .laz, or labels alone (.npy, .csv, .parquet) with the raw input
-    they belong to (--points). REGISTERED and OUT are .las or .laz of the same drive. Points without
-    partner keep their class; everything else stays as it is in REGISTERED.
+    LABELS is a classified .las or .laz, or only labels (.npy, .csv, .parquet) with --points RAW.
+    REGISTERED and OUT are .las or .laz files of the same drive. Points without partner keep their
+    class. Everything else in REGISTERED stays the same.
 
     \b
     Examples:
@@ -154,7 +156,7 @@ def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -
         table_of(f"{summary.output.name}: classes", "class", "code", "points", "share", rows=rows)
     )
     matched = _share(counts.n_matched, counts.n_points)
-    print_line(f"points matched: {matched}, {counts.n_changed:,} changed their class")
+    print_line(f"points matched: {matched}, {counts.n_changed:,} with a new class")
     print_line(f"points not matched, class kept: {counts.n_points - counts.n_matched:,}")
     print_line(f"labels matched: {_share(counts.n_labels_matched, counts.n_labels)}")
     if verbose:
@@ -163,7 +165,8 @@ def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -
         print_line(f"note: {notice}")
     rate = counts.n_points / seconds / 1e6 if seconds else 0.0
     print_line(
-        f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million points a second)"
+        f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million "
+        "points a second)"
     )
 
 

@@ -1,15 +1,14 @@
-"""Chooses the method for an input where none is named (``method = "auto"``).
+"""Chooses the method for an input if none is named (``method = "auto"``).
 
-What is asked for may leave one method: segment ids and the plain engine are PRC's. Otherwise the
-input decides: ``fused`` where the angle of every beam from straight down is known or can be
-measured from the ranges, for streets or for forests as its first lines look; else PRC, which needs
-no angles, with a doubt.
+Segment ids and the reference engine need PRC. Otherwise the input decides: ``fused``, if the angle
+of every beam from straight down is known or can be measured from the ranges, with the classes of
+streets or of forests as the first lines show; else PRC, which needs no angles, with a warning.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -17,6 +16,7 @@ from typing import get_args
 from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream
+from prc_cli.core.threads import closing_items
 from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
 from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
@@ -26,9 +26,9 @@ from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting
 
 LEAST_COSINE = math.cos(math.radians(60.0))
-"""Planes that lean more are no scan planes of streets.
+"""Cosine of the largest lean of a scan plane.
 
-Fused allows 45 degrees, ranges in feet look like 72.
+Fused allows 45 degrees; ranges in feet look like 72 degrees.
 """
 _BETTER = "with the angles of the beams fused labels better"
 
@@ -37,7 +37,8 @@ def decided_by(choice: MethodChoice, loaded: LoadedConfig) -> LoadedConfig:
     """Return a configuration that names the method of a choice.
 
     >>> from prc_cli.config import load_config
-    >>> decided_by(MethodChoice("fused-forest", "as an example"), load_config()).config.fused.environment
+    >>> loaded = decided_by(MethodChoice("fused-forest", "as an example"), load_config())
+    >>> loaded.config.fused.environment
     'forest'
     """
     config = loaded.config
@@ -50,10 +51,7 @@ def decided_by(choice: MethodChoice, loaded: LoadedConfig) -> LoadedConfig:
 
 
 def possible_configs(loaded: LoadedConfig) -> list[RunConfig]:
-    """Return the configurations that a run may have been done with.
-
-    Where no method is named, one for every choice.
-    """
+    """Return the possible configurations of a run: one per choice if no method is named."""
     if loaded.config.is_decided:
         return [loaded.config]
     return [
@@ -62,15 +60,15 @@ def possible_configs(loaded: LoadedConfig) -> list[RunConfig]:
 
 
 def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> MethodChoice | None:
-    """Return the choice where what is asked for leaves one method; None = the input decides.
+    """Return the choice if the options allow only one method; None = the input decides.
 
     >>> choice_by_request(RunConfig(output={"segment_ids": True})).preset
     'urban'
     """
     if config.output.segment_ids:
-        return MethodChoice("urban", "segment ids are those of PRC")
+        return MethodChoice("urban", "only PRC has segment ids")
     if engine == "reference":
-        return MethodChoice("urban", "the plain engine has the papers' methods alone")
+        return MethodChoice("urban", "--engine reference has only the methods of the papers")
     return None
 
 
@@ -83,7 +81,15 @@ def choice_by_beams(
 ) -> MethodChoice:
     """Return the choice for an input whose beam directions are known.
 
-    ``may_spin``: it is no static scan.
+    Parameters
+    ----------
+    first : ScanBlock
+    blocks : iterator of ScanBlock
+        The blocks from the first.
+    known : str
+        How the angles are known, for the reason.
+    may_spin : bool
+        Whether the scanner may be a spinning one: it is not on a tripod.
     """
     if may_spin and first.has_rings:
         return MethodChoice("rings", "columns are the rings of a spinning scanner")
@@ -99,63 +105,86 @@ def choice_by_beams(
     if place.kind == "street":
         why = f"{known}, and the place looks like a street: {place.why}"
     else:
-        why = f"{known}; taken for a street: {place.why}; in a forest give --preset fused-forest"
+        why = (
+            f"{known}; assumed to be a street: {place.why}; in a forest give --preset fused-forest"
+        )
     return MethodChoice("fused", why, doubt=doubt)
 
 
 def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
-    """Choose the method for an opened stream."""
+    """Choose the method for an opened stream.
+
+    Returns
+    -------
+    tuple
+        The choice, and the stream with the beam directions that the method needs.
+    """
     try:
-        first = next(stream.blocks(), None)
-        if first is None:
-            return MethodChoice("urban", "the input has no lines"), stream
-        directed = with_beams(stream, config.input)
-        beams = directed.known.values() if isinstance(directed, BeamStream) else ()
-        if any(found.is_made_up for found in beams):
-            # refused where a later line has two
-            for _ in directed.blocks():
-                pass
-            return MethodChoice("urban", "no line has two returns"), stream
-        if (cosine := min((found.cos_tilt for found in beams), default=1.0)) < LEAST_COSINE:
-            lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
-            lacks = f"{lean}, which fused does not stand"
-            return MethodChoice("urban", lacks, lacks, "look at the unit of the ranges"), stream
-        every = stream.info.facts.scanners
-        if every or stream.info.facts.has_scans or config.input.scanner != "none":
-            # a later scanner may be refused only when it is reached
-            for _ in directed.blocks():
-                if (
-                    every
-                    and isinstance(directed, BeamStream)
-                    and len(directed.known | directed.late) >= len(every)
-                ):
-                    break
-        is_measured = any(
-            one.key == ANGLES and one.value.startswith("measured")
-            for one in directed.info.assumptions
-        )
-        known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
-        first_block = next(iter(directed.blocks()))
-        # rows of a tripod's scan may see as little as rings do, where the sky was cut off
-        may_spin = not stream.info.facts.has_scans
-        return choice_by_beams(first_block, directed.blocks(), *known, may_spin=may_spin), directed
+        return _choose(stream, config)
     except (InputError, ConfigError) as refusal:
-        scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
-        every = stream.info.facts.scanners
-        lacks = f"{scanner}: {refusal.problem}" if scanner in every else refusal.problem
-        give = refusal.hint
-        others = ",".join(name.partition(" (")[0] for name in every if name != scanner)
-        if scanner in every and others:
-            give += (
-                f", and --topic {scanner.partition(' (')[0]}; or try the others: --topic {others}"
-            )
-        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, give), stream
+        return _choice_after(refusal, stream.info.facts.scanners), stream
+
+
+def _choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
+    facts = stream.info.facts
+    with closing_items(stream.blocks()) as blocks:
+        if next(blocks, None) is None:
+            return MethodChoice("urban", "the input has no lines"), stream
+    directed = with_beams(stream, config.input)
+    beams = directed.known.values() if isinstance(directed, BeamStream) else ()
+    if any(scanner_beams.is_made_up for scanner_beams in beams):
+        # a later line with two returns is refused
+        for _ in directed.blocks():
+            pass
+        return MethodChoice("urban", "no line has two returns"), stream
+    cosine = min((scanner_beams.cos_tilt for scanner_beams in beams), default=1.0)
+    if cosine < LEAST_COSINE:
+        lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
+        lacks = f"{lean}, too much for fused"
+        return MethodChoice("urban", lacks, lacks, "look at the unit of the ranges"), stream
+    if facts.scanners or facts.has_scans or config.input.scanner != "none":
+        _read_all_scanners(directed, facts.scanners)
+    with closing_items(directed.blocks()) as blocks:
+        first_block = next(blocks)
+    is_measured = any(
+        assumption.key == ANGLES and assumption.value.startswith("measured")
+        for assumption in directed.info.assumptions
+    )
+    known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
+    # a scan from a tripod whose sky was cut off may have as few beams as a spinning scanner
+    may_spin = not facts.has_scans
+    with closing_items(directed.blocks()) as blocks:
+        return choice_by_beams(first_block, blocks, *known, may_spin=may_spin), directed
+
+
+def _read_all_scanners(directed: ScanStream, scanners: Sequence[str]) -> None:
+    """Read until the beams of every scanner are known: a later scanner may be refused."""
+    with closing_items(directed.blocks()) as blocks:
+        for _ in blocks:
+            if not (scanners and isinstance(directed, BeamStream)):
+                continue
+            if len(directed.known | directed.late) >= len(scanners):
+                return
+
+
+def _choice_after(refusal: InputError | ConfigError, scanners: Sequence[str]) -> MethodChoice:
+    """Choose PRC, which needs no angles, with the reason why ``fused`` cannot be used."""
+    scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
+    lacks = refusal.problem
+    give = refusal.hint
+    if scanner in scanners:
+        lacks = f"{scanner}: {lacks}"
+        others = ",".join(name.partition(" (")[0] for name in scanners if name != scanner)
+        if others:
+            topic = scanner.partition(" (")[0]
+            give += f", and --topic {topic}; or try the others: --topic {others}"
+    return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, give)
 
 
 def decide_stream(
     stream: ScanStream, loaded: LoadedConfig, *, engine: Engine = "compiled"
 ) -> tuple[LoadedConfig, ScanStream]:
-    """Return a configuration that names a method, and the stream with the beam directions that the method needs."""
+    """Name the method of a stream, and add the beam directions that the method needs."""
     if not loaded.config.is_decided:
         choice = choice_by_request(loaded.config, engine=engine)
         if choice is None:
@@ -173,10 +202,7 @@ def decide(
     engine: Engine = "compiled",
     trust_order: bool = False,
 ) -> LoadedConfig:
-    """Return a configuration that names a method.
-
-    The given one, or with the method chosen for a file.
-    """
+    """Return a configuration that names a method: its own, or the method chosen for a file."""
     return decide_and_open(path, loaded, engine=engine, trust_order=trust_order)[0]
 
 
@@ -187,7 +213,7 @@ def decide_and_open(
     engine: Engine = "compiled",
     trust_order: bool = False,
 ) -> tuple[LoadedConfig, ScanStream | None]:
-    """Return :func:`decide`, and the stream with its beam directions where it was opened and the method needs them."""
+    """Decide as :func:`decide`; also return the stream if it was opened and has beam directions."""
     loaded = with_layout_beside(path, loaded)
     config = loaded.config
     if config.is_decided:

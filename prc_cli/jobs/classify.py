@@ -52,7 +52,7 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
-"""Called with the number of scan lines just finished."""
+"""Called with the number of scan lines that are finished since the last call."""
 
 AHEAD = 1
 """Blocks waiting between reader and classifier, and between classifier and writer.
@@ -60,15 +60,12 @@ AHEAD = 1
 Each side works on one more.
 """
 LEAST_SHOTS = 1 << 14
-"""Smaller images are labelled without being judged.
+"""Smaller images are labelled without checks.
 
-Half of what the checks compare of a longer one.
+It is half of the number of shots that the checks compare in a longer image.
 """
 OFF_M = 0.1
-"""Largest difference between a range and the length of its coordinates relative to the scanner.
-
-Rounding [m].
-"""
+"""Largest difference between a range and the length of its coordinates, by rounding [m]."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -78,11 +75,11 @@ class Counts(Brief):
     n_lines: int
     n_shots: int
     n_far: int
-    """Ranges beyond :data:`FAR_M`, implausible for a terrestrial scanner."""
+    """Ranges longer than :data:`FAR_M`, implausible for a terrestrial scanner."""
     labels: I64
     """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`.
 
-    MISSING counts shots.
+    For MISSING it is the number of shots.
     """
     tally: ReadTally
     n_extra: int = field(default=0, repr=False)
@@ -141,10 +138,10 @@ class RunSummary(Doubted):
     counts: Counts
     """Lines, shots and labels of the stream."""
     findings: tuple[Finding, ...] = ()
-    """Answers of all checks of the input and of its labels."""
+    """Results of all checks of the input and of its labels."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the run record with the doubts, for JSON."""
+        """Return the run record with the warnings, for JSON."""
         return {**self.record.as_dict(), "doubts": [doubt.as_dict() for doubt in self.doubts]}
 
 
@@ -181,7 +178,7 @@ def _open(
     only_ranges: bool = False,
     parts: Sequence[Path] = (),
 ) -> ScanStream:
-    """Open an input, with angles that the method does not need (``geometry``), or with ranges alone."""
+    """Open an input: ``geometry`` adds the angles that the method does not need."""
     stream = open_input(
         path,
         config.input,
@@ -210,7 +207,7 @@ def open_decided(
     loading: Callable[[], AbstractContextManager[None]],
     parts: Sequence[Path] = (),
 ) -> tuple[LoadedConfig, ScanStream]:
-    """Open an input for the method that is named, else for the one chosen for it."""
+    """Open an input for the named method, else for the method that prc chooses."""
     config = loaded.config
     if not config.is_decided:
         choice = choice_by_request(config, engine=engine)
@@ -227,7 +224,7 @@ def open_decided(
         loaded = decided_by(choice, loaded)
         with loading():
             load_classifier(loaded, engine)
-        # it was opened before it was known that intensities are needed
+        # the stream was opened before the method, and its need of intensities, was known
         lacks = only_ranges and loaded.config.classifier.method().needs.intensity
         if loaded.config.needs_beams and not lacks:
             return loaded, stream
@@ -255,21 +252,21 @@ def wanted_by(output: OutputConfig) -> Wanted:
 
 
 def confidence_kernels(params: MethodParams) -> frozenset[str]:
-    """Return the loops that a method calls where confidence is wanted."""
-    found = params.method().needs.confidence_kernels
-    if found is None:
-        problem = "found a method that does not tell how sure its labels are, expected fused"
-        hint = "give --preset fused or fused-forest (they need the angles of the beams), or confidence = false"
+    """Return the loops that a method calls for the confidence of labels."""
+    kernels = params.method().needs.confidence_kernels
+    if kernels is None:
+        problem = "this method has no confidence, expected fused"
+        hint = "give --preset fused or fused-forest, which need beam angles, or confidence = false"
         raise ConfigError("output.confidence", problem, hint)
-    return found
+    return kernels
 
 
 def load_classifier(
     config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled"
 ) -> None:
-    """Load the loops of the method, or of all that an input may decide on.
+    """Load the loops of the method, or of all methods that prc may choose.
 
-    Compiled at the first time.
+    The first call compiles them.
     """
     chosen = LoadedConfig.of(config).config
     methods = [chosen.classifier]
@@ -300,16 +297,15 @@ def classify(
     output : path
         ``.las``, ``.laz``, ``.npy``, ``.csv`` or ``.parquet``.
     config : LoadedConfig or RunConfig, optional
-        Default: the method that labels the input best (:mod:`prc_cli.jobs.choice`); the record's
-        assumption ``method`` says which and why.
+        Default: prc chooses the method (:mod:`prc_cli.jobs.choice`); the assumption ``method`` of
+        the record contains the reason.
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
         Called with the number of lines just finished.
     threads : int, optional
-        Threads that classify; default: one for every core. With more than one, reading, writing and
-        the fingerprint of the input have a thread each beside them; with one, all is done in this
-        one. The output does not depend on it.
+        Threads that classify; default: one per core. If it is more than one, reading, writing and
+        the fingerprint of the input have one more thread each. The output does not depend on it.
     engine : str
         ``compiled`` or ``reference``: the papers' methods in plain NumPy, SciPy and scikit-image,
         slow, in one thread, with the same labels.
@@ -343,10 +339,7 @@ def classify(
 
 
 def threads_of(engine: Engine, threads: int | None = None) -> int:
-    """Return the threads that classify.
-
-    Those asked for, by default one a core; the reference has one.
-    """
+    """Return the number of threads: by default one per core; the reference engine has one."""
     if engine == "reference":
         return 1
     return default_threads() if threads is None else threads
@@ -365,13 +358,12 @@ def _classify(
 ) -> RunSummary:
     """Classify one file with the engine that is set; see :func:`classify`."""
     loaded = with_layout_beside(source, loaded)
-    return_memory()  # before any thread
+    return_memory()  # must be called before any thread starts
     prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(source))
     check_input(source)
     before = file_state(source)
     with timed("opening"):
-        # times and intensities are needed only where a point cloud is made from another kind of
-        # input
+        # only a new point cloud needs times and intensities
         makes_points = is_cloud(output)
         only_ranges = not makes_points or (
             suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES
@@ -408,26 +400,26 @@ def _classify(
             overwrite=overwrite,
         ) as writer,
     ):
-        counts, found, told = write_labels(stream, writer, loaded.config, threads, progress)
+        counts, findings, notes = write_labels(stream, writer, loaded.config, threads, progress)
         record = run_record(stream.info, counts, loaded, beside.result())
-        record = replace(record, notices=(*record.notices, *told), engine=engine)
+        record = replace(record, notices=(*record.notices, *notes), engine=engine)
         check_unchanged(source, before)
         with timed("finishing the output"):
             record = writer.finish(record)
-    return RunSummary(output, record, counts, found)
+    return RunSummary(output, record, counts, findings)
 
 
-class Taker(Protocol):
-    """What labelled blocks are given to."""
+class LabelSink(Protocol):
+    """Receives labelled blocks, such as a writer."""
 
     def add(self, block: LabelledBlock) -> None:
-        """Take the labels of a block."""
+        """Add the labels of a block."""
 
 
 def user_names(config: RunConfig) -> dict[int, str]:
     """Return the name of every user code that the method may write."""
-    given = {config.classes.code(label) for label in config.classifier.method().gives}
-    return {code: name for code, name in config.classes.user_names().items() if code in given}
+    written = {config.classes.code(label) for label in config.classifier.method().gives}
+    return {code: name for code, name in config.classes.user_names().items() if code in written}
 
 
 class Judge:
@@ -451,26 +443,29 @@ class Judge:
             close_items(labelled)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the answers of all checks of the stream and its labels, at its end.
+        """Return the results of all checks of the stream and its labels, at its end.
 
-        Refuse what speaks against it.
+        Raises
+        ------
+        EvidenceError
+            If a check refuses the input.
         """
-        found = (*self._stream.findings(), *accept(self._result.findings(), self._stream.accepted))
-        refuse(self._stream.info.path, found)
-        return found
+        findings = (
+            *self._stream.findings(),
+            *accept(self._result.findings(), self._stream.accepted),
+        )
+        refuse(self._stream.info.path, findings)
+        return findings
 
 
 def write_labels(
     stream: EvidenceStream,
-    writer: Taker,
+    writer: LabelSink,
     config: RunConfig,
     threads: int,
     progress: Progress | None,
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
-    """Read, classify and write in parallel, until all threads have ended.
-
-    Return counts, findings and notices.
-    """
+    """Read, classify and write in parallel; return when all threads have ended."""
     counts = Counts.none()
     judge = Judge(stream, config)
 
@@ -494,11 +489,11 @@ def write_labels(
         for item in labelled:
             put(item)
             advance(progress, item.block, info, config.input.window)
-    found = judge.findings()
+    findings = judge.findings()
     missed = config.classifier.method().notices(
         counts.labels, counts.tally, segments=config.output.segment_ids
     )
-    return counts, found, (*missed, *notices(found))
+    return counts, findings, (*missed, *notices(findings))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -506,38 +501,32 @@ class ClassifiedRanges:
     """The classes of a range image."""
 
     labels: U8
-    """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8.
-
-    Numbers of this program alone.
-    """
+    """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8."""
     classes: ClassCodes
     """The code of every label."""
     confidence: U8 | None = None
-    """Per cent of such shots whose label is right, (lines, M) uint8, 0 = no return or not known.
+    """Probability that a label is right, (lines, M) uint8 [%]; 0 = no return or not known.
 
-    None unless
-    ``config.output.confidence`` asks for it."""
+    None unless ``config.output.confidence`` is set.
+    """
     reasons: U8 | None = None
     """:class:`prc_cli.core.classes.Reason` of every shot, (lines, M) uint8.
 
-    None unless ``config.output.reason``.
+    None unless ``config.output.reason`` is set.
     """
 
     @property
     def codes(self) -> U8:
-        """LAS class code of every shot, (lines, M) uint8, as files hold them.
-
-        2 = ground, 7 = noise.
-        """
+        """LAS class code of every shot, (lines, M) uint8, e.g. 2 = ground, 7 = noise."""
         return self.classes.lookup()[self.labels]
 
     @property
     def counts(self) -> dict[str, int]:
-        """Return the number of shots of every class that occurs, by name, the most frequent first."""
+        """Return the number of shots by class name, the most frequent class first."""
         n = np.bincount(self.labels.ravel(), minlength=len(Label))
         return {
             label.name.lower(): int(n[label])
-            for label in sorted(Label, key=lambda one: -n[one])
+            for label in sorted(Label, key=lambda name: -n[name])
             if n[label]
         }
 
@@ -565,67 +554,66 @@ def classify_ranges(
     range_m : (lines, M) float, metres
         Chronological; NaN, infinite or not positive = missing.
     config : LoadedConfig or RunConfig, optional
-        Default: what labels the image best, ``fused`` where the angles of the beams are known, else
-        PRC.
+        Default: ``fused`` if the beam angles are known or can be measured, else PRC.
     beam_rad : (M,) float, radians, optional
-        Angle of every column's beam from straight down; the sign is the side of the scan plane. All
-        classifiers but PRC need it, or ``angle_deg``.
+        Angle of the beam of every column from straight down; the sign is the side of the scan
+        plane. All methods except PRC need it, or ``angle_deg``.
     angle_deg : (M,) float, degrees, optional
-        Scan angle of every column as files have it, from any zero: straight down is
-        ``config.input.nadir``, else found from ``xyz_m``, else from level ground, as for a file.
+        Scan angle of every column from any zero, as in files. Straight down is
+        ``config.input.nadir``, else prc finds it from ``xyz_m``, else from level ground.
     xyz_m : (lines, M, 3) float, metres, optional
-        Relative to the scanner, z up; without it the sequential-angle classifier uses range and
-        beam angle.
+        Relative to the scanner, z up. Without them sequential-angle uses ranges and beam angles.
     threads : int, optional
-        Threads that classify; default: one for every core. The labels do not depend on it.
+        Threads that classify; default: one per core. The labels do not depend on it.
     engine : str
         ``compiled`` or ``reference``, as for :func:`classify`.
 
     Returns
     -------
     ClassifiedRanges
-        ``codes`` of every shot as files hold them, and ``labels`` by name; ``confidence`` where
-        ``config.output.confidence`` asks for it.
+        ``codes`` as in files, ``labels``, and what ``config.output`` asks for.
 
     Raises
     ------
     InputError
-        When an array has another shape than it should have, or beam angles are needed and not
-        given.
+        If an array has a wrong shape, or beam angles are needed and not given.
     EvidenceError
-        When the evidence is against the array, for example where its columns are shuffled; the
-        names of checks in ``config.input.accept_doubts`` insist. Fewer than :data:`LEAST_SHOTS` are
-        not judged.
+        If a check refuses the array, for example because its columns are shuffled.
+        ``config.input.accept_doubts`` names checks to accept. An image of fewer than
+        :data:`LEAST_SHOTS` shots is not checked.
     ConfigError
-        When the engine is the reference and the method is not written there.
+        If the reference engine does not have the method.
 
     Warns
     -----
     DoubtWarning
-        When a check doubts the array; once for every check, unless it is accepted.
+        If a check is unsure, once per check, unless it is accepted.
 
     Examples
     --------
-    A wall with one stray shot in front of it:
+    A street 2.5 m below the scanner, a wall 8 m beside it, and one stray shot in front of the wall:
 
-    >>> image = np.full((6, 9), 20.0)
-    >>> image[3, 4] = 5.0
-    >>> found = classify_ranges(image)
-    >>> found
-    6 lines of 9 shots: ground 53, noise 1
-    >>> found.codes[3, 4], found.labels[3, 4] == Label.NOISE
-    (np.uint8(7), np.True_)
+    >>> beam = np.deg2rad(np.arange(-60.0, 120.0))
+    >>> ground = 2.5 / np.cos(beam).clip(0.01)
+    >>> wall = 8.0 / np.sin(beam).clip(0.01)
+    >>> image = np.tile(np.minimum(ground, wall), (50, 1))
+    >>> image[25, 170] = 3.0
+    >>> classified = classify_ranges(image, beam_rad=beam)
+    >>> classified
+    50 lines of 180 shots: ground 6,700, building 2,299, noise 1
+    >>> classified.codes[25, [60, 140, 170]]
+    array([2, 6, 7], dtype=uint8)
     """
     config = LoadedConfig.of(config).config
-    given = np.asarray(range_m)
-    if given.dtype.kind not in "fiu":
+    ranges = np.asarray(range_m)
+    if ranges.dtype.kind not in "fiu":
         raise InputError(
-            "range_m", f"found values of type {given.dtype}, expected ranges in metres"
+            "range_m", f"found values of type {ranges.dtype}, expected ranges in metres"
         )
     if engine != "compiled":
         load_classifier(config, engine)
     with use_engine(engine):
-        block = _block_of(given, config, beam_rad, xyz_m)
+        block = _block_of(ranges, config, beam_rad, xyz_m)
         loaded, block = (
             _decided(config, block, engine)
             if angle_deg is None and beam_rad is not None
@@ -642,12 +630,12 @@ def classify_ranges(
                 blocks, threads=threads_of(engine, threads), wanted=wanted_by(config.output)
             )
         )
-        found = judge.findings() if is_judged else ()
-    for doubt in doubts(found):
-        told = (
+        findings = judge.findings() if is_judged else ()
+    for doubt in doubts(findings):
+        message = (
             f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         )
-        warnings.warn(told, DoubtWarning, stacklevel=2)
+        warnings.warn(message, DoubtWarning, stacklevel=2)
     labels = np.concatenate([item.labels for item in labelled])
     more = [[getattr(item, name) for item in labelled] for name in ("confidence", "reasons")]
     confidence, reasons = (None if parts[0] is None else np.concatenate(parts) for parts in more)
@@ -672,7 +660,7 @@ class _InMemory:
 
 
 def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> tuple[LoadedConfig, ScanBlock]:
-    """Return a configuration that names a method, chosen for the image where none is named."""
+    """Return a configuration that names a method; the beam directions of the image are known."""
     loaded = LoadedConfig(config)
     if config.is_decided:
         return loaded, block
@@ -681,22 +669,22 @@ def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> tuple[Loade
 
 
 def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
-    """Return what labels of the method usually look like in an input of this kind."""
+    """Return the usual shares of the labels of the method in an input of this kind."""
     usual = config.classifier.method().usual
     if config.input.max_range is not None and config.input.max_range <= usual.reach_m:
         usual = replace(usual, reach_m=0.0)
-    # what a scanner on a tripod sees changes all the way round
+    # around a tripod the view changes all the way
     return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
 
 
 def _block_of(
-    given: NDArray[Any],
+    raw_range_m: NDArray[Any],
     config: RunConfig,
     beam_rad: ArrayLike | None,
     xyz_m: ArrayLike | None,
 ) -> ScanBlock:
     """Check the arrays of a range image."""
-    ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
+    ranges, tally = clean_ranges(raw_range_m, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
         raise InputError(
             "range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)"
@@ -716,17 +704,14 @@ def _directed(
     angle_deg: ArrayLike | None,
     engine: Engine,
 ) -> tuple[LoadedConfig, ScanBlock]:
-    """Find where the beams point, as for a file.
-
-    From angles, coordinates or the ranges; return the method, too.
-    """
+    """Find the beam directions from angles, coordinates or ranges, and choose the method."""
     if block.beam_rad is not None:
         raise InputError("angle_deg", "found beam_rad, too, expected one of them", "leave one out")
     if angle_deg is not None:
         angle = np.deg2rad(np.asarray(angle_deg, np.float64))
         if angle.shape != (block.points_per_line,) or not np.isfinite(angle).all():
-            problem = f"found an array of shape {angle.shape}, expected finite angles of shape ({block.points_per_line},)"
-            raise InputError("angle_deg", problem)
+            expected = f"expected finite angles of shape ({block.points_per_line},)"
+            raise InputError("angle_deg", f"found an array of shape {angle.shape}, {expected}")
         block = replace(block, angle_rad=angle)
     loaded, stream = decide_stream(
         _InMemory(replace(block, is_last=True)), LoadedConfig(config), engine=engine
@@ -747,7 +732,7 @@ def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
         )
     if np.abs(beams).max() > 2 * np.pi:
         problem = f"found {np.abs(beams).max():g}, expected radians from -pi to pi"
-        raise InputError("beam_rad", problem, "np.deg2rad turns degrees")
+        raise InputError("beam_rad", problem, "convert degrees with np.deg2rad")
     turned: F64 = np.pi - np.remainder(np.pi - beams, 2 * np.pi)
     step = np.diff(np.unwrap(turned))
     step *= 1.0 if np.sign(step).sum() >= 0 else -1.0
@@ -784,7 +769,7 @@ def run_record(
     loaded: LoadedConfig,
     input_print: Fingerprint | None = None,
 ) -> RunRecord:
-    """Return the provenance of a finished run; reads the input again if its hash is not given."""
+    """Return the provenance of a finished run; without its hash the input is read again."""
     config = loaded.config
     trajectory = loaded.trajectory
     is_whole = config.input.window is None

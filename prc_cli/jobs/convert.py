@@ -1,8 +1,8 @@
 """Converts any readable input to any writable format: ``prc convert``.
 
-Between LAS and LAZ only the compression changes. Everything else goes through the stream: reader →
-blocks → writer, with the classes and the registered coordinates of the input. Whatever the output
-format cannot hold is reported.
+Between LAS and LAZ only the compression changes. All other files are read as a stream: reader →
+blocks → writer, with the classes and the registered coordinates of the input. The report lists the
+values that the output format cannot contain.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import grid_of, open_input
 
 NOT_READ = "not read: "
-"""Prefix of the assumptions in which readers report what they skip."""
+"""Prefix of the assumptions in which readers name the values that they skip."""
+MOST_NAMES = 30
+"""Largest number of dimensions in the list of losses."""
 _STREAM_NAMES = frozenset(
     (
         "range",
@@ -69,18 +71,18 @@ class ConversionSummary(Doubted):
     record: RunRecord
     """Provenance, as stored beside the output; its notices include the losses."""
     losses: tuple[str, ...]
-    """What the output format cannot hold of the input, one sentence each."""
+    """Values of the input that the output format cannot contain, one sentence each."""
     n_lines: int
     n_shots: int
     n_returned: int
     """Shots with a range."""
     findings: tuple[Finding, ...] = ()
-    """Answers of all checks of the stream; none where only the compression changed."""
+    """Results of all checks of the stream; empty if only the compression changed."""
 
     def as_dict(self) -> dict[str, object]:
-        """Return the run record with what was lost, for JSON."""
-        told = [doubt.as_dict() for doubt in self.doubts]
-        return {**self.record.as_dict(), "not_kept": list(self.losses), "doubts": told}
+        """Return the run record with the losses and the warnings, for JSON."""
+        doubts = [doubt.as_dict() for doubt in self.doubts]
+        return {**self.record.as_dict(), "not_kept": list(self.losses), "doubts": doubts}
 
 
 def convert(
@@ -128,7 +130,7 @@ def convert(
     watches: list[EvidenceStream] = []
 
     def watched_blocks(stream: ScanStream) -> Iterator[ScanBlock]:
-        # what is odd is converted all the same: that is how it is mended
+        # warnings do not stop a conversion: it is a way to repair a file
         watches.append(watched(stream, loaded.config.input, refuses=False))
         return watches[-1].blocks()
 
@@ -140,13 +142,15 @@ def convert(
             writer.add_item(item)
             counts = counts.add(item.block)
             advance(progress, item.block, opened.info, loaded.config.input.window)
-        info = opened.stream.info  # a window knows its lines by now
+        info = opened.stream.info  # now the lines of a window are known
         losses = find_losses(output, opened, counts, writer.losses)
         record = run_record(info, counts, loaded)
-        told = tuple(f"not kept: {loss}" for loss in losses)
-        found = watches[-1].findings()
-        told += how_to_read(output, opened, counts)
-        record = replace(record, notices=(*record.notices, *opened.notices, *told, *notices(found)))
+        notes = tuple(f"not kept: {loss}" for loss in losses)
+        findings = watches[-1].findings()
+        notes += how_to_read(output, opened, counts)
+        record = replace(
+            record, notices=(*record.notices, *opened.notices, *notes, *notices(findings))
+        )
         record = record_of_scanners(record, counts)
         check_unchanged(source, before)
         record = writer.finish(record)
@@ -157,7 +161,7 @@ def convert(
         counts.n_lines,
         counts.n_shots,
         counts.n_shots - counts.n_missing,
-        found,
+        findings,
     )
 
 
@@ -174,7 +178,7 @@ def prepare_output(
     overwrite: bool,
     more: tuple[Path, ...] = (),
 ) -> None:
-    """Refuse an impossible output before reading, and remove temporary files of dead runs."""
+    """Refuse an impossible output before reading; remove temporary files of interrupted runs."""
     stream_suffix(output)
     check_input(source)
     prepare_stream_output(output, overwrite=overwrite, inputs=loaded.inputs(source, *more))
@@ -185,7 +189,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
     las = read_las(source)
     before = file_state(source)
     with atomic_outputs(output, record_path(output)) as (temporary, beside):
-        told = copy_las(las, output, temporary)
+        notes = copy_las(las, output, temporary)
         check_unchanged(source, before)
         record = RunRecord(
             config=loaded.config.to_table(),
@@ -193,7 +197,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
             format="LAZ" if las.compressed else "LAS",
             points_per_line=0,
             n_records=las.n_records,
-            notices=("records were copied as bytes; no stream was read", *told),
+            notices=("records were copied as bytes; no stream was read", *notes),
         )
         beside.write_bytes(record.to_json())
     return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
@@ -205,7 +209,7 @@ def _copy_window(
     loaded: LoadedConfig,
     progress: Progress | None,
 ) -> ConversionSummary:
-    """Copy the records of a window of a LAS or LAZ file, and nothing else changed."""
+    """Copy the records of a window of a LAS or LAZ file; nothing else changes."""
     las = read_las(source)
     before = file_state(source)
     counts = Counts.none()
@@ -233,13 +237,13 @@ def _copy_window(
                 for part in stays.chunks(n, stop=min(-(-stop // n) * n, las.n_records))
             )
 
-        told = copy_las(las, output, temporary, masks)
+        notes = copy_las(las, output, temporary, masks)
         check_unchanged(source, before)
-        found = stream.findings()
+        findings = stream.findings()
         record_of_run = run_record(stream.info, counts, loaded)
         copied = "the records of the window were copied as bytes"
         record_of_run = replace(
-            record_of_run, notices=(*record_of_run.notices, copied, *told, *notices(found))
+            record_of_run, notices=(*record_of_run.notices, copied, *notes, *notices(findings))
         )
         beside.write_bytes(record_of_run.to_json())
     return ConversionSummary(
@@ -249,7 +253,7 @@ def _copy_window(
         counts.n_lines,
         counts.n_shots,
         counts.n_shots - counts.n_missing,
-        found,
+        findings,
     )
 
 
@@ -264,14 +268,11 @@ class OpenedItems:
     stream: ScanStream
     carried: Carried | None = None
     notices: tuple[str, ...] = ()
-    """What the user has to know of the coordinates."""
+    """Notes about the coordinates."""
 
     @property
     def grid(self) -> GridStream | None:
-        """The stream if lines and columns were found by rules.
-
-        None for range images, organised scans and rings.
-        """
+        """The stream if rules found its lines; None for range images, organised scans and rings."""
         return grid_of(self.stream)
 
 
@@ -292,12 +293,14 @@ def open_items(
     """
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
-    found: Iterator[ScanBlock | LabelledBlock] = (
+    scan_blocks: Iterator[ScanBlock | LabelledBlock] = (
         stream.blocks() if blocks_of is None else blocks_of(stream)
     )
     blocks = (
-        StreamItem(one.block, labelled=one) if isinstance(one, LabelledBlock) else StreamItem(one)
-        for one in found
+        StreamItem(block.block, labelled=block)
+        if isinstance(block, LabelledBlock)
+        else StreamItem(block)
+        for block in scan_blocks
     )
     bare = next(blocks, None)
     if bare is None:
@@ -308,7 +311,7 @@ def open_items(
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
     axes = axes_of(records, stream, first, loaded.config) if xyz else ()
     grid = grid_of(stream)
-    # blocks of frames hold their coordinates but those of points that share a cell
+    # blocks of frames lack the coordinates of points that share a cell
     rings = grid is None and records is not None and first.xyz_m is not None
     shares = rings and points and not axes
     with contextlib.ExitStack() as stack:
@@ -331,11 +334,11 @@ def open_items(
 
         def items() -> Iterator[StreamItem]:
             yield item
-            for other in blocks:
-                yield _item(other, carried, made_up, shares=shares)
+            for later in blocks:
+                yield _item(later, carried, made_up, shares=shares)
 
-        told = () if made_up is None else (made_up.notice(first),)
-        yield OpenedItems(stream.info, shape, items(), records, stream, carried, told)
+        notes = () if made_up is None else (made_up.notice(first),)
+        yield OpenedItems(stream.info, shape, items(), records, stream, carried, notes)
 
 
 def _carry_array(
@@ -347,15 +350,13 @@ def _carry_array(
     """Write the class codes of a range image to a temporary file; None if it has none."""
     if CLASS not in ArrayFile(source).headers:
         return None
-    found = open_codes(source, CLASS)
-    if found.n != info.n_records:
-        problem = (
-            f"the array {CLASS!r} holds {found.n} codes, expected {info.n_records}, one a shot"
-        )
-        raise InputError(str(source), problem, "give it the shape of the ranges or another name")
+    code_source = open_codes(source, CLASS)
+    if code_source.n != info.n_records:
+        problem = f"the array {CLASS!r} contains {code_source.n} codes, expected {info.n_records}"
+        raise InputError(str(source), problem, "give it the shape of the ranges, or another name")
     kind = np.dtype([("code", "<i4")])
     values = stack.enter_context(DiskColumn(output, kind, (NO_CODE,)))
-    for codes in found.chunks():
+    for codes in code_source.chunks():
         rows = np.empty(len(codes), kind)
         rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)
         values.append(rows)
@@ -369,18 +370,18 @@ def _item(
     *,
     shares: bool,
 ) -> StreamItem:
-    """Add the values of records that blocks do not hold."""
+    """Add the values of records that blocks do not contain."""
     block = item.block
     if made_up is not None:
         registered, further = made_up(block)
         item = replace(item, registered_m=registered, extra_registered_m=further)
     if carried is None:
         return item
-    own = carried.get(block.records())
+    values = carried.get(block.records())
     extra = carried.get(block.extra.record)
-    names = own.dtype.names or ()
+    names = values.dtype.names or ()
     if "code" in names:
-        item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
+        item = replace(item, codes=values["code"].copy(), extra_codes=extra["code"].copy())
     if "x" in names:
         registered, further = carried.place(block)
         item = replace(
@@ -395,8 +396,9 @@ def find_losses(
     counts: Counts,
     written: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """Return what the output does not hold of the input, one sentence each, those of the writer first."""
-    n_odd = 0 if opened.carried is None else opened.carried.n_odd  # complete once the items are
+    """Return what the output lacks of the input, one sentence each; the losses of the writer first."""
+    # complete after the last item
+    n_odd = 0 if opened.carried is None else opened.carried.n_odd
     odd = (
         (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",)
         if n_odd
@@ -407,7 +409,6 @@ def find_losses(
 
 def _losses(output: Path, opened: OpenedItems, counts: Counts) -> Iterator[str]:
     shape = opened.shape
-    counts = counts
     form = stream_format(output)
     if stream_suffix(output) in LAS_SUFFIXES:
         yield from _las_losses(shape, counts)
@@ -423,43 +424,47 @@ def _losses(output: Path, opened: OpenedItems, counts: Counts) -> Iterator[str]:
     # a frame, as a dump may be, lists all points
     if "returns" not in form.holds and not (form.is_dump and shape.points and shape.xyz):
         if counts.n_extra:
-            yield f"{counts.n_extra} further returns or collisions: a range image has one range a cell"
+            extra = f"{counts.n_extra} further returns or collisions"
+            yield f"{extra}: a range image has one range per cell"
     elif counts.n_extra and shape.intensity:
         yield f"the intensities of {counts.n_extra} further returns, which the stream does not know"
     if counts.tally.n_unplaced:
         yield f"{counts.tally.n_unplaced} records that belong to no cell"
     bad = counts.tally.n_not_finite + counts.tally.n_not_positive + counts.tally.n_beyond
     if bad:
-        yield f"the stored ranges of {bad} shots that count as missing (not finite, not positive or out of bounds)"
+        yield f"the stored ranges of {bad} missing shots (not finite, not positive or out of bounds)"
     yield from _record_losses(opened)
 
 
 def _las_losses(shape: StreamShape, counts: Counts) -> Iterator[str]:
     if counts.n_missing:
         times = ", and their times," if shape.times else ""
-        yield f"{counts.n_missing} shots without return{times} have no record; lines and columns are kept as numbers"
+        empty = f"{counts.n_missing} shots without return{times} have no record"
+        yield f"{empty}; lines and columns are kept as numbers"
     if shape.angles:
         yield "scan angles beyond steps of 0.006 deg"
     if shape.xyz or shape.registered:
-        yield "coordinates beyond steps of 1 mm, or 1e-8 deg of longitude and latitude (ranges are kept bit for bit)"
+        steps = "1 mm, or 1e-8 deg of longitude and latitude"
+        yield f"coordinates beyond steps of {steps} (ranges are kept bit for bit)"
     if shape.intensity:
         yield "intensities beyond whole numbers from 0 to 65535"
     if len(set(counts.scanners.values())) > 1:
         sizes = ", ".join(
             f"scanner {scanner}: {m}" for scanner, m in sorted(counts.scanners.items())
         )
-        yield f"the number of shots a line of each scanner ({sizes}); the highest column with a return is taken for it"
+        yield f"the number of shots per line of each scanner ({sizes}), except the last column used"
 
 
 def _record_losses(opened: OpenedItems) -> Iterator[str]:
     """Name the dimensions of the input that the stream does not carry."""
     for assumption in opened.info.assumptions:
-        # readers of organised scans and arrays report there what they skip
+        # readers of organised scans and arrays list here what they skip
         if assumption.value.startswith(NOT_READ):
-            yield f"{assumption.value.removeprefix(NOT_READ)}, which the stream does not hold"
+            yield f"{assumption.value.removeprefix(NOT_READ)}, which the stream does not contain"
     if stations := opened.info.facts.stations:
         x, y, z = stations[min(stations)]
-        yield f"the positions of the scans, such as {x:g}, {y:g}, {z:g} m of the first: x, y, z are from the scanner"
+        position = f"{x:g}, {y:g}, {z:g} m for the first"
+        yield f"the positions of the scans ({position}): x, y, z are from the scanner"
     records = opened.source
     if records is None:
         return
@@ -473,9 +478,12 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
             rules.scanner,
             rules.range.partition(":")[2],
         }
-    other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
-    if other:
-        yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"
+    unread = [
+        name for name in records.dimensions if name.lower() not in known and name not in taken
+    ]
+    if unread:
+        more = " ..." if len(unread) > MOST_NAMES else ""
+        yield f"other dimensions of the records: {', '.join(unread[:MOST_NAMES])}{more}"
     if records.facts.crs_wkt:
         yield "the coordinate system"
     if records.format.startswith("LA"):
@@ -486,23 +494,24 @@ def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str,
     """Return the options needed to read the output as the same stream, unless its names suffice."""
     form = stream_format(output)
     shape = opened.shape
-    told = []
+    notes = []
     if format_of(output) is None:
-        told.append(f"prc reads no stream from {stream_suffix(output)}; it is for other programs")
+        notes.append(f"prc reads no stream from {stream_suffix(output)}; it is for other programs")
     if shape.scanners and len(counts.scanners) > 1 and form.holds_all:
-        told.append("several scanners: read it with --scanner point_source_id")
+        notes.append("several scanners: read it with --scanner point_source_id")
     if shape.xyz and shape.registered and opened.grid is not None and form.holds_all:
-        told.append(
+        notes.append(
             f"x, y, z are those of the input: read it with --range {opened.grid.rules.range}"
         )
     if form.is_dump:
-        told.append(f"read it with --config {output.name}.toml")
+        notes.append(f"read it with --config {output.name}.toml")
     directed = form.is_dump or form.makes_xyz or (shape.registered and form.holds_all)
     directed = directed or (shape.xyz and "relative" in form.holds and not form.holds_all)
     if shape.down_rad is not None and not directed:
         angle = float(np.rad2deg(shape.down_rad))
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
-        told.append(
-            f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}"
+        notes.append(
+            f"straight down is at scan angle {angle:.9g} deg{lean}: "
+            f"read it with --set input.nadir={angle:.9g}"
         )
-    return tuple(told)
+    return tuple(notes)

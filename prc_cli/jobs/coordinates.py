@@ -1,6 +1,7 @@
-"""Where the shots of an input lie in space.
+"""Coordinates of the shots of an input.
 
-By its records or by poses, else its scan planes behind one another.
+They come from the records or from poses. Without both, the scan planes are drawn one behind the
+other.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ _READ_AT_ONCE = 1 << 17
 class PlacedSource:
     """Coordinates, time, range and line of every shot of a drive, by record.
 
-    The shot of a profiler lies in its plane: down, and to the left by the scan angle; other
-    scanners have coordinates relative to themselves. Both are turned by the mount, moved by the
-    lever arm, and brought to the points by the pose.
+    A shot of a profiler is in the scan plane: down, and to the left by the scan angle. Other
+    scanners have coordinates relative to the scanner. The mount rotates both, the lever arm moves
+    them, and the pose transforms them to the coordinates of the points.
     """
 
     stream: ScanStream
@@ -95,7 +96,7 @@ class PlacedSource:
             stop = self.n_records or 0
             for block in self.stream.blocks():
                 self._place(block, rows)
-                # the last shots may have no return
+                # the last records may have no return
                 stop = max(stop, len(rows), int(block.records().max(initial=-1)) + 1)
             for values in rows.chunks(_READ_AT_ONCE, stop=stop):
                 yield RecordChunk(first, {name: values[name].copy() for name in names}, len(values))
@@ -103,16 +104,14 @@ class PlacedSource:
 
     def _place(self, block: ScanBlock, rows: DiskColumn) -> None:
         extra = block.extra
-        own = block.records()
+        record = block.records()
         if block.time_s is None:
-            hint = "give the file that has them"
-            raise InputError(
-                self.path, "no times of the shots, expected some to place them by", hint
-            )
+            problem = "the shots have no times, and a trajectory needs them"
+            raise InputError(self.path, problem, "give the file that has the times")
         unit = self._directions(block)
         line = np.repeat(np.arange(block.n_lines), block.points_per_line)
         self._put(
-            own.ravel(),
+            record.ravel(),
             unit.reshape(-1, 3),
             block.range_m.ravel(),
             block.time_s.ravel(),
@@ -120,8 +119,10 @@ class PlacedSource:
             block,
             rows,
         )
-        at = extra.line, extra.column
-        self._put(extra.record, unit[at], extra.range_m, block.time_s[at], extra.line, block, rows)
+        cell = extra.line, extra.column
+        self._put(
+            extra.record, unit[cell], extra.range_m, block.time_s[cell], extra.line, block, rows
+        )
 
     def _put(
         self,
@@ -133,21 +134,21 @@ class PlacedSource:
         block: ScanBlock,
         rows: DiskColumn,
     ) -> None:
-        found = (
+        is_placed = (
             np.isfinite(range_m)
             & np.isfinite(time_s)
             & np.isfinite(unit).all(axis=1)
             & (record >= 0)
         )
-        values = np.empty(int(np.count_nonzero(found)), _KEPT)
-        vector = (unit[found] * range_m[found, None].astype(np.float64)) @ self._mount.T + np.array(
-            self.arm_m
-        )
-        values["x"], values["y"], values["z"] = self.track.places(time_s[found], vector).T
-        values["time"] = time_s[found]
-        values["range"] = range_m[found]
-        values["scan_line"] = block.first_line + line[found]
-        rows.put(record[found], values)
+        values = np.empty(int(np.count_nonzero(is_placed)), _KEPT)
+        vector = (
+            unit[is_placed] * range_m[is_placed, None].astype(np.float64)
+        ) @ self._mount.T + np.array(self.arm_m)
+        values["x"], values["y"], values["z"] = self.track.places(time_s[is_placed], vector).T
+        values["time"] = time_s[is_placed]
+        values["range"] = range_m[is_placed]
+        values["scan_line"] = block.first_line + line[is_placed]
+        rows.put(record[is_placed], values)
 
     def _directions(self, block: ScanBlock) -> F64:
         """Return unit vectors of the scanner (lines, M, 3)."""
@@ -157,13 +158,13 @@ class PlacedSource:
                 return np.asarray(xyz / np.sqrt((xyz * xyz).sum(axis=2, keepdims=True)), np.float64)
         angle = block.angle_rad if block.angle_rad is not None else self.stream.info.angle_rad
         if angle is None:
-            problem = "neither scan angles nor coordinates relative to the scanner, expected them to place shots by"
+            problem = "found no scan angles and no coordinates relative to the scanner"
             raise InputError(
                 self.path, problem, "classify it with input.angle_start and input.angle_step set"
             )
         angle = angle - np.deg2rad(self.nadir_deg)
         if is_fan(angle):
-            problem = "the beams are a fan as the rings of a spinning scanner are, and their azimuths are not known"
+            problem = "the beams are rings of a spinning scanner, but their azimuths are not known"
             raise InputError(self.path, problem, "give a file with x, y, z relative to the scanner")
         unit = np.stack([np.zeros_like(angle), np.sin(angle), -np.cos(angle)], axis=1)
         return np.broadcast_to(unit, (block.n_lines, *unit.shape))
@@ -172,10 +173,9 @@ class PlacedSource:
 XYZ = ("x", "y", "z")
 SPEED_M_S = 8.0
 WALK_M_S = 1.2
-"""Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
-lines are."""
+"""Assumed speeds in streets and forests, without a trajectory and ``--line-spacing``."""
 _FIRST_LINES = 64
-"""Lines whose times tell how many there are a second."""
+"""Number of lines for the estimate of the line frequency."""
 
 
 def placed_source(
@@ -187,17 +187,21 @@ def placed_source(
     crs: str | None = None,
     layout: Layout | None = None,
 ) -> PlacedSource:
-    """Open a drive, as the record beside its labels says, whose shots are placed by poses and a mount."""
-    told = {} if layout is None else {"layout": layout.model_dump()}
-    config = with_layout_beside(drive, load_config(options=reading_beside(labels) | told)).config
+    """Open a drive as in the record beside its labels, with coordinates from poses and a mount."""
+    layout_options = {} if layout is None else {"layout": layout.model_dump()}
+    config = with_layout_beside(
+        drive, load_config(options=reading_beside(labels) | layout_options)
+    ).config
     reading = config.input
     if len(mount) not in (0, 3, 6) or not all(map(math.isfinite, mount)):
-        problem = f"found {', '.join(f'{one:g}' for one in mount)}, expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"
+        values = ", ".join(f"{value:g}" for value in mount)
+        problem = f"found {values}, expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"
         raise ConfigError(
-            "--mount", problem, "in degrees and metres, on the vehicle's axes forward, left, up"
+            "--mount", problem, "in degrees and metres, with the vehicle axes forward, left, up"
         )
     if reading.range.startswith(("trajectory:", "origin:")):
-        problem = f"was read with range = {reading.range.partition(':')[0]}, so it has coordinates of its own"
+        kind = reading.range.partition(":")[0]
+        problem = f"was read with range = {kind}, so its shots have coordinates"
         raise ConfigError(str(drive), problem, "leave out --trajectory")
     stream = open_input(drive, reading, config.layout)
     system = reading.trajectory_crs or stream.info.facts.crs_wkt or crs
@@ -222,7 +226,7 @@ def axes_of(
     first: ScanBlock,
     config: RunConfig,
 ) -> tuple[str, ...]:
-    """Return the names of coordinates that records have and blocks have not: registered ones."""
+    """Return the names of registered coordinates: records have them, blocks do not."""
     if records is None or not set(XYZ) <= set(records.dimensions):
         return ()
     grid = grid_of(stream)
@@ -237,9 +241,9 @@ def placement(
     loaded: LoadedConfig,
     stream: ScanStream,
 ) -> Iterator[Placement | None]:
-    """Give where returns lie in a new cloud.
+    """Give the coordinates of returns for a new cloud: from records, else from assumed line distances.
 
-    As records say, else made up; None = relative to the scanner.
+    None = the coordinates are relative to the scanner.
     """
     plain = stream.source if isinstance(stream, BeamStream) else stream
     first = next(iter(plain.blocks()), None)
@@ -261,14 +265,16 @@ def placement(
 
 
 def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
-    """Return how to draw the scan planes of a stream without coordinates."""
+    """Return the placement of the scan planes of a stream without coordinates."""
     beams: dict[int, F64] = {}
-    # what cannot be told upright lies flat
+    # without beam directions the scan planes are drawn flat
     with contextlib.suppress(InputError, ConfigError):
         directed = stream if isinstance(stream, BeamStream) else with_beams(stream, config.input)
         if isinstance(directed, BeamStream):
             beams = {
-                one: found.beam_rad for one, found in directed.known.items() if not found.is_made_up
+                scanner: scanner_beams.beam_rad
+                for scanner, scanner_beams in directed.known.items()
+                if not scanner_beams.is_made_up
             }
     times: list[NDArray[Any]] = []
     if stream.info.line_hz is None:
@@ -292,9 +298,17 @@ def spacing(
     in_forest: bool,
     step: int = 1,
 ) -> tuple[float, str]:
-    """Return the distance of lines [m], and how it is known.
+    """Return the distance between lines [m], and how it is known.
 
-    ``step``: every how many lines there is a time.
+    Parameters
+    ----------
+    info : StreamInfo
+    time_s : (lines, M) or (lines, 1) float, optional
+        Times of the lines [s].
+    in_forest : bool
+        Whether to assume the speed of a walk.
+    step : int
+        Number of lines from one row of ``time_s`` to the next.
     """
     hz = info.line_hz
     if hz is None and time_s is not None and len(time_s) > 1:
@@ -315,7 +329,7 @@ def spacing(
 
 
 class Carried:
-    """Values by record, read from the input as far as they are asked for."""
+    """Values by record; reads the input up to the last requested record."""
 
     def __init__(self, values: DiskColumn, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
         self._values = values
@@ -335,14 +349,14 @@ class Carried:
 
         NaN where there is no range.
         """
-        own = self.get(block.records())
+        values = self.get(block.records())
         extra = self.get(block.extra.record)
-        registered = np.stack([own[name] for name in XYZ], axis=-1)
+        registered = np.stack([values[name] for name in XYZ], axis=-1)
         registered[np.isnan(block.range_m)] = np.nan
         return Coordinates(registered, np.stack([extra[name] for name in XYZ], axis=-1))
 
     def read_all(self) -> None:
-        """Read what is left."""
+        """Read all remaining records."""
         while self._read():
             pass
 
@@ -362,7 +376,7 @@ def carry(
     output: Path,
     stack: contextlib.ExitStack,
 ) -> Carried:
-    """Keep classes and coordinates of records in a temporary file; also count invalid codes."""
+    """Keep classes and coordinates of records in a temporary file; count invalid codes."""
     fields = [
         *((name, "<f8") for name in xyz),
         *([("code", "<i4")] if class_name is not None else []),
@@ -380,7 +394,7 @@ def _rows_of(
     xyz: tuple[str, ...],
     fields: np.dtype[Any],
 ) -> Generator[tuple[NDArray[Any], int]]:
-    """Yield classes and coordinates of the next records, and the number of codes that are no whole numbers."""
+    """Yield classes and coordinates of the next records, and their number of invalid codes."""
     names = (*xyz, *([class_name] if class_name is not None else []))
     for chunk in records.chunks(names):
         n_odd = 0
@@ -388,8 +402,8 @@ def _rows_of(
         for name in xyz:
             rows[name] = chunk.values[name]
         if class_name is not None:
-            given = np.asarray(chunk.values[class_name], np.float64)
-            whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
-            n_odd = int(np.count_nonzero(~whole & ~np.isnan(given)))
-            rows["code"] = np.where(whole, given, NO_CODE)
+            codes = np.asarray(chunk.values[class_name], np.float64)
+            is_integer = np.isfinite(codes) & (codes == np.floor(codes)) & (np.abs(codes) < 2**31)
+            n_odd = int(np.count_nonzero(~is_integer & ~np.isnan(codes)))
+            rows["code"] = np.where(is_integer, codes, NO_CODE)
         yield rows, n_odd

@@ -1,6 +1,6 @@
-"""``prc demo``: simulate, classify, evaluate and draw a drive along a street.
+"""``prc demo``: simulates, classifies, evaluates and draws a drive along a street.
 
-On request a scan for every method.
+``--all`` adds a scan for every method.
 """
 
 from __future__ import annotations
@@ -39,14 +39,11 @@ class Part:
     """A scan of the demo, and how it is processed."""
 
     kind: Kind
-    """What is simulated."""
+    """Kind of simulation."""
     stem: str
     """Prefix of its file names."""
     preset: str | None
-    """Parameters of the classifier.
-
-    None = the method is chosen for the scan, as where nothing is typed.
-    """
+    """Parameters of the classifier; None = prc chooses the method."""
     mapping: str
     """Class mapping of the evaluation."""
     picture: RenderOptions
@@ -79,12 +76,13 @@ PARTS: dict[str, Part] = {
     # as far as one sees in a wood
     "walk": Part("forest", "forest", None, "prc", _PICTURE, {"lines": 255, "sight_m": 40.0}),
 }
-"""A drive, classified by default and with PRC as published.
+"""Parts of the demo.
 
-a static scan with the sequential-angle classifier; a walk
-in a forest, by default."""
+A drive with the default method and with PRC as published, a static scan with sequential-angle, and
+a walk in a forest with the default method.
+"""
 MAIN = ("drive",)
-"""The parts that are made without being asked for."""
+"""Parts without ``--all``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ class DemoPart:
     """Results of one part."""
 
     summary: RunSummary
-    """The run that wrote the LAZ file, or the labels where there is none."""
+    """The run that wrote the LAZ file, or the labels if there is no LAZ file."""
     matrix: ConfusionMatrix
     """Labels of the run against those of the simulator."""
 
@@ -122,18 +120,18 @@ def run_demo(
 ) -> DemoResult:
     """Simulate, classify, evaluate and draw some of :data:`PARTS`.
 
-    The drive here, all else in :data:`MORE`.
+    The files of the drive are in the folder, all others in :data:`MORE`.
     """
     with _prepared(folder, overwrite=overwrite) as place:
         (place / MORE).mkdir(exist_ok=True)
-        found: dict[str, DemoPart] = {}
+        results: dict[str, DemoPart] = {}
         for name in parts:
             part = PARTS[name]
             options = {**part.options, "seed": seed}
             if name == "drive" and lines is not None:
                 options["lines"] = lines
-            found[name] = _run(place, part, options, overwrite, progress)
-    return DemoResult(found, tuple(sorted(path for path in folder.iterdir() if path.is_file())))
+            results[name] = _run(place, part, options, overwrite, progress)
+    return DemoResult(results, tuple(sorted(path for path in folder.iterdir() if path.is_file())))
 
 
 def _run(
@@ -143,7 +141,6 @@ def _run(
     overwrite: bool,
     progress: Progress | None,
 ) -> DemoPart:
-    """Simulate what is not there, classify into LAZ and labels, compare with the simulator's labels, draw."""
     more = folder / MORE
     scan = PARTS[part.scan_of] if part.scan_of else part
     shown = _folder_of(part, folder)
@@ -166,13 +163,13 @@ def _run(
             progress=progress,
         )
         classify(stream, labels, config, overwrite=overwrite)
-    found = evaluate_all([labels], [reference], part.mapping)
+    evaluation = evaluate_all([labels], [reference], part.mapping)
     mapping = load_mapping(part.mapping)
     pictures = class_pictures(
         labels, reference, mapping, summary.record.points_per_line, points=(stream, None)
     )
-    # the page is read elsewhere, where the folders of this run say nothing
-    named = replace(found, predicted=(labels.name,), reference=(reference.name,))
+    # the page may be read on another machine: names without folders
+    named = replace(evaluation, predicted=(labels.name,), reference=(reference.name,))
     page = as_html(named, mapping=mapping, pictures=pictures, origin=origin([labels]))
     _write_text(shown / f"{part.stem}_report.html", page)
     _write_text(more / f"{part.stem}.toml", to_toml(config))
@@ -184,12 +181,11 @@ def _run(
         overwrite=overwrite,
     )
     if part is PARTS["drive"]:
-        # classified once more: labels alone hold no heights above ground; the poses are only to
-        # look at it
+        # classified again for the heights above ground; the poses are only for the view
         mount = (0.0, settings.scanner.slant_deg, settings.scanner.heading_deg)
         placed = RenderOptions(trajectory=path, mount=mount)
         render_viewer(stream, folder / f"{part.stem}.html", config, placed, overwrite=overwrite)
-    return DemoPart(summary, found.matrix)
+    return DemoPart(summary, evaluation.matrix)
 
 
 def _folder_of(part: Part, folder: Path) -> Path:
@@ -203,7 +199,7 @@ def _write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Give the folder to fill; one that is not there yet gets its name when it is whole."""
+    """Give the folder to fill; a new folder gets its name when it is complete."""
     taken = False
     is_new = not os.path.lexists(folder)
     try:
@@ -218,7 +214,7 @@ def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
         problem = f"cannot be used as the demo's folder ({error.strerror})"
         raise OutputError(str(folder), problem, "choose another with --output") from error
     if taken and not overwrite:
-        problem = "holds files already"
+        problem = "the folder contains files"
         raise OutputExistsError(
             str(folder), problem, "choose another with --output, or add --overwrite"
         )

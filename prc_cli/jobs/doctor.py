@@ -1,7 +1,7 @@
 """Checks of an installation and of a folder for outputs: ``prc doctor``.
 
-Nothing is changed: files written for a check are removed again. A failed check says what to do.
-Every check imports what it needs itself, so that a broken package makes only that check fail.
+The checks remove the files that they write. Each check imports its own packages, so a broken package
+makes only that check fail.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CLOCK_S = 5.0
 LINES = 200
 """Scan lines of the end-to-end run."""
 LEAST_SCORE = 0.9
-"""Of ground that is found, and of building that is right, in that run; they are 0.99 and 0.97."""
+"""Limit of the recall of ground and the precision of building in that run (0.99 and 0.97)."""
 COMPARED: Mapping[str, tuple[Kind, Mapping[str, Any]]] = {
     "urban": ("street", {"seed": 1, "lines": 120, "scanner": {"points_per_line": 250}}),
     "forest": (
@@ -67,7 +67,7 @@ COMPARED: Mapping[str, tuple[Kind, Mapping[str, Any]]] = {
         },
     ),
 }
-"""Presets that both engines run, and what on: small scans in which most classes occur."""
+"""Presets that both engines run, and their scans: small ones with most classes."""
 _NETWORK = (
     "nfs",
     "cifs",
@@ -91,23 +91,30 @@ class Check:
 
     name: str
     status: Status
-    found: str
-    """What was found, in a sentence."""
+    text: str
+    """Result, in a sentence."""
     hint: str = ""
-    """What to do; empty if all is well."""
+    """What to do; empty if the check is ok."""
     details: Mapping[str, Any] = field(default_factory=dict)
-    """The same as plain values."""
+    """The result as plain values."""
 
 
-Fault: TypeAlias = tuple[object, Status, str, str]
-"""Whether something is wrong, how bad that is, what it adds to what was found, and what to do."""
+class Fault(NamedTuple):
+    """A possible fault of a check."""
+
+    applies: object
+    """Whether the fault is there, as a truth value."""
+    status: Status
+    more: str
+    """What it adds to the text of the check."""
+    hint: str
 
 
-def _judge(name: str, text: str, details: Mapping[str, Any], *faults: Fault) -> Check:
-    """Return a check with the first thing that is wrong, if any."""
-    for applies, status, more, hint in faults:
-        if applies:
-            return Check(name, status, text + more, hint, details)
+def _check(name: str, text: str, details: Mapping[str, Any], *faults: Fault) -> Check:
+    """Return the check with its first fault that applies; without any it is ok."""
+    for fault in faults:
+        if fault.applies:
+            return Check(name, fault.status, text + fault.more, fault.hint, details)
     return Check(name, "ok", text, "", details)
 
 
@@ -142,7 +149,7 @@ def _broken(name: str, error: Exception) -> Check:
             name, "bad", str(error), "check the disk: its space, its permissions, its mount"
         )
     if isinstance(error, ImportError):
-        hint = "install what it names anew: pip install --force-reinstall PACKAGE"
+        hint = "install this package again: pip install --force-reinstall PACKAGE"
         return Check(name, "bad", f"cannot be loaded ({error})", hint)
     return Check(
         name,
@@ -153,10 +160,10 @@ def _broken(name: str, error: Exception) -> Check:
 
 
 def _python() -> Iterator[Check]:
-    found = platform.python_version()
+    version = platform.python_version()
     encoding = sys.getfilesystemencoding()
     details = {
-        "version": found,
+        "version": version,
         "executable": sys.executable,
         "platform": platform.platform(),
         "prc": __version__,
@@ -164,89 +171,97 @@ def _python() -> Iterator[Check]:
     needed = ""
     with contextlib.suppress(metadata.PackageNotFoundError):
         needed = ", ".join(metadata.metadata(DISTRIBUTION).get_all("Requires-Python") or [])
-    yield _judge(
+    yield _check(
         "python",
-        f"prc {__version__}, Python {found} on {platform.system()} {platform.machine()}",
+        f"prc {__version__}, Python {version} on {platform.system()} {platform.machine()}",
         details,
-        (
-            not _is_met(found, needed),
+        Fault(
+            not _is_met(version, needed),
             "bad",
             f", expected Python {needed}",
             "install a newer Python",
         ),
-        (
+        Fault(
             encoding.lower() != "utf-8",
             "warn",
-            f"; file names are {encoding}",
-            "set PYTHONUTF8=1, so that names are printed as they are",
+            f"; file names are encoded as {encoding}",
+            "set PYTHONUTF8=1, so that names are printed correctly",
         ),
     )
 
 
-def _is_met(found: str, needed: str) -> bool:
-    """Tell whether a version is at least as new as needed; candidates of a release count as it."""
+def _is_met(version: str, needed: str) -> bool:
+    """Compare a version with a bound; a release candidate counts as its release."""
     from packaging.specifiers import SpecifierSet
     from packaging.version import Version
 
-    return bool(found) and SpecifierSet(needed).contains(Version(found).base_version)
+    return bool(version) and SpecifierSet(needed).contains(Version(version).base_version)
 
 
 class _Requirement(NamedTuple):
     name: str
     at_least: str
     extra: str
-    found: str
+    installed: str
     """Installed version, empty if none."""
 
     @property
     def is_met(self) -> bool:
-        return _is_met(self.found, f">={self.at_least}")
+        return _is_met(self.installed, f">={self.at_least}")
 
     def __str__(self) -> str:
-        return f"{self.name} {self.found or 'missing'} (expected {self.at_least} or newer)"
+        return f"{self.name} {self.installed or 'missing'} (expected {self.at_least} or newer)"
 
 
 def _requirements() -> list[_Requirement]:
-    """Return what the distribution's metadata ask for, by extra; nothing where there are none."""
     from packaging.requirements import Requirement
 
-    found = []
+    requirements = []
     with contextlib.suppress(metadata.PackageNotFoundError):
         for text in metadata.requires(DISTRIBUTION) or []:
-            one = Requirement(text)
+            requirement = Requirement(text)
             version = ""
-            extra = re.search(r"extra == \"([^\"]+)", str(one.marker or ""))
+            extra = re.search(r"extra == \"([^\"]+)", str(requirement.marker or ""))
             with contextlib.suppress(metadata.PackageNotFoundError):
-                version = metadata.version(one.name)
-            at_least = str(one.specifier).removeprefix(">=")
-            found.append(_Requirement(one.name, at_least, extra[1] if extra else "", version))
-    return sorted(found, key=lambda item: item.extra)
+                version = metadata.version(requirement.name)
+            at_least = str(requirement.specifier).removeprefix(">=")
+            requirements.append(
+                _Requirement(requirement.name, at_least, extra[1] if extra else "", version)
+            )
+    return sorted(requirements, key=lambda item: item.extra)
 
 
 def _packages() -> Iterator[Check]:
-    """Compare installed versions with the lower bounds in the distribution's metadata, and load the packages."""
+    """Compare installed versions with the bounds in the metadata, and import the packages."""
     required = [item for item in _requirements() if not item.extra]
     old = [item for item in required if not item.is_met]
     broken = {} if old else _broken_packages([item.name for item in required])
-    details = {item.name: {"found": item.found, "at_least": item.at_least} for item in required}
+    details = {item.name: {"found": item.installed, "at_least": item.at_least} for item in required}
     if not required:
-        hint = "install it, so that its dependencies are known: pip install prc-cli"
+        hint = "install prc, so that its dependencies are known: pip install prc-cli"
         yield Check(
-            "packages", "warn", f"no metadata of {DISTRIBUTION}: run from a source tree", hint
+            "packages",
+            "warn",
+            f"{DISTRIBUTION} is not installed: prc runs from a source tree",
+            hint,
         )
     elif old:
         wanted = " ".join(f"'{item.name}>={item.at_least}'" for item in old)
         yield Check("packages", "bad", ", ".join(map(str, old)), f"pip install {wanted}", details)
     elif broken:
-        told = ", ".join(f"{name} cannot be loaded ({why})" for name, why in broken.items())
+        failures = ", ".join(f"{name} cannot be loaded ({why})" for name, why in broken.items())
         yield Check(
-            "packages", "bad", told, f"pip install --force-reinstall {' '.join(broken)}", details
+            "packages",
+            "bad",
+            failures,
+            f"pip install --force-reinstall {' '.join(broken)}",
+            details,
         )
     else:
         yield Check(
             "packages",
             "ok",
-            ", ".join(f"{item.name} {item.found}" for item in required),
+            ", ".join(f"{item.name} {item.installed}" for item in required),
             "",
             details,
         )
@@ -265,28 +280,29 @@ def _broken_packages(names: Iterable[str]) -> dict[str, str]:
 
 def _extras() -> Iterator[Check]:
     """Report which optional parts are installed."""
-    told = []
+    installed = []
+    missing = []
     details = {}
     old = []
     for extra, group in groupby(_requirements(), key=lambda item: item.extra):
         if not extra or extra in DEVELOPERS:
             continue
         items = list(group)
-        details[extra] = {item.name: item.found for item in items}
-        old += [item for item in items if item.found and not item.is_met]
-        versions = ", ".join(f"{item.name} {item.found}" for item in items)
-        is_whole = all(item.found for item in items)
-        told.append(
-            f"{extra}: {versions}"
-            if is_whole
-            else f"{extra}: no (pip install '{DISTRIBUTION}[{extra}]')"
-        )
-    if told:
-        yield _judge(
+        details[extra] = {item.name: item.installed for item in items}
+        old += [item for item in items if item.installed and not item.is_met]
+        if all(item.installed for item in items):
+            installed.append(extra)
+        else:
+            missing.append(extra)
+    text = f"installed: {', '.join(installed) or 'none'}"
+    if missing:
+        text += f"; not installed: {', '.join(missing)} (pip install '{DISTRIBUTION}[NAME]')"
+    if installed or missing:
+        yield _check(
             "extras",
-            "; ".join(told),
+            text,
             details,
-            (
+            Fault(
                 old,
                 "warn",
                 f"; {', '.join(map(str, old))}",
@@ -301,7 +317,7 @@ def _laz() -> Iterator[Check]:
     formats = check_laz()
     version = metadata.version("lazrs")
     yield Check(
-        "LAZ", "ok", f"lazrs {version}, records of formats {formats} came back as they went in"
+        "LAZ", "ok", f"lazrs {version} writes and reads records of formats {formats} correctly"
     )
 
 
@@ -311,35 +327,35 @@ def _processor() -> Iterator[Check]:
     load_compiler()
     from prc_cli.kernels.compiling import about
 
-    found = about()
+    compiler = about()
     usable = default_threads()
     all_cores = os.cpu_count() or 1
-    features = ", ".join(found.features) or "no vector instructions"
+    features = ", ".join(compiler.features) or "no vector instructions"
     cores = f"{usable} of {all_cores} cores" if usable < all_cores else f"{usable} cores"
     details = {
         "cores": usable,
         "of": all_cores,
-        "processor": found.processor,
-        "features": list(found.features),
+        "processor": compiler.processor,
+        "features": list(compiler.features),
     }
     load = 0.0
     with contextlib.suppress(OSError, AttributeError):  # not on this system
         load = os.getloadavg()[0]
-    yield _judge(
+    yield _check(
         "processor",
-        f"{cores}, {found.processor} ({features})",
+        f"{cores}, {compiler.processor} ({features})",
         details,
-        (
-            not found.compiles,
+        Fault(
+            not compiler.compiles,
             "bad",
             "; compiling is turned off",
-            "unset NUMBA_DISABLE_JIT: loops run a hundred times slower",
+            "unset NUMBA_DISABLE_JIT: without compiling prc is a hundred times slower",
         ),
-        (
+        Fault(
             load > 2 * all_cores,
             "warn",
-            f"; {load:.0f} processes want them",
-            "wait, or take fewer files at a time with --jobs",
+            f"; {load:.0f} processes are running or waiting",
+            "wait, or use fewer --jobs",
         ),
     )
 
@@ -350,39 +366,37 @@ def _cache() -> Iterator[Check]:
     load_compiler()
     from prc_cli.kernels.compiling import cache_state
 
-    found = cache_state()
-    folder = found.folder
+    cache = cache_state()
+    folder = cache.folder
     temporary = Path(tempfile.gettempdir()).resolve()
     details = {
         "folder": None if folder is None else str(folder),
-        "bytes": found.n_bytes,
-        "compiled": found.n_compiled,
-        "modules": found.n_modules,
+        "bytes": cache.n_bytes,
+        "compiled": cache.n_compiled,
+        "modules": cache.n_modules,
     }
     if folder is None:
-        hint = "set NUMBA_CACHE_DIR to a folder that this user can write: else every run compiles for half a minute"
-        yield Check(
-            "compiled loops", "warn", "no folder to keep them can be written", hint, details
-        )
+        hint = "set NUMBA_CACHE_DIR to a writable folder, else every run compiles for half a minute"
+        yield Check("compiled loops", "warn", "there is no writable folder for them", hint, details)
         return
     free = shutil.disk_usage(folder).free
     is_lost = not os.environ.get("NUMBA_CACHE_DIR") and folder.resolve().is_relative_to(temporary)
-    text = f"{found.n_compiled} of {found.n_modules} modules compiled, {_size(found.n_bytes)} in {folder}"
-    yield _judge(
+    text = f"{cache.n_compiled} of {cache.n_modules} modules compiled, {_size(cache.n_bytes)} in {folder}"
+    yield _check(
         "compiled loops",
         text,
         details,
-        (
+        Fault(
             free < CACHE_BYTES,
             "warn",
             f", {_size(free)} free",
-            "free space, or set NUMBA_CACHE_DIR to a folder on another disk",
+            "delete files, or set NUMBA_CACHE_DIR to a folder on another disk",
         ),
-        (
+        Fault(
             is_lost,
             "warn",
             "",
-            "set HOME, XDG_CACHE_HOME or NUMBA_CACHE_DIR: temporary folders are emptied",
+            "set NUMBA_CACHE_DIR to another folder: the system empties temporary folders",
         ),
     )
 
@@ -392,57 +406,62 @@ def _memory() -> Iterator[Check]:
     cores = default_threads()
     if free is None:
         return
-    yield _judge(
+    yield _check(
         "memory",
         f"{_size(free)} free for {cores} cores",
         {"free_bytes": free},
-        (free < MEMORY_BYTES, "bad", "", "end other programs, or give the container more"),
-        (
+        Fault(
+            free < MEMORY_BYTES,
+            "bad",
+            "",
+            "close other programs, or give the container more memory",
+        ),
+        Fault(
             free < cores * MEMORY_BYTES,
             "warn",
             "",
-            f"take at most {max(1, free // MEMORY_BYTES)} files at a time with --jobs",
+            f"use at most --jobs {max(1, free // MEMORY_BYTES)}",
         ),
     )
 
 
 def _free_memory() -> int | None:
-    """Return the memory still available [bytes], to the machine and its container (control groups version 2, 1)."""
-    found = []
+    """Available memory of the machine and its container (cgroups version 2 and 1) [bytes]."""
+    free_bytes = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         text = Path("/proc/meminfo").read_text(encoding="ascii")
-        found.append(int(text.partition("MemAvailable:")[2].split()[0]) << 10)
+        free_bytes.append(int(text.partition("MemAvailable:")[2].split()[0]) << 10)
     groups = Path("/sys/fs/cgroup")
     for limit, used in (
         ("memory.max", "memory.current"),
         ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
     ):
         with contextlib.suppress(OSError, ValueError):
-            found.append(int((groups / limit).read_text()) - int((groups / used).read_text()))
-    return max(0, min(found)) if found else None
+            free_bytes.append(int((groups / limit).read_text()) - int((groups / used).read_text()))
+    return max(0, min(free_bytes)) if free_bytes else None
 
 
 def _temporary() -> Iterator[Check]:
     folder = Path(tempfile.gettempdir())
-    given = os.environ.get("TMPDIR")
+    wanted = os.environ.get("TMPDIR")
     free = shutil.disk_usage(folder).free
     with tempfile.TemporaryFile(dir=folder) as handle:
         handle.write(b"x")
-    yield _judge(
+    yield _check(
         "temporary files",
         f"{_size(free)} free in {folder}",
         {"folder": str(folder), "free_bytes": free},
-        (
-            given and Path(given) != folder,
+        Fault(
+            wanted and Path(wanted) != folder,
             "warn",
-            f", since TMPDIR={given} cannot be used",
-            f"make the folder, or let TMPDIR name another: mkdir -p {given}",
+            f"; TMPDIR={wanted} cannot be used",
+            f"create the folder: mkdir -p {wanted}, or set TMPDIR to another",
         ),
-        (
+        Fault(
             free < DISK_BYTES,
             "warn",
             "",
-            "set TMPDIR to a folder on a larger disk: --sort-by-time and --match sort there",
+            "set TMPDIR to a folder on a larger disk: --sort-by-time and --match need space",
         ),
     )
 
@@ -456,27 +475,27 @@ def _output(out: Path) -> Iterator[Check]:
         folder = folder.parent
     name = f"output folder {out}"
     if not folder.is_dir():
-        yield Check(name, "bad", f"{folder} is no folder", "choose another output folder")
+        yield Check(name, "bad", f"{folder} is not a folder", "choose another output folder")
         return
     try:
         trial = Path(tempfile.mkdtemp(prefix=".prc-doctor-", dir=folder))
     except OSError as error:
         problem = f"cannot be written ({error.strerror or error})"
-        yield Check(name, "bad", problem, "change its permissions, or choose another")
+        yield Check(name, "bad", problem, "change its permissions, or choose another folder")
         return
     try:
         free = shutil.disk_usage(folder).free
         kind = file_system(folder)
-        is_new = "" if folder == out else f" ({folder}; it is new)"
-        yield _judge(
+        is_new = "" if folder == out else f" ({folder}; prc creates the folder)"
+        yield _check(
             "output disk",
             f"{_size(free)} free on {kind or 'an unknown file system'}{is_new}",
             {"folder": str(folder), "free_bytes": free, "file_system": kind},
-            (
+            Fault(
                 free < DISK_BYTES,
                 "warn",
                 "",
-                "free space: see the disk budget in the page on operations",
+                "delete files: docs, Operations, lists the disk space of a run",
             ),
         )
         yield _locks(trial)
@@ -498,14 +517,14 @@ def _runs(folder: Path) -> Check:
     versions = sorted({entry.version for entry in entries})
     text = ", ".join(f"{count:,} {state}" for state, count in sorted(states.items())) or "no files"
     details = {"files": dict(states), "versions": versions, "at_work": at_work}
-    hint = "they are done again; --keep-version leaves them, see the page on operations"
-    other = set(versions) - {__version__}
-    return _judge(
+    hint = "prc batch classifies their files again; --keep-version keeps them"
+    older = set(versions) - {__version__}
+    return _check(
         "earlier runs",
         text,
         details,
-        (at_work, "ok", f"; at work: {', '.join(at_work[:1])}", ""),
-        (other, "warn", f"; some by version {', '.join(versions)}", hint),
+        Fault(at_work, "ok", f"; running now: {', '.join(at_work[:1])}", ""),
+        Fault(older, "warn", f"; some by version {', '.join(versions)}", hint),
     )
 
 
@@ -517,56 +536,56 @@ def _locks(trial: Path) -> Check:
     (trial / "file").write_bytes(b"x")
     clock_s = (trial / "file").stat().st_mtime - before
     locks = has_locks(trial)
-    return _judge(
+    return _check(
         "locks in it",
         "",
         {"locks": locks, "clock_s": round(clock_s, 3)},
-        (
+        Fault(
             not locks,
             "bad",
             "the file system has no file locks",
-            "prc batch refuses it: choose another disk; Lustre: mount it with -o flock",
+            "choose another disk for prc batch; for Lustre: mount it with -o flock",
         ),
-        (
+        Fault(
             abs(clock_s) > CLOCK_S,
             "warn",
             f"locks work; the clock of the file server is {clock_s:+.0f} s off",
-            "let both keep time with NTP: --since and changed inputs go by it",
+            "synchronise both clocks with NTP: prc batch compares times of files",
         ),
-        (True, "ok", "locks work", ""),
+        Fault(True, "ok", "locks work", ""),
     )
 
 
 def _sqlite(trial: Path) -> Check:
-    """Write like the journal, while a second connection reads."""
+    """Write as the journal does, while a second connection reads."""
     path = trial / "journal.sqlite"
     kind = file_system(trial)
-    with contextlib.closing(sqlite3.connect(path, timeout=2.0, isolation_level=None)) as one:
-        one.execute("PRAGMA synchronous=EXTRA")
-        one.execute("CREATE TABLE trial (n INTEGER)")
-        one.execute("BEGIN IMMEDIATE")
-        one.execute("INSERT INTO trial VALUES (1)")
-        one.execute("COMMIT")
-        with contextlib.closing(sqlite3.connect(path, timeout=2.0)) as other:
-            n = other.execute("SELECT count(*) FROM trial").fetchone()[0]
-    return _judge(
+    with contextlib.closing(sqlite3.connect(path, timeout=2.0, isolation_level=None)) as writer:
+        writer.execute("PRAGMA synchronous=EXTRA")
+        writer.execute("CREATE TABLE trial (n INTEGER)")
+        writer.execute("BEGIN IMMEDIATE")
+        writer.execute("INSERT INTO trial VALUES (1)")
+        writer.execute("COMMIT")
+        with contextlib.closing(sqlite3.connect(path, timeout=2.0)) as reader:
+            n = reader.execute("SELECT count(*) FROM trial").fetchone()[0]
+    return _check(
         "journal in it",
         f"SQLite {sqlite3.sqlite_version}",
         {"sqlite": sqlite3.sqlite_version, "file_system": kind},
-        (n != 1, "bad", ": what was written was not read back", "use another disk for outputs"),
-        (
+        Fault(n != 1, "bad", ": the journal cannot be read back", "use another disk for outputs"),
+        Fault(
             kind.startswith(_NETWORK),
             "warn",
-            f" on {kind}, which is a network's",
-            "several machines may share it with --shard i/n, which gives each a journal of its own",
+            f" on {kind}, a network file system",
+            "if several machines write there, use --shard i/n: each has its own journal",
         ),
     )
 
 
 def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
-    """Return the type of a folder's file system, empty where the system does not report it."""
+    """Return the type of a folder's file system; empty if the system does not report it."""
     place = folder.resolve()
-    found = ""
+    kind = ""
     longest = -1
     lines = list[str]()
     with contextlib.suppress(OSError):
@@ -579,12 +598,12 @@ def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
         point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), fields[1]))
         if len(point.parts) >= longest and place.is_relative_to(point):
             longest = len(point.parts)
-            found = fields[2]
-    return found
+            kind = fields[2]
+    return kind
 
 
 def _end_to_end() -> Iterator[Check]:
-    """Simulate a street, classify it from LAZ to LAZ, evaluate it, and read the classes with another library."""
+    """Simulate a street, classify it from LAZ to LAZ, evaluate it, and read it with laspy."""
     from prc_cli.config import load_config
     from prc_cli.evaluation.scores import gate_value, scores
     from prc_cli.formats.las.read import classes_by_laspy
@@ -605,9 +624,11 @@ def _end_to_end() -> Iterator[Check]:
         options = {"lines": LINES, "seed": 1, "scanner": {"points_per_line": 1000}}
         simulate("street", scan, load_settings("street", options=options))
         summary = classify(scan, output, config)
-        found = scores(evaluate(output, scan))
+        all_scores = scores(evaluate(output, scan))
         by_laspy = classes_by_laspy(output)
-        values = {name: gate_value(found, name) for name in ("recall.ground", "precision.building")}
+        values = {
+            name: gate_value(all_scores, name) for name in ("recall.ground", "precision.building")
+        }
     seconds = time.perf_counter() - loaded
     n_shots = summary.counts.n_shots
     written = {item.code: item.count for item in summary.record.classes}
@@ -618,33 +639,34 @@ def _end_to_end() -> Iterator[Check]:
         "scores": {name: round(value, 4) for name, value in values.items()},
         "peak_memory_bytes": peak_memory(),
     }
-    told = ", ".join(f"{name} {value:.2f}" for name, value in values.items())
+    shown = ", ".join(f"{name} {value:.2f}" for name, value in values.items())
     text = (
-        f"a street of {n_shots:,} shots simulated, classified from LAZ to LAZ and evaluated in {seconds:.1f} s "
-        f"({told}); {loaded - start:.1f} s to load the loops"
+        f"simulated, classified and evaluated a street of {n_shots:,} shots in {seconds:.1f} s "
+        f"({shown}); loading took {loaded - start:.1f} s"
     )
-    yield _judge(
+    yield _check(
         "end to end",
         text,
         details,
-        (
+        Fault(
             not min(values.values()) >= LEAST_SCORE,
             "bad",
             f"; expected at least {LEAST_SCORE} of both",
-            "the compiled loops are wrong on this machine: remove the cache named above, and report it",
+            "the compiled loops are wrong on this machine: delete the cache folder above, "
+            "and report it",
         ),
-        (
+        Fault(
             by_laspy != written,
             "bad",
-            "; laspy reads other classes than were written",
+            "; laspy reads other classes than prc wrote",
             "report it, with the versions above",
         ),
-        (True, "ok", "; laspy reads the same classes", ""),
+        Fault(True, "ok", "; laspy reads the same classes", ""),
     )
 
 
 def _engines() -> Iterator[Check]:
-    """Classify small simulated scans with the compiled loops and with their plain twins."""
+    """Classify small simulated scans with both engines."""
     from prc_cli.config import load_config
     from prc_cli.core.blocks import join
     from prc_cli.jobs.classify import classify_ranges, load_classifier
@@ -674,23 +696,24 @@ def _engines() -> Iterator[Check]:
         n_shots += block.range_m.size
         n_other[preset] = int((compiled != plain).sum())
         seconds += time.perf_counter() - start
-    told = ", ".join(f"{preset} {count:,}" for preset, count in n_other.items() if count)
-    yield _judge(
+    different = ", ".join(f"{preset} {count:,}" for preset, count in n_other.items() if count)
+    yield _check(
         "engines",
-        f"{n_shots:,} shots by compiled loops and by --engine reference ({', '.join(COMPARED)}) in {seconds:.1f} s",
+        f"compared compiled loops with --engine reference on {n_shots:,} shots in {seconds:.1f} s",
         {"shots": n_shots, "seconds": round(seconds, 3), "different": n_other},
-        (
-            told,
+        Fault(
+            different,
             "bad",
-            f": labels differ ({told}), expected the same",
-            "remove the cache named above and run prc doctor again; until then prc classify --engine reference",
+            f": labels differ ({different}), expected the same",
+            "delete the cache folder above and type prc doctor; "
+            "until then prc classify --engine reference",
         ),
-        (True, "ok", ": the same labels", ""),
+        Fault(True, "ok", ": the same labels", ""),
     )
 
 
 def _size(n_bytes: int) -> str:
-    """Return bytes for people.
+    """Return bytes in MiB or GiB.
 
     >>> _size(1 << 30)
     '1.0 GiB'

@@ -1,4 +1,4 @@
-"""``prc info --draft``: a layout or configuration that reads a file, to begin with."""
+"""``prc info --draft``: a first layout or configuration that reads a file."""
 
 from __future__ import annotations
 
@@ -31,11 +31,17 @@ def draft(
     *,
     overwrite: bool = False,
 ) -> str:
-    """Write a configuration with what a file says of itself, and what its numbers show."""
+    """Write a configuration from the header of a file, and from its numbers.
+
+    Returns
+    -------
+    str
+        The text of the configuration.
+    """
     prepare_outputs(output, overwrite=overwrite, inputs=(path, *loaded.files))
     lines, layout = _layout_lines(path, loaded)
-    told = loaded if layout is None else _with_layout(loaded, layout)
-    inspection = inspect(path, told)
+    described = loaded if layout is None else _with_layout(loaded, layout)
+    inspection = inspect(path, described)
     header = None if layout is None else _empty_header(path, layout, inspection)
     if layout is not None and header is not None:
         lines = [
@@ -46,7 +52,7 @@ def draft(
             path, _with_layout(loaded, layout.model_copy(update={"header_bytes": header}))
         )
     text = "\n".join(
-        [f"# drafted from {path.name} by prc info --draft: look at it before you rely on it", ""]
+        [f"# draft from {path.name} by prc info --draft: check it before you use it", ""]
     )
     text += "\n".join([*_input_lines(inspection), *lines, ""])
     with atomic_output(output, overwrite=overwrite) as temporary:
@@ -54,17 +60,14 @@ def draft(
     return text
 
 
-def _empty_header(path: Path, layout: Layout, found: Inspection) -> int | None:
-    """Return the bytes of a header of zeros, which look like missing shots.
-
-    As many as are too many for whole lines.
-    """
-    m = None if found.period is None else found.period.points_per_line
-    each = sum(np.dtype(field.type).itemsize for field in layout.fields)
-    if not is_dump(path) or not m or not each:
+def _empty_header(path: Path, layout: Layout, inspection: Inspection) -> int | None:
+    """Return the length of a header of zeros [bytes]: the surplus over whole lines."""
+    m = None if inspection.period is None else inspection.period.points_per_line
+    record_bytes = sum(np.dtype(field.type).itemsize for field in layout.fields)
+    if not is_dump(path) or not m or not record_bytes:
         return None
-    surplus = (path.stat().st_size - layout.header_bytes) // each % m
-    header = layout.header_bytes + surplus * each
+    surplus = (path.stat().st_size - layout.header_bytes) // record_bytes % m
+    header = layout.header_bytes + surplus * record_bytes
     if not surplus or header > MOST_HEADER_BYTES:
         return None
     with path.open("rb") as handle:
@@ -76,40 +79,41 @@ def _with_layout(loaded: LoadedConfig, layout: Layout) -> LoadedConfig:
     return LoadedConfig(config, sources=loaded.sources, files=loaded.files, notes=loaded.notes)
 
 
-def _input_lines(found: Inspection) -> list[str]:
-    """Return the table ``[input]``: what was taken, what was measured, and what is missing."""
+def _input_lines(inspection: Inspection) -> list[str]:
+    """Return the table ``[input]``: assumptions, measured values, and what is missing."""
     lines = ["[input]"]
     taken = [
         (item.key.removeprefix("input."), item.value, item.why)
-        for item in found.assumptions
-        if not found.missing
+        for item in inspection.assumptions
+        if not inspection.missing
     ]
     lines += [
         f"{key} = {_quoted(value)}  # {why}"
         for key, value, why in taken
         if key in _KEPT and _is_valid(key, value)
     ]
-    for option in found.missing:
+    for option in inspection.missing:
         flag, _, value = option.partition(" ")
         if flag == "--set":
             key, _, value = value.removeprefix("input.").partition("=")
             lines.append(f"{key} = {value}  # measured from the times")
         elif value.endswith("FILE"):
             lines.append(
-                f"# {flag.removeprefix('--')} = {_quoted(value)}  # the positions of the scanner over time"
+                f"# {flag.removeprefix('--')} = {_quoted(value)}  # the positions of the scanner "
+                "over time"
             )
         else:
             lines.append(f"{flag.removeprefix('--')} = {_quoted(value)}  # measured from the times")
-    period = found.period
+    period = inspection.period
     if (
-        found.points_per_line is None
-        and not found.missing
+        inspection.points_per_line is None
+        and not inspection.missing
         and period is not None
         and period.points_per_line
     ):
         lines.append(f"points_per_line = {period.points_per_line}  # {period.reason}")
-    elif found.problem and not found.missing:
-        lines += [f"# {found.problem}", f"# {found.hint}"]
+    elif inspection.problem and not inspection.missing:
+        lines += [f"# {inspection.problem}", f"# {inspection.hint}"]
     return [line.replace("\n", " ") for line in lines]
 
 
@@ -123,15 +127,17 @@ def _is_valid(key: str, value: str) -> bool:
 
 def _quoted(text: str) -> str:
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(one if one.isprintable() else "?" for one in escaped) + '"'
+    return (
+        '"' + "".join(character if character.isprintable() else "?" for character in escaped) + '"'
+    )
 
 
 def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout | None]:
-    """Return the table ``[layout]`` of a dump, a text file or a cloud; none for other files."""
+    """Return the table ``[layout]`` of a dump, a text file or a cloud; empty for other files."""
     if loaded.config.layout is not None and loaded.config.layout.fields:
         return [], None
     check_input(path)
-    # before it is opened: the usual dump is one of float32
+    # not after open_source, which reads a dump as float32
     if is_dump(path) and not path.name.startswith("pulse-"):
         return _dump_lines(path)
     source = open_source(path, loaded.config.layout)
@@ -140,10 +146,10 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
     if isinstance(source, CloudSource):
         rows = [
             _field_line(
-                {"name": name, "source": one.name}
-                | one.item.model_dump(include={"unit", "offset"}, exclude_defaults=True)
+                {"name": name, "source": column.name}
+                | column.item.model_dump(include={"unit", "offset"}, exclude_defaults=True)
             )
-            for name, one in source.columns.items()
+            for name, column in source.columns.items()
             if name in (*STANDARD_NAMES, "ring")
         ]
         return ["", "[layout]", "fields = [", *rows, "]"], None
@@ -151,27 +157,25 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
 
 
 def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
-    found = guess_records(path)
-    if found is None:
-        problem = "nothing repeats in its bytes, expected records of one size"
-        raise InputError(
-            str(path), problem, "write the layout by hand: docs, Input formats, Raw binary"
-        )
+    layout = guess_records(path)
+    if layout is None:
+        problem = "found no records of one size in its bytes"
+        raise InputError(str(path), problem, "write a layout: see docs, Input formats, Raw binary")
     rows = [
         _field_line(
             {"name": field.name, "type": field.type}
             | field.model_dump(include=_KEYS, exclude_defaults=True)
         )
-        for field in found.fields
+        for field in layout.fields
     ]
     header = [
         "",
         "[layout]",
-        f"header_bytes = {found.header_bytes}",
-        f'endian = "{found.endian}"',
+        f"header_bytes = {layout.header_bytes}",
+        f'endian = "{layout.endian}"',
         "fields = [",
     ]
-    return [*header, *rows, "]"], found
+    return [*header, *rows, "]"], layout
 
 
 def _field_line(values: dict[str, object]) -> str:
@@ -183,8 +187,8 @@ def _field_line(values: dict[str, object]) -> str:
 
 
 def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
-    """Return the columns that are known by name, and those that show what they are."""
-    told = source.describe()
+    """Return the columns with known names, and columns whose numbers show what they are."""
+    description = source.describe()
     first = next(iter(source.chunks(source.dimensions)), None)
     columns = (
         {}
@@ -192,23 +196,23 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
         else {name: np.asarray(values[:_ROWS]) for name, values in first.values.items()}
     )
     known = [
-        (name, int(one.key), one.item.unit)
-        for name, one in source.columns.items()
+        (name, int(column.key), column.item.unit)
+        for name, column in source.columns.items()
         if name in STANDARD_NAMES
     ]
     taken = {name for name, *_ in known}
     shown = {name: values for name, values in columns.items() if name not in taken}
     fields: list[dict[str, object]] = [
-        {"name": name, "source": at, **({"unit": unit} if unit else {})} for name, at, unit in known
+        {"name": name, "source": position, **({"unit": unit} if unit else {})}
+        for name, position, unit in known
     ]
     for column, name in guess_names(shown).items():
         if name in taken:
             continue
         guessed: dict[str, object] = {"name": name, "source": int(source.columns[column].key)}
         if name == "range":
-            stored = shown[column][
-                np.isfinite(shown[column])
-            ]  # what is no number is missing by itself
+            # NaN needs no missing code
+            stored = shown[column][np.isfinite(shown[column])]
             scale, missing = range_scale(
                 stored.astype(np.int64) if np.all(stored % 1 == 0) else stored
             )
@@ -216,19 +220,21 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
                 {} if missing is None else {"missing": missing}
             )
         fields.append(guessed)
-    has_header = told["header_line"] is not None and any(told["columns"])
+    has_header = description["header_line"] is not None and any(description["columns"])
     values = {
-        "delimiter": told["delimiter"],
-        "decimal": told["decimal"],
+        "delimiter": description["delimiter"],
+        "decimal": description["decimal"],
         "header": has_header,
         "fields": tuple(fields),
     }
-    delimiter = '"\\t"' if told["delimiter"] == "\t" else _quoted(str(told["delimiter"]))
-    lines = ["", "[layout]", f"delimiter = {delimiter}", f'decimal = "{told["decimal"]}"']
+    delimiter = (
+        '"\\t"' if description["delimiter"] == "\t" else _quoted(str(description["delimiter"]))
+    )
+    lines = ["", "[layout]", f"delimiter = {delimiter}", f'decimal = "{description["decimal"]}"']
     lines += [
         f"header = {str(has_header).lower()}",
         "fields = [",
-        *(_field_line(one) for one in fields),
+        *(_field_line(field) for field in fields),
         "]",
     ]
     return lines, Layout.model_validate(values) if fields else None

@@ -63,7 +63,7 @@ def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
     if len(set(outputs)) < len(outputs):
         twice = next(output for output in outputs if outputs.count(output) > 1)
         raise ConfigError(
-            str(twice), "two inputs would write this output, expected files of different names"
+            str(twice), "two inputs have this output, expected files with different names"
         )
     return outputs
 
@@ -87,17 +87,14 @@ def classify_drive(
     if config.config.input.window is not None:
         raise ConfigError(
             "input",
-            "found a window, expected none where several files are one drive",
+            "a window (--only-lines, --only-time, --first) needs a single file",
             "leave it out",
         )
     # refuse files that cannot be joined before a folder is made
     _joined(parts, with_layout_beside(parts[0], config))
     for part, output in zip(parts, outputs, strict=True):
         if is_cloud(output) and not keeps_points(part, output):
-            problem = (
-                f"would make points of the ranges in {part.name}, "
-                "expected labels alone for the files of a drive"
-            )
+            problem = f"{part.name} contains no points: a drive of such files gets only labels"
             raise ConfigError(str(output), problem, "write .npy, .csv or .parquet")
         make_folder(output.parent)
         check_input(part)

@@ -1,9 +1,8 @@
-"""Says why a shot has its class.
+"""Explains why a shot has its class: ``prc explain``.
 
-The rule that decided, its limits, and what the stages measured (``prc explain``).
-
-The run is that of ``prc classify``, from the start of the input to the block of the shot, because
-states are handed from block to block. The method itself gives the rule, beside the label.
+The explanation names the rule that gave the label, its limits, and the measured values. The run is
+the same as in ``prc classify``, from the start of the input to the block of the shot, because a
+method keeps states from block to block. The method gives the rule together with the label.
 """
 
 from __future__ import annotations
@@ -47,29 +46,29 @@ class Explanation:
     """From straight down; None = not known or not needed."""
     method: str
     chosen: MethodChoice | None
-    """The method that was chosen for the input; None = it was named."""
+    """Choice of the method; None = the user named it."""
     label: Label
     code: int
     """As ``prc classify`` writes it."""
     reason: int
     """As ``output.reason`` writes it (:class:`prc_cli.core.classes.Reason`)."""
     rule: str
-    """Name of the rule that decided."""
+    """Name of the rule that gave the label."""
     sentence: str
-    """What it says."""
+    """Text of the rule."""
     limits: dict[str, Any]
-    """Keys of the configuration or names of constants that decided, and their values."""
+    """Limits of the rule: keys of the configuration or names of constants, with their values."""
     measures: dict[str, Any]
-    """What the stages measured of the shot, by names with their units; None = not known."""
+    """Measured values of the shot, by name with unit; None = not known."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         chosen = (
             None if self.chosen is None else {"preset": self.chosen.preset, "why": self.chosen.why}
         )
-        found = {**asdict(self), "class": self.label.name.lower(), "chosen": chosen}
-        del found["label"]
-        return found
+        table = {**asdict(self), "class": self.label.name.lower(), "chosen": chosen}
+        del table["label"]
+        return table
 
 
 def explain(
@@ -82,10 +81,30 @@ def explain(
     progress: Progress | None = None,
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Explanation:
-    """Say why a shot has its class."""
+    """Explain why a shot has its class.
+
+    Parameters
+    ----------
+    source : path
+    line, column : int
+        The shot, counted from 0.
+    config : LoadedConfig or RunConfig, optional
+    scanner : int, optional
+        Number of the scanner; default: the first.
+    progress : callable, optional
+        Called with the number of lines that are finished since the last call.
+    loading : callable
+        Context in which the loops of the method are loaded.
+
+    Raises
+    ------
+    InputError
+        If the input has no such shot.
+    """
     source = Path(source)
     if line < 0 or column < 0:
-        raise ConfigError("--at", f"found {line},{column}, expected LINE,COLUMN, both from 0")
+        problem = f"found {line},{column}, expected LINE,COLUMN, counted from 0"
+        raise ConfigError("--at", problem)
     loaded = LoadedConfig.of(config)
     refuse_window(loaded.config, "prc explain")
     check_input(source)
@@ -96,25 +115,25 @@ def explain(
     block = item.block
     if column >= block.points_per_line:
         problem = f"found column {column}, expected 0 to {block.points_per_line - 1}"
-        raise InputError(str(source), problem, "lines have as many shots: prc info")
-    at = line - block.first_line, column
+        raise InputError(str(source), problem, "prc info prints the number of shots per line")
+    cell = line - block.first_line, column
     assert item.reasons is not None
-    label = Label(int(item.labels[at]))
-    reason = int(item.reasons[at])
+    label = Label(int(item.labels[cell]))
+    reason = int(item.reasons[cell])
     name, rule = rule_of(reason)
     measures = (
         {}
         if label == Label.MISSING
-        else {name: _plain(each[at]) for name, each in item.measures.items()}
+        else {name: _plain(image[cell]) for name, image in item.measures.items()}
     )
     return Explanation(
         path=str(source),
         line=line,
         column=column,
         scanner=block.scanner,
-        record=int(block.records()[at]),
-        range_m=_plain(block.range_m[at]),
-        time_s=None if block.time_s is None else _plain(block.time_s[at]),
+        record=int(block.records()[cell]),
+        range_m=_plain(block.range_m[cell]),
+        time_s=None if block.time_s is None else _plain(block.time_s[cell]),
         beam_deg=None if block.beam_rad is None else math.degrees(block.beam_rad[column]),
         method=loaded.config.method,
         chosen=loaded.choice,
@@ -135,7 +154,7 @@ def _find(
     scanner: int | None,
     progress: Progress | None,
 ) -> LabelledBlock:
-    """Classify up to the line of a scanner, by default the first that comes."""
+    """Classify up to the line; return its block."""
     last = -1
     seen = set[int]()
     stream = open_stream(source, loaded)
@@ -161,23 +180,22 @@ def _find(
         problem = (
             f"found scanners {', '.join(map(str, sorted(seen))) or 'none'}, expected {scanner}"
         )
-    raise InputError(str(source), problem, "lines and columns are counted from 0: prc info")
+    raise InputError(str(source), problem, "prc info prints the number of lines")
 
 
 def _plain(value: Any) -> Any:
-    """Return a value of an array as one of Python; None = not known."""
+    """Return a value of an array as a Python value; NaN becomes None."""
     plain = value.item()
     return None if plain != plain else plain
 
 
 def _limits(rule: Rule, config: RunConfig, block: ScanBlock) -> dict[str, Any]:
-    """Return the limits of a rule: keys of the configuration, or constants of the fused method."""
-    found: dict[str, Any] = {}
+    limits: dict[str, Any] = {}
     constants = config.classifier.method().limits(block) if rule.limits else None
     for name in rule.limits:
         is_key = name.startswith(("prc.", "sequential_angle."))
         value = attrgetter(name)(config if is_key else constants)
-        found[name] = (
+        limits[name] = (
             float(f"{value:.7g}") if isinstance(value, float) or hasattr(value, "dtype") else value
         )
-    return found
+    return limits

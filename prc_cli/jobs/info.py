@@ -1,4 +1,4 @@
-"""``prc info``: the contents of a file, and whether the chosen classifier can process it."""
+"""``prc info``: the contents of a file, and whether the chosen method can classify it."""
 
 from __future__ import annotations
 
@@ -77,11 +77,11 @@ from prc_cli.streams.rules import (
 )
 
 RATE_OFF = 1e-3
-"""Rates that differ by more are told: a line would be off by some columns."""
+"""If rates differ by more, a note says so: a line would be off by some columns."""
 SAMPLE_SHOTS = 4_000_000
-"""Number of ranges kept from the start of a file, for the median, the correlation and the estimate of M."""
+"""Number of ranges from the start of a file for the median, the correlation and M."""
 SOME_SHOTS = 1 << 18
-"""Of these, for the estimate of M where M is known."""
+"""Number of these ranges for the estimate of M if M is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class StreamFacts:
     """Shots without return."""
     scanners: tuple[int, ...]
     range_m: tuple[float, float, float] | None
-    """Least, median (of the sample) and greatest range [m]; None if ranges are not known."""
+    """Smallest, median (of the sample) and largest range [m]; None if ranges are not known."""
     line_hz: float | None
     """Scan lines a second, from the times of the lines [Hz]."""
     tally: ReadTally
@@ -121,32 +121,26 @@ class Inspection(Doubted):
     """Values of the file's header (LAS, LAZ)."""
     notes: tuple[str, ...] = ()
     method: str = "prc"
-    """The classifier that is named, or was chosen."""
+    """The method that the user named or prc chose."""
     choice: MethodChoice | None = None
-    """Why it was chosen; None = it was named."""
+    """Choice of the method; None = the user named it."""
     findings: tuple[Finding, ...] = ()
-    """Answers of all checks that need no labels."""
+    """Results of all checks that need no labels."""
     problem: str = ""
-    """Why it cannot classify the file; empty if it can."""
+    """Why prc cannot classify the file; empty if it can."""
     hint: str = ""
     mend: str = ""
-    """The option of the command line with which it can, where that was tried."""
+    """The option with which prc can classify the file, if prc has tried it."""
     rates: TimedScan | None = None
-    """Rates of the scanner as its times show them.
-
-    None where they were not asked for or show none.
-    """
+    """Rates of the scanner, measured from the times; None if they are not measured."""
     contents: Contents | None = None
-    """What the records hold; None where the file is no list of records."""
+    """Contents of the records; None if the file is not a list of records."""
     missing: tuple[str, ...] = ()
-    """Every option of the command line that is still needed, with what was measured."""
+    """Options of the command line that are still needed, with the measured values."""
     drive: Drive | SpinningDrive | None = None
-    """What was found from the points of a registered cloud; None where it was not asked for."""
+    """The paths found from the points of a registered cloud (``range = "points"``)."""
     comparisons: tuple[Comparison, ...] = ()
-    """The trajectory that is given against the path found, for every scanner.
-
-    Empty where it was not asked for.
-    """
+    """Comparison of the given trajectory with the path found, per scanner (``--check-path``)."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
@@ -155,10 +149,10 @@ class Inspection(Doubted):
         table["path_found"] = None if self.drive is None else _path_as_dict(self.drive)
         table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
-        table["doubts"] = [one.check for one in self.doubts]
-        told = {*LABEL_CHECKS, *(one.check for one in self.findings)}
-        # those of short streams, or without times or scan angles
-        table["checks_not_asked"] = [name for name in CHECK_NAMES if name not in told]
+        table["doubts"] = [answer.check for answer in self.doubts]
+        answered = {*LABEL_CHECKS, *(answer.check for answer in self.findings)}
+        # checks that need a longer stream, times or scan angles
+        table["checks_not_asked"] = [name for name in CHECK_NAMES if name not in answered]
         for finding in table["findings"]:
             finding["verdict"] = Verdict(finding["verdict"]).name.lower()
         if self.order is not None:
@@ -167,8 +161,7 @@ class Inspection(Doubted):
 
 
 def _path_as_dict(drive: Drive | SpinningDrive) -> dict[str, Any]:
-    """Return the figures of all passes."""
-    passes: list[dict[str, Any]] = [finite(asdict(one)) for one in drive.figures]
+    passes: list[dict[str, Any]] = [finite(asdict(figures)) for figures in drive.figures]
     return {"n_scanners": len(drive.heads), "n_unplaced": drive.n_unplaced, "passes": passes}
 
 
@@ -190,51 +183,50 @@ def inspect(
     deep
         Decode every layer of LAZ.
     checks_path
-        Hold the trajectory that is given against the path that is found from the points.
+        Compare the given trajectory with the path that is found from the points.
     """
     if checks_path:
         return _with_comparisons(path, loaded, deep=deep)
     loaded, opened = decide_and_open(path, loaded, trust_order=True)
     if deep:
         _decode(path, loaded)
-    found = _inspect(path, loaded, opened)
+    inspection = _inspect(path, loaded, opened)
     choice = loaded.choice
-    assumptions = found.assumptions if choice is None else (choice.assumption, *found.assumptions)
+    assumptions = (
+        inspection.assumptions if choice is None else (choice.assumption, *inspection.assumptions)
+    )
     return replace(
-        found,
+        inspection,
         method=loaded.config.method,
         choice=choice,
-        notes=(*loaded.notes, *found.notes),
+        notes=(*loaded.notes, *inspection.notes),
         assumptions=assumptions,
     )
 
 
 def _with_comparisons(path: Path, loaded: LoadedConfig, *, deep: bool) -> Inspection:
-    """Describe a file and its trajectory.
-
-    Also where the trajectory is refused, since the path tells why.
-    """
+    """Describe a file and its trajectory, also a refused one: the path may show why."""
     drive, comparisons, finding = hold_against(path, loaded)
     try:
-        found = inspect(path, loaded, deep=deep)
+        inspection = inspect(path, loaded, deep=deep)
     except InputError as refusal:
         source = open_source(path, loaded.config.layout)
-        found = _describe(path, source, None, None, refusal, judged=False)
+        inspection = _describe(path, source, None, None, refusal, judged=False)
     (finding,) = accept([finding], loaded.config.input.accept_doubts or ())
-    found = replace(
-        found, drive=drive, comparisons=comparisons, findings=(finding, *found.findings)
+    inspection = replace(
+        inspection, drive=drive, comparisons=comparisons, findings=(finding, *inspection.findings)
     )
     is_against = finding.verdict is Verdict.AGAINST and not finding.is_accepted
-    if not is_against and not (found.problem and finding.option):
-        return found
-    # what the reader of the trajectory refused, its path may explain
+    if not is_against and not (inspection.problem and finding.option):
+        return inspection
+    # the path may explain why the reader refused the trajectory
     return replace(
-        found, problem=finding.problem, hint=finding.hint, mend=finding.option, missing=()
+        inspection, problem=finding.problem, hint=finding.hint, mend=finding.option, missing=()
     )
 
 
 def _decode(path: Path, loaded: LoadedConfig) -> None:
-    """Decode every byte of a file of records, and keep nothing."""
+    """Decode every byte of a file of records."""
     source = open_source(path, loaded.config.layout)
     if source is not None:
         source.facts.check_layers()
@@ -262,15 +254,11 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     order = _time_order(source, contents)
     if stream is not None and _fires_in_turns(stream):
         order = _line_order(stream)
-    found = _inspect_records(path, loaded, source, stream, refusal, order)
-    return replace(found, contents=contents, drive=_drive_found(stream, loaded.config.input))
+    inspection = _inspect_records(path, loaded, source, stream, refusal, order)
+    return replace(inspection, contents=contents, drive=_drive_found(stream, loaded.config.input))
 
 
 def _drive_found(stream: ScanStream | None, inputs: InputConfig) -> Drive | SpinningDrive | None:
-    """Return what was found from the points.
-
-    None where it was not asked for, also if a path was given.
-    """
     return drive_of(stream) if stream is not None and inputs.range == "points" else None
 
 
@@ -282,12 +270,12 @@ def _inspect_records(
     refusal: InputError | ConfigError | None,
     order: OrderEvidence | None,
 ) -> Inspection:
-    """Describe a file of records, and try what may mend it."""
+    """Describe a file of records, and try options that make it readable."""
     judged = loaded.config.input.order == "require" and not sorts_by_itself(
         source, loaded.config.input
     )
     if stream is None and is_timed_cloud(source, loaded.config.input):
-        # nothing is reconstructed unless it is asked for by name
+        # prc computes a path from points only if the user asks for it
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
         unread = _describe(path, source, lines, order, refusal, judged=False, with_ranges=False)
         return replace(unread, problem=NO_RANGES, hint=NO_RANGES_HINT, missing=(POINTS,))
@@ -309,7 +297,7 @@ def _inspect_records(
         is_asked = inputs.lines == "auto" or (
             inputs.lines.startswith("time:") and inputs.columns == "auto"
         )
-        # only the times can say where lines and columns are
+        # only the times show lines and columns
         is_asked &= inputs.range != "points"
         if (
             not inspection.mend
@@ -319,63 +307,66 @@ def _inspect_records(
         ):
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
-    found = _describe(path, source, stream, order, refusal, judged=judged)
-    found = _with_other_rates(found, source, loaded.config.input)
-    if found.problem or not judged or found.facts is None:
-        return found
-    tally = found.facts.tally
+    described = _describe(path, source, stream, order, refusal, judged=judged)
+    described = _with_other_rates(described, source, loaded.config.input)
+    if described.problem or not judged or described.facts is None:
+        return described
+    tally = described.facts.tally
     if not (tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions):
-        return found
-    # its order was trusted: under its own rules it may be refused
-    told = _refused_as_told(path, loaded)
-    return found if told is None else replace(found, problem=told.problem, hint=told.hint)
+        return described
+    # so far the order was trusted; prc classify may refuse it
+    error = _refusal_of(path, loaded)
+    return (
+        described if error is None else replace(described, problem=error.problem, hint=error.hint)
+    )
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
-    """Measure the rates of a scanner from its times alone.
-
-    List all that is missing, with one command.
-    """
+    """Measure the rates of a scanner from its times, and list the options to type."""
     is_sorted = inputs.order == "sort-time"
     in_order = is_sorted or refused.order is None or refused.order.is_chronological
     rates = _measured_rates(sorted_by_time(source) if is_sorted else source) if in_order else None
     if rates is None:
-        # this is prc info: nobody is to be sent here again
+        # the hint names prc info, which runs just now
         _, sent_here, rest = refused.hint.partition(MEASURED)
         return (
-            replace(refused, hint=f"the times show no steady rates; {rest}")
+            replace(refused, hint=f"the times show no constant rates; {rest}")
             if sent_here
             else refused
         )
     options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
     options.append(f"--set input.time_origin={rates.time_origin_s!r}")
-    problem = "it has times alone: no scan lines, no columns"
-    hint = f"the times show {_shown_rates(rates)}; give all of it at once"
+    problem = "the file has times, but no scan lines and no columns"
+    hint = f"use the rates that prc measured from the times: {_shown_rates(rates)}"
     return replace(refused, rates=rates, missing=tuple(options), problem=problem, hint=hint)
 
 
-def _with_other_rates(found: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
-    """Note rates that were given and are not those that the times show."""
+def _with_other_rates(
+    inspection: Inspection, source: RecordSource, inputs: InputConfig
+) -> Inspection:
+    """Note that the given rates differ from the measured ones."""
     if (
         not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:"))
-        or found.facts is None
+        or inspection.facts is None
     ):
-        return found
+        return inspection
     rates = _measured_rates(sorted_by_time(source) if inputs.order == "sort-time" else source)
     if rates is None:
-        return found
+        return inspection
     off = max(
         abs(parse_rate(inputs.lines) / rates.line_hz - 1),
         abs(parse_rate(inputs.columns) / rates.shot_hz - 1),
     )
-    note = f"the times show {_shown_rates(rates)}; --lines and --columns say otherwise"
-    return replace(found, rates=rates, notes=(*found.notes, *([note] if off > RATE_OFF else [])))
+    note = f"the times show {_shown_rates(rates)}; --lines and --columns differ"
+    return replace(
+        inspection, rates=rates, notes=(*inspection.notes, *([note] if off > RATE_OFF else []))
+    )
 
 
 def _shown_rates(rates: TimedScan) -> str:
     return (
-        f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, M = {rates.points_per_line}, "
-        f"{rates.share:.0%} of the shots return"
+        f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, "
+        f"M = {rates.points_per_line}"
     )
 
 
@@ -399,7 +390,7 @@ def _with_estimate(
     refused: Inspection,
     period: PeriodEstimate,
 ) -> Inspection:
-    """Add the estimate of M to an input that cannot be opened, and try it where it is another than the one given."""
+    """Add the estimate of M to an input that cannot be opened, and try it if it differs from M."""
     refused = replace(refused, period=period)
     inputs = loaded.config.input
     estimate = period.points_per_line
@@ -409,10 +400,10 @@ def _with_estimate(
         or inputs.lines not in ("auto", "fixed")
     ):
         return refused
-    told = inputs.model_copy(update={"points_per_line": estimate})
+    estimated = inputs.model_copy(update={"points_per_line": estimate})
     try:
         tried = _inspect(
-            path, replace(loaded, config=loaded.config.model_copy(update={"input": told}))
+            path, replace(loaded, config=loaded.config.model_copy(update={"input": estimated}))
         )
     except InputError:
         return refused
@@ -420,12 +411,12 @@ def _with_estimate(
         return refused
     option = f"-M {estimate}"
     return replace(
-        refused, hint=f"give {option}: the ranges repeat after so many shots", mend=option
+        refused, hint=f"give {option}: the ranges repeat after {estimate} shots", mend=option
     )
 
 
-def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
-    """Read the input under its own rules, as ``prc classify`` does; return why it is refused."""
+def _refusal_of(path: Path, loaded: LoadedConfig) -> InputError | None:
+    """Read the input as ``prc classify`` does; return the error if it is refused."""
     try:
         for _ in open_input(path, loaded.config.input, loaded.config.layout).blocks():
             pass
@@ -437,14 +428,10 @@ def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
 def _try_open(
     path: Path, loaded: LoadedConfig
 ) -> tuple[ScanStream | None, InputError | ConfigError | None]:
-    """Open a stream as ``prc classify`` would, counting breaks of the order.
-
-    Without beams if these are refused.
-    """
+    """Open a stream as ``prc classify``, but count breaks of the order; without refused beams."""
     try:
         inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
-        # as prc classify does: what a method does not need is not read, and tells the checks
-        # nothing
+        # as in prc classify, values that the method does not need are not read and not checked
         stream = open_input(path, inputs, loaded.config.layout, geometry=loaded.config.needs_beams)
     except (InputError, ConfigError) as refusal:
         return None, refusal
@@ -471,7 +458,7 @@ def _describe(
     judged: bool,
     with_ranges: bool = True,
 ) -> Inspection:
-    """Measure a stream; its order is always reported, and refused where ``prc classify`` would refuse it."""
+    """Measure a stream; refuse its order if ``prc classify`` does."""
     facts = None
     sample = None
     if stream is not None:
@@ -484,7 +471,9 @@ def _describe(
     findings = stream.findings() if isinstance(stream, EvidenceStream) and with_ranges else ()
     problem, hint = _verdict(path, order, findings, refusal, judged=judged)
     info = None if stream is None else stream.info
-    told = info.facts if info is not None else source.facts if source is not None else SourceFacts()
+    source_facts = (
+        info.facts if info is not None else source.facts if source is not None else SourceFacts()
+    )
     n_records = None if source is None else source.n_records
     return Inspection(
         path=str(path),
@@ -493,13 +482,13 @@ def _describe(
         n_records=n_records if n_records is not None else None if info is None else info.n_records,
         dimensions=() if source is None else source.dimensions,
         points_per_line=None if info is None else info.points_per_line,
-        # where M is known a part is enough to say that it is another
+        # if M is known, a part of the ranges is enough to test it
         period=None if sample is None else estimate_points_per_line(sample[:SOME_SHOTS]),
         order=order,
         facts=facts,
         assumptions=() if info is None else info.assumptions,
-        header=told.describe(),
-        notes=told.notes,
+        header=source_facts.describe(),
+        notes=source_facts.notes,
         findings=findings,
         problem=problem,
         hint=hint,
@@ -564,10 +553,7 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
 
 
 def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
-    """Read the records once, in the order of the input, and count what they hold.
-
-    Return the order of the times.
-    """
+    """Read the records once, count their contents, and return the order of the times."""
     watch = OrderWatch.of(source, "trust") if "time" in source.dimensions else None
     for chunk in watched_contents(source, contents):
         if watch is not None:
@@ -584,28 +570,25 @@ def _fires_in_turns(stream: ScanStream) -> bool:
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:
-    """Read the times of the lines alone.
-
-    Return those of the scanner that is least in order, None without times.
-    """
+    """Return the order of the times of the scanner with most breaks; None without times."""
     watches: dict[int, OrderWatch] = {}
     for block in stream.blocks():
         if block.time_s is None:
             return None
         watch = watches.setdefault(block.scanner, OrderWatch(stream.info.path, "trust", "time_s"))
-        # lines of shots fired at other times begin at the first ring's
-        own = (
+        # the shots of a line are fired at different times: compare the first ring
+        time_s = (
             block.time_s[:, 0]
             if stream.info.facts.has_line_times or take_turns(block)
             else block.time_s.ravel()
         )
-        watch.see(own, None)
-    found = [watch.evidence() for watch in watches.values()]
-    return max(found, key=lambda one: (one.n_back, one.n_steps), default=None)
+        watch.see(time_s, None)
+    scanners = [watch.evidence() for watch in watches.values()]
+    return max(scanners, key=lambda order: (order.n_back, order.n_steps), default=None)
 
 
 class _UnitRanges(DerivedSource):
-    """A source whose ranges are all 1: for finding lines where ranges are not known."""
+    """A source whose ranges are all 1, to find lines without ranges."""
 
     @property
     def dimensions(self) -> tuple[str, ...]:
@@ -613,7 +596,7 @@ class _UnitRanges(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        # notices are reported by streams with ranges, and by the caller where there is no stream
+        # without notes: the caller reports them
         return replace(self.source.facts, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:

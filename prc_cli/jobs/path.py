@@ -1,4 +1,4 @@
-"""``prc info --path`` and ``--check-path``: a path found from points, as output and as judge."""
+"""``prc info --path`` and ``--check-path``: writes the path found from points, or compares with it."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from prc_cli.streams.trajectory import Trajectory, load_trajectory
 CHECK = "trajectory"
 """Name of the check."""
 MOST_SPREAD_M = 0.1
-"""A lever arm that spreads more is none [m]."""
+"""If a lever arm varies more, it is not constant [m]."""
 LEAST_LEVER_M = 0.1
-"""Shorter lever arms are of no account [m]."""
+"""Shorter lever arms are ignored [m]."""
 FROM_POINTS = "--range points"
 _KIND = "trajectory:"
 
@@ -68,10 +68,9 @@ def save_path(
     Parameters
     ----------
     output
-        Name ending in .csv, .txt, .sbet or .out.
+        Name that ends in .csv, .txt, .sbet or .out.
     drive
-        What was found from the points; a path that the check ``path`` speaks against is not
-        written.
+        The paths found from the points. If the check ``path`` refuses them, nothing is written.
     loaded
         The configuration.
     path
@@ -82,7 +81,7 @@ def save_path(
     Returns
     -------
     tuple
-        The files, and what is doubtful about the path.
+        The files, and the warnings about the path.
     """
     findings = accept(drive.findings, loaded.config.input.accept_doubts or ())
     refuse(str(path), findings)
@@ -92,14 +91,20 @@ def save_path(
     scale = np.array(metres_of(inputs, crs_wkt))[[0, 0, 1]]
     names = [output]
     if len(paths) > 1:
-        names = [output.with_stem(f"{output.stem}_scanner{one.scanner}") for one in paths]
+        names = [
+            output.with_stem(f"{output.stem}_scanner{path_found.scanner}") for path_found in paths
+        ]
         for name in names:
             check_output(name, overwrite=overwrite, inputs=(path, *loaded.files))
     with ExitStack() as stack:
         stack.enter_context(whole_set())
-        for name, one in zip(names, paths, strict=True):
+        for name, path_found in zip(names, paths, strict=True):
             table = PathTable(
-                one.time_s, one.xyz_m / scale, one.sigma_m / scale, one.axis, one.number
+                path_found.time_s,
+                path_found.xyz_m / scale,
+                path_found.sigma_m / scale,
+                path_found.axis,
+                path_found.number,
             )
             temporary = stack.enter_context(atomic_output(name, overwrite=overwrite))
             _write(temporary, name, table, inputs.trajectory_crs or crs_wkt)
@@ -115,15 +120,15 @@ def _write(
     try:
         write_path(temporary, name, table, crs)
     except ConfigError as error:
-        hint = "--set input.trajectory_crs=EPSG:CODE, the projected system of the points, or write .csv"
-        raise ConfigError(error.where, error.problem, f"give {hint}") from None
+        system = "--set input.trajectory_crs=EPSG:CODE (the projected system of the points)"
+        raise ConfigError(error.where, error.problem, f"give {system}, or write .csv") from None
 
 
 def _source(path: Path, loaded: LoadedConfig) -> RecordSource:
     source = open_source(path, loaded.config.layout)
     if source is None:
         raise InputError(
-            str(path), "is no list of points with coordinates and times", "give a registered cloud"
+            str(path), "contains no points with coordinates and times", "give a registered cloud"
         )
     return with_clock(source, loaded.config.input.time_unit)
 
@@ -131,17 +136,16 @@ def _source(path: Path, loaded: LoadedConfig) -> RecordSource:
 def hold_against(
     path: Path, loaded: LoadedConfig
 ) -> tuple[Drive | SpinningDrive, tuple[Comparison, ...], Finding]:
-    """Find the path of every scanner from the points, and hold the trajectory that is given against it.
+    """Find the path of every scanner from the points, and compare the given trajectory with it.
 
     Returns
     -------
     tuple
-        The drive found, one comparison for every scanner, and the answer of the check
-        ``trajectory``.
+        The drive, one comparison per scanner, and the result of the check ``trajectory``.
     """
     inputs = loaded.config.input
     if not inputs.range.startswith(_KIND):
-        problem = f"found range = {inputs.range}, expected a trajectory to hold against the path of the points"
+        problem = f"found range = {inputs.range}, expected a trajectory to compare"
         raise ConfigError("--check-path", problem, "give --range trajectory:FILE")
     source = _source(path, loaded)
     refuse_degrees(source)
@@ -154,19 +158,19 @@ def hold_against(
     }
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
     refuse(str(path), cloud.drive.findings)
-    comparisons = tuple(compare(one, trajectory) for one in found_paths(cloud.drive))
-    findings = [_judge(one, inputs) for one in comparisons]
-    worst = max(findings, key=lambda one: one.verdict)
-    doubtful = [one for one in cloud.drive.findings if one.verdict > Verdict.FINE]
+    comparisons = tuple(compare(path_found, trajectory) for path_found in found_paths(cloud.drive))
+    findings = [_finding(comparison, inputs) for comparison in comparisons]
+    worst = max(findings, key=lambda finding: finding.verdict)
+    doubtful = [finding for finding in cloud.drive.findings if finding.verdict > Verdict.FINE]
     if doubtful:
         worst = replace(
-            worst, hint=f"{worst.hint}; mind that the path found is doubtful: {doubtful[0].problem}"
+            worst, hint=f"{worst.hint}; the path found has a warning: {doubtful[0].problem}"
         )
     return cloud.drive, comparisons, worst
 
 
 def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
-    """Return the trajectory that is given, with its orientation where it has one."""
+    """Return the given trajectory, with its orientation if it has one."""
     trajectory = _trajectory(source, inputs, with_turns=True) or _trajectory(
         source, inputs, with_turns=False
     )
@@ -182,7 +186,7 @@ def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
 def _trajectory(
     source: RecordSource, inputs: InputConfig, *, with_turns: bool
 ) -> Trajectory | None:
-    """Read the trajectory; None where orientations are asked for and it has none."""
+    """Read the trajectory; None if it has no orientation but ``with_turns`` asks for it."""
     xy_m, z_m = metres_of(inputs, source.facts.crs_wkt)
     try:
         return load_trajectory(
@@ -202,33 +206,36 @@ def _trajectory(
         raise
 
 
-def _judge(one: Comparison, inputs: InputConfig) -> Finding:
-    """Say what speaks against a trajectory, worst first, with what to type."""
-    if one.misfit:
-        hint = f"give the trajectory of this drive in the coordinates of the points, or the path found: {FROM_POINTS}"
+def _finding(comparison: Comparison, inputs: InputConfig) -> Finding:
+    if comparison.misfit:
+        hint = "give the trajectory of this drive in the coordinates of the points, or use the path"
+        hint += f" of the points: {FROM_POINTS}"
         limits = f"at most {FAR_M:g} m in plan and {FAR_HEIGHT_M:g} m in height"
-        return Finding(CHECK, Verdict.AGAINST, one.misfit, limits, hint, FROM_POINTS)
+        return Finding(CHECK, Verdict.AGAINST, comparison.misfit, limits, hint, FROM_POINTS)
     mends: list[str] = []
     troubles: list[str] = []
-    if one.clock_s:
+    if comparison.clock_s:
         troubles.append(
-            f"its clock is {abs(one.clock_s):.4f} s {'behind' if one.clock_s > 0 else 'ahead'}"
+            f"its clock is {abs(comparison.clock_s):.4f} s "
+            f"{'behind' if comparison.clock_s > 0 else 'ahead'}"
         )
         mends.append(
-            f"--set input.trajectory_time_offset={_offset(one, inputs.trajectory_time_offset)}"
+            "--set "
+            f"input.trajectory_time_offset={_offset(comparison, inputs.trajectory_time_offset)}"
         )
-    if one.lever_length_m > LEAST_LEVER_M:
-        troubles.append(f"the scanner is not its point: {_arm(one)}")
-        arm = np.add(one.lever_m, inputs.trajectory_lever_arm or (0.0, 0.0, 0.0))
-        if one.axes == "vehicle":
+    if comparison.lever_length_m > LEAST_LEVER_M:
+        troubles.append(f"the scanner is not at its point: {_arm(comparison)}")
+        arm = np.add(comparison.lever_m, inputs.trajectory_lever_arm or (0.0, 0.0, 0.0))
+        if comparison.axes == "vehicle":
             mends.append(
                 f"--set input.trajectory_lever_arm=[{','.join(f'{value:.3f}' for value in arm)}]"
             )
         else:
             mends = [FROM_POINTS]
-    if one.spread_m > MOST_SPREAD_M:
+    if comparison.spread_m > MOST_SPREAD_M:
         troubles.append(
-            f"it leaves the path found by {one.spread_m:.2f} m, whatever its clock and lever arm"
+            f"it differs from the path of the points by {comparison.spread_m:.2f} m, "
+            "with any clock and lever arm"
         )
         mends = [FROM_POINTS]
     if troubles:
@@ -236,32 +243,37 @@ def _judge(one: Comparison, inputs: InputConfig) -> Finding:
         said = f"the trajectory is not the path of the points: {'; '.join(troubles)}"
         return Finding(CHECK, Verdict.DOUBTFUL, said, "", f"give {option}", option)
     clock = (
-        f"within {max(3 * one.clock_sigma_s, 5e-4):.4f} s"
-        if one.tells_clock
-        else "not told by so even a drive"
+        f"within {max(3 * comparison.clock_sigma_s, 5e-4):.4f} s"
+        if comparison.tells_clock
+        else "not measurable: the motion is too uniform"
     )
-    said = (
-        f"the trajectory is the path of the points: {one.lever_length_m:.3f} m off, clock {clock}"
-    )
+    said = f"the trajectory is the path of the points: {comparison.lever_length_m:.3f} m off"
+    said += f", clock {clock}"
     return Finding(CHECK, Verdict.FINE, said, "")
 
 
-def _offset(one: Comparison, told_s: float) -> str:
-    """Return the whole offset of the clock, with the digits that are certain."""
-    digits = min(max(math.floor(-math.log10(3.0 * max(one.clock_sigma_s, 1e-9))), 1), 6)
-    return f"{told_s + one.clock_s:.{digits}f}"
+def _offset(comparison: Comparison, told_s: float) -> str:
+    """Return the total offset of the clock with its significant digits."""
+    digits = min(max(math.floor(-math.log10(3.0 * max(comparison.clock_sigma_s, 1e-9))), 1), 6)
+    return f"{told_s + comparison.clock_s:.{digits}f}"
 
 
-def _arm(one: Comparison) -> str:
+def _arm(comparison: Comparison) -> str:
     # no minus before zeros
-    first, left, up = (round(value, 3) + 0.0 for value in one.lever_m)
-    return f"{first:.3f} m {one.forward}, {left:.3f} m left, {up:.3f} m up (spread {one.spread_m:.3f} m)"
+    first, left, up = (round(value, 3) + 0.0 for value in comparison.lever_m)
+    arm = f"{first:.3f} m {comparison.forward}, {left:.3f} m left, {up:.3f} m up"
+    return f"{arm} (spread {comparison.spread_m:.3f} m)"
 
 
-def sentence(one: Comparison) -> str:
+def sentence(comparison: Comparison) -> str:
     """Return what a comparison found, for ``prc info``."""
-    if one.misfit:
-        return one.misfit
-    told = f"{one.clock_s:+.6f} s" if one.tells_clock else "not told: the drive is too even"
-    certain = f" (certain to {one.clock_sigma_s:.6f} s)" if one.tells_clock else ""
-    return f"lacks {told}{certain}; from its point to the scanner {_arm(one)}; covers {one.overlap:.0%} of the path"
+    if comparison.misfit:
+        return comparison.misfit
+    clock = (
+        f"{comparison.clock_s:+.6f} s"
+        if comparison.tells_clock
+        else "unknown: the motion is too uniform"
+    )
+    certain = f" (certain to {comparison.clock_sigma_s:.6f} s)" if comparison.tells_clock else ""
+    arm = f"from its point to the scanner {_arm(comparison)}"
+    return f"lacks {clock}{certain}; {arm}; covers {comparison.overlap:.0%} of the path"

@@ -1,7 +1,7 @@
 """Classification of a live stream: ranges from a pipe, one class code per shot out.
 
-A block is written as soon as the shots it needs have arrived. Nothing is queued, and nothing is
-read ahead, so a slow reader of the labels slows down the writer of the ranges (back-pressure).
+A block is written as soon as its shots have arrived. There is no queue and no reading ahead, so a
+slow reader of the labels slows down the writer of the ranges (back-pressure).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from prc_cli.streams.grid import GridStream
 from prc_cli.streams.pipe import ByteStream, open_pipe
 
 
-def _ignore(told: Finding | MethodChoice) -> None:
-    """Do nothing with what is told: it is in the summary."""
+def _ignore(message: Finding | MethodChoice) -> None:
+    """Do nothing: the message is in the summary."""
 
 
 RESULT_LINES = 1024
-"""The labels are checked when there are so many lines, each time there are twice as many, and at the end."""
+"""The labels are checked after so many lines, each time their number doubles, and at the end."""
 
 
 class ByteSink(Protocol):
@@ -54,8 +54,7 @@ class Rate:
     line_hz: float | None
     """Lines per second of the scanner [Hz], None = unknown."""
     latency_s: float
-    """Latency: time from the arrival of the last bytes needed for some labels until these were written; maximum so
-    far [s]."""
+    """Largest time from the arrival of the last shot of a block until its labels were written [s]."""
 
     def real_time(self, line_hz: float | None = None) -> float | None:
         """Return the throughput as a multiple of the scanner's line rate."""
@@ -71,9 +70,9 @@ class StreamSummary(Doubted):
     counts: Counts
     info: StreamInfo
     findings: tuple[Finding, ...] = ()
-    """The worst answer of every check of the input and of its labels while they passed."""
+    """The worst result of every check of the input and of its labels."""
     choice: MethodChoice | None = None
-    """The method that was chosen, and why; None = it was named."""
+    """The method that prc chose, and why; None = the user named it."""
 
 
 def stream(
@@ -95,15 +94,14 @@ def stream(
     sink : ByteSink
         Receives one byte per shot, its class code, in chronological order; 0 = no return.
     config : LoadedConfig or RunConfig, optional
-        Default: what labels the stream best, as for files. An incomplete last line is padded
+        Default: prc chooses the method, as for files. An incomplete last line is padded
         for processing, and cut again.
     report : callable, optional
         Called with the :class:`Rate` whenever labels were written.
     doubted : callable
-        Called with the first doubt of every check of the input and of its labels as soon as it is
-        known.
+        Called with the first warning of every check of the input and of its labels, at once.
     chosen : callable
-        Called with the method that was chosen where none is named, before the first label.
+        Called with the method that prc chose, before the first label.
 
     Returns
     -------
@@ -112,25 +110,25 @@ def stream(
     Raises
     ------
     InputError
-        When the stream is damaged or ends inside a record; the labels of all complete lines were
-        written before.
+        If the stream is damaged or ends inside a record. The labels of all complete lines are
+        written.
     EvidenceError
-        When the evidence is against the input; ``input.accept_doubts`` names what is accepted. The
-        labels of the shots before were written.
+        If a check refuses the input; ``input.accept_doubts`` names checks to accept. The labels of
+        earlier shots are written.
     OutputError
-        When the reader of the labels has gone.
+        If the reader of the labels has gone.
     ConfigError
-        When the stream cannot be classified live, for example with several scanners.
+        If the stream cannot be classified live, for example with several scanners.
     """
     loaded = LoadedConfig.of(config)
     config = loaded.config
     refuse_window(config, "prc stream")
     if config.input.scanner != "none":
-        problem = f"found {config.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
+        problem = f"found {config.input.scanner!r}, expected none: a live stream has one scanner"
         raise ConfigError(
             "input.scanner",
             problem,
-            "split the stream first, or write it to a file for prc classify",
+            "write the stream to a file and use prc classify",
         )
     start = time.perf_counter()
     pipe, opened = open_pipe(
@@ -140,7 +138,7 @@ def stream(
     named = config.is_decided
     loaded, opened = decide_stream(opened, loaded)
     config = loaded.config
-    told = None if named else loaded.choice
+    unannounced = None if named else loaded.choice
     if not named:
         load_classifier(loaded)
     classifier = config.classifier.method()
@@ -153,22 +151,21 @@ def stream(
     counts = Counts.none()
     latency = 0.0
     result = ResultWatch(classifier.usual, opened.info.facts)
-    asks_at = RESULT_LINES
+    next_check = RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
-        if told is not None:  # not of an input that is refused
-            chosen(told)
-            told = None
+        if unannounced is not None:  # not before the first block: the input may be refused
+            chosen(unannounced)
+            unannounced = None
         counts = counts.add(item)
         codes = lookup[item.labels]
-        # in a dense stream only a padded last line has cells without a record
-        whole = (
-            codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
-        )
-        _write(sink, whole)
+        if is_dense and item.block.record is not None:
+            # cells without a record pad the last line
+            codes = codes[item.block.record >= 0]
+        _write(sink, codes)
         latency = max(latency, time.perf_counter() - pipe.arrived_s)
         result.see(item)
-        if counts.n_lines >= asks_at:
-            asks_at = 2 * counts.n_lines
+        if counts.n_lines >= next_check:
+            next_check = 2 * counts.n_lines
             watch.hear(result.findings())
         if report is not None:
             report(_rate(counts, start, opened.info, latency))
@@ -189,7 +186,7 @@ def _rate(
 
 
 class _UntilError:
-    """Yields blocks until the input raises, keeping the error, so that the blocks before it are labelled."""
+    """Yields blocks until the input raises; keeps the error, so that earlier blocks are labelled."""
 
     def __init__(self, stream: ScanStream) -> None:
         self._stream = stream
@@ -203,7 +200,6 @@ class _UntilError:
 
 
 def _write(sink: ByteSink, codes: U8) -> None:
-    """Write codes in the order of the shots."""
     data = np.ascontiguousarray(codes).reshape(-1).data
     while len(data):
         try:
@@ -214,6 +210,6 @@ def _write(sink: ByteSink, codes: U8) -> None:
                 "its reader has gone" if gone else f"cannot be written ({error.strerror or error})"
             )
             raise OutputError(
-                "stdout", problem, "the labels of the shots before have left"
+                "stdout", problem, "the labels of earlier shots are written"
             ) from error
         data = data[n_written or 0 :]

@@ -227,7 +227,7 @@ CASES = [
         2,
         "--json and --format csv contradict each other",
     ),
-    ("explain drive.npz --at here", 2, "found 'here', expected LINE,COLUMN, both from 0"),
+    ("explain drive.npz --at here", 2, "found 'here', expected LINE,COLUMN, counted from 0"),
     ("classify drive.npz o.npy --only-lines x:y", 2, "A:B, lines A to B - 1 counted from 0"),
     ("classify drive.npz o.npy --only-lines 30:20", 2, "A:B, lines A to B - 1 counted from 0"),
     (

@@ -55,8 +55,8 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Run:
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
             main(["batch", *map(str, arguments)])
-        found = capsys.readouterr()
-        return Result(int(stop.value.code or 0), found.out, found.err)
+        captured = capsys.readouterr()
+        return Result(int(stop.value.code or 0), captured.out, captured.err)
 
     return call
 
@@ -142,28 +142,28 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
     options = (archive, out, "--preset", "urban", "--exclude", "bad.laz")
-    found = prc(*options)
-    assert (found.code, found.out) == (0, "")
-    nothing, trusted = found.err.splitlines()
+    result = prc(*options)
+    assert (result.code, result.out) == (0, "")
+    nothing, trusted = result.err.splitlines()
     assert nothing == f"nothing to do: 2 files are done ({out})"
     assert (
         trusted
         == "files that were done before were judged by size and time; --verify compares their "
         "content"
     )
-    found = prc(*options, "--quiet")
-    assert (found.code, found.out, found.err) == (0, "", "")
+    result = prc(*options, "--quiet")
+    assert (result.code, result.out, result.err) == (0, "", "")
     codes = np.load(out / "drive.npz.labels.npy")
     np.save(tmp_path / "drive.npy", codes)
-    found = prc(*options, "--reference", tmp_path, "--fail-under", "accuracy=1")
-    assert found.code == 0
-    assert "100.0%" in found.out
-    assert r"not compared night/stra\xdfe\n\x1b[31m.csv: no reference" in found.err
+    result = prc(*options, "--reference", tmp_path, "--fail-under", "accuracy=1")
+    assert result.code == 0
+    assert "100.0%" in result.out
+    assert r"not compared night/stra\xdfe\n\x1b[31m.csv: no reference" in result.err
     codes[codes == 2] = 6
     np.save(tmp_path / "drive.npy", codes)
-    found = prc(*options, "--reference", tmp_path, "--fail-under", "recall.building=0.9", "-q")
-    assert found.code == 3
-    assert "recall.building: found" in found.err
+    result = prc(*options, "--reference", tmp_path, "--fail-under", "recall.building=0.9", "-q")
+    assert result.code == 3
+    assert "recall.building: found" in result.err
     summary = json.loads((out / "summary.json").read_text())
     assert [item["scores"] is None for item in summary["evaluation"]["files"]] == [False, True]
 
@@ -178,9 +178,9 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
     monkeypatch.chdir(tmp_path)
-    found = prc("retry", "out", "--json")
-    table = json.loads(found.out)
-    assert found.code == 1
+    result = prc("retry", "out", "--json")
+    table = json.loads(result.out)
+    assert result.code == 1
     assert [item["name"] for item in table["failed"]] == ["night/bad.laz"]
     assert table["done"] == []
     assert Path.cwd() == tmp_path
@@ -191,8 +191,8 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
         (out / ".prc" / "command.json").write_text(json.dumps(command | {"arguments": typed}))
         assert prc("retry", "out").code == 2
     (out / ".prc" / "command.json").write_text("[]")
-    found = prc("retry", "out")
-    assert (found.code, "--only-failed" in found.err) == (2, True)
+    result = prc("retry", "out")
+    assert (result.code, "--only-failed" in result.err) == (2, True)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions")
@@ -209,16 +209,16 @@ def test_retry_obeys_nobody_else_and_no_nonsense(
     command = out / ".prc" / "command.json"
     assert command.stat().st_mode & 0o777 == 0o600
     command.chmod(0o666)
-    found = prc("retry", "out")
-    assert (found.code, "could have been changed by others (its mode is 666)" in found.err) == (
+    result = prc("retry", "out")
+    assert (result.code, "other users can change this file (its mode is 666)" in result.err) == (
         2,
         True,
     )
     command.chmod(0o600)
     for content in (b"[" * 200_000, b"x" * (2 << 20), b"\xff"):
         command.write_bytes(content)
-        found = prc("retry", "out")
-        assert (found.code, found.err.count("\n"), "--only-failed" in found.err) == (2, 1, True)
+        result = prc("retry", "out")
+        assert (result.code, result.err.count("\n"), "--only-failed" in result.err) == (2, 1, True)
     command.unlink()
     os.mkfifo(command, 0o600)
     assert prc("retry", "out").code == 2
@@ -245,9 +245,9 @@ def test_our_own_files_are_no_links(prc: Run, tmp_path: Path, name: str) -> None
     link = tmp_path / "out" / name
     link.parent.mkdir(parents=True)
     link.symlink_to(tmp_path / "elsewhere")
-    found = prc(tmp_path / "archive", tmp_path / "out")
-    assert (found.code, found.err.count("\n")) == (1, 1)
-    assert f"{link}: is a symbolic link" in found.err
+    result = prc(tmp_path / "archive", tmp_path / "out")
+    assert (result.code, result.err.count("\n")) == (1, 1)
+    assert f"{link}: is a symbolic link" in result.err
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -262,9 +262,9 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     )
     mine = temporary_name(out / "night" / "a.laz")
     dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
-    other = mine.with_name(".a.laz.00000000-1-01234567.part")
+    foreign_part = mine.with_name(".a.laz.00000000-1-01234567.part")
     kept = out / "night" / ".mine.part"
-    for path in (mine, dead, other, kept):
+    for path in (mine, dead, foreign_part, kept):
         path.write_bytes(b"1234")
     shared = (
         out / ".prc" / "shared-0123456789abcdef"
@@ -275,15 +275,15 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     moved = tmp_path / "archive"
     moved.mkdir()
     shutil.copy(office[0] / "drive.npz", moved)
-    found = json.loads(prc("clean", out, "--forget", moved, "--json").out)
-    assert (sorted(found["removed"]), found["bytes"]) == (sorted(map(str, (shared, dead))), 4)
-    assert sorted(found["forgotten"]) == sorted([ODD, "night/bad.laz"])
-    assert found["kept"] == [str(other)]
+    cleaned = json.loads(prc("clean", out, "--forget", moved, "--json").out)
+    assert (sorted(cleaned["removed"]), cleaned["bytes"]) == (sorted(map(str, (shared, dead))), 4)
+    assert sorted(cleaned["forgotten"]) == sorted([ODD, "night/bad.laz"])
+    assert cleaned["kept"] == [str(foreign_part)]
     assert mine.exists()
     assert kept.exists()
     assert not dead.exists()
-    os.utime(other, (0, 0))
-    assert json.loads(prc("clean", out, "--json").out)["removed"] == [str(other)]
+    os.utime(foreign_part, (0, 0))
+    assert json.loads(prc("clean", out, "--json").out)["removed"] == [str(foreign_part)]
     # an archive that is not mounted
     (moved / "drive.npz").unlink()
     assert prc("clean", out, "--forget", moved).code == 2
@@ -389,12 +389,12 @@ def test_doubts_are_told_quiet_or_not(
     prc: Run, play: Callable[..., None], options: tuple[str, ...]
 ) -> None:
     play(replace(done("a.laz"), notices=("a note", "doubt units: odd; check the unit")), DOUBTED)
-    found = prc("a", "o", "--log-json", "log", *options)
-    told = "warning a.laz: units: odd; check the unit (to accept it: --accept-doubt units)"
-    assert found.err.splitlines().count(told) == 1
-    assert "1 done, 1 doubted of 1 in 10.0 s" in found.err
-    assert "note a.laz: doubt" not in found.err
-    assert ("1 file doubted (units 1)" in found.err) == ("-q" not in options)
+    result = prc("a", "o", "--log-json", "log", *options)
+    warning = "warning a.laz: units: odd; check the unit (to accept it: --accept-doubt units)"
+    assert result.err.splitlines().count(warning) == 1
+    assert "1 done, 1 with warnings of 1 in 10.0 s" in result.err
+    assert "note a.laz: doubt" not in result.err
+    assert ("1 file with warnings (units 1)" in result.err) == ("-q" not in options)
     events = [json.loads(line) for line in Path("log").read_bytes().splitlines()]
     assert [event["check"] for event in events if event["event"] == "doubt"] == ["units"]
     assert events[-1]["doubted"] == 1
@@ -402,9 +402,9 @@ def test_doubts_are_told_quiet_or_not(
 
 def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]) -> None:
     play(done(":warning:[bold]{x}%s.laz"), failed(":smile:[/].laz"))
-    found = prc("a", "o")
-    assert "done :warning:[bold]{x}%s.laz: " in found.err
-    assert "failed :smile:[/].laz: is cut short" in found.err
+    result = prc("a", "o")
+    assert "done :warning:[bold]{x}%s.laz: " in result.err
+    assert "failed :smile:[/].laz: is cut short" in result.err
 
 
 def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) -> None:
@@ -437,7 +437,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         "--fail-under recall.stem=.1"
     )
     assert prc("a", "o", *options.split()).code in (0, 3)
-    found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
+    settings: BatchSettings = made_up.settings  # type: ignore[attr-defined]
     expected = {
         "archive": Path("a"),
         "out": Path("o"),
@@ -459,15 +459,15 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         "only_failed": True,
         "keep_versions": ("0.0.9",),
     }
-    assert {key: getattr(found, key) for key in expected} == expected
-    assert str(found.shard) == "2/3"
-    assert found.config.preset == "forest"
-    assert found.config.options == {
+    assert {key: getattr(settings, key) for key in expected} == expected
+    assert str(settings.shard) == "2/3"
+    assert settings.config.preset == "forest"
+    assert settings.config.options == {
         "prc": {"surfaces": {"gamma": 1}},
         "input": {"points_per_line": 99, "accept_doubts": ["standing"]},
     }
-    assert found.reference is not None
-    assert (found.reference.match, found.reference.gates) == ("time", ("recall.stem=.1",))
+    assert settings.reference is not None
+    assert (settings.reference.match, settings.reference.gates) == ("time", ("recall.stem=.1",))
 
 
 @pytest.mark.parametrize(
@@ -483,7 +483,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         (["a", "o", "--reference", "none"], "no such folder"),
         (
             ["a", "status"],
-            "did you mean prc batch status FOLDER? A folder of this name is ./status",
+            "did you mean prc batch status FOLDER? Type ./status for a folder",
         ),
         (["retry", "o", "--shard", "x"], "i/n"),
     ],
@@ -498,15 +498,15 @@ def test_wrong_usage_is_exit_code_2(
     if options[0] == "retry":
         Path("o/.prc").mkdir(parents=True)
         Path("o/.prc/journal.sqlite").touch()
-    found = prc(*options)
-    assert (found.code, expected in found.err) == (2, True), found.err
+    result = prc(*options)
+    assert (result.code, expected in result.err) == (2, True), result.err
 
 
 def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None]) -> None:
     play()
     assert prc("./status", "./retry").code == 0
-    found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
-    assert (found.archive, found.out) == (Path("status"), Path("retry"))
+    settings: BatchSettings = made_up.settings  # type: ignore[attr-defined]
+    assert (settings.archive, settings.out) == (Path("status"), Path("retry"))
 
 
 @pytest.mark.slow
@@ -528,8 +528,8 @@ def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "wb") as pipe:
-        found = patience.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe)
-    assert found.returncode == 0
+        ended = patience.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe)
+    assert ended.returncode == 0
     assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1
 
@@ -553,12 +553,12 @@ def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Pat
     output.write_bytes(content)
     os.utime(output, ns=(before.st_atime_ns, before.st_mtime_ns))
     trusting = prc(archive, out, "--preset", "urban")
-    assert "judged by size and time; --verify compares their content" in trusting.err
+    assert "by size and time only; --verify compares their content" in trusting.err
     assert prc("status", out).code == 0
-    found = prc("status", out, "--verify")
-    assert found.code == 1
-    assert "damaged  a.npz.labels.npy: its content has changed" in found.out
+    result = prc("status", out, "--verify")
+    assert result.code == 1
+    assert "damaged  a.npz.labels.npy: its content has changed" in result.out
     states = json.loads(prc("status", out, "--verify", "--json").out)["verified"]
     assert [item["state"] for item in states] == ["damaged"]
-    assert "judged by size" not in prc(archive, out, "--preset", "urban", "--verify").err
+    assert "by size and time" not in prc(archive, out, "--preset", "urban", "--verify").err
     assert prc("status", out, "--verify").code == 0, "a run that reads the outputs does it again"

@@ -69,15 +69,20 @@ def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
     assert las["range"].max() <= 80
 
 
-@pytest.mark.parametrize("told", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
-def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[object, ...]) -> None:
+@pytest.mark.parametrize("options", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
+def test_info_types_the_m_that_it_found(
+    prc: Prc, tmp_path: Path, options: tuple[object, ...]
+) -> None:
     """Where the number of records speaks against M, or none is given, the command to type has the
     estimate."""
     source = write_raw(tmp_path / "drive.bin", street())
-    result = prc("info", source, "--json", *told)
-    found = json.loads(result.out)
-    assert (result.code, found["classifiable"]) == (0, False)  # the file was read: no is an answer
-    words = found["command"].split()
+    result = prc("info", source, "--json", *options)
+    printed = json.loads(result.out)
+    assert (result.code, printed["classifiable"]) == (
+        0,
+        False,
+    )  # the file was read: no is an answer
+    words = printed["command"].split()
     assert words[-2:] == ["-M", str(POINTS_PER_LINE)]
     assert prc(*words[1:]).code == 0
 
@@ -96,11 +101,11 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(
     points = laspy.read(made)
     points["range"] = points["range"] / 0.3048
     points.write(feet)
-    found = json.loads(prc("info", feet, "--json").out)
-    assert found["doubts"] == ["units", "method"]
+    printed = json.loads(prc("info", feet, "--json").out)
+    assert printed["doubts"] == ["units", "method"]
     assert prc("classify", feet, tmp_path / "o.npy", "-q").code == 4
-    assert "--set input.range_scale=0.3048" in found["command"]
-    assert prc(*found["command"].split()[1:], "-q").code == 0
+    assert "--set input.range_scale=0.3048" in printed["command"]
+    assert prc(*printed["command"].split()[1:], "-q").code == 0
 
 
 def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -> None:
@@ -109,19 +114,19 @@ def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -
     image[np.isnan(image)] = 500.0
     np.random.default_rng(3).shuffle(image)
     source = write_raw(tmp_path / "drive.bin", image.reshape(N_LINES, POINTS_PER_LINE))
-    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
-    assert set(found["doubts"]) >= {"missing-code", "shot-order"}
-    assert found["command"] == ""
+    printed = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
+    assert set(printed["doubts"]) >= {"missing-code", "shot-order"}
+    assert printed["command"] == ""
 
 
 def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     none = tmp_path / "none.bin"
     result = prc("info", none, source, "--json")
-    found = json.loads(result.out)
+    reports = json.loads(result.out)
     assert result.code == 1
-    assert "no such file" in found[0]["error"]
-    assert found[1]["classifiable"] is True
+    assert "no such file" in reports[0]["error"]
+    assert reports[1]["classifiable"] is True
     (tmp_path / "layout.toml").write_text(
         "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
     )
@@ -137,10 +142,10 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     result = prc("demo", "--all", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
-    found = json.loads(result.out)
+    evaluation = json.loads(result.out)
     # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; with seed 1 .88, .90 and .91 in
     # the forest
-    assert list(found) == ["default", "prc", "sequential-angle", "default, forest"]
+    assert list(evaluation) == ["default", "prc", "sequential-angle", "default, forest"]
     floors = {
         "prc": {"ground": 0.9, "building": 0.2},
         "default": {"noise": 0.7, "ground": 0.95, "building": 0.85, "vegetation": 0.6},
@@ -149,8 +154,8 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     }
     for method, least in floors.items():
         for name, recall in least.items():
-            assert found[method]["classes"][name]["recall"] > recall, (method, name)
-            assert found[method]["classes"][name]["precision"] > 0.6, (method, name)
+            assert evaluation[method]["classes"][name]["recall"] > recall, (method, name)
+            assert evaluation[method]["classes"][name]["precision"] > 0.6, (method, name)
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "street.npz",
@@ -175,7 +180,7 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     assert "no trajectory" not in viewer
     result = prc("demo", "--output", folder)
     assert result.code == 2
-    assert "holds files already" in result.err
+    assert "the folder contains files" in result.err
     result = prc("demo", "--output", folder, "--lines", "100", "--json", "--overwrite")
     assert list(json.loads(result.out)) == ["default"]
     assert result.err.splitlines()[-1] == "your own file: prc info FILE prints the command to type"
@@ -210,7 +215,7 @@ def test_what_takes_long_is_explained(
 ) -> None:
     monkeypatch.setattr(report, "COMPILING_S", 0.0)
     with report.compiling_note(quiet=False):
-        wait_until(lambda: "it is compiled, once" in capsys.readouterr().err)
+        wait_until(lambda: "compiles it" in capsys.readouterr().err)
 
 
 def test_files_that_a_run_reads_are_never_its_output(prc: Prc, tmp_path: Path) -> None:
@@ -288,10 +293,10 @@ def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_
         np.array_equal(np.load(tmp_path / "out.npy"), shuffled, equal_nan=True),
     ) == (4, True)
     assert result.err.startswith("warning: shot-order: ")
-    found = json.loads(result.out)
-    assert found["doubts"][0]["verdict"] == "against"
-    assert any(notice.startswith("doubt shot-order: ") for notice in found["notices"])
-    names = [doubt["check"] for doubt in found["doubts"]]
+    record = json.loads(result.out)
+    assert record["doubts"][0]["verdict"] == "against"
+    assert any(notice.startswith("doubt shot-order: ") for notice in record["notices"])
+    names = [doubt["check"] for doubt in record["doubts"]]
     options = [part for name in names for part in ("--accept-doubt", name)]
     result = prc("convert", source, tmp_path / "out.npy", "--overwrite", "-q", *options)
     assert (result.code, result.err) == (0, "")
@@ -356,8 +361,12 @@ def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "preset"), CASES)
 def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: str | None) -> None:
-    given: dict[str, object] = {"nadir": 0.0} if (name, preset) == ("street", "street-scan") else {}
-    loaded = load_config(preset=preset, options={"input": {**given}, "output": {"reason": True}})
+    input_options: dict[str, object] = (
+        {"nadir": 0.0} if (name, preset) == ("street", "street-scan") else {}
+    )
+    loaded = load_config(
+        preset=preset, options={"input": {**input_options}, "output": {"reason": True}}
+    )
     source = folder / f"{name}.npz"
     output = folder / f"{name}-{preset}.parquet"
     summary = classify(source, output, loaded, overwrite=True)
@@ -366,18 +375,22 @@ def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: s
         table[key].to_numpy().reshape(summary.counts.n_lines, -1) for key in ("class", "reason")
     )
     for line, column in of_each(reasons, 23):
-        told = explain(source, line, column, loaded)
-        assert told.code == codes[line, column], (line, column)
-        assert told.reason == reasons[line, column]
-        rule_name, rule = rule_of(told.reason)
-        assert (told.rule, told.sentence, tuple(told.limits)) == (
+        explanation = explain(source, line, column, loaded)
+        assert explanation.code == codes[line, column], (line, column)
+        assert explanation.reason == reasons[line, column]
+        rule_name, rule = rule_of(explanation.reason)
+        assert (explanation.rule, explanation.sentence, tuple(explanation.limits)) == (
             rule_name,
             rule.sentence,
             rule.limits,
         )
         assert rule_name != "unknown"
-        assert (told.range_m is None) == (told.label == Label.MISSING) == (not told.measures)
-        json.dumps(told.as_dict())
+        assert (
+            (explanation.range_m is None)
+            == (explanation.label == Label.MISSING)
+            == (not explanation.measures)
+        )
+        json.dumps(explanation.as_dict())
 
 
 URBAN = ("--preset", "urban")
@@ -405,12 +418,12 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
         *URBAN,
     )
     assert run(*arguments, "--profile", "--threads", 2) == 0
-    out, told = capsys.readouterr()
-    assert told == ""
-    found = json.loads(out)
-    profile = found.pop("profile")
-    assert found.pop("doubts") == []
-    assert found == json.loads((tmp_path / "a.npy.prc.json").read_text())
+    out, err = capsys.readouterr()
+    assert err == ""
+    printed = json.loads(out)
+    profile = printed.pop("profile")
+    assert printed.pop("doubts") == []
+    assert printed == json.loads((tmp_path / "a.npy.prc.json").read_text())
     assert (profile["threads"], profile["shots"]) == (2, image.size)
     assert sum(row["cpu_s"] for row in profile["stages"]) == pytest.approx(
         profile["cpu_s"], rel=0.02
@@ -426,7 +439,7 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
         assert rate == pytest.approx(image.size / cpu_s / 1e6)
     # without it the record is the same
     assert run(*arguments, "--overwrite", "--threads", 1) == 0
-    assert json.loads(capsys.readouterr().out) == {**found, "doubts": []}
+    assert json.loads(capsys.readouterr().out) == {**printed, "doubts": []}
 
 
 def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
@@ -500,10 +513,10 @@ def test_a_folder_is_no_output(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()
     drive = write_raw(tmp_path / "drive.bin", street())
-    found = prc("classify", drive, output, "-M", POINTS_PER_LINE)
-    assert (found.code, found.out) == (1, "")
+    result = prc("classify", drive, output, "-M", POINTS_PER_LINE)
+    assert (result.code, result.out) == (1, "")
     assert (
-        found.err
+        result.err
         == f"error: {output or '.'}: is a folder, expected a file name; name the file inside it\n"
     )
 
@@ -518,13 +531,13 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
         "out; ranges in mm"
     )
     for words in (("classify", image, tmp_path / "o.npy"), ("info", image)):
-        found = prc(*words, "--layout", layout)
-        assert found.code == 2
-        assert said in found.err
+        result = prc(*words, "--layout", layout)
+        assert result.code == 2
+        assert said in result.err
     np.savez(image, range_m=1000 * street())
-    found = prc("classify", image, tmp_path / "o.npy", "--set", "input.range_scale=0.001", "-v")
-    assert found.code in (0, 4)
-    assert "input.range_scale" in found.err
+    result = prc("classify", image, tmp_path / "o.npy", "--set", "input.range_scale=0.001", "-v")
+    assert result.code in (0, 4)
+    assert "input.range_scale" in result.err
     dump = write_raw(tmp_path / "drive.bin", street())
     assert (
         "not used"
@@ -544,12 +557,14 @@ def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Pat
         "-M",
         POINTS_PER_LINE,
     )
-    found = prc_cli.classify_ranges(image)
-    np.testing.assert_array_equal(found.codes, np.load(tmp_path / "o.npy").reshape(image.shape))
-    assert found.counts["ground"] == np.count_nonzero(found.codes == 2)
-    assert found.counts["noise"] == np.count_nonzero(found.labels == prc_cli.Label.NOISE)
-    assert repr(found).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
-    assert sum(found.counts.values()) == image.size == len(angles()) * N_LINES
+    classified = prc_cli.classify_ranges(image)
+    np.testing.assert_array_equal(
+        classified.codes, np.load(tmp_path / "o.npy").reshape(image.shape)
+    )
+    assert classified.counts["ground"] == np.count_nonzero(classified.codes == 2)
+    assert classified.counts["noise"] == np.count_nonzero(classified.labels == prc_cli.Label.NOISE)
+    assert repr(classified).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
+    assert sum(classified.counts.values()) == image.size == len(angles()) * N_LINES
     assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
 
 
@@ -560,10 +575,10 @@ def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
         "import sys, prc_cli.cli.classify; "
         "print({'pyarrow', 'sqlite3', 'laspy', 'pye57', 'skimage', 'dask'} & set(sys.modules))"
     )
-    found = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
-    assert found.stdout == "set()\n"
+    assert ended.stdout == "set()\n"
 
 
 def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
@@ -596,12 +611,12 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
 def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
     frame = np.stack([*frame_xyz(), np.full(64 * 900, 0.3)], axis=1).astype("<f4")
     frame.tofile(tmp_path / "frame.bin")
-    found = prc(
+    result = prc(
         "classify", tmp_path / "frame.bin", tmp_path / "frame.laz", "--accept-doubt", "ground-below"
     )
-    assert "look like x, y, z and intensity of a frame" in found.err
-    assert "points are in the order of the shots" in found.err
-    assert "compare it" not in found.err
+    assert "look like x, y, z and intensity of a frame" in result.err
+    assert "points are in the order of the shots" in result.err
+    assert "compare it" not in result.err
     ranges = street()
     np.abs(frame).tofile(tmp_path / "other.bin")
     (frame * np.array([1, 1, 1, 3e5], "<f4")).tofile(tmp_path / "third.bin")
@@ -688,7 +703,7 @@ def test_bad_input_of_simulate_is_one_line(prc: Prc, tmp_path: Path) -> None:
             2,
             "found suffix '.txt', expected .csv",
         ),
-        (["street"], 2, "Missing argument 'OUT'"),
+        (["street"], 2, "prc simulate street needs OUT"),
         (
             ["street", tmp_path / "a.npz", "--length", "5", "--lines", "3"],
             2,
@@ -813,19 +828,19 @@ def test_transfer_with_a_layout_and_wrong_usage(
 
 @pytest.mark.parametrize("command", [("completion",), ("simulate", "parameters")])
 def test_a_missing_choice_is_listed_in_one_line(prc: Prc, command: tuple[str, ...]) -> None:
-    found = prc(*command)
-    assert found.code == 2
-    assert re.search(r"Choose from: \w+, [\w-]+, [\w-]+; see prc", found.err)
-    assert "\\n" not in found.err
+    result = prc(*command)
+    assert result.code == 2
+    assert re.search(r"needs \{\w+\|[\w-]+\|[\w-]+\}; see prc", result.err)
+    assert "\\n" not in result.err
 
 
 @pytest.mark.parametrize("width", ["60", "80", "100"])
 def test_names_of_scanners_are_whole_in_a_narrow_terminal(width: str) -> None:
     command = [sys.executable, "-m", "prc_cli", "simulate", "scanners"]
-    found = patience.run(
+    ended = patience.run(
         command, env={**os.environ, "COLUMNS": width}, capture_output=True, text=True
     )
-    assert {line.split()[1] for line in found.stdout.splitlines() if line.startswith("│")} >= set(
+    assert {line.split()[1] for line in ended.stdout.splitlines() if line.startswith("│")} >= set(
         SCANNERS
     )
-    assert "…" not in found.stdout
+    assert "…" not in ended.stdout

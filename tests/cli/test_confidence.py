@@ -52,15 +52,15 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
         "of the 90 % with the most",
     ):
         assert text in shown.out
-    found = json.loads(prc(*command, "--by-confidence", "50,90,99", "--json").out)
+    evaluation = json.loads(prc(*command, "--by-confidence", "50,90,99", "--json").out)
     sure = values(labels)
-    parts = found["splits"]["confidence"]
+    parts = evaluation["splits"]["confidence"]
     assert [part["low"] for part in parts] == [0, 50, 90, 99]
     assert sum(part["n_scored"] for part in parts) == THERE.sum()
     assert parts[-1]["n_scored"] == (sure >= 99).sum()
     above = json.loads(prc(*command, "--min-confidence", "90", "--json").out)
     assert above["n_scored"] == (sure >= 90).sum()
-    assert above["overall"]["accuracy"] > found["overall"]["accuracy"]
+    assert above["overall"]["accuracy"] > evaluation["overall"]["accuracy"]
     assert any("below 90 %: left out" in note for note in above["match"]["notes"])
 
 
@@ -73,7 +73,7 @@ def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
     result = prc(
         "evaluate", folder / "labels.npy", folder / "truth.npy", "--by-confidence", "90,80"
     )
-    assert (result.code, "expected whole per cents that rise" in result.err) == (2, True)
+    assert (result.code, "expected increasing percentages" in result.err) == (2, True)
 
 
 def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
@@ -87,12 +87,12 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
     way = ("--preset", "fused", "--set", "input.nadir=0", "-q")
     assert prc("thin", folder / "scan.npz", folder / "way.npz", *way, *least).code == 0
     np.testing.assert_array_equal(~np.isnan(np.load(folder / "way.npz")["range_m"]).ravel(), kept)
-    for options, told in (
+    for options, expected_words in (
         (("--labels", folder / "truth.npy"), "output.confidence=true"),
         (("--preset", "urban"), "expected fused"),
     ):
         refused = prc("thin", folder / "scan.npz", folder / "no.npz", *options, *least)
-        assert (refused.code, told in refused.err) == (2, True)
+        assert (refused.code, expected_words in refused.err) == (2, True)
         assert not (folder / "no.npz").exists()
 
 
@@ -100,7 +100,7 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
 def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     labels = classified(prc, folder, ".laz")
     las = laspy.read(labels)
-    found = np.array(las.classification)
+    codes = np.array(las.classification)
     sure = np.array(las["confidence"])
     las.classification[:] = 1
     las.remove_extra_dim("confidence")
@@ -117,7 +117,7 @@ def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     assert result.code == 0
     assert "their label has a confidence below 95 %" in result.err
     moved = laspy.read(folder / "moved.laz")
-    np.testing.assert_array_equal(moved.classification, np.where(sure >= 95, found, 1))
+    np.testing.assert_array_equal(moved.classification, np.where(sure >= 95, codes, 1))
     np.testing.assert_array_equal(moved["confidence"], np.where(sure >= 95, sure, 0))
     plain = ("transfer", folder / "registered.laz", labels, folder / "no.laz", "--match", "record")
     refused = prc(*plain, "--min-confidence", "95")
@@ -151,10 +151,7 @@ def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
         options = ("--preset", preset, *SET[2:])
         result = prc("classify", folder / "scan.npz", folder / "no.csv", *options)
         assert (result.code, result.err.count("\n")) == (2, 1)
-        assert (
-            "output.confidence: found a method that does not tell how sure its labels are"
-            in result.err
-        )
+        assert "output.confidence: this method has no confidence" in result.err
         assert not (folder / "no.csv").exists()
 
 

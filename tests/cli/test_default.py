@@ -53,36 +53,36 @@ CASES = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "given", "preset", "method"), CASES)
+@pytest.mark.parametrize(("name", "options", "preset", "method"), CASES)
 def test_the_default_is_a_preset_and_says_so(
     prc: Prc,
     scans: Path,
     name: str,
-    given: tuple[object, ...],
+    options: tuple[object, ...],
     preset: str,
     method: str,
 ) -> None:
-    result = prc("classify", scans / name, scans / "a.npy", *given)
+    result = prc("classify", scans / name, scans / "a.npy", *options)
     assert result.code == 0, result.err
     assert f"method: {method} (--preset {preset}): " in result.err
     assert (
-        prc("classify", scans / name, scans / "b.npy", *given, "--preset", preset, "-q").code == 0
+        prc("classify", scans / name, scans / "b.npy", *options, "--preset", preset, "-q").code == 0
     )
     np.testing.assert_array_equal(np.load(scans / "a.npy"), np.load(scans / "b.npy"))
-    record, named = (json.loads((scans / f"{one}.npy.prc.json").read_text()) for one in "ab")
+    record, named = (json.loads((scans / f"{stem}.npy.prc.json").read_text()) for stem in "ab")
     assert record["assumptions"][0]["key"] == "method"
     assert record["assumptions"][0]["value"] == f"{method} (--preset {preset})"
     assert record["config"] == named["config"]
-    assert all(one["key"] != "method" for one in named["assumptions"])
-    found = json.loads(prc("info", scans / name, *given, "--json").out)
-    assert found["method"] == method
-    assert "--preset" not in found["command"]  # the input decides again
+    assert all(assumption["key"] != "method" for assumption in named["assumptions"])
+    report = json.loads(prc("info", scans / name, *options, "--json").out)
+    assert report["method"] == method
+    assert "--preset" not in report["command"]  # the input decides again
 
 
 @pytest.mark.slow
 def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
     down = ("--set", "input.nadir=0")
-    for given in (
+    for options in (
         ("--segment-ids",),
         ("--engine", "reference"),
         ("--set", "prc.support.zeta_p=0.5"),
@@ -95,7 +95,7 @@ def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
             "-q",
             "--overwrite",
             *down,
-            *given,
+            *options,
         )
         assert result.code == 0, result.err
         assert json.loads(result.out)["config"]["method"] == "prc"
@@ -110,7 +110,7 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     (scans / "in").mkdir()
     for name in ("street.npz", "forest.npz"):
         (scans / name).rename(scans / "in" / name)
-    given = (
+    options = (
         "batch",
         scans / "in",
         scans / "out",
@@ -121,7 +121,7 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
         "--to",
         "npy",
     )
-    result = prc(*given)
+    result = prc(*options)
     assert result.code == 0, result.err
     records = {
         path.name.split(".")[0]: json.loads(path.read_text()) for path in scans.rglob("*.prc.json")
@@ -132,15 +132,15 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     assert environments == {"street": "urban", "forest": "forest"}
     assert all(record["config"]["method"] == "fused" for record in records.values())
     before = {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")}
-    assert prc(*given).code == 0
+    assert prc(*options).code == 0
     # without the journal the outputs are known by their records
     for path in (scans / "out").rglob("*.sqlite*"):
         path.unlink()
-    result = prc(*given, "--adopt")
+    result = prc(*options, "--adopt")
     assert result.code == 0, result.err
     assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} == before
     # another method is another configuration
-    assert prc(*given, "--preset", "urban").code == 0
+    assert prc(*options, "--preset", "urban").code == 0
     assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before
 
 
@@ -176,8 +176,10 @@ def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scan
 
     PRC's parameters are for files without angles.
     """
-    told = prc("calibrate", scans / "street.npz", "-o", scans / "c.toml")
-    assert (told.code, "there is nothing to calibrate" in told.out) == (0, True), told.err
+    calibrated = prc("calibrate", scans / "street.npz", "-o", scans / "c.toml")
+    assert (calibrated.code, "there is nothing to calibrate" in calibrated.out) == (0, True), (
+        calibrated.err
+    )
     assert load_config(scans / "c.toml").config == RunConfig()
     for name, options in (("plain.npy", []), ("with.npy", ["--config", scans / "c.toml"])):
         assert prc("classify", scans / "street.npz", scans / name, *options, "-q").code == 0
@@ -203,15 +205,15 @@ def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scan
 @pytest.mark.slow
 def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
     """Angles as files have them, the class mapping of the run, the same JSON."""
-    told = json.loads(prc("classify", scans / "street.npz", scans / "a.npy", "--json", "-q").out)
+    record = json.loads(prc("classify", scans / "street.npz", scans / "a.npy", "--json", "-q").out)
     run = prc_cli.classify(scans / "street.npz", scans / "b.npy")
-    assert told == json.loads(json.dumps(run.as_dict()))
-    assert told["doubts"] == []
+    assert record == json.loads(json.dumps(run.as_dict()))
+    assert record["doubts"] == []
     with np.load(scans / "street.npz") as arrays:
         image = arrays["range_m"]
         angle = arrays["angle_deg"]
-    found = classify_ranges(image, angle_deg=angle + 40)
-    np.testing.assert_array_equal(found.codes.ravel(), np.load(scans / "a.npy"))
+    classified = classify_ranges(image, angle_deg=angle + 40)
+    np.testing.assert_array_equal(classified.codes.ravel(), np.load(scans / "a.npy"))
     named = classify_ranges(
         image, load_config(preset="fused", options={"input": {"nadir": 0.0}}), angle_deg=angle
     )
@@ -220,20 +222,20 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
         classify_ranges(image, angle_deg=angle[1:])
     matrix = prc_cli.evaluate(scans / "a.npy", scans / "b.npy")
     assert "car" in matrix.reference_names, "the mapping of fused"
-    for each in (
+    for config in (
         run,
         matrix,
         run.record,
         load_config(),
         load_config(preset="forest").config,
-        found,
+        classified,
     ):
-        assert (repr(each).count("\n"), len(repr(each)) < 300) == (0, True)
+        assert (repr(config).count("\n"), len(repr(config)) < 300) == (0, True)
 
 
 @pytest.mark.slow
 @pytest.mark.data
 def test_real_scans_get_what_labels_them_best(prc: Prc, real_data: Path) -> None:
     for name, preset in (("oakland/oakland_2.csv.gz", "fused"), ("forest/tls_park.npz", "fused")):
-        found = json.loads(prc("info", real_data / name, "--json").out)
-        assert found["choice"]["preset"] == preset
+        report = json.loads(prc("info", real_data / name, "--json").out)
+        assert report["choice"]["preset"] == preset

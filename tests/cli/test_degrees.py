@@ -25,9 +25,9 @@ def test_degrees_are_written_in_steps_of_a_millimetre(prc: Prc, tmp_path: Path) 
     header = "scan_line,column,range,scan_angle,x,y,z"
     formats = ["%d", "%d", "%.4f", "%.4f", "%.10f", "%.10f", "%.4f"]
     np.savetxt(source, table, delimiter=",", header=header, comments="", fmt=formats)
-    found = prc("classify", source, output, "-q", "--set", "input.nadir=0", "--preset", "fused")
-    assert found.code in (0, 4), found.err
+    result = prc("classify", source, output, "-q", "--set", "input.nadir=0", "--preset", "fused")
+    assert result.code in (0, 4), result.err
     points = laspy.read(output)
     assert np.abs(np.asarray(points.y) - lat).max() < 2e-8
     assert np.abs(np.asarray(points.x) - lon).max() < 2e-8
-    assert "coordinates" not in found.err
+    assert "coordinates" not in result.err

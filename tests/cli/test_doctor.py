@@ -30,8 +30,8 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     capsys.readouterr()
     with pytest.raises(SystemExit) as stop:
         main(["doctor", *arguments])
-    found = capsys.readouterr()
-    return int(stop.value.code or 0), found.out, found.err
+    captured = capsys.readouterr()
+    return int(stop.value.code or 0), captured.out, captured.err
 
 
 @pytest.mark.slow
@@ -39,10 +39,10 @@ def test_this_installation_is_sound_from_end_to_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, _ = run(capsys, "--json", "--out", str(tmp_path / "new" / "folder"))
-    found = json.loads(out)
-    by_name = {check["name"]: check for check in found["checks"]}
-    assert code == 0, found
-    assert found["counts"]["bad"] == 0
+    report = json.loads(out)
+    by_name = {check["name"]: check for check in report["checks"]}
+    assert code == 0, report
+    assert report["counts"]["bad"] == 0
     assert by_name["end to end"]["details"]["scores"]["recall.ground"] > 0.95
     assert by_name["engines"]["details"]["different"] == {"urban": 0, "forest": 0, "street-scan": 0}
     assert by_name["LAZ"]["status"] == "ok"
@@ -51,12 +51,12 @@ def test_this_installation_is_sound_from_end_to_end(
 
 
 def test_bounds_come_from_the_installed_metadata() -> None:
-    found = checks()["packages"].details
+    details = checks()["packages"].details
     for text in metadata.requires("prc-cli") or []:
         if "extra" not in text:
             name, _, bound = text.partition(">=")
-            assert found[name]["at_least"] == bound
-            assert found[name]["found"] == metadata.version(name)
+            assert details[name]["at_least"] == bound
+            assert details[name]["found"] == metadata.version(name)
 
 
 def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(
@@ -65,10 +65,10 @@ def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(
     monkeypatch.setattr(
         metadata, "requires", lambda name: ["numpy>=999.1", "no-such-thing>=2", "click>=8"]
     )
-    found = checks()["packages"]
-    assert found.status == "bad"
-    assert "no-such-thing missing (expected 2 or newer)" in found.found
-    assert found.hint == "pip install 'numpy>=999.1' 'no-such-thing>=2'"
+    check = checks()["packages"]
+    assert check.status == "bad"
+    assert "no-such-thing missing (expected 2 or newer)" in check.text
+    assert check.hint == "pip install 'numpy>=999.1' 'no-such-thing>=2'"
 
 
 def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,9 +80,9 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
             pass
 
     monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.LasZipDecompressor", Broken)
-    found = checks()["LAZ"]
-    assert found.status == "bad"
-    assert "differ" in found.found
+    check = checks()["LAZ"]
+    assert check.status == "bad"
+    assert "differ" in check.text
 
 
 def test_a_file_system_without_locks_is_said(
@@ -95,9 +95,9 @@ def test_a_file_system_without_locks_is_said(
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    found = checks(tmp_path)["locks in it"]
-    assert found.status == "bad"
-    assert "another disk" in found.hint
+    check = checks(tmp_path)["locks in it"]
+    assert check.status == "bad"
+    assert "another disk" in check.hint
 
 
 @pytest.mark.slow
@@ -119,12 +119,12 @@ def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     ended = patience.run(command, env=environment, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (1, "")
-    found = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
-    assert found["packages"]["status"] == "bad"
-    assert f"{package} cannot be loaded" in found["packages"]["found"]
-    assert package in found["packages"]["hint"]
-    assert found["LAZ" if package == "lazrs" else "compiled loops"]["status"] == "bad"
-    assert found["journal in it"]["status"] == "ok"
+    by_name = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
+    assert by_name["packages"]["status"] == "bad"
+    assert f"{package} cannot be loaded" in by_name["packages"]["found"]
+    assert package in by_name["packages"]["hint"]
+    assert by_name["LAZ" if package == "lazrs" else "compiled loops"]["status"] == "bad"
+    assert by_name["journal in it"]["status"] == "ok"
 
 
 def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,9 +133,9 @@ def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.Mo
         yield
 
     monkeypatch.setattr(doctor, "_memory", broken)
-    found = checks()
-    assert found["memory"].status == "bad"
-    assert "temporary files" in found
+    by_name = checks()
+    assert by_name["memory"].status == "bad"
+    assert "temporary files" in by_name
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
@@ -155,7 +155,7 @@ def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("prc_cli.jobs.classify.classify_ranges", wrong)
     monkeypatch.setattr(doctor, "COMPARED", {"forest": doctor.COMPARED["forest"]})
-    (found,) = doctor._engines()
-    assert (found.status, found.details["different"]) == ("bad", {"forest": 48_000})
-    assert "labels differ (forest 48,000), expected the same" in found.found
-    assert "prc classify --engine reference" in found.hint
+    (check,) = doctor._engines()
+    assert (check.status, check.details["different"]) == ("bad", {"forest": 48_000})
+    assert "labels differ (forest 48,000), expected the same" in check.text
+    assert "prc classify --engine reference" in check.hint

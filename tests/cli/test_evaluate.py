@@ -68,14 +68,14 @@ def save(
         (
             ["--by-range", "5,3"],
             2,
-            "--by-range: found '5,3', expected ranges in metres that rise, such as 5,10,20,40",
+            "--by-range: found '5,3', expected increasing ranges in metres, such as 5,10,20,40",
         ),
         (["--by-range", "5,,8"], 2, "--by-range: found '5,,8'"),
         (["--by-range", "-5,8"], 2, "--by-range: found '-5,8'"),
         (["--by-range", "5,nan"], 2, "--by-range: found '5,nan'"),
         (["--by-lines", "0"], 2, "--by-lines"),
         (["--min-matched", "1.5"], 2, "--min-matched"),
-        (["--picture", "x.png"], 2, "--picture: pictures have their place in the HTML page alone"),
+        (["--picture", "x.png"], 2, "--picture: only the HTML page contains pictures"),
         (["--picture", "none.png", "--output", "r.html"], 1, "none.png: cannot be read"),
         (
             ["--picture", "reference/a.csv", "--output", "r.html"],
@@ -104,11 +104,11 @@ def test_refusals_are_one_line_and_leave_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     save(tmp_path, "a", [2, 6], [2, 6])
-    found = prc("run/a.npy", "reference/a.csv", *arguments)
-    assert found[0] == code
-    assert found[1] == ""
-    assert message in found[2]
-    assert found[2].count("\n") == 1
+    result = prc("run/a.npy", "reference/a.csv", *arguments)
+    assert result[0] == code
+    assert result[1] == ""
+    assert message in result[2]
+    assert result[2].count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["reference", "run"]
 
 
@@ -176,11 +176,11 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
     for name in ("a", "b"):
         save(tmp_path, name, [2, 2, 65, 66], [2, 2, 65, 5])
         record(tmp_path / "run" / f"{name}.npy", "fused", fused={"environment": "urban"})
-    found = prc(tmp_path / "run", tmp_path / "reference", "--json")
-    assert json.loads(found[1])["mapping"] == "street"
+    result = prc(tmp_path / "run", tmp_path / "reference", "--json")
+    assert json.loads(result[1])["mapping"] == "street"
     record(tmp_path / "run" / "b.npy", "prc")
-    found = prc(tmp_path / "run", tmp_path / "reference", "--json")
-    assert (json.loads(found[1])["mapping"], found[2]) == ("prc", "")
+    result = prc(tmp_path / "run", tmp_path / "reference", "--json")
+    assert (json.loads(result[1])["mapping"], result[2]) == ("prc", "")
     (tmp_path / "run" / "b.npy.prc.json").write_text("[" * 100_000)
     assert (
         json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])["mapping"] == "prc"

@@ -39,8 +39,12 @@ def crash(arguments, debug):
 number = sys.argv[1]
 sys.argv = ["prc", *sys.argv[2:]]
 
-cli._run = lambda arguments, debug: (setattr(sys, "argv", [None, number, *sys.argv[1:]]),
-crash(arguments, debug)) cli.main()
+def run(arguments, debug):
+    sys.argv = [None, number, *sys.argv[1:]]
+    crash(arguments, debug)
+
+cli._run = run
+cli.main()
 """
 
 
@@ -72,7 +76,7 @@ def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None
         f"error: {tmp_path}/a\\x1b.laz: the process that read it was ended by signal {int(number)}"
     )
     assert "it said: thread overflowed\\x1b[2J its stack; no output was left behind; " in line
-    assert ("memory is short" in line) == (number == signal.SIGKILL)
+    assert ("too little memory" in line) == (number == signal.SIGKILL)
     assert os.listdir(tmp_path) == ["a\x1b.laz"]
     assert not Path(ended.stdout.strip()).exists()
 
@@ -108,7 +112,9 @@ def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> No
         assert ended.returncode == 1
         # a busy machine is told that loading takes long
         (line,) = [
-            one for one in ended.stderr.splitlines() if not one.startswith("loading the classifier")
+            message
+            for message in ended.stderr.splitlines()
+            if not message.startswith("loading the classifier")
         ]
         assert line.startswith(f"error: {case}: the process that read it was ended by signal")
     assert os.listdir(out) == []
@@ -132,10 +138,8 @@ def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_bytes(seed("a.npz"))
-    found = [
-        prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)
-    ]
-    assert found[0].stdout == found[1].stdout != ""
+    runs = [prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)]
+    assert runs[0].stdout == runs[1].stdout != ""
     assert prc("info", "--no-such-option").returncode == 2
 
 

@@ -46,8 +46,8 @@ def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
         "m/s (median)",
         "m above the ground",
         "lines a second",
-        "mm off their beams",
-        "stand on their",
+        "mm from their beams",
+        "are interpolated",
     ):
         assert words in said, words
     (figures,) = json.loads(prc("info", cloud, "--range", "points", "--json").out)["path_found"][
@@ -74,9 +74,9 @@ def test_nothing_is_reconstructed_unless_it_is_asked_for(
     monkeypatch.setattr("prc_cli.streams.registered.drive.find_rotation", refuse)
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     for words in ((), ("--range", f"trajectory:{trajectory}")):
-        told = json.loads(prc("info", cloud, *words, "--json").out)
-        assert told["path_found"] is None
-        assert told["comparisons"] == []
+        report = json.loads(prc("info", cloud, *words, "--json").out)
+        assert report["path_found"] is None
+        assert report["comparisons"] == []
 
 
 def off_m(path: Path, crs: str | None = None) -> float:
@@ -92,10 +92,10 @@ def test_the_path_is_written_with_its_uncertainty_and_read_again(
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert off_m(output) < 0.02
     assert 0.0 < np.median(table["sigma_x"]) < 0.01
-    told = json.loads(
+    report = json.loads(
         prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out
     )
-    assert not told["problem"]
+    assert not report["problem"]
     before = output.read_bytes()
     refused = prc("info", cloud, "--range", "points", "--path", output)
     assert refused.code == 2
@@ -183,11 +183,11 @@ def test_the_path_of_a_cloud_in_feet_is_in_feet(
 def test_two_passes_are_one_path_with_a_gap(prc: Prc, tmp_path: Path) -> None:
     cloud = write_cloud(tmp_path / "two.las", make_corridor(begin_s=BEGIN_S, gap_s=60.0))
     output = tmp_path / "path.csv"
-    told = json.loads(prc("info", cloud, "--range", "points", "--path", output, "--json").out)
-    assert len(told["path_found"]["passes"]) == 2
-    assert told["written"] == [str(output)]
+    report = json.loads(prc("info", cloud, "--range", "points", "--path", output, "--json").out)
+    assert len(report["path_found"]["passes"]) == 2
+    assert report["written"] == [str(output)]
     # the directions of the beams are known for every pass
-    assert told["method"] == "fused"
+    assert report["method"] == "fused"
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert sorted(set(table["pass"])) == [0, 1]
     again = json.loads(
@@ -205,10 +205,10 @@ def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
 ) -> None:
     trajectory = write_trajectory(tmp_path / "late.csv", corridor, clock_s=-0.25)
     words = ("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json")
-    told = json.loads(prc(*words).out)
-    assert told["comparisons"][0]["clock_s"] == pytest.approx(0.25, abs=2e-3)
-    assert "trajectory" in told["doubts"]
-    option = next(word for word in told["command"].split() if "trajectory_time_offset" in word)
+    report = json.loads(prc(*words).out)
+    assert report["comparisons"][0]["clock_s"] == pytest.approx(0.25, abs=2e-3)
+    assert "trajectory" in report["doubts"]
+    option = next(word for word in report["command"].split() if "trajectory_time_offset" in word)
     mended = json.loads(prc(*words, "--set", option).out)
     assert "trajectory" not in mended["doubts"], mended["findings"][0]
 
@@ -232,9 +232,9 @@ def test_other_coordinates_are_refused_with_the_command_that_does_without(
     corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "moved.csv", corridor, moved_m=(1000.0, -500.0, 0.0))
-    told = json.loads(
+    report = json.loads(
         prc("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json").out
     )
-    assert "moved by x -1,000.0, y 500.0, z 0.0 m" in told["problem"]
-    assert told["command"].endswith("--range points")
-    assert not told["classifiable"]
+    assert "moved by x -1,000.0, y 500.0, z 0.0 m" in report["problem"]
+    assert report["command"].endswith("--range points")
+    assert not report["classifiable"]

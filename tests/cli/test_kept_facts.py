@@ -81,9 +81,9 @@ def test_records_behind_the_count_of_the_header_are_a_warning(prc: Prc, tmp_path
     data = bytearray(source.read_bytes())
     struct.pack_into("<Q", data, 247, 8000)
     source.write_bytes(data)
-    found = prc("classify", source, tmp_path / "o.npy", "-q", *OPTIONS)
-    assert found.code == 4
-    assert f"unread: {len(LINE) - 8000:,} whole records follow the 8,000" in found.err
+    result = prc("classify", source, tmp_path / "o.npy", "-q", *OPTIONS)
+    assert result.code == 4
+    assert f"unread: {len(LINE) - 8000:,} whole records follow the 8,000" in result.err
     source.write_bytes(bytes(data[: -(len(LINE) - 8000) * 42]) + bytes(42 * 100))
     assert "unread" not in prc("classify", source, tmp_path / "p.npy", "-q", *OPTIONS).err
 
@@ -100,17 +100,17 @@ def test_las_1_5_is_read_and_written(
     data = bytearray(source.read_bytes())
     data[25] = int(version[-1])
     source.write_bytes(data)
-    found = prc("classify", source, output, "-q", *OPTIONS)
+    result = prc("classify", source, output, "-q", *OPTIONS)
     if is_read:
-        assert found.code in (0, 4), found.err
+        assert result.code in (0, 4), result.err
         assert str(laspy.read(output).header.version) == "1.5"
     else:
-        assert "save it as LAS 1.4" in found.err
+        assert "save it as LAS 1.4" in result.err
 
 
 def test_intensities_from_0_to_1_keep_their_steps(prc: Prc, tmp_path: Path) -> None:
-    found = prc("classify", ply(tmp_path / "a.ply"), tmp_path / "a.las", *OPTIONS)
-    assert "intensities from 0 to 1 are written as 0 to 65535" in found.err
+    result = prc("classify", ply(tmp_path / "a.ply"), tmp_path / "a.las", *OPTIONS)
+    assert "intensities from 0 to 1 are written as 0 to 65535" in result.err
     written = np.asarray(laspy.read(tmp_path / "a.las").intensity)
     np.testing.assert_allclose(written / 65535, np.linspace(0, 1, len(LINE)), atol=1e-5)
     prc(
@@ -127,14 +127,14 @@ def test_intensities_from_0_to_1_keep_their_steps(prc: Prc, tmp_path: Path) -> N
 def test_a_single_damaged_coordinate_is_counted(prc: Prc, tmp_path: Path, value: float) -> None:
     x = 0.2 * LINE
     x[5] = value
-    found = prc("classify", ply(tmp_path / "a.ply", x=x), tmp_path / "a.las", *OPTIONS)
-    assert found.code in (0, 4)
-    assert "1 records have no usable x, y, z" in found.err
+    result = prc("classify", ply(tmp_path / "a.ply", x=x), tmp_path / "a.las", *OPTIONS)
+    assert result.code in (0, 4)
+    assert "1 records have no usable x, y, z" in result.err
     points = laspy.read(tmp_path / "a.las")
     np.testing.assert_allclose(np.delete(np.asarray(points.x), 5), np.delete(x, 5), atol=1e-3)
     x[: len(x) // 2] = value
-    found = prc("classify", ply(tmp_path / "b.ply", x=x), tmp_path / "b.las", "-q", *OPTIONS)
-    assert found.code == 1
+    result = prc("classify", ply(tmp_path / "b.ply", x=x), tmp_path / "b.las", "-q", *OPTIONS)
+    assert result.code == 1
 
 
 def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> None:
@@ -144,16 +144,16 @@ def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> No
         points, rotation=turn, shift=(6540, 4500, 120)
     )
     (tmp_path / "two.ptx").write_text(text)
-    found = prc("classify", tmp_path / "two.ptx", tmp_path / "two.las", "-q", "--preset", "urban")
-    assert found.code in (0, 4), found.err
+    result = prc("classify", tmp_path / "two.ptx", tmp_path / "two.las", "-q", "--preset", "urban")
+    assert result.code in (0, 4), result.err
     written = laspy.read(tmp_path / "two.las")
     first = np.array([6500, 4500, 120])
     second = np.array([6540, 4500, 120])
     known = points[points[..., :3].any(axis=-1)][:, :3]
     expected = np.concatenate([known + first, known @ turn.T + second])
     np.testing.assert_allclose(np.asarray(written.xyz), expected, atol=2e-3)
-    found = prc("convert", tmp_path / "two.ptx", tmp_path / "points.laz")
-    assert "positions of the scans, such as 6500, 4500, 120 m" in found.out + found.err
+    result = prc("convert", tmp_path / "two.ptx", tmp_path / "points.laz")
+    assert "positions of the scans (6500, 4500, 120 m for the first)" in result.out + result.err
 
 
 def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
@@ -175,13 +175,13 @@ def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
         f"{IMAGE.size}\nDATA binary\n"
     )
     (tmp_path / "a.pcd").write_bytes(head.encode() + rows.tobytes())
-    found = prc("classify", tmp_path / "a.pcd", tmp_path / "b.pcd", *OPTIONS)
-    assert found.code in (0, 4), found.err
+    result = prc("classify", tmp_path / "a.pcd", tmp_path / "b.pcd", *OPTIONS)
+    assert result.code in (0, 4), result.err
     written = (tmp_path / "b.pcd").read_bytes()[:900].decode("latin-1").splitlines()
     assert {f"WIDTH {IMAGE.shape[1]}", f"HEIGHT {len(IMAGE)}", "VIEWPOINT 1 2 3 1 0 0 0"} <= set(
         written
     )
-    assert "not kept: field normal as one field" in found.err
+    assert "not kept: field normal as one field" in result.err
 
 
 def test_other_elements_of_a_ply_are_told(prc: Prc, tmp_path: Path) -> None:
@@ -189,5 +189,5 @@ def test_other_elements_of_a_ply_are_told(prc: Prc, tmp_path: Path) -> None:
     source = tmp_path / "a.ply"
     camera = plyfile.PlyElement.describe(np.array([(1.0,)], [("focal", "f4")]), "camera")
     plyfile.PlyData([*cloud.elements, camera]).write(source)
-    found = prc("classify", source, tmp_path / "b.ply", *OPTIONS)
-    assert "not kept: element camera" in found.err
+    result = prc("classify", source, tmp_path / "b.ply", *OPTIONS)
+    assert "not kept: element camera" in result.err

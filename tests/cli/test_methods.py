@@ -68,8 +68,8 @@ def test_every_format_of_a_scan_gets_the_same_labels(
     assert (result.code, result.out) == (0, ""), result.err
     (tmp_path / "first").mkdir()
     prc("classify", npz(tmp_path / "first"), tmp_path / "first.npy", "--method", "sequential-angle")
-    found = np.load(labels)
-    np.testing.assert_array_equal(found, np.load(tmp_path / "first.npy"))
+    written = np.load(labels)
+    np.testing.assert_array_equal(written, np.load(tmp_path / "first.npy"))
     np.save(tmp_path / "reference.npy", points()[2].ravel())
     result = prc(
         "evaluate",
@@ -86,7 +86,7 @@ def test_every_format_of_a_scan_gets_the_same_labels(
     reference = points()[2].ravel()
     for label in (Label.GROUND, Label.VERTICAL, Label.VEGETATION):
         code = codes.code(label)
-        assert np.mean(found[reference == code] == code) > 0.5, label.name
+        assert np.mean(written[reference == code] == code) > 0.5, label.name
 
 
 def ptx_that_lies(folder: Path) -> Path:
@@ -277,7 +277,7 @@ def test_file_array_and_pipe_give_the_same_labels(
     dump: Path,
     preset: str,
 ) -> None:
-    given = (
+    options = (
         "--preset",
         preset,
         *ANGLES,
@@ -288,14 +288,14 @@ def test_file_array_and_pipe_give_the_same_labels(
     )
     out = dump.with_name("labels.npy")
     for threads in ("1", "3"):
-        result = prc("classify", dump, out, "--overwrite", "--threads", threads, *given)
+        result = prc("classify", dump, out, "--overwrite", "--threads", threads, *options)
         assert result.code == 0, result.err
         config = load_config(preset=preset, options={"fused": {"lines_per_block": 32}})
         codes = config.config.classes.lookup()[
             classify_ranges(ranges, config, beam_rad=BEAM).labels
         ]
         np.testing.assert_array_equal(np.load(out).reshape(ranges.shape), codes)
-    command = [sys.executable, "-m", "prc_cli", "stream", "-q", *given]
+    command = [sys.executable, "-m", "prc_cli", "stream", "-q", *options]
     with dump.open("rb") as source:
         piped = patience.run(command, stdin=source, capture_output=True, check=True).stdout
     assert piped == np.load(out).tobytes()
@@ -308,9 +308,11 @@ def test_small_and_dull_images_are_labelled(
     preset: str, shape: tuple[int, int], value: float
 ) -> None:
     beam = np.deg2rad(np.linspace(-90, 90, shape[1]) if shape[1] > 1 else [0.0])
-    found = classify_ranges(np.full(shape, value), load_config(preset=preset), beam_rad=beam).labels
-    assert found.shape == shape
-    assert ((found == 0) == np.isnan(value)).all()
+    labels = classify_ranges(
+        np.full(shape, value), load_config(preset=preset), beam_rad=beam
+    ).labels
+    assert labels.shape == shape
+    assert ((labels == 0) == np.isnan(value)).all()
 
 
 @pytest.mark.data
@@ -337,13 +339,13 @@ def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: P
         assert result.code in (0, 4), result.err
         rows = np.genfromtxt(scan, delimiter=",", names=True)
         cars = np.isin(rows["label"], (1500, 1501))
-        found = np.load(output).ravel() == lookup[Label.CAR]
-        assert found[cars].mean() > least
-        assert cars[found].mean() > 0.9
+        is_car = np.load(output).ravel() == lookup[Label.CAR]
+        assert is_car[cars].mean() > least
+        assert cars[is_car].mean() > 0.9
 
 
 @pytest.mark.parametrize(
-    ("file", "told"),
+    ("file", "checks"),
     [("ros/sick_lms1xx_ros1.bag", ("--set", "input.nadir=0")), ("organised/pumpA.e57", ())],
 )
 def test_rooms_are_doubted(
@@ -351,11 +353,11 @@ def test_rooms_are_doubted(
     tmp_path: Path,
     real_data: Path,
     file: str,
-    told: tuple[str, ...],
+    checks: tuple[str, ...],
 ) -> None:
     """A laser that turns level in a room, and a pump."""
     output = tmp_path / "labels.npy"
-    result = prc("classify", real_data / file, output, "--preset", "fused", *told)
+    result = prc("classify", real_data / file, output, "--preset", "fused", *checks)
     assert result.code == 4
     assert "indoors" in result.err
     assert not (np.load(output) == 65).any()

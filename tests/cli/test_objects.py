@@ -49,15 +49,15 @@ def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
     )
     assert result.code == 0, result.err
     assert "stems in 200 lines" in result.err
-    found = rows((forest / "o.csv").read_text())
-    assert list(found[0]) == list(COLUMNS)
-    assert [int(row["id"]) for row in found] == list(range(len(found)))
-    assert {row["kind"] for row in found} == {"stem"}
+    listed = rows((forest / "o.csv").read_text())
+    assert list(listed[0]) == list(COLUMNS)
+    assert [int(row["id"]) for row in listed] == list(range(len(listed)))
+    assert {row["kind"] for row in listed} == {"stem"}
     stems = np.array(
         [[float(row["x_m"]), float(row["y_m"])] for row in rows((forest / "s.csv").read_text())]
     )
-    at = np.array([[float(row["x"]), float(row["y"])] for row in found])
-    off = np.linalg.norm(at[:, None] - stems[None], axis=2).min(axis=1)
+    stem_xy = np.array([[float(row["x"]), float(row["y"])] for row in listed])
+    off = np.linalg.norm(stem_xy[:, None] - stems[None], axis=2).min(axis=1)
     assert np.median(off) < 0.5
     record = json.loads((forest / "o.csv.prc.json").read_text())
     assert record["config"]["fused"]["environment"] == "forest"
@@ -65,17 +65,19 @@ def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
 
 @pytest.mark.slow
 def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
-    given = ("objects", forest / "walk.laz", "--preset", "fused-forest", "-q")
-    printed = rows(prc(*given).out)
+    command = ("objects", forest / "walk.laz", "--preset", "fused-forest", "-q")
+    printed = rows(prc(*command).out)
     for suffix in (".csv", ".geojson", ".parquet"):
-        assert prc(*given, "-o", forest / f"e{suffix}").code == 0
+        assert prc(*command, "-o", forest / f"e{suffix}").code == 0
     assert rows((forest / "e.csv").read_text()) == printed
     features = json.loads((forest / "e.geojson").read_text())["features"]
-    assert [one["properties"]["id"] for one in features] == [int(row["id"]) for row in printed]
+    assert [feature["properties"]["id"] for feature in features] == [
+        int(row["id"]) for row in printed
+    ]
     assert features[0]["geometry"]["coordinates"][0] == float(printed[0]["x"])
     table = pq.read_table(forest / "e.parquet").to_pylist()
     assert [row["n_shots"] for row in table] == [int(row["n_shots"]) for row in printed]
-    lines = [json.loads(line) for line in prc(*given, "--json").out.splitlines()]
+    lines = [json.loads(line) for line in prc(*command, "--json").out.splitlines()]
     assert [line["n_shots"] for line in lines] == [row["n_shots"] for row in table]
 
 
@@ -99,7 +101,7 @@ def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: P
 
 def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
     np.savez(tmp_path / "s.npz", range_m=street_lines(150)[0], angle_deg=np.rad2deg(BEAM))
-    given = (
+    command = (
         "objects",
         tmp_path / "s.npz",
         "--preset",
@@ -108,22 +110,22 @@ def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
         "input.nadir=0",
         "-q",
     )
-    result = prc(*given, "--kind", "car")
+    result = prc(*command, "--kind", "car")
     assert result.code == 0, result.err
     cars = rows(result.out)
     assert cars
     assert all(row["kind"] == "car" and not row["x"] for row in cars)
     big = max(cars, key=lambda row: int(row["n_shots"]))
     assert 1.5 < float(big["side_m"]) < 3.8
-    assert prc(*given, "-o", tmp_path / "o.geojson").code == 0
+    assert prc(*command, "-o", tmp_path / "o.geojson").code == 0
     features = json.loads((tmp_path / "o.geojson").read_text())["features"]
-    assert all(one["geometry"] is None for one in features)
+    assert all(feature["geometry"] is None for feature in features)
 
 
 def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
     street_lines(150)[0].tofile(tmp_path / "s.bin")
     m = ("-M", len(BEAM))
-    for given, words in (
+    for arguments, words in (
         ((*m, "--preset", "urban"), "which tells none of: stem, pole, car, curb"),
         (("-M", 10, "--preset", "fused"), "no vertical direction known"),
         (
@@ -131,7 +133,7 @@ def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
             "expected one of .csv, .geojson, .parquet",
         ),
     ):
-        result = prc("objects", tmp_path / "s.bin", *given)
+        result = prc("objects", tmp_path / "s.bin", *arguments)
         assert result.code in (1, 2)
         assert words in result.err.splitlines()[-1]
     assert not list(tmp_path.glob("o.*"))

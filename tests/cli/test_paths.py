@@ -114,7 +114,7 @@ def test_there_are_pairs_to_try() -> None:
 
 @pytest.mark.parametrize(
     ("name", "reader", "writer"),
-    [pytest.param(*one, id=f"{one[0]} {one[1].name} {one[2].name}") for one in PAIRS],
+    [pytest.param(*pair, id=f"{pair[0]} {pair[1].name} {pair[2].name}") for pair in PAIRS],
 )
 @pytest.mark.parametrize("linked", [False, True])
 def test_no_path_is_both_read_and_written(
@@ -199,5 +199,5 @@ def test_a_log_is_added_to_no_other_file(tmp_path: Path, kind: str) -> None:
         path.write_bytes(b"PK" if kind == "npz" else b'{"event": "run_end"}\n')
     if kind == "link":
         os.link(path, tmp_path / "second")
-    with pytest.raises(OutputError, match="is no log of prc batch"):
+    with pytest.raises(OutputError, match="is not a log of prc batch"):
         JsonLog(str(path))

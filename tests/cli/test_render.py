@@ -23,9 +23,9 @@ def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
         "render", drive, "--html", tmp_path / "a.html", "--shots", 5000, "--hide", "noise", "--json"
     )
     assert result.code == 0, result.err
-    found = json.loads(result.out)
-    assert found["files"] == [str(tmp_path / "a.html")]
-    assert found["thinned_by"] != [1, 1]
+    record = json.loads(result.out)
+    assert record["files"] == [str(tmp_path / "a.html")]
+    assert record["thinned_by"] != [1, 1]
     assert "drive.npz · preset fused · all 137 lines · 1 line of " in result.err
     assert "note: The page holds " in result.err
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
@@ -67,7 +67,7 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
         (
             ["--html", tmp_path / "b.html"],
             2,
-            ["--html: given together with OUT, expected one of them"],
+            ["--html: prc draws either OUT or --html"],
         ),
         (
             ["--hide", "rain"],
@@ -87,7 +87,7 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     refused(
         prc("render", drive),
         2,
-        "OUT: expected one output, found none; give OUT.png, OUT.html or --html PAGE.html",
+        "OUT: there is no output; give OUT.png, OUT.html or --html PAGE.html",
     )
     refused(prc("render", drive, "--html", tmp_path / "b.png"), 2, "expected .html")
     out.write_bytes(b"old")
@@ -146,13 +146,13 @@ def test_real_files(
     options: list[str],
 ) -> None:
     root = Path(__file__).resolve().parents[2]
-    given = [
+    arguments = [
         str(root / o) if o.startswith("sample") else str(real_data / o) if "/" in o else o
         for o in options
     ]
-    result = prc("render", real_data / name, tmp_path / "a.png", *given, "--json", "--quiet")
+    result = prc("render", real_data / name, tmp_path / "a.png", *arguments, "--json", "--quiet")
     assert result.code == 0, result.err
-    found = json.loads(result.out)
+    record = json.loads(result.out)
     with Image.open(tmp_path / "a.png") as image:
-        assert found["size"] == list(image.size)
+        assert record["size"] == list(image.size)
         assert (np.asarray(image) < 250).any(axis=2).mean() > 0.01

@@ -37,12 +37,12 @@ def run(data: bytes, *arguments: str) -> tuple[int, bytes, str]:
 def take(process: subprocess.Popen[bytes], n_bytes: int) -> bytes:
     """Wait until so many labels have left, and give them."""
     assert process.stdout is not None
-    found = b""
-    while len(found) < n_bytes:
+    received = b""
+    while len(received) < n_bytes:
         ready, _, _ = select.select([process.stdout], [], [], HANGS_S)
         assert ready, "no labels come"
-        found += os.read(process.stdout.fileno(), 1 << 16)
-    return found
+        received += os.read(process.stdout.fileno(), 1 << 16)
+    return received
 
 
 def reference(tmp_path: Path, data: bytes, *arguments: str) -> bytes:
@@ -102,7 +102,7 @@ def test_the_reader_of_the_labels_goes() -> None:
     process.stdout.close()
     _, err = process.communicate(street().tobytes() * 20, timeout=HANGS_S)
     assert process.returncode == 1
-    assert err == b"error: stdout: its reader has gone; the labels of the shots before have left\n"
+    assert err == b"error: stdout: its reader has gone; the labels of earlier shots are written\n"
 
 
 @pytest.mark.slow
@@ -127,6 +127,6 @@ def test_doubts_are_told_and_end_with_exit_code_4() -> None:
     assert "accept it with --accept-doubt returns" in err
     assert len(err.splitlines()) == 1
     code, _, err = run(thin.tobytes(), *options, "--json", "--report", "0")
-    told, last = [json.loads(line) for line in err.splitlines()]
-    assert (code, last["doubts"]) == (4, [told["doubt"]])
-    assert (told["doubt"]["check"], told["doubt"]["verdict"]) == ("returns", "doubtful")
+    first, last = [json.loads(line) for line in err.splitlines()]
+    assert (code, last["doubts"]) == (4, [first["doubt"]])
+    assert (first["doubt"]["check"], first["doubt"]["verdict"]) == ("returns", "doubtful")

@@ -70,28 +70,28 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     for output in ("w.laz", "w.las"):
         result = prc("classify", folder / "d.laz", folder / output, "--only-lines", "13:41", *URBAN)
         assert result.code == 0, result.err
-        found = laspy.read(folder / output)
-        assert found.header.point_count == np.count_nonzero(inside)
+        cloud = laspy.read(folder / output)
+        assert cloud.header.point_count == np.count_nonzero(inside)
         for name in source.point_format.dimension_names:
             if name != "classification":
-                assert np.array_equal(found[name], source[name][inside]), name
-        xyz = np.stack([found.x, found.y, found.z])
-        assert np.allclose(found.header.mins, xyz.min(axis=1), atol=1e-9)
-        assert np.allclose(found.header.maxs, xyz.max(axis=1), atol=1e-9)
-        assert found.header.number_of_points_by_return[0] == np.count_nonzero(
-            found.return_number == 1
+                assert np.array_equal(cloud[name], source[name][inside]), name
+        xyz = np.stack([cloud.x, cloud.y, cloud.z])
+        assert np.allclose(cloud.header.mins, xyz.min(axis=1), atol=1e-9)
+        assert np.allclose(cloud.header.maxs, xyz.max(axis=1), atol=1e-9)
+        assert cloud.header.number_of_points_by_return[0] == np.count_nonzero(
+            cloud.return_number == 1
         )
     assert (
         prc("classify", folder / "d.laz", folder / "w.npy", "--only-lines", "13:41", *URBAN).code
         == 0
     )
     assert np.array_equal(laspy.read(folder / "w.laz").classification, np.load(folder / "w.npy"))
-    told = prc(
+    repeated = prc(
         "classify", folder / "d.laz", folder / "w.laz", "--only-lines", "13:41", "--overwrite"
     ).err
-    assert "draw it: prc render" in told
-    assert f"--labels {folder / 'w.laz'}" in " ".join(told.split())
-    assert "compare it" not in told
+    assert "draw it: prc render" in repeated
+    assert f"--labels {folder / 'w.laz'}" in " ".join(repeated.split())
+    assert "compare it" not in repeated
     # codes above 31 make the point format a larger one; segment ids are appended
     result = prc(
         "classify", folder / "d.laz", folder / "s.laz", "--first", "2s", "--segment-ids", *URBAN
@@ -110,8 +110,8 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
         "convert", folder / "d.laz", folder / "c.las", "--only-time", "+1.98:+2.98", "--overwrite"
     )
     assert result.code == 0, result.err
-    found = laspy.read(folder / "c.las")
-    assert np.array_equal(found.points.array, source.points.array[inside])
+    cloud = laspy.read(folder / "c.las")
+    assert np.array_equal(cloud.points.array, source.points.array[inside])
     assert "only lines 20 to 29 were taken" in result.err
     result = prc("convert", folder / "d.csv", folder / "c.csv", "--first", "50lines", "--overwrite")
     assert "only lines 0 to 49 were taken" in result.err
@@ -149,21 +149,21 @@ def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     source = laspy.read(folder / "d.laz")
     lines = (source.scan_line >= 20) & (source.scan_line < 50)
     since = source.gps_time - source.gps_time[0]
-    given = ("evaluate", folder / "e.laz", folder / "e.laz")
+    command = ("evaluate", folder / "e.laz", folder / "e.laz")
     for window, inside in (
         (("--only-lines", "20:50"), lines),
         (("--only-time", "+2:+5"), (since >= 2) & (since < 5)),
     ):
-        result = prc(*given, *window, "--json")
+        result = prc(*command, *window, "--json")
         assert result.code == 0, result.err
         assert json.loads(result.out)["n_scored"] == np.count_nonzero(inside)
-    result = prc(*given, "--only-lines", "20:50", "--by-lines", "10", "--json")
+    result = prc(*command, "--only-lines", "20:50", "--by-lines", "10", "--json")
     assert [part["name"] for part in json.loads(result.out)["splits"]["lines"]] == [
         "lines 20-29",
         "lines 30-39",
         "lines 40-49",
     ]
-    assert prc(*given, "--only-lines", "200:").code == 1
+    assert prc(*command, "--only-lines", "200:").code == 1
     labels = folder / "e.npy"
     np.save(labels, np.full(N_LINES * M, 2, np.uint8))
     assert prc("evaluate", labels, labels, "--first", "2s").code == 2

@@ -92,9 +92,9 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
     thin[:, :POINTS_PER_LINE] = image
     with pytest.warns(
         prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns"
-    ) as told:
+    ) as warned:
         prc_cli.classify_ranges(thin, load_config(preset="urban"))
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
     for odd in (thin, shuffled):
         accepting = load_config(options={"input": {"accept_doubts": CHECK_NAMES}})
         prc_cli.classify_ranges(odd, accepting)

@@ -42,7 +42,9 @@ def labels(path: Path, loaded: LoadedConfig) -> dict[int, Any]:
     parts: dict[int, list[Any]] = {}
     for item in label_blocks(open_stream(path, loaded).blocks(), loaded.config.classifier):
         parts.setdefault(item.block.scanner, []).append(item.labels)
-    return {scanner: np.concatenate(found) for scanner, found in parts.items()}
+    return {
+        scanner: np.concatenate(parts_of_scanner) for scanner, parts_of_scanner in parts.items()
+    }
 
 
 def same_bits(left: Any, right: Any) -> bool:
@@ -156,9 +158,9 @@ def test_labels_are_those_of_the_original(
     convert(drive, out)
     if preset == "street-scan" and suffix == ".npy":
         pytest.skip(".npy holds no directions, and says so")
-    given = labels(drive, config(preset=preset, nadir=0.0))[0]
+    expected = labels(drive, config(preset=preset, nadir=0.0))[0]
     nadir = {} if suffix == ".npy" else {"nadir": 0.0}
-    assert np.array_equal(given, labels(out, config(out, preset, **nadir))[0])
+    assert np.array_equal(expected, labels(out, config(out, preset, **nadir))[0])
 
 
 def two_scanners(path: Path) -> Path:
@@ -234,8 +236,8 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
             right = getattr(after[scanner].extra, name)
             assert np.array_equal(left[order[0]], right[order[1]])
         assert after[scanner].points_per_line == m
-    told = any("scanner 3: 20, scanner 8: 33" in loss for loss in summary.losses)
-    assert told == (suffix == ".laz")
+    is_reported = any("scanner 3: 20, scanner 8: 33" in loss for loss in summary.losses)
+    assert is_reported == (suffix == ".laz")
 
 
 @pytest.mark.slow

@@ -58,15 +58,15 @@ def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> Non
     shots["t"] = 4000 + np.arange(len(shots)) / (50 * M)
     path = tmp_path / "d.bin"
     path.write_bytes(header + shots.tobytes())
-    found = drafted(path)
-    layout = found["layout"]
+    config = drafted(path)
+    layout = config["layout"]
     assert (layout["header_bytes"], layout["endian"]) == (len(header), endian)
     assert [(field["name"], field["type"]) for field in layout["fields"]] == [
         ("range", "i4"),
         ("field_4", "u2"),
         ("time", "f8"),
     ]
-    assert found["input"]["points_per_line"] == M
+    assert config["input"]["points_per_line"] == M
     np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
     assert run("info", path, "--draft", path.with_name("draft.toml"), "-q") == 2
     assert run("info", path, "--draft", path.with_name("draft.toml"), "-q", "--overwrite") == 0
@@ -76,8 +76,8 @@ def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> Non
 def test_a_dump_of_ranges_alone(tmp_path: Path, n_lines: int) -> None:
     path = tmp_path / "d.bin"
     image()[:n_lines].tofile(path)
-    found = drafted(path)
-    assert [(field["name"], field["type"]) for field in found["layout"]["fields"]] == [
+    config = drafted(path)
+    assert [(field["name"], field["type"]) for field in config["layout"]["fields"]] == [
         ("range", "f4")
     ]
     np.testing.assert_array_equal(ranges_read(path), image()[:n_lines])
@@ -96,7 +96,7 @@ def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     path = tmp_path / "d.bin"
     path.write_bytes(np.random.default_rng(0).bytes(50_000))
     assert run("info", path, "--draft", tmp_path / "draft.toml") == 1
-    assert "nothing repeats in its bytes" in capsys.readouterr().err
+    assert "found no records of one size in its bytes" in capsys.readouterr().err
     assert not (tmp_path / "draft.toml").exists()
 
 
@@ -104,9 +104,13 @@ def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 def test_the_profiler_of_ign(real_data: Path, tmp_path: Path) -> None:
     path = tmp_path / "p.ply"
     path.write_bytes((real_data / "riegl" / "sample_riegl_18_02.ply").read_bytes())
-    found = drafted(path)
-    assert found["input"] == {"lines": "angle-wrap", "columns": "angle", "range": "dimension:range"}
-    assert {"name": "angle", "source": "theta", "unit": "rad"} in found["layout"]["fields"]
+    config = drafted(path)
+    assert config["input"] == {
+        "lines": "angle-wrap",
+        "columns": "angle",
+        "range": "dimension:range",
+    }
+    assert {"name": "angle", "source": "theta", "unit": "rad"} in config["layout"]["fields"]
     ranges_read(path)
 
 

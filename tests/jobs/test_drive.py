@@ -55,23 +55,23 @@ def cut_laz(tmp_path: Path, gap_s: float = 0.0) -> tuple[Path, list[Path]]:
 def test_labels_of_parts_are_those_of_the_joined_dump(tmp_path: Path) -> None:
     whole, parts = cut_raw(tmp_path)
     classify(whole, tmp_path / "whole.npy", WITH_M)
-    found = list(classify_drive(parts, tmp_path / "out", WITH_M))
-    labels = [np.load(summary.output) for summary in found]
-    assert [len(each) for each in labels] == np.diff(CUTS).tolist()
+    summaries = list(classify_drive(parts, tmp_path / "out", WITH_M))
+    labels = [np.load(summary.output) for summary in summaries]
+    assert [len(part) for part in labels] == np.diff(CUTS).tolist()
     assert np.array_equal(np.concatenate(labels), np.load(tmp_path / "whole.npy"))
-    assert [summary.record.n_records for summary in found] == np.diff(CUTS).tolist()
+    assert [summary.record.n_records for summary in summaries] == np.diff(CUTS).tolist()
     # the line that the first two files share counts in both
-    assert sum(summary.counts.n_lines for summary in found) == N_LINES + 1
-    assert "one drive of 3 files, drive_0.bin to drive_2.bin" in found[1].record.notices
+    assert sum(summary.counts.n_lines for summary in summaries) == N_LINES + 1
+    assert "one drive of 3 files, drive_0.bin to drive_2.bin" in summaries[1].record.notices
 
 
 def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
     whole, parts = cut_laz(tmp_path)
     classify(whole, tmp_path / "whole.laz", URBAN)
     expected = np.asarray(laspy.read(tmp_path / "whole.laz").classification)
-    found = list(classify_drive(parts, tmp_path / "out", URBAN, threads=1))
-    assert [summary.output.name for summary in found] == [part.name for part in parts]
-    written = [laspy.read(summary.output) for summary in found]
+    summaries = list(classify_drive(parts, tmp_path / "out", URBAN, threads=1))
+    assert [summary.output.name for summary in summaries] == [part.name for part in parts]
+    written = [laspy.read(summary.output) for summary in summaries]
     assert np.array_equal(
         np.concatenate([np.asarray(las.classification) for las in written]), expected
     )
@@ -82,15 +82,15 @@ def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
 
 def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path: Path) -> None:
     _, parts = cut_laz(tmp_path, gap_s=7.0)
-    found = list(classify_drive(parts, tmp_path / "out", URBAN))
+    summaries = list(classify_drive(parts, tmp_path / "out", URBAN))
     apart = (
         "a stream of its own begins with this file: it begins 7.000 s after the end of the "
         "file before"
     )
-    assert [apart in summary.record.notices for summary in found] == [False, False, True]
+    assert [apart in summary.record.notices for summary in summaries] == [False, False, True]
     classify(parts[2], tmp_path / "alone.laz", URBAN)
     alone = np.asarray(laspy.read(tmp_path / "alone.laz").classification)
-    assert np.array_equal(np.asarray(laspy.read(found[2].output).classification), alone)
+    assert np.array_equal(np.asarray(laspy.read(summaries[2].output).classification), alone)
 
 
 def test_other_columns_begin_a_stream_of_their_own(tmp_path: Path) -> None:
@@ -98,10 +98,12 @@ def test_other_columns_begin_a_stream_of_their_own(tmp_path: Path) -> None:
     write_csv(tmp_path / "b.csv", street(seed=2))
     text = (tmp_path / "b.csv").read_text().replace("angle_deg", "bearing")
     (tmp_path / "b.csv").write_text(text)
-    found = list(classify_drive([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", URBAN))
+    summaries = list(
+        classify_drive([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", URBAN)
+    )
     assert any(
         "it has other dimensions than the file before" in notice
-        for notice in found[1].record.notices
+        for notice in summaries[1].record.notices
     )
 
 
@@ -110,7 +112,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     image = write_npz(tmp_path / "image.npz", street())
     with pytest.raises(InputError, match="image.npz: contains whole scans"):
         list(classify_drive([image, *parts], tmp_path / "out", WITH_M))
-    with pytest.raises(ConfigError, match="two inputs would write this output"):
+    with pytest.raises(ConfigError, match="two inputs have this output"):
         list(classify_drive([parts[0], parts[0]], tmp_path / "out", WITH_M))
     with pytest.raises(ConfigError, match="found a window"):
         window = load_config(preset="urban", options={"input": {"only_lines": "0:9"}})
@@ -151,6 +153,6 @@ def test_five_files_of_a_real_drive_are_one(real_data: Path, tmp_path: Path) -> 
         head.replace(b"vertex 30000", b"vertex %d" % n) + b"end_header\n" + b"".join(bodies)
     )
     classify(joined, tmp_path / "joined.npy")
-    found = list(classify_drive(parts, tmp_path / "out", load_config()))
-    labels = np.concatenate([np.load(summary.output) for summary in found])
+    summaries = list(classify_drive(parts, tmp_path / "out", load_config()))
+    labels = np.concatenate([np.load(summary.output) for summary in summaries])
     assert np.array_equal(labels, np.load(tmp_path / "joined.npy"))

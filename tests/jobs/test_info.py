@@ -58,13 +58,17 @@ def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
     )
     expected = inspect(tmp_path / "drive.csv", load_config()).rates
     assert "--sort-by-time" in inspect(tmp_path / "tile.csv", load_config()).hint
-    found = inspect(tmp_path / "tile.csv", load_config(options={"input": {"order": "sort-time"}}))
-    assert found.rates == expected
-    assert found.rates is not None
+    inspection = inspect(
+        tmp_path / "tile.csv", load_config(options={"input": {"order": "sort-time"}})
+    )
+    assert inspection.rates == expected
+    assert inspection.rates is not None
 
 
-@pytest.mark.parametrize("told", [{}, {"range": "origin:0,0,0", "points_per_line": 10}])
-def test_a_tile_without_times_has_lost_its_order(tmp_path: Path, told: dict[str, Any]) -> None:
+@pytest.mark.parametrize("input_options", [{}, {"range": "origin:0,0,0", "points_per_line": 10}])
+def test_a_tile_without_times_has_lost_its_order(
+    tmp_path: Path, input_options: dict[str, Any]
+) -> None:
     """It was told to give M and a place of the scanner, and then labelled."""
     np.savetxt(
         tmp_path / "tile.csv",
@@ -73,12 +77,12 @@ def test_a_tile_without_times_has_lost_its_order(tmp_path: Path, told: dict[str,
         header="x,y,z",
         comments="",
     )
-    found = inspect(tmp_path / "tile.csv", load_config(options={"input": told}))
-    assert found.problem.startswith(
+    inspection = inspect(tmp_path / "tile.csv", load_config(options={"input": input_options}))
+    assert inspection.problem.startswith(
         "registered points without times, scan lines or ranges: the order in which they were"
     )
-    assert "--trust-order" in found.hint
+    assert "--trust-order" in inspection.hint
     with pytest.raises(OrderError, match="so they cannot be classified"):
-        open_input(tmp_path / "tile.csv", InputConfig(**told))
-    if told:
-        open_input(tmp_path / "tile.csv", InputConfig(order="trust", **told))
+        open_input(tmp_path / "tile.csv", InputConfig(**input_options))
+    if input_options:
+        open_input(tmp_path / "tile.csv", InputConfig(order="trust", **input_options))

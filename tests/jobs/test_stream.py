@@ -48,8 +48,8 @@ class Endless:
 
 
 def shuffled(image: F32) -> F32:
-    found: F32 = np.random.default_rng(3).permuted(image, axis=1)
-    return found
+    columns_shuffled: F32 = np.random.default_rng(3).permuted(image, axis=1)
+    return columns_shuffled
 
 
 def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
@@ -80,30 +80,32 @@ def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
 
 
 def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -> None:
-    told = list[MethodChoice]()
+    choices = list[MethodChoice]()
     whole = io.BytesIO()
     cut = io.BytesIO()
     config = load_config(options={"input": {"points_per_line": POINTS_PER_LINE}})
-    stream(io.BytesIO(street().tobytes()), whole, config, chosen=told.append)
+    stream(io.BytesIO(street().tobytes()), whole, config, chosen=choices.append)
     with pytest.raises(
         InputError, match=f"stdin: ended inside record {street().size}: found 2 bytes of 4"
     ):
-        stream(io.BytesIO(street().tobytes() + b"ab"), cut, config, chosen=told.append)
-    assert told[0] == told[1]
+        stream(io.BytesIO(street().tobytes() + b"ab"), cut, config, chosen=choices.append)
+    assert choices[0] == choices[1]
     assert cut.getvalue() == whole.getvalue()
 
 
 def test_doubts_are_told_once_and_kept() -> None:
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = street()
-    told: list[Finding] = []
+    doubts: list[Finding] = []
     for accepts in ((), ("returns",)):
         options = {"input": {"points_per_line": 18_000, "accept_doubts": list(accepts)}}
         config = load_config(preset="urban", options=options)
-        summary = stream(io.BytesIO(thin.tobytes()), io.BytesIO(), config, doubted=told.append)
+        summary = stream(io.BytesIO(thin.tobytes()), io.BytesIO(), config, doubted=doubts.append)
         assert [doubt.check for doubt in summary.doubts] == ([] if accepts else ["returns"])
-        assert [one.check for one in summary.findings if one.is_accepted] == list(accepts)
-    assert [doubt.check for doubt in told] == ["returns"]
+        assert [finding.check for finding in summary.findings if finding.is_accepted] == list(
+            accepts
+        )
+    assert [doubt.check for doubt in doubts] == ["returns"]
 
 
 def test_labels_are_checked_as_they_leave() -> None:

@@ -33,14 +33,14 @@ class Said:
     out: str
     err: str
 
-    def told(self, what: str) -> str:
+    def command(self, what: str) -> str:
         """Return the command line that is offered behind a word.
 
         ``type:``, ``draw it:``, ``compare it:``.
         """
-        found = re.search(rf"^{what}: (prc .*)$", self.out + self.err, re.MULTILINE)
-        assert found, f"no {what!r} in:\n{self.out}{self.err}"
-        return found[1]
+        match = re.search(rf"^{what}: (prc .*)$", self.out + self.err, re.MULTILINE)
+        assert match, f"no {what!r} in:\n{self.out}{self.err}"
+        return match[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +80,12 @@ class Shell:
 
     def labels(self, name: str) -> NDArray[np.uint8]:
         """Return labels that were written as ``.npy``."""
-        found: NDArray[np.uint8] = np.load(self.here / name).ravel()
-        return found
+        labels: NDArray[np.uint8] = np.load(self.here / name).ravel()
+        return labels
 
     def f1(self, predicted: str, reference: str) -> dict[str, float]:
         """Return F1 by class, as ``prc evaluate`` has it."""
         said = self(f"prc evaluate {predicted} {reference} --json -q")
-        return {name: one["f1"] or 0.0 for name, one in json.loads(said.out)["classes"].items()}
+        return {
+            name: scores["f1"] or 0.0 for name, scores in json.loads(said.out)["classes"].items()
+        }

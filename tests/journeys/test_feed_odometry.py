@@ -66,10 +66,10 @@ def test_kiss_icp_reads_the_folder_as_it_is(frames: Path, tmp_path: Path) -> Non
     )
     assert done.returncode == 0, done.stdout + done.stderr
     (poses,) = (tmp_path / "results" / "latest").glob("*poses_kitti.txt")
-    found = np.loadtxt(poses).reshape(-1, 3, 4)
-    assert len(found) == N_FRAMES
+    track = np.loadtxt(poses).reshape(-1, 3, 4)
+    assert len(track) == N_FRAMES
     # its voxels are of 1 m, and six frames are few
-    assert np.linalg.norm(found[-1, :, 3] - found[0, :, 3]) == pytest.approx(way_m(frames), abs=0.8)
+    assert np.linalg.norm(track[-1, :, 3] - track[0, :, 3]) == pytest.approx(way_m(frames), abs=0.8)
 
 
 def test_small_gicp_reads_the_folder_as_it_is(
@@ -79,8 +79,8 @@ def test_small_gicp_reads_the_folder_as_it_is(
     (code,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(frames)
     exec(compile(code, "docs/feed_odometry.md", "exec"), {})
-    found = np.loadtxt("poses.txt").reshape(-1, 4, 4)
-    assert len(found) == N_FRAMES
-    assert np.linalg.norm(found[-1, :3, 3] - found[0, :3, 3]) == pytest.approx(
+    track = np.loadtxt("poses.txt").reshape(-1, 4, 4)
+    assert len(track) == N_FRAMES
+    assert np.linalg.norm(track[-1, :3, 3] - track[0, :3, 3]) == pytest.approx(
         way_m(frames), rel=0.2
     )

@@ -37,17 +37,17 @@ ALIKE = 0.01
 def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
     prc = Shell(prc.here, installed=True)
     prc(f"prc simulate street drive.laz -q {STREET}")
-    told = prc("prc info drive.laz").told("type")
-    said = prc(told)
-    prc(said.told("draw it"))
+    command = prc("prc info drive.laz").command("type")
+    said = prc(command)
+    prc(said.command("draw it"))
     assert (prc.here / "drive_classified.png").read_bytes()[:4] == b"\x89PNG"
-    found = prc.f1("drive_classified.laz", "drive.laz")
-    assert prc(said.told("compare it").replace("REFERENCE", "drive.laz")).out
+    f1 = prc.f1("drive_classified.laz", "drive.laz")
+    assert prc(said.command("compare it").replace("REFERENCE", "drive.laz")).out
     prc("prc classify drive.npz best.npy -q --preset fused")
     best = prc.f1("best.npy", "drive.npz")
     for name in CLASSES:
-        assert found[name] > best[name] - ALIKE
-    assert min(found[name] for name in CLASSES) > 0.85
+        assert f1[name] > best[name] - ALIKE
+    assert min(f1[name] for name in CLASSES) > 0.85
 
 
 @pytest.mark.parametrize("wrong", [3 * M, 100 * M, M // 2, M // 3, M + 1])
@@ -57,8 +57,8 @@ def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc: Shell, w
     hint = re.search(r"give (-M \d+)", said.err)
     assert hint, said.err
     prc(f"prc classify drive.bin labels.npy -q {hint[1]}")
-    found = prc.f1("labels.npy", "drive.npz")
-    assert min(found[name] for name in CLASSES) > 0.85
+    f1 = prc.f1("labels.npy", "drive.npz")
+    assert min(f1[name] for name in CLASSES) > 0.85
 
 
 def test_2_a_wrong_unit_too(prc: Shell) -> None:
@@ -72,8 +72,8 @@ def test_2_a_wrong_unit_too(prc: Shell) -> None:
     said = prc("prc classify mm.npz labels.npy", code=1)
     assert "--set input.range_scale=0.001" in said.err
     prc("prc classify mm.npz labels.npy -q --set input.range_scale=0.001")
-    found = prc.f1("labels.npy", "drive.npz")
-    assert min(found[name] for name in CLASSES) > 0.85
+    f1 = prc.f1("labels.npy", "drive.npz")
+    assert min(f1[name] for name in CLASSES) > 0.85
     assert "radians" in prc("prc classify radians.npz more.npy", code=1).err
 
 
@@ -81,7 +81,7 @@ def test_3_calibrate_never_makes_the_labels_worse(prc: Shell) -> None:
     prc("prc calibrate drive.npz -o calibrated.toml -q")
     prc("prc classify drive.npz plain.npy -q")
     prc("prc classify drive.npz calibrated.npy -q --config calibrated.toml")
-    plain, calibrated = (prc.f1(f"{one}.npy", "drive.npz") for one in ("plain", "calibrated"))
+    plain, calibrated = (prc.f1(f"{stem}.npy", "drive.npz") for stem in ("plain", "calibrated"))
     for name in CLASSES:
         assert calibrated[name] >= plain[name]
 
@@ -97,7 +97,7 @@ def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: st
     assert {2, 5, 6, 7, 65, 66, 69} <= set(codes.tolist())
     if suffix == "laz":
         (names,) = [
-            one.lookups for one in laspy.read(prc.here / "cloud.laz").vlrs if one.record_id == 0
+            vlr.lookups for vlr in laspy.read(prc.here / "cloud.laz").vlrs if vlr.record_id == 0
         ]
         assert {65: "car", 66: "curb", 69: "pole"}.items() <= names.items()
 
@@ -206,10 +206,12 @@ def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
     reasons = table["reason"].to_numpy()
     rng = np.random.default_rng(8803)
     for code in (2, 5, 6, 7, 65):
-        at = int(rng.choice(np.flatnonzero(labels == code)))
-        told = json.loads(prc(f"prc explain drive.npz --at {at // M},{at % M} --json").out)
-        assert (told["code"], told["reason"]) == (code, reasons[at])
-        assert told["sentence"] == rule_of(int(reasons[at]))[1].sentence
+        shot = int(rng.choice(np.flatnonzero(labels == code)))
+        explanation = json.loads(
+            prc(f"prc explain drive.npz --at {shot // M},{shot % M} --json").out
+        )
+        assert (explanation["code"], explanation["reason"]) == (code, reasons[shot])
+        assert explanation["sentence"] == rule_of(int(reasons[shot]))[1].sentence
 
 
 @pytest.mark.parametrize(
@@ -257,9 +259,9 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
     (prc.here / "tiles").mkdir()
     rows = tiles_of(truth, prc.here / "tiles")
     prc("prc classify drive.laz raw.laz -q")
-    told = prc("prc info tiles/t_0.laz").told("type")
-    assert told == "prc classify tiles/t_0.laz tiles/t_0_classified.laz --range points"
-    prc(told)
+    command = prc("prc info tiles/t_0.laz").command("type")
+    assert command == "prc classify tiles/t_0.laz tiles/t_0_classified.laz --range points"
+    prc(command)
     raw, reference = (
         np.asarray(laspy.read(prc.here / name).classification) for name in ("raw.laz", "drive.laz")
     )
@@ -268,8 +270,8 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
     (prc.here / "tiles/t_0_classified.laz").unlink()
     prc("prc batch tiles out --drive 't_*.laz' --range points -q")
     whole = np.zeros(len(raw), np.uint8)
-    for number, own in enumerate(rows):
-        whole[own] = laspy.read(prc.here / f"out/t_{number}.laz").classification
+    for number, tile_rows in enumerate(rows):
+        whole[tile_rows] = laspy.read(prc.here / f"out/t_{number}.laz").classification
     assert f1_of(whole, reference) > f1_of(raw, reference) - ALIKE
     assert np.mean(whole == raw) > 0.98
 
@@ -285,14 +287,16 @@ def tiles_of(drive: laspy.LasData, folder: Path) -> list[NDArray[Any]]:
     middle = float(np.median(drive.x))
     rows = []
     for number, inside in enumerate((np.asarray(drive.x) < middle, np.asarray(drive.x) >= middle)):
-        own = np.flatnonzero(inside)
-        own = own[np.lexsort((np.floor(drive.y[own]), np.floor(drive.x[own])))]
+        inside_rows = np.flatnonzero(inside)
+        inside_rows = inside_rows[
+            np.lexsort((np.floor(drive.y[inside_rows]), np.floor(drive.x[inside_rows])))
+        ]
         tile = laspy.LasData(header)
         tile.x, tile.y, tile.z, tile.gps_time = (
-            np.asarray(drive[name])[own] for name in ("x", "y", "z", "gps_time")
+            np.asarray(drive[name])[inside_rows] for name in ("x", "y", "z", "gps_time")
         )
         tile.write(folder / f"t_{number}.laz")
-        rows.append(own)
+        rows.append(inside_rows)
     return rows
 
 

@@ -261,7 +261,7 @@ def test_few_rings_are_known_before_any_label(
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz)
     result = prc("info", tmp_path / "scan.npz")
-    assert "look at few-rings" in result.out
+    assert "warning: few-rings" in result.out
     assert "as it is" not in result.out
 
 
