@@ -273,8 +273,8 @@ def batch(**options: Any) -> None:
     classifies the file again. An interrupted run continues where it stopped. The journal is in
     OUT/.prc. The file of --config may contain [[override]] tables for some of the files.
 
-    Exit codes: 0 done. 1 a file failed. 2 wrong usage. 3 a score is below --fail-under. 4 a file has
-    a warning or unusual classes. 5 another run works in OUT.
+    Exit codes: 0 done. 1 a file failed. 2 wrong usage. 3 a score is below --fail-under. 4 a file
+    has a warning or unusual classes. 5 another run works in OUT.
 
     \b
     Examples:

@@ -164,7 +164,7 @@ class Final:
 
 
 class Teller:
-    """Prints a line per finished file, or a bar on a terminal; if quiet, only failures and warnings."""
+    """Prints a line per finished file or a bar; if quiet, only failures and warnings."""
 
     def __init__(
         self,

@@ -291,15 +291,10 @@ def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]
         yield "time order", inspection.order.sentence()
     yield from _stream_rows(inspection, verbose=verbose)
     yield from _path_rows(inspection, verbose=verbose)
-    assumptions = [
-        assumption
-        for assumption in inspection.assumptions
-        if verbose or assumption.key not in SAID_BEFORE
-    ]
-    for why, alike in groupby(assumptions, lambda assumption: assumption.why):
-        values = (
-            f"{assumption.key.removeprefix('input.')} {assumption.value}" for assumption in alike
-        )
+    hidden = () if verbose else SAID_BEFORE
+    assumptions = [item for item in inspection.assumptions if item.key not in hidden]
+    for why, alike in groupby(assumptions, lambda item: item.why):
+        values = (f"{item.key.removeprefix('input.')} {item.value}" for item in alike)
         yield "used", f"{', '.join(values)} ({why})"
     yield from (("note", note) for note in inspection.notes)
     if inspection.facts is not None:

@@ -66,16 +66,7 @@ def stream(
       scanner | prc stream --preset urban -M 2154 > labels.bin
       cat drive.bin | prc stream --layout profiler.toml | logger
     """
-    for name, file, original in (
-        ("stdin", sys.stdin, sys.__stdin__),
-        ("stdout", sys.stdout, sys.__stdout__),
-    ):
-        if original is None:
-            message = f"{name} is closed; connect a pipe or a file"
-            raise click.UsageError(message)
-        if file.isatty():
-            message = f"{name} is a terminal, but ranges and labels are bytes; use a pipe or a file"
-            raise click.UsageError(message)
+    _check_pipes()
     loaded = config_from(options)
     if loaded.config.is_decided:
         with compiling_note(quiet=quiet or as_json):
@@ -84,15 +75,22 @@ def stream(
     # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
+
+    def print_warning(doubt: Finding) -> None:
+        if as_json:
+            click.echo(json.dumps({"doubt": doubt.as_dict()}, sort_keys=True), err=True)
+        else:
+            print_doubts((doubt,))
+
+    def print_method(choice: MethodChoice) -> None:
+        if as_json:
+            table = {"method": choice.method, "preset": choice.preset, "why": choice.why}
+            click.echo(json.dumps(table, sort_keys=True), err=True)
+        elif not quiet:
+            print_choice(choice.assumption)
+
     summary = label_stream(
-        source,
-        sink,
-        loaded,
-        report=report,
-        doubted=_tell_json if as_json else _tell,
-        chosen=_choice_json
-        if as_json
-        else lambda choice: None if quiet else print_choice(choice.assumption),
+        source, sink, loaded, report=report, doubted=print_warning, chosen=print_method
     )
     if as_json:
         labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
@@ -107,21 +105,17 @@ def stream(
         raise SystemExit(ExitCode.LOOK)
 
 
-def _tell(doubt: Finding) -> None:
-    print_doubts((doubt,))
-
-
-def _tell_json(doubt: Finding) -> None:
-    click.echo(json.dumps({"doubt": doubt.as_dict()}, sort_keys=True), err=True)
-
-
-def _choice_json(choice: MethodChoice) -> None:
-    click.echo(
-        json.dumps(
-            {"method": choice.method, "preset": choice.preset, "why": choice.why}, sort_keys=True
-        ),
-        err=True,
-    )
+def _check_pipes() -> None:
+    for name, file, original in (
+        ("stdin", sys.stdin, sys.__stdin__),
+        ("stdout", sys.stdout, sys.__stdout__),
+    ):
+        if original is None:
+            message = f"{name} is closed; connect a pipe or a file"
+            raise click.UsageError(message)
+        if file.isatty():
+            message = f"{name} is a terminal, but ranges and labels are bytes; use a pipe or a file"
+            raise click.UsageError(message)
 
 
 class _Reporter:

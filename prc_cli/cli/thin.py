@@ -108,7 +108,9 @@ def thin(
     loaded = config_from(options)
     rules = parse_rules(keep, spacing, drop, loaded.config.classes, keep_only=keep_only)
     classify = any(options[name] is not None for name in ("preset", "method", "config_file"))
-    chosen: Path | str | None = labels if labels is not None else CLASSIFY if classify else None
+    chosen: Path | str | None = labels
+    if labels is None and classify:
+        chosen = CLASSIFY
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
         summary = thin_file(

@@ -293,15 +293,7 @@ def open_items(
     """
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
-    scan_blocks: Iterator[ScanBlock | LabelledBlock] = (
-        stream.blocks() if blocks_of is None else blocks_of(stream)
-    )
-    blocks = (
-        StreamItem(block.block, labelled=block)
-        if isinstance(block, LabelledBlock)
-        else StreamItem(block)
-        for block in scan_blocks
-    )
+    blocks = _bare_items(stream.blocks() if blocks_of is None else blocks_of(stream))
     bare = next(blocks, None)
     if bare is None:
         raise InputError(str(source), "no scan lines, expected at least one", "see prc info")
@@ -339,6 +331,14 @@ def open_items(
 
         notes = () if made_up is None else (made_up.notice(first),)
         yield OpenedItems(stream.info, shape, items(), records, stream, carried, notes)
+
+
+def _bare_items(blocks: Iterator[ScanBlock] | Iterator[LabelledBlock]) -> Iterator[StreamItem]:
+    for block in blocks:
+        if isinstance(block, LabelledBlock):
+            yield StreamItem(block.block, labelled=block)
+        else:
+            yield StreamItem(block)
 
 
 def _carry_array(
@@ -396,7 +396,7 @@ def find_losses(
     counts: Counts,
     written: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """Return what the output lacks of the input, one sentence each; the losses of the writer first."""
+    """Return what the output lacks of the input, one sentence each, the writer's losses first."""
     # complete after the last item
     n_odd = 0 if opened.carried is None else opened.carried.n_odd
     odd = (
@@ -432,7 +432,7 @@ def _losses(output: Path, opened: OpenedItems, counts: Counts) -> Iterator[str]:
         yield f"{counts.tally.n_unplaced} records that belong to no cell"
     bad = counts.tally.n_not_finite + counts.tally.n_not_positive + counts.tally.n_beyond
     if bad:
-        yield f"the stored ranges of {bad} missing shots (not finite, not positive or out of bounds)"
+        yield f"the stored ranges of {bad} shots that are not finite, not positive or out of bounds"
     yield from _record_losses(opened)
 
 

@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from prc_cli.config import LoadedConfig, RunConfig, load_config, with_layout_bes
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.threads import closing_items
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
@@ -241,12 +241,13 @@ def placement(
     loaded: LoadedConfig,
     stream: ScanStream,
 ) -> Iterator[Placement | None]:
-    """Give the coordinates of returns for a new cloud: from records, else from assumed line distances.
+    """Give the coordinates of returns for a new cloud, from records or from assumed distances.
 
     None = the coordinates are relative to the scanner.
     """
     plain = stream.source if isinstance(stream, BeamStream) else stream
-    first = next(iter(plain.blocks()), None)
+    with closing_items(plain.blocks()) as blocks:
+        first = next(blocks, None)
     records = open_source(source, loaded.config.layout)
     axes = () if first is None else axes_of(records, plain, first, loaded.config)
     if first is not None and first.xyz_m is not None and plain.info.facts.stations:
@@ -278,10 +279,13 @@ def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
             }
     times: list[NDArray[Any]] = []
     if stream.info.line_hz is None:
-        for block in islice(stream.blocks(), _FIRST_LINES):
-            times += [] if block.time_s is None else list(block.time_s)
-            if block.time_s is None or len(times) >= _FIRST_LINES:
-                break
+        with closing_items(stream.blocks()) as blocks:
+            for block in blocks:
+                if block.time_s is None:
+                    break
+                times += list(block.time_s)
+                if len(times) >= _FIRST_LINES:
+                    break
     in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
     return LinesApart(
         beams,

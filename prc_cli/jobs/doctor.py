@@ -1,7 +1,7 @@
 """Checks of an installation and of a folder for outputs: ``prc doctor``.
 
-The checks remove the files that they write. Each check imports its own packages, so a broken package
-makes only that check fail.
+The checks remove the files that they write. Each check imports its own packages, so a broken
+package makes only that check fail.
 """
 
 from __future__ import annotations
@@ -381,7 +381,8 @@ def _cache() -> Iterator[Check]:
         return
     free = shutil.disk_usage(folder).free
     is_lost = not os.environ.get("NUMBA_CACHE_DIR") and folder.resolve().is_relative_to(temporary)
-    text = f"{cache.n_compiled} of {cache.n_modules} modules compiled, {_size(cache.n_bytes)} in {folder}"
+    text = f"{cache.n_compiled} of {cache.n_modules} modules compiled"
+    text += f", {_size(cache.n_bytes)} in {folder}"
     yield _check(
         "compiled loops",
         text,
@@ -682,19 +683,16 @@ def _engines() -> Iterator[Check]:
         config = load_config(preset=preset, options={"input": {"accept_doubts": CHECK_NAMES}})
         load_classifier(config)
         start = time.perf_counter()
-        block = join(
-            list(
-                open_simulation(kind, load_settings(kind, options=options), threads=1).scan.blocks()
-            )
-        )
-        compiled, plain = (
-            classify_ranges(
+        simulation = open_simulation(kind, load_settings(kind, options=options), threads=1)
+        block = join(list(simulation.scan.blocks()))
+        labels = {}
+        for engine in get_args(Engine):
+            classified = classify_ranges(
                 block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine=engine
-            ).labels
-            for engine in get_args(Engine)
-        )
+            )
+            labels[engine] = classified.labels
         n_shots += block.range_m.size
-        n_other[preset] = int((compiled != plain).sum())
+        n_other[preset] = int((labels["compiled"] != labels["reference"]).sum())
         seconds += time.perf_counter() - start
     different = ", ".join(f"{preset} {count:,}" for preset, count in n_other.items() if count)
     yield _check(

@@ -82,16 +82,10 @@ def _with_layout(loaded: LoadedConfig, layout: Layout) -> LoadedConfig:
 def _input_lines(inspection: Inspection) -> list[str]:
     """Return the table ``[input]``: assumptions, measured values, and what is missing."""
     lines = ["[input]"]
-    taken = [
-        (item.key.removeprefix("input."), item.value, item.why)
-        for item in inspection.assumptions
-        if not inspection.missing
-    ]
-    lines += [
-        f"{key} = {_quoted(value)}  # {why}"
-        for key, value, why in taken
-        if key in _KEPT and _is_valid(key, value)
-    ]
+    for assumption in inspection.assumptions if not inspection.missing else ():
+        key = assumption.key.removeprefix("input.")
+        if key in _KEPT and _is_valid(key, assumption.value):
+            lines.append(f"{key} = {_quoted(assumption.value)}  # {assumption.why}")
     for option in inspection.missing:
         flag, _, value = option.partition(" ")
         if flag == "--set":
@@ -144,14 +138,11 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
     if isinstance(source, TextSource):
         return _text_lines(source)
     if isinstance(source, CloudSource):
-        rows = [
-            _field_line(
-                {"name": name, "source": column.name}
-                | column.item.model_dump(include={"unit", "offset"}, exclude_defaults=True)
-            )
-            for name, column in source.columns.items()
-            if name in (*STANDARD_NAMES, "ring")
-        ]
+        rows = []
+        for name, column in source.columns.items():
+            if name in (*STANDARD_NAMES, "ring"):
+                unit = column.item.model_dump(include={"unit", "offset"}, exclude_defaults=True)
+                rows.append(_field_line({"name": name, "source": column.name} | unit))
         return ["", "[layout]", "fields = [", *rows, "]"], None
     return [], None
 
@@ -161,13 +152,10 @@ def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
     if layout is None:
         problem = "found no records of one size in its bytes"
         raise InputError(str(path), problem, "write a layout: see docs, Input formats, Raw binary")
-    rows = [
-        _field_line(
-            {"name": field.name, "type": field.type}
-            | field.model_dump(include=_KEYS, exclude_defaults=True)
-        )
-        for field in layout.fields
-    ]
+    rows = []
+    for field in layout.fields:
+        values = field.model_dump(include=_KEYS, exclude_defaults=True)
+        rows.append(_field_line({"name": field.name, "type": field.type} | values))
     header = [
         "",
         "[layout]",

@@ -255,11 +255,10 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     if stream is not None and _fires_in_turns(stream):
         order = _line_order(stream)
     inspection = _inspect_records(path, loaded, source, stream, refusal, order)
-    return replace(inspection, contents=contents, drive=_drive_found(stream, loaded.config.input))
-
-
-def _drive_found(stream: ScanStream | None, inputs: InputConfig) -> Drive | SpinningDrive | None:
-    return drive_of(stream) if stream is not None and inputs.range == "points" else None
+    drive = None
+    if stream is not None and loaded.config.input.range == "points":
+        drive = drive_of(stream)
+    return replace(inspection, contents=contents, drive=drive)
 
 
 def _inspect_records(
@@ -471,15 +470,22 @@ def _describe(
     findings = stream.findings() if isinstance(stream, EvidenceStream) and with_ranges else ()
     problem, hint = _verdict(path, order, findings, refusal, judged=judged)
     info = None if stream is None else stream.info
-    source_facts = (
-        info.facts if info is not None else source.facts if source is not None else SourceFacts()
-    )
-    n_records = None if source is None else source.n_records
+    source_facts = SourceFacts()
+    file_format = ""
+    n_records = None
+    if info is not None:
+        source_facts = info.facts
+        file_format = info.format
+        n_records = info.n_records
+    if source is not None:
+        source_facts = source_facts if info is not None else source.facts
+        file_format = source.format
+        n_records = n_records if source.n_records is None else source.n_records
     return Inspection(
         path=str(path),
         size=path.stat().st_size,
-        format=source.format if source is not None else info.format if info is not None else "",
-        n_records=n_records if n_records is not None else None if info is None else info.n_records,
+        format=file_format,
+        n_records=n_records,
         dimensions=() if source is None else source.dimensions,
         points_per_line=None if info is None else info.points_per_line,
         # if M is known, a part of the ranges is enough to test it
@@ -530,7 +536,7 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
         n_shots += block.range_m.size
         n_missing += int(missing.sum())
         scanners.add(block.scanner)
-        tally = tally + block.tally
+        tally += block.tally
         if not missing.all():
             low = min(low, float(np.nanmin(block.range_m)))
             high = max(high, float(np.nanmax(block.range_m)))

@@ -1,4 +1,4 @@
-"""``prc info --path`` and ``--check-path``: writes the path found from points, or compares with it."""
+"""``prc info --path`` and ``--check-path``: writes the path found from points, or compares it."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Rate:
     line_hz: float | None
     """Lines per second of the scanner [Hz], None = unknown."""
     latency_s: float
-    """Largest time from the arrival of the last shot of a block until its labels were written [s]."""
+    """Largest time from the last shot of a block until its labels were written [s]."""
 
     def real_time(self, line_hz: float | None = None) -> float | None:
         """Return the throughput as a multiple of the scanner's line rate."""
@@ -186,7 +186,7 @@ def _rate(
 
 
 class _UntilError:
-    """Yields blocks until the input raises; keeps the error, so that earlier blocks are labelled."""
+    """Yields blocks until the input raises, and keeps the error for later."""
 
     def __init__(self, stream: ScanStream) -> None:
         self._stream = stream

@@ -114,7 +114,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
         list(classify_drive([image, *parts], tmp_path / "out", WITH_M))
     with pytest.raises(ConfigError, match="two inputs have this output"):
         list(classify_drive([parts[0], parts[0]], tmp_path / "out", WITH_M))
-    with pytest.raises(ConfigError, match="found a window"):
+    with pytest.raises(ConfigError, match="needs a single file"):
         window = load_config(preset="urban", options={"input": {"only_lines": "0:9"}})
         list(classify_drive(parts, tmp_path / "out", window))
     list(classify_drive(parts, tmp_path / "out", WITH_M))

@@ -212,7 +212,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     with pytest.raises(ConfigError, match="the cell of a shot depends on the order of the records"):
         thin(labelled, out / "a.laz", config=config(columns="order"))
     np.savez(tmp_path / "bare.npz", range_m=street()[:, ::2])
-    with pytest.raises(ConfigError, match="no scan angles and no coordinates"):
+    with pytest.raises(ConfigError, match="neither scan angles nor coordinates"):
         thin(
             tmp_path / "bare.npz", out / "a.npz", parse_rules(spacing=["ground=1"]), labels=CLASSIFY
         )
