@@ -63,7 +63,7 @@ class Axis:
         low, high = sorted((self.first, self.stop))
         if not high > low:
             return []
-        step = round_step((high - low) * apart / max(length, 1), whole=self.cells)
+        step = round_step((high - low) * apart / max(length, 1), integer=self.cells)
         half = 0.5 if self.cells else 0.0
         values = [
             step * i
@@ -104,13 +104,13 @@ class Panel:
         return self.picture.shape[1] * self.zoom[0], self.picture.shape[0] * self.zoom[1]
 
 
-def round_step(least: float, *, whole: bool = False) -> float:
+def round_step(least: float, *, integer: bool = False) -> float:
     """Return the smallest of 1, 2, 5, 10, 20, ... (or 0.1, 0.2, ...) that is not below ``least``.
 
-    >>> round_step(37), round_step(0.03), round_step(0.03, whole=True)
+    >>> round_step(37), round_step(0.03), round_step(0.03, integer=True)
     (50.0, 0.05, 1.0)
     """
-    if whole:
+    if integer:
         least = max(least, 1.0)
     power = 10.0 ** math.floor(math.log10(max(least, 1e-12)))
     for factor in (1.0, 2.0, 5.0, 10.0):

@@ -217,9 +217,9 @@ def _plane(quantity: Values, limits: tuple[float, float] | None) -> tuple[dict[s
     return about, pack(packed.astype(np.uint32), quantity.n_bytes)
 
 
-def pack(whole: NDArray[np.uint32], n_bytes: int) -> str:
+def pack(integers: NDArray[np.uint32], n_bytes: int) -> str:
     """Return integers below 256 ** n_bytes, (n,) uint32, as text."""
-    steps = np.diff(whole, prepend=np.uint32(0)).astype("<u4")
+    steps = np.diff(integers, prepend=np.uint32(0)).astype("<u4")
     planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
     return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode(
         "ascii"

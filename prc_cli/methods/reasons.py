@@ -31,13 +31,13 @@ RULES: dict[Reason, Rule] = {
         ("prc.support.zeta_p", "prc.support.zeta_s", "prc.support.rho_c"),
     ),
     Reason.MOST_SMOOTH: Rule(
-        "of the smooth segment that has most shots so far", ("prc.urban.ground",)
+        "part of the smooth segment with most shots so far", ("prc.urban.ground",)
     ),
     Reason.OTHER_SEGMENT: Rule(
-        "of a smooth segment that is not the ground", ("prc.surfaces.area", "prc.urban.ground")
+        "part of a smooth segment that is not the ground", ("prc.surfaces.area", "prc.urban.ground")
     ),
     Reason.NON_SMOOTH: Rule(
-        "of a segment that is too small for a smooth surface, or close beside such a one",
+        "part of a segment that is too small for a smooth surface, or close beside such a segment",
         ("prc.surfaces.area", "prc.surfaces.gamma"),
     ),
     Reason.GROUND_COLUMN: Rule(
@@ -45,14 +45,15 @@ RULES: dict[Reason, Rule] = {
         ("prc.forest.density", "prc.forest.column_step", "prc.forest.noise_in_ground_columns"),
     ),
     Reason.SMOOTH_COLUMN: Rule(
-        "of a smooth segment, in a column that is not ground",
+        "part of a smooth segment, in a column that is not ground",
         ("prc.surfaces.area", "prc.forest.density"),
     ),
     # Stamos et al. (2012)
     Reason.BEYOND_REACH: Rule("farther than the method looks", ("sequential_angle.max_range_m",)),
     Reason.UNDECIDED: Rule("its line has too few returns for an angle"),
     Reason.TO_AND_FRO: Rule(
-        "the angles around turn to and fro", ("sequential_angle.coarse.vegetation.threshold",)
+        "the angles around it change back and forth",
+        ("sequential_angle.coarse.vegetation.threshold",),
     ),
     Reason.HORIZONTAL: Rule(
         "a run of level angles, and neither ground nor car",
@@ -67,7 +68,7 @@ RULES: dict[Reason, Rule] = {
         ("sequential_angle.ground.height_tolerance_m",),
     ),
     Reason.CURB_REGION: Rule(
-        "a low vertical face between two grounds, seen in enough lines",
+        "a low vertical face between two ground surfaces, visible in enough lines",
         ("sequential_angle.curb.max_height_m", "sequential_angle.curb.min_lines"),
     ),
     Reason.BETWEEN_DIVIDERS: Rule(
@@ -76,7 +77,7 @@ RULES: dict[Reason, Rule] = {
     ),
     # fused, streets
     Reason.LONELY: Rule(
-        "nothing is near it, although the scanner is", ("decision.lone_m", "near.near_m")
+        "near the scanner, but nothing is near it", ("decision.lone_m", "near.near_m")
     ),
     Reason.ISOLATED: Rule(
         "isolated, and neither a leaf among others nor on a surface",
@@ -94,7 +95,7 @@ RULES: dict[Reason, Rule] = {
     ),
     Reason.IN_CAR: Rule("isolated in a car, without a smooth pair", ("decision.least_near",)),
     Reason.MIRRORED: Rule(
-        "amid a car, but farther than it, and on no surface: a mirror image",
+        "within a car, but farther than the car, and on no surface: a mirror image",
         ("again.mirror_m", "again.mirror_share"),
     ),
     Reason.RANGE_ALONE: Rule(
@@ -170,34 +171,35 @@ RULES: dict[Reason, Rule] = {
         ("lonely.near_m", "lonely.most", "lonely.bright"),
     ),
     Reason.SURFACE: Rule(
-        "at the surface that the lowest returns around lie on", ("soil.soil_m", "ground.step_m")
+        "on the surface through the lowest returns around", ("soil.soil_m", "ground.step_m")
     ),
     Reason.THIN_SMOOTH: Rule(
-        "what stands there is thin, smooth, upright and without gaps in height",
+        "the object there is thin, smooth, upright and without gaps in height",
         ("leaves.thick", "leaves.smooth", "leaves.upright", "leaves.filled"),
     ),
     Reason.ROUGH_PLACE: Rule(
-        "what stands there is rough, thick, or has gaps in height",
+        "the object there is rough, thick, or has gaps in height",
         ("leaves.thick", "leaves.smooth", "leaves.filled"),
     ),
     Reason.LOW_PLANT: Rule(
         "low, in a rough place or above a smooth one", ("soil.smooth", "soil.rough", "soil.high")
     ),
     Reason.CAR_BOX: Rule(
-        "of a body of a car's size that stands alone, and rings pass over it",
+        "part of a separate object of a car's size, and rings pass over it",
         ("cars.body_m", "cars.most_m", "cars.wide_m", "cars.seen_m"),
     ),
     Reason.LARGE_BOX: Rule(
-        "of a smooth body of a lorry's size that stands alone, and rings pass over it",
+        "part of a separate smooth object of a lorry's size, and rings pass over it",
         ("lorries.body_m", "lorries.most_m", "lorries.wide_m", "lorries.seen_m"),
     ),
     Reason.THIN_PLACE: Rule(
-        "what stands there is thin to all sides, high and alone", ("poles.thin_m", "poles.least_m")
+        "the object there is thin on all sides, high and separate",
+        ("poles.thin_m", "poles.least_m"),
     ),
 }
 VOTE = Rule("most shots around are of this class", ("votes.half_width_m", "votes.near_m"))
 FURTHER = Rule(
-    "a further return: the class of a shot around that is as far, or what remains without one"
+    "a further return: the class of a shot around that is as far, or of a shot without neighbours"
 )
 
 LABEL_REASONS: dict[str, dict[Label, Reason]] = {

@@ -116,7 +116,7 @@ class SunkenThresholds(NamedTuple):
 
 
 class CellThresholds(NamedTuple):
-    """Columns of space of equal width, and what stands in them."""
+    """Columns of space of equal width, and the objects in them."""
 
     cell_m: float = 0.5
     """Width of a cell [m]."""
@@ -125,9 +125,9 @@ class CellThresholds(NamedTuple):
     foot_m: float = 0.25
     """What stands in a cell is higher than this above the ground [m]."""
     hem_m: float = 0.12
-    """Shots higher than this are of what stands in their cell [m]."""
+    """Shots higher than this are part of the object in their cell [m]."""
     gap_m: float = 0.75
-    """What hangs over a cell with a wider gap beneath is not of what stands there [m]."""
+    """Objects above a wider gap hang over the cell and do not count [m]."""
     storey_m: float = 0.25
     """Height of a level of a cell [m]; it has 62."""
 

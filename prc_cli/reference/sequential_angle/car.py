@@ -266,14 +266,15 @@ class Line:
         """
         behind = next((i for i, k in enumerate(returns) if self.surface[k] != T), len(returns))
         window = returns[:behind]
-        rest = returns[behind:]
-        if not rest or self.surface[rest[0]] not in (H, V):
+        following = returns[behind:]
+        if not following or self.surface[following[0]] not in (H, V):
             return []
-        near = self.distance[rest[0]] <= self.distance[last] + thresholds.glass_m
+        near = self.distance[following[0]] <= self.distance[last] + thresholds.glass_m
         low = all(
-            not self.height[k] > self.ground_m + thresholds.height_m for k in [*window, rest[0]]
+            not self.height[k] > self.ground_m + thresholds.height_m
+            for k in [*window, following[0]]
         )
-        return rest if near and low and self.height[last] >= self.ground_m + 0.6 else []
+        return following if near and low and self.height[last] >= self.ground_m + 0.6 else []
 
     def side_of_van(
         self, returns: list[int], last: list[int], thresholds: DividerThresholds

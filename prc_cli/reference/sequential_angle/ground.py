@@ -1,6 +1,6 @@
 """Modes by mean shift, the ground of a row and its height across rows (Stamos et al. 2012, sec. 5).
 
-Every density is computed anew from all samples, every set of points is a list.
+Every density is computed from all samples, every set of points is a list.
 """
 
 from __future__ import annotations
@@ -229,7 +229,7 @@ class Row:
             grown.append(beam)
         return grown
 
-    def rest(self, after: int) -> list[int]:
+    def labels_of_run(self, after: int) -> list[int]:
         """Return the labels up to too many successive points that are not horizontal."""
         behind = self.valid(after)
         for horizontal, group in groupby(behind, key=lambda beam: self.surface[beam] == HORIZONTAL):
@@ -314,8 +314,8 @@ def main_bin(
     for _ in range(20):
         moment = mass = 0
         for height in heights:
-            bins, rest = divmod(abs(height - centre), width)
-            between = (weight(bins) * (width - rest) + weight(bins + 1) * rest) // width
+            bins, remainder = divmod(abs(height - centre), width)
+            between = (weight(bins) * (width - remainder) + weight(bins + 1) * remainder) // width
             moment += between * (height - centre)
             mass += between
         shift = moment / mass if mass else 0.0
@@ -399,14 +399,14 @@ def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
     """Grow potential ground, and look for more of it in the rest of its run."""
     guard = row.thresholds.growth_height_m
     points = row.grown([], beams, b)
-    row.surface = row.rest(points[-1])
+    row.surface = row.labels_of_run(points[-1])
     more, b = row.potential(points[-1] + 1) if row.thresholds.resume else ([], b)
     while more:
         start = more[-1] + 1
         between = [k for k in row.valid(points[-1]) if k < more[0]]
-        whole = all(row.surface[k] == HORIZONTAL for k in between)
+        is_unbroken = all(row.surface[k] == HORIZONTAL for k in between)
         if row.fits(
-            points, more[0], guard if whole else min(guard, row.thresholds.bridge_height_m)
+            points, more[0], guard if is_unbroken else min(guard, row.thresholds.bridge_height_m)
         ):
             points = row.grown(points, more, b)
             start = points[-1] + 1
