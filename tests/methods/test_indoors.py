@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,20 +19,27 @@ from tests.runner import runner
 LINES = 512
 
 
+class Street(NamedTuple):
+    """A scan of a street."""
+
+    ranges: np.ndarray
+    """(lines, beams) float32 [m]."""
+    beam: np.ndarray
+    """(beams,) float64, angle from straight down [rad]."""
+
+
 @pytest.fixture(scope="module")
-def street() -> tuple[np.ndarray, np.ndarray]:
-    """Ranges of a street and the angles of the beams."""
+def street() -> Street:
     options = {"lines": LINES, "seed": 3, "trajectory": {"stop_every_m": 0.0}}
     scan = open_simulation("street", load_settings("street", options=options)).scan
-    return np.concatenate([block.range_m for block in scan.blocks()]), scan.scanner.angle_rad()
+    ranges = np.concatenate([block.range_m for block in scan.blocks()])
+    return Street(ranges, scan.scanner.angle_rad())
 
 
-def roofed(
-    street: tuple[np.ndarray, np.ndarray], height_m: float, lines: slice = slice(None)
-) -> np.ndarray:
+def roofed(street: Street, height_m: float, lines: slice = slice(None)) -> np.ndarray:
     """The street with a level roof so far above the scanner, over some of its lines."""
-    ranges = street[0].copy()
-    beam = street[1]
+    ranges = street.ranges.copy()
+    beam = street.beam
     up = np.cos(beam) < -0.2
     roof = np.float32(height_m) / np.abs(np.cos(beam[up])).astype(np.float32)
     roofed_ranges = ranges[lines]
@@ -47,26 +55,26 @@ def curbs(ranges: np.ndarray, beam: np.ndarray) -> np.ndarray:
 
 
 def test_a_street_has_curbs_under_a_bridge_and_none_under_a_ceiling(
-    street: tuple[np.ndarray, np.ndarray],
+    street: Street,
 ) -> None:
     open_air = curbs(*street)
     assert open_air.sum() > 500
     # 2.6 m of the scanner and 2.4 m to the bridge
-    bridge = curbs(roofed(street, 2.4), street[1])
+    bridge = curbs(roofed(street, 2.4), street.beam)
     assert np.abs(bridge - open_air).sum() < 0.2 * open_air.sum()
-    assert curbs(roofed(street, 1.2), street[1]).sum() == 0
+    assert curbs(roofed(street, 1.2), street.beam).sum() == 0
 
 
-def test_a_low_roof_over_a_few_lines_is_no_building(street: tuple[np.ndarray, np.ndarray]) -> None:
-    low = curbs(roofed(street, 1.2, slice(200, 260)), street[1])
+def test_a_low_roof_over_a_few_lines_is_no_building(street: Street) -> None:
+    low = curbs(roofed(street, 1.2, slice(200, 260)), street.beam)
     assert low.sum() > 0.8 * curbs(*street).sum()
 
 
 def test_an_alley_between_high_houses_keeps_its_curbs(
-    street: tuple[np.ndarray, np.ndarray],
+    street: Street,
 ) -> None:
-    ranges = street[0].copy()
-    beam = street[1]
+    ranges = street.ranges.copy()
+    beam = street.beam
     # walls of 40 m beside the road, the sky above
     with np.errstate(divide="ignore"):
         wall = np.float32(6.5) / np.abs(np.sin(beam)).astype(np.float32)

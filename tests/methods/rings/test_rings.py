@@ -6,7 +6,7 @@ Ground, a wall, a hedge, a car and a pole around a scanner of 32 rings.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -31,13 +31,18 @@ AZIMUTH: F64 = 2 * np.pi * np.arange(N_LINES) / N_LINES
 PARAMS = RingsParams()
 
 
-def scene(
-    seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf
-) -> tuple[F32, F32, U8]:
-    """Ranges, coordinates and the body of every shot.
+class Scene(NamedTuple):
+    """Shots of one turn."""
 
-    1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling.
-    """
+    ranges: F32
+    """(lines, rings) float32 [m]."""
+    xyz: F32
+    """(lines, rings, 3) float32 [m]."""
+    body: U8
+    """(lines, rings) uint8: 1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling."""
+
+
+def scene(seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf) -> Scene:
     random = np.random.default_rng(seed)
     directions = np.stack(
         [
@@ -64,7 +69,7 @@ def scene(
             ranges[nearer] = distance[nearer]
     ranges = np.where(body > 0, ranges + random.normal(0, 0.01, ranges.shape), np.nan)
     xyz = ranges[..., None] * directions
-    return ranges.astype(np.float32), xyz.astype(np.float32), body
+    return Scene(ranges.astype(np.float32), xyz.astype(np.float32), body)
 
 
 def _box(x: F64, y: F64, z: F64, *sides: tuple[float, float]) -> F64:
@@ -106,12 +111,12 @@ def labelled(
 
 
 @pytest.fixture(scope="module")
-def made() -> tuple[F32, F32, U8]:
+def made() -> Scene:
     return scene()
 
 
 @pytest.fixture(scope="module")
-def labels(made: tuple[F32, F32, U8]) -> U8:
+def labels(made: Scene) -> U8:
     return labelled(*made[:2])
 
 
@@ -126,7 +131,7 @@ def labels(made: tuple[F32, F32, U8]) -> U8:
     ],
 )
 def test_bodies_have_their_class(
-    made: tuple[F32, F32, U8],
+    made: Scene,
     labels: U8,
     body: int,
     label: Label,
@@ -142,7 +147,7 @@ def test_bodies_have_their_class(
 
 @pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 3), (1024, 2), (1800, 3)])
 def test_labels_depend_neither_on_chunks_nor_on_threads(
-    made: tuple[F32, F32, U8],
+    made: Scene,
     labels: U8,
     chunk: int,
     threads: int,
@@ -150,7 +155,7 @@ def test_labels_depend_neither_on_chunks_nor_on_threads(
     np.testing.assert_array_equal(labelled(*made[:2], chunk=chunk, threads=threads), labels)
 
 
-def test_a_scanner_may_hang_upside_down(made: tuple[F32, F32, U8], labels: U8) -> None:
+def test_a_scanner_may_hang_upside_down(made: Scene, labels: U8) -> None:
     """Its lowest ring is the highest then; what is written of its beams says where down is."""
     ranges, xyz, _ = made
     turned = xyz * np.array([1, -1, -1], np.float32)
@@ -169,9 +174,7 @@ def test_a_scanner_may_lean(lean: tuple[float, float]) -> None:
         assert not seen.any() or (leaning_labels[seen] == label).mean() > 0.9
 
 
-def test_shots_are_labelled_in_the_frame_of_the_scanner(
-    made: tuple[F32, F32, U8], labels: U8
-) -> None:
+def test_shots_are_labelled_in_the_frame_of_the_scanner(made: Scene, labels: U8) -> None:
     frame = SensorFrame(tuple(map(tuple, turning(np.deg2rad([5.0, -8.0, 0.0])))), (0.8, -0.3, 1.7))  # type: ignore[arg-type]
     elsewhere = (made[1].astype(np.float64) @ np.array(frame.turn) + frame.apex_m).astype(
         np.float32
@@ -191,16 +194,14 @@ def test_z_is_up_where_a_floor_and_a_ceiling_are_level() -> None:
     assert (down[body == 6] == Label.GROUND).mean() > 0.8
 
 
-def test_a_short_block_takes_the_ground_of_those_before(
-    made: tuple[F32, F32, U8], labels: U8
-) -> None:
+def test_a_short_block_takes_the_ground_of_those_before(made: Scene, labels: U8) -> None:
     ranges, xyz = (np.concatenate([array, array[:12]]) for array in made[:2])
     image = labelled(ranges[: 1024 + 12], xyz[: 1024 + 12])
     np.testing.assert_array_equal(image[:1024], labels[:1024])
     assert (image[1024:] == Label.GROUND).mean() > 0.3
 
 
-def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
+def snowy(made: Scene) -> tuple[F32, F32, F32, Mask]:
     """Put flakes before things; they are brighter."""
     ranges, xyz, body = made
     random = np.random.default_rng(3)
@@ -216,7 +217,7 @@ def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
 
 
 @pytest.mark.parametrize("is_lit", [True, False])
-def test_snow_is_noise(made: tuple[F32, F32, U8], is_lit: bool) -> None:
+def test_snow_is_noise(made: Scene, is_lit: bool) -> None:
     ranges, xyz, light, flake = snowy(made)
     block = ScanBlock(
         0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=light if is_lit else None
@@ -229,9 +230,7 @@ def test_snow_is_noise(made: tuple[F32, F32, U8], is_lit: bool) -> None:
 
 
 @pytest.mark.parametrize("light", [255.0, 0.0, np.nan, "steps"])
-def test_intensities_that_tell_nothing_count_as_none(
-    made: tuple[F32, F32, U8], light: float | str
-) -> None:
+def test_intensities_that_tell_nothing_count_as_none(made: Scene, light: float | str) -> None:
     ranges, xyz, lit, _ = snowy(made)
     equal = (
         np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
@@ -244,7 +243,7 @@ def test_intensities_that_tell_nothing_count_as_none(
     np.testing.assert_array_equal(with_equal, none)
 
 
-def test_mirror_images_below_the_ground_are_noise(made: tuple[F32, F32, U8]) -> None:
+def test_mirror_images_below_the_ground_are_noise(made: Scene) -> None:
     ranges, xyz, body = made
     random = np.random.default_rng(4)
     mirrored = (body == 1) & (ranges > 5) & (ranges < 25) & (random.random(ranges.shape) < 0.05)
@@ -255,9 +254,7 @@ def test_mirror_images_below_the_ground_are_noise(made: tuple[F32, F32, U8]) -> 
     assert (image[road] == Label.GROUND).mean() > 0.95
 
 
-def test_few_rings_are_known_before_any_label(
-    made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path
-) -> None:
+def test_few_rings_are_known_before_any_label(made: Scene, prc: Prc, tmp_path: Path) -> None:
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz)
     result = prc("info", tmp_path / "scan.npz")
@@ -265,7 +262,7 @@ def test_few_rings_are_known_before_any_label(
     assert "as it is" not in result.out
 
 
-def test_reasons_measures_and_further_returns(made: tuple[F32, F32, U8]) -> None:
+def test_reasons_measures_and_further_returns(made: Scene) -> None:
     ranges, xyz, _ = made
     line, column = (np.array([n], np.int32) for n in (100, 3))
     extra = ExtraReturns(line, column, ranges[100, 3:4] + np.float32(0.1), np.array([7]))
@@ -313,9 +310,7 @@ def test_narrow_level_beams_are_a_fan(
     assert is_fan(np.deg2rad(np.linspace(first_deg, last_deg, n))) is expected
 
 
-def test_rings_are_chosen_without_a_name(
-    made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path
-) -> None:
+def test_rings_are_chosen_without_a_name(made: Scene, prc: Prc, tmp_path: Path) -> None:
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
     result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy")
