@@ -19,11 +19,11 @@ def parts_of(path: Path) -> list[Path]:
 
     Of all else the file itself.
     """
-    told: list[bytes] = []
+    names: list[bytes] = []
     if path.name == METADATA:
         with contextlib.suppress(OSError):
-            told = re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path, 1 << 20))
-    return [path.with_name(name.decode("utf-8", "replace")) for name in dict.fromkeys(told)] or [
+            names = re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path, 1 << 20))
+    return [path.with_name(name.decode("utf-8", "replace")) for name in dict.fromkeys(names)] or [
         path
     ]
 

@@ -181,10 +181,15 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
         "light": LIGHTS,
         "line": (SCAN_LINE,),
     }
-    held = {
-        part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()
+    present = {
+        part: [fields[name] for name in known if name in fields][:1]
+        for part, known in names.items()
     }
-    lacking = [part for part, found in held.items() if not found and part not in _OPTIONAL]
+    lacking = [
+        part
+        for part, names_in_cloud in present.items()
+        if not names_in_cloud and part not in _OPTIONAL
+    ]
     shown = ", ".join(fields)[:200]
     expect(
         not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS
@@ -192,7 +197,7 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
     has_all = bool(step) and not lacking
     hint = _NO_RINGS if lacking == ["ring"] else ""
     expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {shown})", hint)
-    parts = {part: found[0] for part, found in held.items() if found}
+    parts = {part: names_in_cloud[0] for part, names_in_cloud in present.items() if names_in_cloud}
     expect(
         all(kind in TYPES for _, kind in parts.values()), "has fields of a type that is not there"
     )
@@ -333,18 +338,18 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
         late_s = np.zeros(int(ring.max()) + 1)
         return Timing(period, start, number[which], late_s, is_together=True, fired_s=fired_s)
     order = np.lexsort((time_s, ring))
-    own = ring[order]
-    at = time_s[order]
-    steps = np.diff(at)
-    period = _usual(steps[(np.diff(own) == 0) & (steps > _LEAST_PERIOD_S)])
+    sorted_rings = ring[order]
+    sorted_s = time_s[order]
+    steps = np.diff(sorted_s)
+    period = _usual(steps[(np.diff(sorted_rings) == 0) & (steps > _LEAST_PERIOD_S)])
     if not period or not float(time_s.max()) - start < _MOST_COLUMNS * period:
         return None
-    present, first, counts = np.unique(own, return_index=True, return_counts=True)
+    present, first, counts = np.unique(sorted_rings, return_index=True, return_counts=True)
     # exact from the first to the last shot of the ring with the most points
     fullest = slice(first[counts.argmax()], first[counts.argmax()] + counts.max())
-    n_steps = int(np.rint(np.diff(at[fullest]) / period).sum())
-    period = float(np.ptp(at[fullest])) / n_steps if n_steps else period
-    turned = np.exp(1j * _TURN * ((at - start) / period))
+    n_steps = int(np.rint(np.diff(sorted_s[fullest]) / period).sum())
+    period = float(np.ptp(sorted_s[fullest])) / n_steps if n_steps else period
+    turned = np.exp(1j * _TURN * ((sorted_s - start) / period))
     of_ring = np.angle(np.add.reduceat(turned, first)) / _TURN % 1.0
     # the lasers begin to fire after the longest pause
     ordered = np.sort(of_ring)
@@ -425,10 +430,8 @@ class CloudLines:
         )
         numbers = RingNumbers.of(first.ring[has]) if has.any() else None
         if numbers is None:
-            found = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
-            problem = (
-                f"found {found} in the first message, expected points of at most {MAX_RINGS} rings"
-            )
+            ring_text = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
+            problem = f"found {ring_text} in the first message, expected points of at most {MAX_RINGS} rings"
             raise InputError(where, problem, "record the scanner's own topic")
         self.points_per_line = numbers.n_rings
         self._numbers = numbers
@@ -660,7 +663,7 @@ class CloudLines:
             )
             of_times += f": columns are azimuths, {step_deg:.3g} deg apart"
         return "; ".join(
-            told for told in (self._numbers.note, of_times, self._lines.lost()) if told
+            note for note in (self._numbers.note, of_times, self._lines.lost()) if note
         )
 
     def _columns(
@@ -692,34 +695,34 @@ class CloudLines:
         cells = np.stack(returns, axis=-1).reshape(n, m, -1)
 
         def pick(values: NDArray[Any], which: NDArray[np.intp], fill: float) -> NDArray[Any]:
-            found: NDArray[Any] = values[which]
-            found[which < 0] = fill
-            return found
+            picked: NDArray[Any] = values[which]
+            picked[which < 0] = fill
+            return picked
 
         ranges = pick(points.range_m, cells, np.nan)
         lights = pick(points.intensity, cells, np.nan)
-        range_m, light, own, (further_m, other) = choose(
+        range_m, light, main_point, (further_m, further_point) = choose(
             ranges, lights, cells, self._config.return_
         )
         late: F64 = np.zeros(m)
         late[self._place[: len(timing.late_s)]] = timing.late_s[:m]
-        time_s = pick(points.time_s, own, np.nan)
+        time_s = pick(points.time_s, main_point, np.nan)
         starts_s = timing.starts_s(n)
         if timing.is_together:
             # empty cells have the very time of their column
-            own_s = np.fmin.reduce(time_s, axis=1)
-            starts_s = np.where(np.isnan(own_s), starts_s, own_s)
+            column_s = np.fmin.reduce(time_s, axis=1)
+            starts_s = np.where(np.isnan(column_s), starts_s, column_s)
         fired = starts_s[:, None] + late
         is_made_up = np.isnan(time_s) | (self._sweep is not None)
         return Columns(
             base + np.arange(n),
             range_m,
-            pick(points.record, own, -1),
+            pick(points.record, main_point, -1),
             np.where(is_made_up, fired, time_s),
-            pick(points.xyz_m, own, np.nan),
+            pick(points.xyz_m, main_point, np.nan),
             light,
             further_m,
-            None if other is None else pick(points.record, other, -1),
+            None if further_point is None else pick(points.record, further_point, -1),
         )
 
 
@@ -750,7 +753,7 @@ def _place(ring: I64, xyz_m: F32, m: int) -> I64:
     x, y, z = xyz_m.astype(np.float64).T
     elevation = np.arctan2(z, np.hypot(x, y))
     present = np.unique(ring)
-    middle = np.array([np.median(elevation[ring == one]) for one in present])
+    middle = np.array([np.median(elevation[ring == number]) for number in present])
     every = np.interp(np.arange(m), present, middle)
     # rings beyond those seen go on the way the others go
     way = 1.0 if len(present) < 2 or middle[-1] >= middle[0] else -1.0
@@ -770,25 +773,25 @@ def _stagger(
     """Return the shift of every place in columns: how far a ring looks ahead of the fullest one."""
     column = timing.column
     fullest = int(np.bincount(ring).argmax())
-    own = np.flatnonzero(ring == fullest)
-    own = own[np.argsort(column[own], kind="stable")]
-    steps = np.diff(column[own])
-    turned = _wrap(np.diff(azimuth[own]))
+    of_fullest = np.flatnonzero(ring == fullest)
+    of_fullest = of_fullest[np.argsort(column[of_fullest], kind="stable")]
+    steps = np.diff(column[of_fullest])
+    turned = _wrap(np.diff(azimuth[of_fullest]))
     near = (steps > 0) & (steps < _NEAR_COLUMNS)
     shift: I64 = np.zeros(len(place), np.int64)
     slope = float(np.median(turned[near] / steps[near])) if near.any() else 0.0
     if not slope:
         return shift
     # the nearest shot of that ring before every point
-    before = own[(np.searchsorted(column[own], column, side="right") - 1).clip(0)]
+    before = of_fullest[(np.searchsorted(column[of_fullest], column, side="right") - 1).clip(0)]
     away = column - column[before]
     ahead = _wrap(azimuth - azimuth[before] - slope * away) / slope
-    for one in np.unique(ring):
-        use = (ring == one) & (np.abs(away) < _NEAR_COLUMNS)
+    for number in np.unique(ring):
+        use = (ring == number) & (np.abs(away) < _NEAR_COLUMNS)
         if use.any():
             # what a laser fires later, it looks ahead: that is no staggering
-            late = (timing.late_s[one] - timing.late_s[fullest]) / timing.period_s
-            shift[place[one]] = round(float(np.median(ahead[use])) - late)
+            late = (timing.late_s[number] - timing.late_s[fullest]) / timing.period_s
+            shift[place[number]] = round(float(np.median(ahead[use])) - late)
     return shift.clip(-MAX_SHIFT, MAX_SHIFT)
 
 

@@ -102,7 +102,8 @@ class Bag:
         with _library(part, ()) as reader:
             topics = reader.topics
             for topic, n in {
-                topic_of(one): topics[one.topic].msgcount for one in reader.connections
+                topic_of(connection): topics[connection.topic].msgcount
+                for connection in reader.connections
             }.items():
                 self.counts[topic] = self.counts.get(topic, 0) + n
             if reader.message_count:
@@ -156,9 +157,9 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
     class Lean(rosbag1.Reader):
         def read_index_data(self, pos: int, indexes: dict[int, Any]) -> None:
             super().read_index_data(pos, indexes)
-            for one in self.connections:
-                if topic_of(one) not in topics:
-                    indexes[one.id].clear()
+            for connection in self.connections:
+                if topic_of(connection) not in topics:
+                    indexes[connection.id].clear()
 
     with (
         bag_errors(path),
@@ -191,12 +192,16 @@ def topic_of(connection: Any) -> Topic:
 
 def _decoded(path: Path, topics: Collection[Topic]) -> Iterator[Message]:
     with _library(path, topics) as reader:
-        chosen = {one.id: topic_of(one) for one in reader.connections if topic_of(one) in topics}
+        chosen = {
+            connection.id: topic_of(connection)
+            for connection in reader.connections
+            if topic_of(connection) in topics
+        }
         if chosen:
-            for one, time_ns, data in reader.messages(
-                [one for one in reader.connections if one.id in chosen]
+            for connection, time_ns, data in reader.messages(
+                [connection for connection in reader.connections if connection.id in chosen]
             ):
-                yield Message(chosen[one.id], time_ns, data, one.id)
+                yield Message(chosen[connection.id], time_ns, data, connection.id)
 
 
 # SQLite of rosbag2
@@ -254,9 +259,9 @@ def _check_tables(path: Path, base: sqlite3.Connection) -> None:
     rows = base.execute(
         "SELECT name, type, sql FROM sqlite_master WHERE name IN ('topics', 'messages') LIMIT 9"
     )
-    found = {str(name): (kind, str(sql).upper().split()[:2]) for name, kind, sql in rows}
+    tables = {str(name): (kind, str(sql).upper().split()[:2]) for name, kind, sql in rows}
     for name in ("topics", "messages"):
-        plain = found.get(name) == ("table", ["CREATE", "TABLE"])
+        plain = tables.get(name) == ("table", ["CREATE", "TABLE"])
         columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall() if plain else []
         # a hidden column is computed, which can take for ever; a row id of its own would say
         # nothing about the order

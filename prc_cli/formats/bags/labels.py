@@ -57,7 +57,7 @@ class CloudCodec:
     def points(self, data: bytes, name: str) -> tuple[Any, NDArray[np.void] | None]:
         """Return a message, and its points with a field as ``code``; None where they lack it."""
         cloud: Any = self._read(data, "sensor_msgs/msg/PointCloud2")
-        field = next((one for one in cloud.fields if one.name == name), None)
+        field = next((candidate for candidate in cloud.fields if candidate.name == name), None)
         if field is None:
             return cloud, None
         form = ">" if cloud.is_bigendian else "<"
@@ -85,13 +85,13 @@ class CloudCodec:
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
-            own = self._rows(cloud)
+            unlabelled = self._rows(cloud)
             step = cloud.point_step
             cloud.point_step += 1 if step % 4 else 4
             cloud.fields.append(self._field(FIELD, step, _UINT8, 1))
-            rows = np.zeros((len(own), cloud.point_step), np.uint8)
-            codes = take(len(own))
-            rows[:, :step] = own
+            rows = np.zeros((len(unlabelled), cloud.point_step), np.uint8)
+            codes = take(len(unlabelled))
+            rows[:, :step] = unlabelled
             rows[:, step] = codes.astype(np.uint8, copy=False)
         else:
             codes = take(len(points))
@@ -123,13 +123,13 @@ def label_laser(message: Message, take: Take) -> bytes:
         is_code[np.cumsum(counts + 1) - (counts + 1)] = False
         words.view(cursor.order + "u4")[~is_code] = counts
         words[is_code] = take(int(np.maximum(counts, 1).sum()))[_has_echo(counts)]
-    return message.data[: cursor.at] + struct.pack(f"{cursor.order}I", n) + words.tobytes()
+    return message.data[: cursor.position] + struct.pack(f"{cursor.order}I", n) + words.tobytes()
 
 
 def _has_echo(n_echoes: I64) -> Mask:
     """Return which records of a scan are echoes, (records,)."""
-    found: Mask = np.repeat(n_echoes > 0, np.maximum(n_echoes, 1))
-    return found
+    is_echo: Mask = np.repeat(n_echoes > 0, np.maximum(n_echoes, 1))
+    return is_echo
 
 
 class BagRewriter(BagOutput, ScatterWriter):
@@ -211,49 +211,49 @@ class BagRewriter(BagOutput, ScatterWriter):
                 f"the input has {', '.join(topic.name for topic in old)} already; they were replaced"
             )
         outs = {}
-        for one in bag.connections():
+        for connection in bag.connections():
             # labels come behind their scans: readers take what has one time in the order of
             # connections
-            has_labels = topic_of(one) in read and topic_of(one).kind in LASERS
-            if topic_of(one) not in old:
-                outs[one.id] = (
-                    _connect(sink, one),
-                    _connect(sink, one, LABELS) if has_labels else None,
+            has_labels = topic_of(connection) in read and topic_of(connection).kind in LASERS
+            if topic_of(connection) not in old:
+                outs[connection.id] = (
+                    _connect(sink, connection),
+                    _connect(sink, connection, LABELS) if has_labels else None,
                 )
         codec = CloudCodec(is_cdr=any(topic.is_cdr for topic in read))
         for message in bag.messages([topic for topic in bag.counts if topic not in old]):
             data = message.data
             codes = b""
-            (own, beside) = outs[message.connection]
+            (scans_out, labels_out) = outs[message.connection]
             with bag_errors(bag.path):
                 if message.topic in read and message.topic.kind == CLOUD:
                     data = codec.label(data, take)
-                elif beside is not None:
+                elif labels_out is not None:
                     codes = label_laser(message, take)
-            sink.write(own, message.time_ns, data)
-            if beside is not None:
-                sink.write(beside, message.time_ns, codes)
+            sink.write(scans_out, message.time_ns, data)
+            if labels_out is not None:
+                sink.write(labels_out, message.time_ns, codes)
 
 
-def _connect(sink: Any, one: Any, after: str = "") -> Any:
+def _connect(sink: Any, connection: Any, after: str = "") -> Any:
     """Add a connection as in the input.
 
     The writers refuse two of one publisher, and missing definitions.
     """
-    added = one._replace(
-        id=len(sink.connections) + 1, topic=one.topic + after, msgcount=0, owner=sink
+    added = connection._replace(
+        id=len(sink.connections) + 1, topic=connection.topic + after, msgcount=0, owner=sink
     )
     if hasattr(sink, "chunks"):
         sink.write_connection(added, sink.chunks[-1].data)
     else:
         from rosbags.rosbag2.metadata import dump_qos_v8
 
-        if one.msgtype not in sink.added_types and (
-            one.msgdef.format.value or sink.storage_plugin.name == "MCAP"
+        if connection.msgtype not in sink.added_types and (
+            connection.msgdef.format.value or sink.storage_plugin.name == "MCAP"
         ):
             sink.storage.add_msgtype(added)
-            sink.added_types.add(one.msgtype)
-        sink.storage.add_connection(added, dump_qos_v8(one.ext.offered_qos_profiles))
+            sink.added_types.add(connection.msgtype)
+        sink.storage.add_connection(added, dump_qos_v8(connection.ext.offered_qos_profiles))
         sink.counts[added.id] = 0
     sink.connections.append(added)
     return added

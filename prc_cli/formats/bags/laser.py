@@ -83,8 +83,8 @@ def parse_laser(
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     first, _, step, shot_s, _, low, high = cursor.numbers("f", 7)
-    found = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}"
-    expect(math.isfinite(first + step + shot_s) and step != 0, f"{found}, expected finite numbers")
+    angles = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}"
+    expect(math.isfinite(first + step + shot_s) and step != 0, f"{angles}, expected finite numbers")
     if not is_multi:
         ranges = cursor.array("f4")
         n_echoes = None
@@ -123,13 +123,13 @@ def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
     if len(starts) != n or not n or starts[-1] >= len(words) or (words[starts] != likely).any():
         starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
-    found = f"holds {counts.max(initial=0)} echoes of a beam"
+    problem = f"holds {counts.max(initial=0)} echoes of a beam"
     most = f"at most {MAX_ECHOES}, and no more than there are"
     is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))
-    expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{found}, expected {most}")
+    expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{problem}, expected {most}")
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
-    cursor.at += 4 * len(is_value)
+    cursor.position += 4 * len(is_value)
     values: F32 = words.view(words.dtype.str.replace("u", "f"))[: len(is_value)][is_value].astype(
         np.float32
     )
@@ -257,11 +257,11 @@ class LaserLines:
         """Whether every message is a line of its own, with all beams."""
         self.points_per_line = self._grid.n
         if self.points_per_line > MAX_POINTS_PER_LINE:
-            found = f"angle_min from {min(scan.angle_min_rad for scan in scans):g} to "
-            found += (
+            angles = f"angle_min from {min(scan.angle_min_rad for scan in scans):g} to "
+            angles += (
                 f"{max(scan.angle_min_rad for scan in scans):g} in steps of {self._grid.step_rad:g}"
             )
-            raise InputError(where, f"found {found}, expected scans of one scanner", _ONE_SET_UP)
+            raise InputError(where, f"found {angles}, expected scans of one scanner", _ONE_SET_UP)
         column = np.arange(self.points_per_line, dtype=np.float64)
         self.angle_rad: F64 = self._grid.start_rad + self._grid.step_rad * column
         self._waiting: list[_Part] = []
@@ -292,18 +292,18 @@ class LaserLines:
     def _check(self, scan: LaserScan, columns: I64) -> None:
         """Refuse a message of another set-up."""
         usual = self._usual_step
-        found = ""
-        wanted = ""
+        beams = ""
+        expected = ""
         if not 1 / _OTHER_STEP < scan.angle_step_rad / usual < _OTHER_STEP:
-            found = f"angle_increment {scan.angle_step_rad:g}"
-            wanted = f"about {usual:g} as usual"
+            beams = f"angle_increment {scan.angle_step_rad:g}"
+            expected = f"about {usual:g} as usual"
         elif np.count_nonzero(columns >= 0) < _LEAST_INSIDE * len(columns):
             stop = scan.angle_min_rad + scan.angle_step_rad * (len(columns) - 1)
-            found = f"beams from {scan.angle_min_rad:g} to {stop:g}"
-            wanted = f"{self.angle_rad[0]:g} to {self.angle_rad[-1]:g} as in the first messages"
-        if found:
+            beams = f"beams from {scan.angle_min_rad:g} to {stop:g}"
+            expected = f"{self.angle_rad[0]:g} to {self.angle_rad[-1]:g} as in the first messages"
+        if beams:
             where = f"{self._where}: message {self._n_messages}"
-            raise InputError(where, f"found {found}, expected {wanted}", _ONE_SET_UP)
+            raise InputError(where, f"found {beams}, expected {expected}", _ONE_SET_UP)
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
@@ -345,14 +345,14 @@ class LaserLines:
         n_unplaced = int(np.count_nonzero(cell < 0))
         n_meet = int(np.count_nonzero(~is_first & (cell >= 0)))
         beam, other_m, other_record = beyond
-        is_there = cell[beam] >= 0
-        again = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(ranges))
-        cells = np.concatenate([cell[beam[is_there]], cell[again]])
+        has_column = cell[beam] >= 0
+        shared = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(ranges))
+        cells = np.concatenate([cell[beam[has_column]], cell[shared]])
         extra = ExtraReturns(
             (cells // m).astype(np.int32),
             (cells % m).astype(np.int32),
-            np.concatenate([other_m[is_there], ranges[again]]),
-            np.concatenate([other_record[is_there], record[again]]),
+            np.concatenate([other_m[has_column], ranges[shared]]),
+            np.concatenate([other_record[has_column], record[shared]]),
         )
 
         def scattered(values: NDArray[Any], fill: float) -> NDArray[Any]:
@@ -363,9 +363,9 @@ class LaserLines:
         cleaned, tally = clean_ranges(
             scattered(ranges, np.nan), self._config.min_range, self._config.max_range
         )
-        lit = None if intensity is None else scattered(intensity, np.nan)
-        if lit is not None:
-            lit[np.isnan(cleaned)] = np.nan
+        intensities = None if intensity is None else scattered(intensity, np.nan)
+        if intensities is not None:
+            intensities[np.isnan(cleaned)] = np.nan
         time_s = scattered(stamps, np.nan)
         if np.isnan(time_s).any():
             time_s = _filled_times(time_s, float(np.median([scan.shot_s for scan in scans])))
@@ -382,7 +382,7 @@ class LaserLines:
             record=scattered(record, -1),
             scanner=self._scanner,
             time_s=time_s,
-            intensity=lit,
+            intensity=intensities,
             angle_rad=self.angle_rad,
             extra=extra,
             tally=tally + counted,
@@ -422,16 +422,16 @@ class LaserLines:
         lit = None
         if all(len(scan.intensity) or not len(scan.range_m) for scan in scans):
             lit = spread([scan.intensity for scan in scans])
-        stands = choose_returns(begins, flat, lit, None, self._config.return_)
+        is_main = choose_returns(begins, flat, lit, None, self._config.return_)
         n_of = np.array([scan.n_records for scan in scans])
         record = np.arange(len(flat)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
-        others = np.flatnonzero(~stands & ~np.isnan(flat))
+        others = np.flatnonzero(~is_main & ~np.isnan(flat))
         beam = (np.cumsum(begins) - 1)[others]
-        own = np.flatnonzero(stands)
+        main_echo = np.flatnonzero(is_main)
         return (
-            flat[own],
-            None if lit is None else lit[own],
-            record[own],
+            flat[main_echo],
+            None if lit is None else lit[main_echo],
+            record[main_echo],
             (beam, flat[others], record[others]),
         )
 

@@ -34,7 +34,7 @@ class Cursor:
     def __init__(self, data: bytes, *, is_cdr: bool) -> None:
         self.data = data
         self.is_cdr = is_cdr
-        self.at = self._start = 4 if is_cdr else 0
+        self.position = self._start = 4 if is_cdr else 0
         self.order: Literal["<", ">"] = "<"
         if is_cdr:
             known = len(data) >= 4 and data[0] == 0 and data[1] <= 1
@@ -45,16 +45,16 @@ class Cursor:
 
     def _align(self, size: int) -> None:
         if self.is_cdr:
-            self.at += -(self.at - self._start) % size
+            self.position += -(self.position - self._start) % size
 
     def _need(self, n: int) -> int:
         """Return the position and move ``n`` bytes on."""
-        start = self.at
+        start = self.position
         expect(
             n <= len(self.data) - start,
             f"ends after {len(self.data)} bytes, expected {start + n} or more",
         )
-        self.at += n
+        self.position += n
         return start
 
     def number(self, form: str) -> Any:
@@ -90,7 +90,9 @@ class Cursor:
         a view of the message.
         """
         kind = np.dtype(dtype).newbyteorder(self.order)
-        return np.frombuffer(self.data, kind, (len(self.data) - self.at) // kind.itemsize, self.at)
+        return np.frombuffer(
+            self.data, kind, (len(self.data) - self.position) // kind.itemsize, self.position
+        )
 
     def header(self) -> tuple[float, str]:
         """Read a ``std_msgs/Header``; return its stamp [s] and frame."""

@@ -131,29 +131,29 @@ class BagStream:
 
     def _describe(self) -> dict[str, str]:
         bag = self.bag
-        told = {
-            f"topic {one.name}": f"{one.kind}, {n or 'no'} messages"
-            for one, n in bag.counts.items()
+        topics = {
+            f"topic {topic.name}": f"{topic.kind}, {n or 'no'} messages"
+            for topic, n in bag.counts.items()
         }
         return {
             "recorded": f"{(bag.end_ns - bag.start_ns) * 1e-9:.3f} s from {bag.start_ns * 1e-9:.3f} s",
-            **told,
+            **topics,
         }
 
     def _first_messages(self) -> dict[Topic, Message]:
         """Return the first message of every topic that can be read."""
         counts = self.bag.counts
         wanted = {
-            one
-            for one, n in counts.items()
-            if n and one.kind in READABLE and not is_labels(one, counts)
+            topic
+            for topic, n in counts.items()
+            if n and topic.kind in READABLE and not is_labels(topic, counts)
         }
-        found: dict[Topic, Message] = {}
+        first_messages: dict[Topic, Message] = {}
         for message in self.bag.messages(wanted) if wanted else ():
-            found.setdefault(message.topic, message)
-            if len(found) == len(wanted):
+            first_messages.setdefault(message.topic, message)
+            if len(first_messages) == len(wanted):
                 break
-        return found
+        return first_messages
 
     def _readable(self) -> dict[Topic, str]:
         """Return the topics that hold scans, with their frames.
@@ -278,13 +278,13 @@ class BagStream:
         for reader in readers.values():
             yield from reader.finish()
         self._notes = [note for reader in readers.values() for note in reader.notes()]
-        twice = [
+        repeat_notes = [
             reader.repeats.told(
                 f"{'packets' if topic.kind in PACKED else 'messages'} of {topic.name}"
             )
             for topic, reader in readers.items()
         ]
-        self._repeated = next((told for told in twice if told), "")
+        self._repeated = next((told for told in repeat_notes if told), "")
 
 
 _L = TypeVar("_L", CloudLines, LaserLines, PacketLines)
@@ -361,7 +361,10 @@ class _TopicReader:
 
     def _scans_of(self, scan: LaserScan) -> Callable[[], list[LaserScan]]:
         """Return what gives the first scans with the frame of a scan, at least this one."""
-        return lambda: [one for one in self._first_scans() if one.frame == scan.frame] or [scan]
+        return lambda: (
+            [first_scan for first_scan in self._first_scans() if first_scan.frame == scan.frame]
+            or [scan]
+        )
 
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
         """Return what gathers the scans of a frame."""
@@ -410,16 +413,16 @@ class _TopicReader:
 
     def notes(self) -> list[str]:
         """Return sentences on what was unusual."""
-        found = [
+        notes = [
             f"{self._name(frame)}: {lost}"
             for frame, lines in self.frames.items()
             if (lost := lines.lost())
         ]
         if self._n_other:
-            found.append(
+            notes.append(
                 f"{self._topic.name}: {self._n_other:,} packets of another kind left out ({self._other})"
             )
-        return found
+        return notes
 
     def nothing(self) -> tuple[str, str]:
         """Return why the messages hold no shots, and what to do."""

@@ -116,8 +116,12 @@ class Sweep:
         if not sweep.step_rad:
             return None
         ahead = (along - abs(rate) * (time_s - every[0])) / sweep.step_rad
-        own = np.array([np.median(ahead[ring == one]) for one in np.unique(ring)])
-        shift = np.rint(own - own.mean()).astype(np.int64).clip(-MAX_SHIFT, MAX_SHIFT)
+        columns_ahead = np.array([np.median(ahead[ring == number]) for number in np.unique(ring)])
+        shift = (
+            np.rint(columns_ahead - columns_ahead.mean())
+            .astype(np.int64)
+            .clip(-MAX_SHIFT, MAX_SHIFT)
+        )
         # columns that wait for others make up for less
         sweep.shift[np.unique(ring)] = np.where(np.abs(shift) < SLACK, 0, shift)
         return sweep
@@ -187,14 +191,14 @@ def rising_columns(ring: I64, place: F64) -> I64:
     from scipy.optimize import isotonic_regression  # imported here: loading takes time
 
     order = np.lexsort((place, ring))
-    own = ring[order]
-    at = place[order]
-    is_new: Mask = np.ones(len(at), np.bool_)
-    is_new[1:] = (np.diff(own) != 0) | (np.diff(at) > SAME_SHOT)
+    sorted_rings = ring[order]
+    sorted_place = place[order]
+    is_new: Mask = np.ones(len(sorted_place), np.bool_)
+    is_new[1:] = (np.diff(sorted_rings) != 0) | (np.diff(sorted_place) > SAME_SHOT)
     shot = np.cumsum(is_new) - 1
     starts = np.flatnonzero(is_new)
-    first = at[starts]
-    ring_of = own[starts]
+    first = sorted_place[starts]
+    ring_of = sorted_rings[starts]
     column = np.empty(len(first), np.int64)
     borders = [*np.flatnonzero(np.diff(ring_of, prepend=-1)).tolist(), len(first)]
     for begin, stop in pairwise(borders):
@@ -203,9 +207,9 @@ def rising_columns(ring: I64, place: F64) -> I64:
         column[begin:stop] = (
             np.rint(isotonic_regression(first[begin:stop] - ordinal).x).astype(np.int64) + ordinal
         )
-    found = np.empty(len(ring), np.int64)
-    found[order] = column[shot]
-    return found
+    columns = np.empty(len(ring), np.int64)
+    columns[order] = column[shot]
+    return columns
 
 
 def azimuths(xyz_m: F32) -> F64:

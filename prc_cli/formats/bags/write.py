@@ -58,7 +58,9 @@ class BagOutput(StagedWriter):
         if self.path.suffix.lower() != DATABASE:
             return
         metadata = self.path.with_name(METADATA)
-        others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
+        others = {
+            suffix_of(path) for path in metadata.parent.iterdir() if path.name != self.path.name
+        }
         if others & {DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
             self._notice(
                 f"no {METADATA} was written: the folder has another bag; a folder of its own would get one"
@@ -204,18 +206,18 @@ class BagStreamWriter(BagOutput, StreamWriter):
             raise OutputError(
                 str(self.path), problem, "write .npz, which keeps times that are no numbers"
             )
-        some = np.zeros(int(fired.sum()), self._waiting.dtype)
-        some["time"] = block.time_s[fired]
-        line, some["ring"] = np.nonzero(fired)
-        some[SCAN_LINE] = block.first_line + line
+        shots = np.zeros(int(fired.sum()), self._waiting.dtype)
+        shots["time"] = block.time_s[fired]
+        line, shots["ring"] = np.nonzero(fired)
+        shots[SCAN_LINE] = block.first_line + line
         for axis, name in enumerate("xyz"):
-            some[name] = block.xyz_m[..., axis][fired]
+            shots[name] = block.xyz_m[..., axis][fired]
         if block.intensity is not None:
-            some["intensity"] = np.nan_to_num(block.intensity[fired])
+            shots["intensity"] = np.nan_to_num(block.intensity[fired])
         if item.codes is not None:
-            some["label"] = item.codes[fired].clip(0)
-        some = np.concatenate([self._waiting, some])
-        some = some[np.argsort(some["time"], kind="stable")]
+            shots["label"] = item.codes[fired].clip(0)
+        shots = np.concatenate([self._waiting, shots])
+        shots = shots[np.argsort(shots["time"], kind="stable")]
         # lasers of a line need not look the same way at one time: later lines begin before this one
         # has ended
         end = (
@@ -223,17 +225,17 @@ class BagStreamWriter(BagOutput, StreamWriter):
             if block.is_last or not fired[-1].any()
             else float(block.time_s[-1][fired[-1]].min())
         )
-        n = int(np.searchsorted(some["time"], end))
-        self._waiting = some[n:]
-        self._send_cloud(some[:n])
+        n = int(np.searchsorted(shots["time"], end))
+        self._waiting = shots[n:]
+        self._send_cloud(shots[:n])
 
-    def _send_cloud(self, some: NDArray[np.void]) -> None:
-        if not len(some):
+    def _send_cloud(self, shots: NDArray[np.void]) -> None:
+        if not len(shots):
             return
-        head = self._header(float(some["time"][0]))
-        end_s = some["time"][-1]
-        some["time"] -= some["time"][0]
-        data = some.astype(_POINT).view(np.uint8)
+        head = self._header(float(shots["time"][0]))
+        end_s = shots["time"][-1]
+        shots["time"] -= shots["time"][0]
+        data = shots.astype(_POINT).view(np.uint8)
         step = _POINT.itemsize
         kinds = {form: number for number, form in TYPES.items()}
         field = self._store.types["sensor_msgs/msg/PointField"]
@@ -243,7 +245,7 @@ class BagStreamWriter(BagOutput, StreamWriter):
             if name != "label" or self.shape.codes
         ]
         self._send(
-            _POINTS, CLOUD, end_s, head, 1, len(some), fields, False, step, len(data), data, False
+            _POINTS, CLOUD, end_s, head, 1, len(shots), fields, False, step, len(data), data, False
         )
 
     def _close(self) -> None:
