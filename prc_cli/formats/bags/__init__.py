@@ -11,14 +11,11 @@ _SUFFIXES = (".bag", ".db3", ".mcap")
 BAG = "bag"
 METADATA = "metadata.yaml"
 DATABASE = ".db3"
-"""What makes a recording of ROS 2 of the files in a folder."""
+"""File that makes a ROS 2 recording of the files in its folder, and suffix of these."""
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Return the files of a recording, in order, where its metadata are named.
-
-    Of all else the file itself.
-    """
+    """Return the files of a recording that its ``metadata.yaml`` names, else the file itself."""
     names: list[bytes] = []
     if path.name == METADATA:
         with contextlib.suppress(OSError):

@@ -1,10 +1,8 @@
-"""``sensor_msgs/PointCloud2`` with ring and time.
+"""Read the firing columns of a spinning scanner from ``sensor_msgs/PointCloud2`` with ring and time.
 
-The firing columns of a spinning scanner, found from the times.
-
-Drivers leave empty cells out, and write points ring after ring or column after column. The times
-bring the columns back: the lasers of a scanner fire in turn, each with the same period. Lasers that
-look to other azimuths than the first are staggered; how far is found from the first message.
+Drivers omit empty cells, and write points ring after ring or column after column. The times give
+the columns back: the lasers of a scanner fire in turn, each with the same period. Lasers that look
+to other azimuths than the first are staggered. The first message shows how far.
 """
 
 from __future__ import annotations
@@ -49,32 +47,29 @@ RINGS = ("ring", "channel", "laser_id")
 TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 LIGHTS = ("intensity", "reflectivity", "signal", "i")
 SCAN_LINE = "scan_line"
-"""Field of clouds that prc writes: the scan line of a point, which the staggering of rings follows."""
+"""Field of clouds that prc writes: the scan line of a point, from which staggering follows."""
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 Position: TypeAlias = tuple[float, float, float]
 _NO_RINGS = (
-    "prc needs scan lines: let the driver write the ring and the time of every point. Livox and other scanners without "
-    "rings are not supported"
+    "let the driver write the ring and the time of every point; "
+    "Livox and other scanners without rings are not supported"
 )
 _OPTIONAL = ("light", "time", "line")
 _MAX_FIELDS = 100
 _ABSOLUTE_S = 2.0
-"""Times that are usually beyond are not counted from the stamp of the message.
-
-No message takes as long [s].
-"""
+"""Times with a larger median do not start at the stamp of the message, which is shorter [s]."""
 _LEAST_PERIOD_S = 1e-6
 _TURN = 2 * math.pi
 _NEAR_COLUMNS = 8
 """Azimuths are compared over fewer columns than this."""
 _MOST_WAITING = 1 << 20
-"""Most points that wait for others to tell their columns."""
+"""Limit of points that wait until their columns are known."""
 _MOST_COLUMNS = 1e9
 """Most columns of a message."""
 _LONG_COLUMNS = 4096
 """More columns than this between two messages are a pause."""
 _FITS = 0.1
-"""Points of a later message lie within this share of the period of the columns that the clock gives."""
+"""Largest distance of a later point from the columns of the clock, as a share of the period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +82,15 @@ class Cloud:
     ring: I64
     """(n,) int64."""
     time: F64
-    """(n,) float64, as stored: see :meth:`times`; NaN where points have none."""
+    """(n,) float64, as stored: see :meth:`times`; NaN if points have none."""
     usual_unit_s: float
-    """Unit of such a stored time by custom: floats are seconds, whole numbers nanoseconds [s]."""
+    """Usual unit of stored times: floats are seconds, integers are nanoseconds [s]."""
     xyz_m: F32
     """(n, 3) float32 [m]; NaN = no return."""
     range_m: F32
     """(n,) float32 [m]."""
     intensity: F32
-    """(n,) float32, NaN where there is none."""
+    """(n,) float32, NaN if there is none."""
     scan_line: I64 | None = None
     """(n,) int64, scan line as written by prc."""
 
@@ -111,7 +106,7 @@ class Cloud:
         return len(known) > 0 and float(known.min()) < float(known.max())
 
     def times(self, unit_s: float) -> F64:
-        """Return the time of every point, (n,) float64 [s], of times in a unit."""
+        """Return the time of every point, (n,) float64 [s]; ``unit_s`` is the unit as stored."""
         with np.errstate(all="ignore"):
             time_s: F64 = self.time * unit_s
         # empty points may have no time of their own
@@ -168,10 +163,7 @@ def parse_cloud(
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
-    """Return the type of a point, with what is read of it.
-
-    x, y, z, ring, time, light (missing where there is none).
-    """
+    """Return the type of a point with the fields x, y, z, ring, and time, light, line if present."""
     names = {
         "x": ("x",),
         "y": ("y",),
@@ -181,15 +173,14 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
         "light": LIGHTS,
         "line": (SCAN_LINE,),
     }
-    present = {
-        part: [fields[name] for name in known if name in fields][:1]
-        for part, known in names.items()
-    }
-    lacking = [
-        part
-        for part, names_in_cloud in present.items()
-        if not names_in_cloud and part not in _OPTIONAL
-    ]
+    parts = {}
+    lacking = []
+    for part, usual_names in names.items():
+        name = next((name for name in usual_names if name in fields), None)
+        if name is not None:
+            parts[part] = fields[name]
+        elif part not in _OPTIONAL:
+            lacking.append(part)
     shown = ", ".join(fields)[:200]
     expect(
         not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS
@@ -197,22 +188,17 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
     has_all = bool(step) and not lacking
     hint = _NO_RINGS if lacking == ["ring"] else ""
     expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {shown})", hint)
-    parts = {part: names_in_cloud[0] for part, names_in_cloud in present.items() if names_in_cloud}
-    expect(
-        all(kind in TYPES for _, kind in parts.values()), "has fields of a type that is not there"
-    )
+    has_types = all(kind in TYPES for _, kind in parts.values())
+    expect(has_types, "has fields of an unknown type")
     kinds = [np.dtype(order + TYPES[kind]) for _, kind in parts.values()]
     offsets = [offset for offset, _ in parts.values()]
-    inside = all(at + kind.itemsize <= step for at, kind in zip(offsets, kinds, strict=True))
-    expect(inside, f"has fields beyond the {step} bytes of a point")
+    ends = [offset + kind.itemsize for offset, kind in zip(offsets, kinds, strict=True)]
+    expect(max(ends) <= step, f"has fields beyond the {step} bytes of a point")
     return np.dtype({"names": list(parts), "formats": kinds, "offsets": offsets, "itemsize": step})
 
 
 def _is_livox(fields: Collection[str]) -> bool:
-    """Whether points are those of the driver of Livox.
-
-    Its beams draw rosettes, and ``line`` is a laser, no cone.
-    """
+    # its beams draw rosettes, and ``line`` is a laser, no cone
     return "tag" in fields and ("line" in fields or "ring" in fields)
 
 
@@ -246,19 +232,19 @@ def _decoded(
             stored = np.where(np.isfinite(stored), stored, -1).clip(-1, 1 << 20)
         rings: I64 = stored.astype(np.int64).clip(-1, 1 << 20)
         has_light = "light" in (table.dtype.names or ())
-        lit = (
+        intensity = (
             table["light"].astype(np.float32)
             if has_light
             else np.full(len(table), np.nan, np.float32)
         )
     has_lines = "line" in (table.dtype.names or ()) and table.dtype["line"].kind in "iu"
     scan_line = table["line"].astype(np.int64) if has_lines else None
-    return Cloud(frame, stamp_s, rings, times, unit_s, xyz, ranges, lit, scan_line)
+    return Cloud(frame, stamp_s, rings, times, unit_s, xyz, ranges, intensity, scan_line)
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Columns of points."""
+    """Firing columns of points."""
 
     period_s: float
     start_s: float
@@ -266,11 +252,11 @@ class Timing:
     column: I64
     """(n,) int64, column of every point, from 0."""
     late_s: F64
-    """(rings,) float64, by ring: how long after the first of a column its laser fires [s]."""
+    """(rings,) float64, delay of the laser of a ring after the first of its column [s]."""
     is_together: bool = False
     """Whether all lasers of a column fire at one time."""
     fired_s: F64 | None = None
-    """(columns,) float64, when every column was fired, where the period does not tell it [s]."""
+    """(columns,) float64, time of every column [s]; None = the period gives it."""
 
     @property
     def n_columns(self) -> int:
@@ -278,22 +264,22 @@ class Timing:
         return int(self.column.max()) + 1
 
     def starts_s(self, n: int) -> F64:
-        """Return when each of the first columns was fired, (n,) float64 [s]."""
+        """Return the firing times of the first columns, (n,) float64 [s]."""
         if self.fired_s is not None:
             return self.fired_s[:n]
         starts: F64 = self.start_s + np.arange(n, dtype=np.float64) * self.period_s
         return starts
 
-    def again(
+    def follow(
         self,
         ring: I64,
         time_s: F64,
         n_first: int,
         fits: float = _FITS,
     ) -> Timing | None:
-        """Return the columns of later points, the first of which are one column.
+        """Return the columns of later points; None if their times do not fit the clock.
 
-        None where the clock does not fit.
+        The first ``n_first`` points are one column.
         """
         if self.is_together or not n_first or ring.max() >= len(self.late_s):
             return None
@@ -311,10 +297,10 @@ class Timing:
 
 
 def find_columns(ring: I64, time_s: F64) -> Timing | None:
-    """Find the firing column of every point from its time.
+    """Find the firing column of every point from its time; None if the times show no columns.
 
-    Lasers that fire together have few times: every one is a column, and the period may vary with
-    the motor. Lasers that fire in turn follow a clock: a ring's times are a multiple of the period
+    Lasers that fire together have few times: each is a column, and the period may vary with the
+    motor. Lasers that fire in turn follow a clock: the times of a ring are multiples of the period
     apart.
 
     >>> time_s = np.array([0.0, 0.1, 0.3, 0.02, 0.12, 0.22, 0.04, 0.14, 0.34])
@@ -363,7 +349,7 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
 
 
 def _unique_times(after_s: F64) -> tuple[F64, I64]:
-    """Return the times in whole steps of :data:`_LEAST_PERIOD_S`, and which of them every time is."""
+    """Return the different times in steps of ``_LEAST_PERIOD_S``, and the index of every time."""
     ticks = np.rint(after_s / _LEAST_PERIOD_S)
     span = float(ticks.max()) + 1
     if not span <= _MOST_WAITING:
@@ -376,7 +362,7 @@ def _unique_times(after_s: F64) -> tuple[F64, I64]:
 
 
 def _usual(steps: F64) -> float:
-    """Return the usual one of the short steps; 0 without any.
+    """Return the median of the short steps; 0 without steps.
 
     >>> _usual(np.array([2.0, 2.0, 9.0, 9.0, 9.0]))
     2.0
@@ -399,11 +385,9 @@ class _Points(NamedTuple):
     record: I64
 
     def part(self, where: NDArray[Any]) -> _Points:
-        """Return some of the points."""
         return _Points(*(values[where] for values in self))
 
     def joined(self, after: _Points) -> _Points:
-        """Return these points and those after them."""
         return _Points(*(np.concatenate([a, b]) for a, b in zip(self, after, strict=True)))
 
 
@@ -448,7 +432,7 @@ class CloudLines:
         self._frame = find_frame(xyz_m, ring)
         xyz_m = xyz_m if self._frame is None else self._frame.own(xyz_m)
         self._sweep: Sweep | None = None
-        """Where times do not tell columns."""
+        """Turning of the scanner if times do not give columns."""
         azimuth_rad = azimuths(xyz_m)
         is_coarse = not self._has_times or share_times(ring, time_s, azimuth_rad)
         if is_coarse:
@@ -467,25 +451,24 @@ class CloudLines:
             raise self._no_columns(ring, time_s, is_coarse=is_coarse)
         self._place = place
         self._lines = ColumnLines(where, scanner, shift, config)
-        self._rest: _Points | None = None
-        """Points of the last columns: the next message may have more of them."""
-        self._rest_line = 0
-        self._rest_s: float | None = None
-        """When the last column was fired [s]."""
+        self._waiting: _Points | None = None
+        """Points of the last columns: the next message may add points to them."""
+        self._waiting_line = 0
+        self._last_column_s: float | None = None
+        """Time of the last column [s]."""
         self._early: _Points | None = None
         """Points whose times are those of a later message."""
         self._timing = timing
 
     def _no_columns(self, ring: I64, time_s: F64, *, is_coarse: bool) -> InputError:
-        """Return why the points of a first message lie in no columns."""
         if not is_coarse or len(np.unique(time_s)) < 3:
             problem = "the points of a ring have one time, expected a time a point"
             return InputError(self._where, problem, "let the driver write the times of the points")
         most = int(np.bincount(ring).max())
-        problem = f"{most} points of a ring share {len(np.unique(time_s))} times, and look all around at one time"
-        return InputError(
-            self._where, problem, "record every scanner with a topic or a frame of its own"
-        )
+        n_times = len(np.unique(time_s))
+        problem = f"{most} points of a ring share {n_times} times, each with azimuths all around"
+        hint = "record every scanner with a topic or a frame of its own"
+        return InputError(self._where, problem, hint)
 
     def add(self, cloud: Cloud, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield the lines that are complete."""
@@ -503,18 +486,17 @@ class CloudLines:
         yield from self._take(points)
 
     def _times(self, cloud: Cloud) -> F64:
-        """Return the time of every point, (n,) float64 [s]; NaN = unknown."""
         if self._has_times:
             return cloud.times(self._unit_s)
         return cloud.stamp_s + turn_times(cloud.ring, azimuths(cloud.xyz_m), self._between_s)
 
     def _usable(self, cloud: Cloud, first_record: int) -> _Points:
-        """Return the points that have a ring and a time near that of the message.
-
-        Count the others.
-        """
+        """Return the points with a ring and a time near that of the message; count the others."""
         if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
-            problem = f"found ring {int(cloud.ring.max())}, expected {self.points_per_line} rings as in the first message"
+            problem = (
+                f"found ring {int(cloud.ring.max())}, "
+                f"expected {self.points_per_line} rings as in the first message"
+            )
             raise InputError(self._where, problem, "record every set-up in a bag of its own")
         time_s = self._times(cloud)
         ring = self._numbers.of_points(cloud.ring)
@@ -534,75 +516,72 @@ class CloudLines:
         return points
 
     def skip(self, cloud: Cloud) -> None:
-        """Count the points of a message that had come before."""
+        """Count the points of a message that is a copy of an earlier one."""
         self._lines.count_not_fired(cloud.n_records)
 
     def _take(self, points: _Points, *, more: bool = True) -> Iterator[ScanBlock]:
-        """Take points that follow those before, the last ones if there are no more.
-
-        Yield complete lines.
-        """
-        rest = self._rest
-        n_rest = 0
-        if rest is not None and len(rest.ring) and self._is_pause(rest, points):
-            yield from self._give_rest()
-        elif rest is not None:
-            points = rest.joined(points)
-            n_rest = len(rest.ring)
+        """Take the next points, ``more`` if others follow; yield complete lines."""
+        waiting = self._waiting
+        n_waiting = 0
+        if waiting is not None and len(waiting.ring) and self._is_pause(waiting, points):
+            yield from self._give_waiting()
+        elif waiting is not None:
+            points = waiting.joined(points)
+            n_waiting = len(waiting.ring)
         if self._sweep is not None:
             yield from self._add_by_azimuth(points, self._sweep)
             return
-        again = None
+        following = None
         if self._timing is not None:
-            again = self._timing.again(points.ring, points.time_s, n_rest, _FITS if more else 1.0)
-        timing = again or find_columns(points.ring, points.time_s)
+            following = self._timing.follow(
+                points.ring, points.time_s, n_waiting, _FITS if more else 1.0
+            )
+        timing = following or find_columns(points.ring, points.time_s)
         if timing is None:
-            self._rest = points
+            self._waiting = points
             if len(points.ring) > _MOST_WAITING:
-                problem = f"the times of {len(points.ring)} points tell no columns, expected a time a firing"
-                raise InputError(
-                    self._where, problem, "let the driver write the times of the points"
-                )
+                problem = f"the times of {len(points.ring)} points show no firing columns"
+                hint = "let the driver write the times of the points"
+                raise InputError(self._where, problem, hint)
             return
         n = timing.n_columns
         self._check_size(n, timing, len(points.ring))
-        before = -int(np.median(timing.column[:n_rest])) if n_rest else self._columns_since(timing)
-        base = self._rest_line + before
+        before = (
+            -int(np.median(timing.column[:n_waiting])) if n_waiting else self._columns_since(timing)
+        )
+        base = self._waiting_line + before
         is_last = timing.column == n - 1
-        self._rest = points.part(is_last)
-        self._rest_line = base + n - 1
+        self._waiting = points.part(is_last)
+        self._waiting_line = base + n - 1
         self._timing = timing
-        self._rest_s = float(timing.starts_s(n)[-1])
+        self._last_column_s = float(timing.starts_s(n)[-1])
         if n > 1:
             yield from self._lines.add(self._columns(points, ~is_last, n - 1, base))
 
-    def _is_pause(self, rest: _Points, points: _Points) -> bool:
+    def _is_pause(self, waiting: _Points, points: _Points) -> bool:
         period_s = self._timing.period_s if self._timing is not None else 0.0
         if self._sweep is not None:
             period_s = self._sweep.step_rad / abs(self._sweep.rate_rad_s)
-        return float(points.time_s.min() - rest.time_s.max()) > max(
+        return float(points.time_s.min() - waiting.time_s.max()) > max(
             _LONG_COLUMNS * period_s, LONG_S
         )
 
     def _columns_since(self, timing: Timing) -> int:
-        """Return the columns from the last one that was given out to the first of a timing.
-
-        0 without any.
-        """
-        if self._rest_s is None:
+        """Return the number of columns from the last yielded one to the first of a timing."""
+        if self._last_column_s is None:
             return 0
-        return max(1, round((timing.start_s - self._rest_s) / timing.period_s))
+        return max(1, round((timing.start_s - self._last_column_s) / timing.period_s))
 
     def _add_by_azimuth(self, points: _Points, sweep: Sweep) -> Iterator[ScanBlock]:
-        """Take points whose times do not tell columns."""
+        """Take points whose times do not give columns."""
         placed = sweep.place(points.ring, points.time_s, self._azimuths(points))
         late_s = np.zeros(self.points_per_line)
         timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
         n = timing.n_columns
         self._check_size(n, timing, len(points.ring))
         waits = placed.column >= n - SLACK
-        self._rest = points.part(waits)
-        self._rest_line = placed.base + max(n - SLACK, 0)
+        self._waiting = points.part(waits)
+        self._waiting_line = placed.base + max(n - SLACK, 0)
         self._timing = timing
         if n > SLACK:
             yield from self._lines.add(self._columns(points, ~waits, n - SLACK, placed.base))
@@ -612,29 +591,30 @@ class CloudLines:
 
     def _check_size(self, n: int, timing: Timing, n_points: int) -> None:
         if n * self.points_per_line > MAX_EMPTY * n_points + SPARE_CELLS:
-            problem = f"{n_points} points lie in {n} columns of {timing.period_s:.3g} s, expected many to a column"
+            problem = f"{n_points} points lie in {n} columns, one every {timing.period_s:.3g} s"
             raise InputError(self._where, problem, "look at the times of the points")
 
-    def _give_rest(self) -> Iterator[ScanBlock]:
-        """Yield the columns that wait."""
-        rest = self._rest
-        self._rest = None
-        if rest is None or not len(rest.ring):
+    def _give_waiting(self) -> Iterator[ScanBlock]:
+        waiting = self._waiting
+        self._waiting = None
+        if waiting is None or not len(waiting.ring):
             return
         n = 1
-        base = self._rest_line
+        base = self._waiting_line
         if self._sweep is not None:
-            placed = self._sweep.place(rest.ring, rest.time_s, self._azimuths(rest))
+            placed = self._sweep.place(waiting.ring, waiting.time_s, self._azimuths(waiting))
             late_s = np.zeros(self.points_per_line)
             self._timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
             n = self._timing.n_columns
             base = placed.base
         elif self._timing is not None:
             late_s = self._timing.late_s
-            start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
-            column = np.zeros(len(rest.ring), np.int64)
+            start_s = float((waiting.time_s - late_s[waiting.ring.clip(max=len(late_s) - 1)]).min())
+            column = np.zeros(len(waiting.ring), np.int64)
             self._timing = replace(self._timing, start_s=start_s, column=column, fired_s=None)
-        yield from self._lines.add(self._columns(rest, np.ones(len(rest.ring), np.bool_), n, base))
+        yield from self._lines.add(
+            self._columns(waiting, np.ones(len(waiting.ring), np.bool_), n, base)
+        )
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
@@ -645,7 +625,7 @@ class CloudLines:
             if is_later.any():
                 self._early = early.part(is_later)
             yield from self._take(early.part(~is_later), more=False)
-        yield from self._give_rest()
+        yield from self._give_waiting()
         yield from self._lines.finish()
 
     def lost(self) -> str:
@@ -673,10 +653,7 @@ class CloudLines:
         n: int,
         base: int,
     ) -> Columns:
-        """Put points into the cells of ``n`` columns.
-
-        The second of a cell is its further return.
-        """
+        """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
         m = self.points_per_line
         timing = self._timing
         assert timing is not None
@@ -685,13 +662,13 @@ class CloudLines:
         # of several points of a cell, the first one is written last
         first, second = np.full((2, n * m), -1, np.intp)
         first[cell[::-1]] = point[::-1]
-        again = first[cell] != point
-        second[cell[again][::-1]] = point[again][::-1]
+        is_further = first[cell] != point
+        second[cell[is_further][::-1]] = point[is_further][::-1]
         # a cell holds two returns
         self._lines.count_collisions(
-            int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0))
+            int(np.count_nonzero(is_further)) - int(np.count_nonzero(second >= 0))
         )
-        returns = [first, second] if again.any() else [first]
+        returns = [first, second] if is_further.any() else [first]
         cells = np.stack(returns, axis=-1).reshape(n, m, -1)
 
         def pick(values: NDArray[Any], which: NDArray[np.intp], fill: float) -> NDArray[Any]:
@@ -700,28 +677,28 @@ class CloudLines:
             return picked
 
         ranges = pick(points.range_m, cells, np.nan)
-        lights = pick(points.intensity, cells, np.nan)
-        range_m, light, main_point, (further_m, further_point) = choose(
-            ranges, lights, cells, self._config.return_
-        )
+        intensities = pick(points.intensity, cells, np.nan)
+        shots = choose(ranges, intensities, cells, self._config.return_)
+        main_point = shots.record
+        further_point = shots.further_record
         late: F64 = np.zeros(m)
         late[self._place[: len(timing.late_s)]] = timing.late_s[:m]
         time_s = pick(points.time_s, main_point, np.nan)
         starts_s = timing.starts_s(n)
         if timing.is_together:
-            # empty cells have the very time of their column
+            # empty cells have exactly the time of their column
             column_s = np.fmin.reduce(time_s, axis=1)
             starts_s = np.where(np.isnan(column_s), starts_s, column_s)
         fired = starts_s[:, None] + late
         is_made_up = np.isnan(time_s) | (self._sweep is not None)
         return Columns(
             base + np.arange(n),
-            range_m,
+            shots.range_m,
             pick(points.record, main_point, -1),
             np.where(is_made_up, fired, time_s),
             pick(points.xyz_m, main_point, np.nan),
-            light,
-            further_m,
+            shots.intensity,
+            shots.further_m,
             None if further_point is None else pick(points.record, further_point, -1),
         )
 
@@ -732,10 +709,7 @@ def _unit(
     between_s: Callable[[], float],
     config: InputConfig,
 ) -> float:
-    """Return the unit of the stored times [s].
-
-    As told, or the one in which the scanner turns as scanners do.
-    """
+    """Return the unit of the stored times [s]: as configured, or the one with a usual turn rate."""
     if config.time_unit == "turn":
         return between_s()
     if config.time_unit != "auto":
@@ -755,7 +729,7 @@ def _place(ring: I64, xyz_m: F32, m: int) -> I64:
     present = np.unique(ring)
     middle = np.array([np.median(elevation[ring == number]) for number in present])
     every = np.interp(np.arange(m), present, middle)
-    # rings beyond those seen go on the way the others go
+    # rings without points continue the order of the others
     way = 1.0 if len(present) < 2 or middle[-1] >= middle[0] else -1.0
     every += way * 1e-6 * np.arange(m)
     order = np.argsort(every, kind="stable")
@@ -770,7 +744,7 @@ def _stagger(
     azimuth: F64,
     place: I64,
 ) -> I64:
-    """Return the shift of every place in columns: how far a ring looks ahead of the fullest one."""
+    """Return by place the columns, (m,) int64, that a ring looks ahead of the fullest ring."""
     column = timing.column
     fullest = int(np.bincount(ring).argmax())
     of_fullest = np.flatnonzero(ring == fullest)
@@ -789,7 +763,7 @@ def _stagger(
     for number in np.unique(ring):
         use = (ring == number) & (np.abs(away) < _NEAR_COLUMNS)
         if use.any():
-            # what a laser fires later, it looks ahead: that is no staggering
+            # a laser that fires later looks ahead by as much: that is no staggering
             late = (timing.late_s[number] - timing.late_s[fullest]) / timing.period_s
             shift[place[number]] = round(float(np.median(ahead[use])) - late)
     return shift.clip(-MAX_SHIFT, MAX_SHIFT)
@@ -801,9 +775,9 @@ def _stagger_of_lines(
     scan_line: I64,
     place: I64,
 ) -> I64 | None:
-    """Return the shift of every place in columns from the scan lines of points.
+    """Return by place the columns, (m,) int64, that a ring looks ahead, from its scan lines.
 
-    None where the points of a ring do not lie evenly behind their columns.
+    None if the points of a ring are not all equally far from their columns.
     """
     behind = scan_line - timing.column
     nearest = int(behind.max())

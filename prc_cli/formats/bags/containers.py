@@ -1,10 +1,8 @@
-"""Messages of a bag, whatever the container.
+"""Read the messages of a bag from every container: rosbags for ROS 1 and MCAP, sqlite3 for ROS 2.
 
-Rosbags reads ROS 1 bags and MCAP, sqlite3 the databases of ROS 2.
-
-A database is read here, row after row: rosbags counts and sorts all of it first, which has no end
-in one whose pages point to one another, and takes memory or disk with its length. Nothing that a
-bag defines is executed.
+This module reads databases row by row. Rosbags would count and sort all rows first: that never ends
+if damaged pages point to one another, and takes memory or disk space. Nothing that a bag defines is
+executed.
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ class Topic:
     kind: str
     """Type of its messages without ``msg``: ``sensor_msgs/LaserScan``."""
     is_cdr: bool
-    """Whether messages are written as CDR (ROS 2), else as in ROS 1."""
+    """Whether messages are CDR (ROS 2); otherwise they are as in ROS 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,31 +48,28 @@ class Message:
 
     topic: Topic
     time_ns: int
-    """When it was recorded."""
+    """Time of recording [ns]."""
     data: bytes
     connection: int
-    """Its connection: several of a bag may have one topic."""
+    """Id of its connection; several connections may have one topic."""
 
 
 @dataclass(slots=True)
 class Bag:
-    """A bag: what is in it, and its messages."""
+    """A bag: its topics, and its messages."""
 
     path: Path
     files: tuple[Path, ...] = ()
-    """Files of one drive, in the order of recording; none = those of the path."""
+    """Files of one drive, in the order of recording; empty = the files of the path."""
     counts: dict[Topic, int] = field(default_factory=dict)
     """Number of messages of every topic."""
     start_ns: int = 0
-    """First and last time of a message."""
+    """First and last time of a message [ns]."""
     end_ns: int = 0
     packed: str = ""
-    """How its messages, or chunks of them, are compressed.
-
-    ``bz2``, ``lz4`` or ``zstd``; empty if they are not.
-    """
+    """Compression of messages or chunks: ``bz2``, ``lz4``, ``zstd`` or empty."""
     problem: str = ""
-    """Why it ends before the end of the recording; empty if it does not."""
+    """Why the bag ends before the end of the recording; empty if it does not."""
 
     def __post_init__(self) -> None:
         self.files = self.files or tuple(parts_of(self.path))
@@ -95,16 +90,15 @@ class Bag:
             return list(reader.connections)
 
     def _survey(self, part: Path) -> Iterator[None]:
-        """Count the messages of a file, in steps."""
+        """Count the messages of a file; yield to be stopped by :func:`bounded`."""
         if _is_database(part):
             yield from _count_rows(self, part)
             return
         with _library(part, ()) as reader:
             topics = reader.topics
-            for topic, n in {
-                topic_of(connection): topics[connection.topic].msgcount
-                for connection in reader.connections
-            }.items():
+            # several connections share the count of their topic
+            counts = {topic_of(link): topics[link.topic].msgcount for link in reader.connections}
+            for topic, n in counts.items():
                 self.counts[topic] = self.counts.get(topic, 0) + n
             if reader.message_count:
                 self.start_ns = min(self.start_ns or reader.start_time, reader.start_time)
@@ -122,13 +116,12 @@ def _kind(name: str) -> str:
 
 
 def _mend(path: Path) -> str:
-    """Return what to do with a damaged bag."""
     return _MEND.get(suffix_of(path), "copy it again").format(shlex.quote(str(path)))
 
 
 @contextlib.contextmanager
 def bag_errors(path: Path) -> Iterator[None]:
-    """Make one line of whatever a damaged bag does to a library."""
+    """Raise InputError for every exception of a library that reads a damaged bag."""
     try:
         yield
     except (InputError, ImportError):
@@ -147,7 +140,7 @@ def bag_errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
-    """Open a bag with rosbags; the index of other topics than some is not kept."""
+    """Open a bag with rosbags; keep the index of these topics only."""
     try:
         from rosbags import rosbag1, rosbag2
     except ImportError:
@@ -169,7 +162,6 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
 
 
 def _packed(reader: Any) -> str:
-    """Return how the first chunk of a bag is compressed, as rosbags has read it."""
     if hasattr(reader, "storage"):
         return next((str(chunk.compression) for chunk in reader.storage.chunks), "")
     from rosbags.rosbag1.reader import decompressors
@@ -209,12 +201,11 @@ def _decoded(path: Path, topics: Collection[Topic]) -> Iterator[Message]:
 
 @contextlib.contextmanager
 def _database(bag: Bag, path: Path) -> Iterator[tuple[sqlite3.Connection, dict[int, Topic]]]:
-    """Open a database of a bag and read its topics."""
     _check_pages(path)
     for suffix in ("-wal", "-journal"):
         beside = path.with_name(path.name + suffix)
         if beside.is_file() and beside.stat().st_size:
-            bag.problem = f"the recorder did not finish: {beside.name} holds more messages, which are not read"
+            bag.problem = f"the recorder did not finish: messages of {beside.name} are not read"
     with bag_errors(path):
         # immutable: nothing is written beside the bag
         base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
@@ -248,14 +239,14 @@ def _check_pages(path: Path) -> None:
     changed, pages = struct.unpack_from(">II", head, 24)
     wanted = (1 << 16 if page == 1 else page) * pages
     size = path.stat().st_size
-    # the number of pages counts only where the program that wrote last knew of it
+    # the number of pages is valid only if the last program that wrote kept it
     if changed == struct.unpack_from(">I", head, 92)[0] and size < wanted:
         problem = f"the database is cut: found {size} bytes, its header says {wanted}"
         raise InputError(str(path), problem, _mend(path))
 
 
 def _check_tables(path: Path, base: sqlite3.Connection) -> None:
-    """Refuse anything but plain tables: a view can run for ever."""
+    """Refuse anything but plain tables: a view can run forever."""
     rows = base.execute(
         "SELECT name, type, sql FROM sqlite_master WHERE name IN ('topics', 'messages') LIMIT 9"
     )
@@ -263,17 +254,16 @@ def _check_tables(path: Path, base: sqlite3.Connection) -> None:
     for name in ("topics", "messages"):
         plain = tables.get(name) == ("table", ["CREATE", "TABLE"])
         columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall() if plain else []
-        # a hidden column is computed, which can take for ever; a row id of its own would say
-        # nothing about the order
+        # a hidden column is computed, which can take forever; a column named rowid hides the order
         if not columns or any(column[-1] or column[1].lower() == "rowid" for column in columns):
             problem = f"found no plain table {name!r}, expected a bag that rosbag2 recorded"
             raise InputError(str(path), problem, "name a .db3 file of a ROS 2 bag")
 
 
 def _in_order(rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Yield rows whose first value, the row id, increases.
+    """Yield rows while their first value, the row id, increases.
 
-    Where pages point to one another, rows have no end.
+    If damaged pages point to one another, rows never end.
     """
     last = None
     for row in rows:
@@ -284,7 +274,7 @@ def _in_order(rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
 
 
 def _walk(bag: Bag, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of messages as far as they can be read."""
+    """Yield the rows of messages up to the first that cannot be read."""
     n = 0
     try:
         for row in _in_order(rows):
@@ -293,9 +283,9 @@ def _walk(bag: Bag, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]
     except (sqlite3.Error, OverflowError, UnicodeError, MemoryError) as error:
         if not n:
             raise
-        # sqlite3 cannot decode its own messages where they quote damaged bytes
-        said = str(error)[:80] or "it asks for more memory than it may"
-        bag.problem = f"the database can be read up to message {n} ({said})"
+        # sqlite3 cannot decode its own messages if they quote damaged bytes
+        reason = str(error)[:80] or "it asks for more memory than allowed"
+        bag.problem = f"the database can be read up to message {n} ({reason})"
 
 
 def _count_rows(bag: Bag, path: Path) -> Iterator[None]:
@@ -327,7 +317,6 @@ def _rows(bag: Bag, path: Path, topics: Collection[Topic]) -> Iterator[Message]:
 
 
 def _unpack(data: bytes, where: str) -> bytes:
-    """Unpack a message."""
     import pyarrow as pa
 
     try:
@@ -335,7 +324,7 @@ def _unpack(data: bytes, where: str) -> bytes:
             unpacked = stream.read(MAX_MESSAGE)
             if not stream.read(1):
                 return bytes(unpacked)
-            said = f"it grows to more than {MAX_MESSAGE} bytes"
+            reason = f"it grows to more than {MAX_MESSAGE} bytes"
     except (OSError, pa.ArrowException) as error:
-        said = " ".join(str(error).split())[:80]
-    raise InputError(where, f"zstd data are damaged ({said})", "copy it from the archive again")
+        reason = " ".join(str(error).split())[:80]
+    raise InputError(where, f"zstd data are damaged ({reason})", "copy it from the archive again")

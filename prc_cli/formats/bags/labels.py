@@ -1,10 +1,7 @@
-"""Class codes in bags: clouds with a field of them, laser scans with a topic of them beside.
+"""Write and read class codes in bags: in a field of clouds, in a topic beside laser scans.
 
-Written and read.
-
-Messages of laser scans stay as they are. Their codes are the intensities of a scan of the same
-kind, so that every viewer draws them in colours at the place of the scan, and their stamps bring
-both together.
+Messages of laser scans stay as they are. Their codes are the intensities of a second scan with the
+same stamp, so that every viewer draws them in colours at the place of the scan.
 """
 
 from __future__ import annotations
@@ -34,13 +31,10 @@ from prc_cli.formats.writing.record import RunRecord
 
 FIELD = "label"
 _UINT8 = 2
-"""Field of a point that holds its class code, and its type."""
+"""Field of a point with its class code, and type of the field."""
 
 Take: TypeAlias = Callable[[int], NDArray[Any]]
-"""Gives the codes of the next n records, (n,) uint8.
-
-Where records are left out (n,) int16, negative = left out.
-"""
+"""Returns the codes of the next n records, (n,) uint8, or int16 with negative = record left out."""
 
 
 class CloudCodec:
@@ -55,7 +49,7 @@ class CloudCodec:
         self._field = store.types["sensor_msgs/msg/PointField"]
 
     def points(self, data: bytes, name: str) -> tuple[Any, NDArray[np.void] | None]:
-        """Return a message, and its points with a field as ``code``; None where they lack it."""
+        """Return a message, and its points with a field as ``code``; None if they lack it."""
         cloud: Any = self._read(data, "sensor_msgs/msg/PointCloud2")
         field = next((candidate for candidate in cloud.fields if candidate.name == name), None)
         if field is None:
@@ -70,7 +64,7 @@ class CloudCodec:
         return cloud, self._rows(cloud).view(np.dtype(point))[:, 0]
 
     def _rows(self, cloud: Any) -> U8:
-        """Return the bytes of every point, (n, bytes), without what rows have behind their points."""
+        """Return the bytes of every point, (n, bytes), without the padding of rows."""
         n_row = cloud.width * cloud.point_step
         rows: U8 = cloud.data[: cloud.height * max(cloud.row_step, n_row)].reshape(
             cloud.height, -1
@@ -78,10 +72,7 @@ class CloudCodec:
         return rows.reshape(-1, cloud.point_step).copy()
 
     def label(self, data: bytes, take: Take) -> bytes:
-        """Return a message with codes in a field of this name.
-
-        Points with a negative code are left out.
-        """
+        """Return a message with codes in the field :data:`FIELD`, without points of negative codes."""
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
@@ -108,7 +99,7 @@ class CloudCodec:
 
 
 def label_laser(message: Message, take: Take) -> bytes:
-    """Return a scan whose intensities are the codes of its echoes; beams without any have none."""
+    """Return a scan whose intensities are the codes of its echoes."""
     cursor = Cursor(message.data, is_cdr=message.topic.is_cdr)
     cursor.header()
     cursor.numbers("f", 7)
@@ -133,7 +124,7 @@ def _has_echo(n_echoes: I64) -> Mask:
 
 
 class BagRewriter(BagOutput, ScatterWriter):
-    """Writer of a bag with everything that the input has, and the class codes of what was read."""
+    """Writer of a copy of a bag with the class codes of its shots."""
 
     def __init__(self, labels: LabelOutput) -> None:
         source = labels.source
@@ -202,7 +193,6 @@ class BagRewriter(BagOutput, ScatterWriter):
         return self._completed(record)
 
     def _copy(self, sink: Any, take: Take) -> None:
-        """Copy every message, those that were read with their codes."""
         bag = self._stream.bag
         read = self._stream.topics
         old = [topic for topic in bag.counts if is_labels(topic, read)]
@@ -212,8 +202,7 @@ class BagRewriter(BagOutput, ScatterWriter):
             )
         outs = {}
         for connection in bag.connections():
-            # labels come behind their scans: readers take what has one time in the order of
-            # connections
+            # labels follow their scans: readers order messages of one time by connection
             has_labels = topic_of(connection) in read and topic_of(connection).kind in LASERS
             if topic_of(connection) not in old:
                 outs[connection.id] = (
@@ -236,10 +225,7 @@ class BagRewriter(BagOutput, ScatterWriter):
 
 
 def _connect(sink: Any, connection: Any, after: str = "") -> Any:
-    """Add a connection as in the input.
-
-    The writers refuse two of one publisher, and missing definitions.
-    """
+    # the writers' own methods refuse two connections of one publisher, and missing definitions
     added = connection._replace(
         id=len(sink.connections) + 1, topic=connection.topic + after, msgcount=0, owner=sink
     )

@@ -1,8 +1,8 @@
-"""``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line, or a part of one.
+"""Read ``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line or part of one.
 
-Motors turn unevenly, so that the number of beams, their step and the first angle change from
-message to message; some scanners send a line in parts. All beams lie on one grid of angles, which
-the first messages show.
+Motors turn unevenly: the number of beams, their step and the first angle change from message to
+message. Some scanners send a line in parts. All beams lie on one grid of angles, which the first
+messages show.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +102,7 @@ def parse_laser(
     ranges = ranges.astype(np.float32)
     intensity = intensity.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        # a scanner says by inf, or by its own reach, that nothing came back
+        # scanners write inf, or a range beyond their reach, for no return
         is_beyond = np.isfinite(ranges) & ((ranges < low) | (ranges >= high))
     ranges[is_beyond | np.isinf(ranges)] = np.nan
     if scale != 1.0:
@@ -112,9 +112,9 @@ def parse_laser(
 
 
 def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
-    """Read a list of lists, of lengths that are likely.
+    """Read a list of lists; return their values in a row, and the length of every list.
 
-    Return their values in a row, and their lengths.
+    ``likely`` are expected lengths, which save the search for the lists.
     """
     n = cursor.number("I")
     expect(n <= len(cursor.data) // 4, f"says it holds {n} beams, which it is too short for")
@@ -123,10 +123,10 @@ def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
     if len(starts) != n or not n or starts[-1] >= len(words) or (words[starts] != likely).any():
         starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
-    problem = f"holds {counts.max(initial=0)} echoes of a beam"
-    most = f"at most {MAX_ECHOES}, and no more than there are"
+    most = int(counts.max(initial=0))
     is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))
-    expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{problem}, expected {most}")
+    problem = f"holds {most} echoes of a beam, expected at most {MAX_ECHOES} and no more bytes"
+    expect(is_whole and most <= MAX_ECHOES, problem)
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
     cursor.position += 4 * len(is_value)
@@ -137,13 +137,11 @@ def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
 
 
 def _starts(words: NDArray[np.uint32], n: int) -> I64:
-    """Return where lists begin that follow each other, each behind its length.
+    """Return the first words of consecutive lists, each behind its length, (n,) int64.
 
-    The number of words beyond the end.
-
-    Words that are as small as a length are lengths, where the lists then follow each other. Else,
-    as for values of zero, the way to the next list is followed for all words at once, then twice as
-    far, and so on.
+    A list that begins behind the last word has the number of words. If all small words fit as
+    lengths, they are the lengths. Otherwise (values may be zeros) the steps to the next list are
+    computed for all words at once, then the steps to the second next, the fourth next and so on.
 
     >>> _starts(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
     [0, 3, 4]
@@ -174,14 +172,11 @@ class BeamGrid:
     step_rad: float
     n: int
     is_plain: bool
-    """Whether each of the messages has just these beams."""
+    """Whether each message has exactly these beams."""
 
     @classmethod
     def of(cls, scans: list[LaserScan]) -> BeamGrid:
-        """Return the finest grid, with all beams of the messages.
-
-        Angles are counted from those of the first one.
-        """
+        """Return the finest grid with all beams of the messages, through the angles of the first."""
         steps = np.array([scan.angle_step_rad for scan in scans])
         usual = float(np.median(steps))
         scans = [
@@ -200,7 +195,7 @@ class BeamGrid:
         return replace(grid, is_plain=all(grid.has_just(scan) for scan in scans))
 
     def has_just(self, scan: LaserScan) -> bool:
-        """Whether a message has just these beams."""
+        """Return whether a message has exactly these beams."""
         near = abs(scan.angle_min_rad - self.start_rad) <= _NEAR * abs(self.step_rad)
         return near and self._has_step(scan) and scan.points_per_line == self.n
 
@@ -221,19 +216,33 @@ class BeamGrid:
         return placed
 
 
-_Beyond: TypeAlias = tuple[I64, F32, I64]
-"""Beam, range [m] and record of every further echo."""
+class _Beams(NamedTuple):
+    """Beams of some messages, with their further echoes."""
+
+    range_m: F32
+    """(beams,) float32 [m]; NaN = no return."""
+    intensity: F32 | None
+    """(beams,) float32."""
+    record: I64
+    """(beams,) int64."""
+    further_beam: I64
+    """(echoes,) int64, beam of every further echo."""
+    further_m: F32
+    """(echoes,) float32 [m]."""
+    further_record: I64
+    """(echoes,) int64."""
 
 
 @dataclass(slots=True)
 class _Part:
-    """A message that waits."""
+    """A message that waits for its block."""
 
     scan: LaserScan
     first_record: int
     columns: I64
+    """(beams,) int64, -1 = none."""
     line: int
-    """Line since the first one that waits."""
+    """Number of its line since the first waiting message."""
 
 
 class LaserLines:
@@ -290,7 +299,6 @@ class LaserLines:
         self._waiting.append(part)
 
     def _check(self, scan: LaserScan, columns: I64) -> None:
-        """Refuse a message of another set-up."""
         usual = self._usual_step
         beams = ""
         expected = ""
@@ -313,22 +321,21 @@ class LaserLines:
             self._waiting = []
 
     def lost(self) -> str:
-        """Return how messages became lines, where each is not a line of its own."""
+        """Return how messages became lines; empty if each is a line of its own."""
         if self.is_plain or not self._n_messages:
             return ""
         parts = self._n_messages / max(self._n_lines, 1)
         if parts > 1.5:
             return f"{parts:.3g} messages are a line of {self.points_per_line} beams"
-        return f"the number of beams or the first angle changes: they lie on one grid of {self.points_per_line} angles"
+        n_angles = self.points_per_line
+        return f"the number of beams or the first angle changes: one grid of {n_angles} angles"
 
     def _block(self, parts: list[_Part]) -> ScanBlock:
         scans = [part.scan for part in parts]
         n = parts[-1].line + 1
         m = self.points_per_line
         first = np.array([part.first_record for part in parts], np.int64)
-        ranges, intensity, record, beyond = (self._echoes if self.has_returns else self._single)(
-            scans, first
-        )
+        beams = self._echoes(scans, first) if self.has_returns else self._single(scans, first)
         line = np.repeat([part.line for part in parts], [len(part.columns) for part in parts])
         column = np.concatenate([part.columns for part in parts])
         stamps = np.concatenate(
@@ -344,15 +351,14 @@ class LaserLines:
             is_first &= cell >= 0
         n_unplaced = int(np.count_nonzero(cell < 0))
         n_meet = int(np.count_nonzero(~is_first & (cell >= 0)))
-        beam, other_m, other_record = beyond
-        has_column = cell[beam] >= 0
-        shared = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(ranges))
-        cells = np.concatenate([cell[beam[has_column]], cell[shared]])
+        has_column = cell[beams.further_beam] >= 0
+        shared = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(beams.range_m))
+        cells = np.concatenate([cell[beams.further_beam[has_column]], cell[shared]])
         extra = ExtraReturns(
             (cells // m).astype(np.int32),
             (cells % m).astype(np.int32),
-            np.concatenate([other_m[has_column], ranges[shared]]),
-            np.concatenate([other_record[has_column], record[shared]]),
+            np.concatenate([beams.further_m[has_column], beams.range_m[shared]]),
+            np.concatenate([beams.further_record[has_column], beams.record[shared]]),
         )
 
         def scattered(values: NDArray[Any], fill: float) -> NDArray[Any]:
@@ -361,11 +367,11 @@ class LaserLines:
             return grid.reshape(n, m)
 
         cleaned, tally = clean_ranges(
-            scattered(ranges, np.nan), self._config.min_range, self._config.max_range
+            scattered(beams.range_m, np.nan), self._config.min_range, self._config.max_range
         )
-        intensities = None if intensity is None else scattered(intensity, np.nan)
-        if intensities is not None:
-            intensities[np.isnan(cleaned)] = np.nan
+        intensity = None if beams.intensity is None else scattered(beams.intensity, np.nan)
+        if intensity is not None:
+            intensity[np.isnan(cleaned)] = np.nan
         time_s = scattered(stamps, np.nan)
         if np.isnan(time_s).any():
             time_s = _filled_times(time_s, float(np.median([scan.shot_s for scan in scans])))
@@ -379,32 +385,26 @@ class LaserLines:
         return ScanBlock(
             first_line=self._n_lines,
             range_m=cleaned,
-            record=scattered(record, -1),
+            record=scattered(beams.record, -1),
             scanner=self._scanner,
             time_s=time_s,
-            intensity=intensities,
+            intensity=intensity,
             angle_rad=self.angle_rad,
             extra=extra,
             tally=tally + counted,
         )
 
-    def _single(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, _Beyond]:
-        """Return range, intensity and record of every beam, and no further echoes."""
-        lit = None
+    def _single(self, scans: list[LaserScan], first: I64) -> _Beams:
+        intensity = None
         if all(len(scan.intensity) for scan in scans):
-            lit = np.concatenate([scan.intensity for scan in scans])
+            intensity = np.concatenate([scan.intensity for scan in scans])
         ranges = np.concatenate([scan.range_m for scan in scans])
         n_of = np.array([scan.n_records for scan in scans])
         record = np.arange(len(ranges)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
-        return (
-            ranges,
-            lit,
-            record,
-            (np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.int64)),
-        )
+        none = np.empty(0, np.int64)
+        return _Beams(ranges, intensity, record, none, np.empty(0, np.float32), none)
 
-    def _echoes(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, _Beyond]:
-        """Return range, intensity and record of every beam, and its further echoes."""
+    def _echoes(self, scans: list[LaserScan], first: I64) -> _Beams:
         counts = np.concatenate([scan.n_echoes for scan in scans if scan.n_echoes is not None])
         held = np.maximum(counts, 1)
         begins: Mask = np.zeros(int(held.sum()), np.bool_)
@@ -428,16 +428,18 @@ class LaserLines:
         others = np.flatnonzero(~is_main & ~np.isnan(flat))
         beam = (np.cumsum(begins) - 1)[others]
         main_echo = np.flatnonzero(is_main)
-        return (
-            flat[main_echo],
-            None if lit is None else lit[main_echo],
-            record[main_echo],
-            (beam, flat[others], record[others]),
+        return _Beams(
+            range_m=flat[main_echo],
+            intensity=None if lit is None else lit[main_echo],
+            record=record[main_echo],
+            further_beam=beam,
+            further_m=flat[others],
+            further_record=record[others],
         )
 
 
 def _continues(before: I64, columns: I64) -> bool:
-    """Whether beams go on where those of the message before ended, on the same line."""
+    """Return whether beams continue the line of the message before."""
     known = before[before >= 0]
     if not len(known) or not len(columns):
         return True
@@ -447,10 +449,7 @@ def _continues(before: I64, columns: I64) -> bool:
 
 
 def _filled_times(time_s: F64, shot_s: float) -> F64:
-    """Return times with those of cells without a beam.
-
-    As far from the last beam of the line as columns lie apart.
-    """
+    """Return times, (lines, M) float64 [s], also of cells without a beam, ``shot_s`` a column."""
     flat = time_s.copy()
     column = np.arange(flat.shape[1])
     known = np.isfinite(flat)

@@ -1,4 +1,4 @@
-"""Fields of messages as ROS 1 or CDR (ROS 2) writes them, and messages that hold a scanner's packets."""
+"""Read the fields of messages as ROS 1 or CDR (ROS 2) writes them, and messages of packets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ShortMessageError(ValueError):
 
 
 def expect(is_so: bool, otherwise: str, hint: str = "") -> None:
-    """Refuse a message with a text, and a hint, where something is not so."""
+    """Raise ShortMessageError with a text and a hint if a condition is false."""
     if not is_so:
         raise ShortMessageError(otherwise, hint)
 
@@ -85,10 +85,7 @@ class Cursor:
         return np.frombuffer(self.data, kind, count, start)
 
     def rest(self, dtype: DTypeLike) -> NDArray[Any]:
-        """Return all whole numbers from here to the end, without moving on.
-
-        a view of the message.
-        """
+        """Return all complete numbers from here to the end, a view of the message; do not move."""
         kind = np.dtype(dtype).newbyteorder(self.order)
         return np.frombuffer(
             self.data, kind, (len(self.data) - self.position) // kind.itemsize, self.position

@@ -1,4 +1,4 @@
-"""Numbers of rings: those of a scanner may begin at 1, come in steps, or leave most of the numbers out."""
+"""Number the rings of a scanner, whose numbers may begin at 1, have steps, or have gaps."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from prc_cli.core.stream import MAX_RINGS
 from prc_cli.core.types import I64
 
 WIDTHS = (4, 8, 16, 32, 40, 64, 80, 128, MAX_RINGS)
-"""Rings of scanners: a ring that does not return in the first message has its place."""
+"""Rings of usual scanners: a ring without returns in the first message keeps its place."""
 FULL = 0.5
-"""Where fewer of the numbers occur, those that do are all the rings there are."""
+"""If a smaller share of the numbers occurs, the scanner has no other rings than these."""
 
 
 @dataclass(frozen=True, slots=True)
 class RingNumbers:
-    """The rings of a scanner, and what a message calls them."""
+    """The rings of a scanner, and their numbers in messages."""
 
     n_rings: int
     """Rings in a line."""
     index: I64
     """(numbers,) int64, ring from 0 by its number in messages; -1 = not a ring."""
     note: str = ""
-    """What is unusual about the numbers."""
+    """Unusual properties of the numbers; empty without any."""
 
     @classmethod
     def of(cls, number: I64) -> RingNumbers | None:

@@ -1,4 +1,4 @@
-"""Reader of bags: every scan topic, and every frame of it, is a scanner of the stream."""
+"""Read bags: every frame of every scan topic is a scanner of the stream."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ FIRST_SCANS = 256
 """Laser scans that show which beams there are."""
 FIRST_CLOUDS = 9
 USUAL_TURN_S = 0.1
-"""Clouds whose stamps tell how long a turn takes, and the turn of most scanners [s]."""
+"""Clouds whose stamps give the time of a turn, and the turn of most scanners [s]."""
 LASERS = (LASER, ECHOES)
 READABLE = (*PACKED, *LASERS, CLOUD)
 """Types of messages that hold scans."""
 LABELS = "/labels"
-"""What the name of a topic of laser scans gets where their intensities are class codes."""
+"""Suffix of the topic of laser scans whose intensities are class codes."""
 
 
 _REMEDY = "record the scanner's own topic, in its own frame"
@@ -42,7 +42,7 @@ _OR_ORIGIN = ", or give its place in the coordinates: --range origin:X,Y,Z"
 
 
 def is_labels(topic: Topic, topics: Collection[Topic]) -> bool:
-    """Whether a topic of a bag holds the class codes of another one."""
+    """Return whether a topic of a bag has the class codes of another topic."""
     scans = replace(topic, name=topic.name.removesuffix(LABELS))
     return topic.kind in LASERS and scans != topic and scans in topics
 
@@ -87,7 +87,7 @@ class BagStream:
 
     @property
     def info(self) -> StreamInfo:
-        """What is known before reading, and afterwards also what was found while reading."""
+        """Properties known before reading, and after reading also its notes."""
         counts = self.bag.counts
         names = ", ".join(topic.name for topic in self.topics)
         others = [
@@ -135,13 +135,10 @@ class BagStream:
             f"topic {topic.name}": f"{topic.kind}, {n or 'no'} messages"
             for topic, n in bag.counts.items()
         }
-        return {
-            "recorded": f"{(bag.end_ns - bag.start_ns) * 1e-9:.3f} s from {bag.start_ns * 1e-9:.3f} s",
-            **topics,
-        }
+        start_s = bag.start_ns * 1e-9
+        return {"recorded": f"{bag.end_ns * 1e-9 - start_s:.3f} s from {start_s:.3f} s", **topics}
 
     def _first_messages(self) -> dict[Topic, Message]:
-        """Return the first message of every topic that can be read."""
         counts = self.bag.counts
         wanted = {
             topic
@@ -156,10 +153,7 @@ class BagStream:
         return first_messages
 
     def _readable(self) -> dict[Topic, str]:
-        """Return the topics that hold scans, with their frames.
-
-        Of clouds only those with ring and time.
-        """
+        """Return the topics of scans, of clouds only those with rings, with the frame of each."""
         frames = dict.fromkeys(self._firsts, "")
         for topic, first in self._firsts.items():
             try:
@@ -198,7 +192,9 @@ class BagStream:
         clouds = {frame for topic, frame in self._frames.items() if topic.kind == CLOUD}
         packed = [topic for topic in self._frames if topic.kind in PACKED]
         others = [
-            one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds
+            name
+            for name, frame in self._frames.items()
+            if name.kind == CLOUD or frame not in clouds
         ]
         if packed or others:
             return tuple(sorted(packed or others, key=lambda topic: topic.name))
@@ -214,7 +210,7 @@ class BagStream:
         raise InputError(str(self._path), problem, "record the scanner's own topic")
 
     def _look(self) -> int:
-        """Return the longest line, from the first message of every topic."""
+        """Return the length of the longest line in the first message of every topic."""
         widest = 0
         why = ("no message with shots, expected scans", "name another topic: --topic NAME")
         for topic in self.topics:
@@ -245,7 +241,6 @@ class BagStream:
         )
 
     def _first_scans(self, topic: Topic) -> list[LaserScan]:
-        """Return the first scans of a topic of laser scans, which show its beams."""
         if topic not in self._scans:
             self._scans[topic] = scans = []
             for message in self.bag.messages({topic}):
@@ -257,7 +252,7 @@ class BagStream:
         return self._scans[topic]
 
     def _between_s(self, topic: Topic) -> float:
-        """Return the usual time between the stamps of the first clouds of a topic, 0.1 s if there is one cloud [s]."""
+        """Return the median time between the first clouds of a topic, 0.1 s for one cloud [s]."""
         stamps: list[float] = []
         for message in self.bag.messages({topic}):
             stamps.append(parse_cloud(message.data, is_cdr=topic.is_cdr).stamp_s)
@@ -278,20 +273,17 @@ class BagStream:
         for reader in readers.values():
             yield from reader.finish()
         self._notes = [note for reader in readers.values() for note in reader.notes()]
-        repeat_notes = [
-            reader.repeats.told(
-                f"{'packets' if topic.kind in PACKED else 'messages'} of {topic.name}"
-            )
-            for topic, reader in readers.items()
-        ]
-        self._repeated = next((told for told in repeat_notes if told), "")
+        self._repeated = ""
+        for topic, reader in readers.items():
+            name = f"{'packets' if topic.kind in PACKED else 'messages'} of {topic.name}"
+            self._repeated = self._repeated or reader.repeats.note(name)
 
 
 _L = TypeVar("_L", CloudLines, LaserLines, PacketLines)
 
 
 class _TopicReader:
-    """Turns the messages of a topic into blocks; every frame of it is a scanner."""
+    """Decodes the messages of a topic into blocks; every frame of it is a scanner."""
 
     def __init__(
         self,
@@ -310,7 +302,7 @@ class _TopicReader:
         self._config = config
         self._metadata = find_metadata(None, config) if topic.kind in PACKED else None
         self.frames: dict[str, Any] = {}
-        """What gathers the scans of every frame into blocks."""
+        """Gatherer of scans into blocks, by frame."""
         self._n = self._n_other = 0
         self._other = ""
         self.n_taken = 0
@@ -320,7 +312,7 @@ class _TopicReader:
         self._origin_m = parse_origin(config.range) if has_origin else (0.0, 0.0, 0.0)
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        """Take a message whose first record is given; yield blocks as there is enough for one."""
+        """Take a message and the number of its first record; yield complete blocks."""
         kind = self._topic.kind
         is_cdr = self._topic.is_cdr
         # ROS 1 counts the messages of a sender in their first four bytes
@@ -360,14 +352,14 @@ class _TopicReader:
         self._n += 1
 
     def _scans_of(self, scan: LaserScan) -> Callable[[], list[LaserScan]]:
-        """Return what gives the first scans with the frame of a scan, at least this one."""
+        """Return a function for the first scans with the frame of a scan, at least this scan."""
         return lambda: (
             [first_scan for first_scan in self._first_scans() if first_scan.frame == scan.frame]
             or [scan]
         )
 
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
-        """Return what gathers the scans of a frame."""
+        """Return the gatherer of the scans of a frame."""
         if frame not in self.frames:
             name = self._name(frame)
             n = len(self._numbers)
@@ -407,28 +399,25 @@ class _TopicReader:
             self.n_taken += lines.n_records
 
     def finish(self) -> Iterator[ScanBlock]:
-        """Yield what waits."""
+        """Yield the last blocks."""
         for lines in self.frames.values():
             yield from lines.finish()
 
     def notes(self) -> list[str]:
-        """Return sentences on what was unusual."""
+        """Return sentences on unusual properties."""
         notes = [
             f"{self._name(frame)}: {lost}"
             for frame, lines in self.frames.items()
             if (lost := lines.lost())
         ]
         if self._n_other:
-            notes.append(
-                f"{self._topic.name}: {self._n_other:,} packets of another kind left out ({self._other})"
-            )
+            others = f"{self._n_other:,} packets of another kind left out ({self._other})"
+            notes.append(f"{self._topic.name}: {others}")
         return notes
 
     def nothing(self) -> tuple[str, str]:
-        """Return why the messages hold no shots, and what to do."""
+        """Return why the messages have no shots, and a hint."""
         if self._other:
-            return (
-                f"packets of a scanner that is not known ({self._other}), expected {KNOWN} or Ouster",
-                NEEDED,
-            )
+            problem = f"packets of an unknown scanner ({self._other}), expected {KNOWN} or Ouster"
+            return problem, NEEDED
         return "no message with shots, expected scans", "name another topic: --topic NAME"

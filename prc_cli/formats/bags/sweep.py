@@ -1,10 +1,8 @@
-"""Firing columns of clouds whose points share times.
+"""Find the firing columns of clouds whose points share times.
 
-Those of packets, or times cut to a part of a second.
-
-Such times tell the turn, and how fast the scanner turns; the azimuth tells the column. Along every
-ring columns rise strictly and follow the azimuth as closely as possible (isotonic regression), as
-in frames of rings.
+The times are the times of packets, or are cut to a part of a second. They give the turn and the
+rate of turning. The azimuth gives the column: along every ring columns rise strictly and follow
+the azimuth as closely as possible (isotonic regression), as in frames of rings.
 """
 
 from __future__ import annotations
@@ -21,9 +19,9 @@ from prc_cli.formats.packets.columns import MAX_SHIFT
 SAME_SHOT_RAD = 3e-4
 """Returns of one shot differ less in azimuth; columns are 0.05 deg apart and more [rad]."""
 MANY = 0.01
-"""Share of points that share a ring and a time with another column from which times do not tell columns."""
+"""Share of points with the ring and time of another column above which times are no columns."""
 SAME_SHOT = 0.1
-"""The same, in columns."""
+"""Returns of one shot differ less in azimuth [columns]."""
 SLACK = 3
 """Columns that wait for the points of the next message."""
 NEIGHBOUR = 1.5
@@ -33,12 +31,11 @@ DENSEST = 25.0
 WINDOW = 16
 """Steps in a row that one is measured over."""
 TOO_WIDE = 3.0
-"""Points of a time lie within what the scanner turns until the next, this often at most.
-
-Else others are among them.
-"""
 TOO_WIDE_RAD = math.radians(30.0)
-"""A group may be this much wider: the lasers of a column look this far apart [rad]."""
+"""Points of one time spread at most this multiple of the turn to the next time, plus this [rad].
+
+The lasers of a column look that far apart. Points of a wider group do not have one time.
+"""
 _TURN = 2 * math.pi
 
 
@@ -70,24 +67,24 @@ class Placed:
 
 @dataclass(slots=True)
 class Sweep:
-    """How a scanner turns, and how far it has come."""
+    """Turning of a scanner, and its last position."""
 
     rate_rad_s: float
-    """Turned in a second; positive = anticlockwise seen from above."""
+    """Rate of turning; positive = anticlockwise from above [rad/s]."""
     step_rad: float
     """From column to column [rad]."""
     shift: I64
     """(rings,) int64, columns that a ring looks ahead."""
     time_s: float
-    """A time ..."""
+    """Time of a known position [s]."""
     azimuth_rad: float
-    """... and the azimuth at it, counted on over all turns [rad]."""
+    """Azimuth at that time, over all turns [rad]."""
     begin: float = math.nan
     """Place of the first column, in columns."""
     next: int = 0
-    """First column that was not given out."""
+    """First column that was not yielded."""
     last_s: float = -math.inf
-    """Time of the last column that was given out."""
+    """Time of the last yielded column [s]."""
 
     @classmethod
     def of(
@@ -97,7 +94,7 @@ class Sweep:
         azimuth_rad: F64,
         n_rings: int,
     ) -> Sweep | None:
-        """Measure the turning of a first message; None where its times do not tell it."""
+        """Measure the turning from a first message; None if its times do not show it."""
         every, middle, spread = _groups(time_s, azimuth_rad)
         if len(every) < 3:
             return None
@@ -122,12 +119,12 @@ class Sweep:
             .astype(np.int64)
             .clip(-MAX_SHIFT, MAX_SHIFT)
         )
-        # columns that wait for others make up for less
+        # waiting columns absorb smaller shifts
         sweep.shift[np.unique(ring)] = np.where(np.abs(shift) < SLACK, 0, shift)
         return sweep
 
     def along(self, time_s: F64, azimuth_rad: F64) -> F64:
-        """Return how far the scanner had turned at points, the way it turns [rad]."""
+        """Return how far the scanner had turned at points, (n,) float64, in its direction [rad]."""
         way = math.copysign(1.0, self.rate_rad_s)
         expected = self.azimuth_rad + self.rate_rad_s * (time_s - self.time_s)
         turned: F64 = way * (azimuth_rad + _TURN * np.rint((expected - azimuth_rad) / _TURN))
@@ -140,13 +137,13 @@ class Sweep:
         if math.isnan(self.begin):
             self.begin = float(place.min())
         column = rising_columns(ring, place - self.begin)
-        # what is placed again with what follows it may come to lie a little farther back
+        # points placed again with later ones may move a little back
         column = np.where(column >= self.next - SLACK, np.maximum(column, self.next), column)
         least = int(column.min())
         n = int(column.max()) - least + 1
         fired = np.array([np.median(time_s - place * (self.step_rad / abs(self.rate_rad_s)))])
         fired = fired + (self.begin + least + np.arange(n)) * (self.step_rad / abs(self.rate_rad_s))
-        # columns are fired one after the other, however the clock of packets jumps
+        # times of columns rise even if the clock of packets jumps
         fired = np.maximum(fired, self.last_s)
         self.next = max(self.next, least + n - SLACK)
         self.last_s = max(self.last_s, float(fired[max(n - SLACK - 1, 0)]))
@@ -157,7 +154,7 @@ class Sweep:
 
 
 def _groups(time_s: F64, azimuth_rad: F64) -> tuple[F64, F64, F64]:
-    """Return the times, the mean azimuth of the points of each, and how far they spread around it."""
+    """Return the different times, and mean and spread of the azimuth of each, (times,) float64."""
     every, which = np.unique(time_s, return_inverse=True)
     unit = [np.bincount(which.ravel(), wave(azimuth_rad)) for wave in (np.cos, np.sin)]
     middle: F64 = np.arctan2(unit[1], unit[0])
@@ -172,7 +169,7 @@ def find_step(ring: I64, along_rad: F64) -> float:
     steps = steps[(np.diff(ring[order]) == 0) & (steps > SAME_SHOT_RAD)]
     if not len(steps):
         return 0.0
-    # shots are left out more often than not: the usual step is among the short ones
+    # many shots may be missing: the usual step is a short one
     usual = float(np.percentile(steps, DENSEST))
     near = steps[steps < NEIGHBOUR * usual]
     n = len(near) // WINDOW * WINDOW
@@ -181,9 +178,9 @@ def find_step(ring: I64, along_rad: F64) -> float:
 
 
 def rising_columns(ring: I64, place: F64) -> I64:
-    """Return the column of every point: it rises along a ring, and follows the place.
+    """Return the column of every point, which rises along a ring and follows the place.
 
-    Returns of one shot have one place, and one column:
+    Returns of one shot have one place and one column:
 
     >>> rising_columns(np.zeros(5, np.int64), np.array([0.1, 0.9, 0.9, 1.2, 4.0])).tolist()
     [0, 1, 1, 2, 4]

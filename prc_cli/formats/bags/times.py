@@ -1,7 +1,4 @@
-"""Times of the points of a message.
-
-Their unit, which the turning of the scanner shows, and times out of place.
-"""
+"""Find the unit of the times of points from the turning of the scanner, and times out of place."""
 
 from __future__ import annotations
 
@@ -23,12 +20,13 @@ FASTEST_HZ = 60.0
 _SAME_WAY = 0.8
 """Least share of steps in azimuth that go the way of the turn."""
 _LATE_TURN = 0.9
+"""Share of a turn behind which a point may belong to the beginning of the next turn."""
 _ABOUT_TURN = 0.1
-"""Late part of a turn, and how much more or less than a turn a message has."""
+"""Tolerance of the turns of a message that is one turn."""
 _NEAR_RAD = math.radians(60.0)
 _PAUSE_STEPS = 100.0
-"""Points of a ring that are farther apart, or by so many times the usual step in time, have a sector without points
-between them [rad, steps]."""
+"""Points of a ring with a larger step in azimuth [rad] or in time [usual steps] have a sector
+without points between them."""
 _LEAST_STEPS = 16
 """Fewer steps in azimuth do not show a turn."""
 _WHOLE_TURN = 0.02
@@ -38,9 +36,9 @@ _SPARSE = 0.05
 _STRETCHES = 16
 """Stretches in the time that half of the points take."""
 _UNEVEN = 4.0
-"""Nor are they where the longest and the shortest fifth or quarter of the points differ less."""
 _EVEN = 1.3
-"""The times of a message whose whole span is at most this multiple of the usual one are not looked at."""
+"""A message has no odd times if its span is at most ``_EVEN`` times the span of the middle 90 %,
+and the parts of that differ by less than a factor of ``_UNEVEN``."""
 
 LONG_S = 1.0
 """No message takes longer [s]."""
@@ -56,9 +54,7 @@ class Turning(NamedTuple):
 
 
 def find_turning(ring: I64, time: F64, azimuth_rad: F64) -> Turning | None:
-    """Find how far a scanner turns in one unit of the times of its points.
-
-    None if too few points tell.
+    """Find how far a scanner turns in one unit of the times of its points; None if points are few.
 
     Parameters
     ----------
@@ -82,7 +78,7 @@ def find_turning(ring: I64, time: F64, azimuth_rad: F64) -> Turning | None:
     after = np.diff(time[fullest])
     if not (after > 0).any():
         return None
-    # over a wide sector without points it cannot be told which way the scanner turned
+    # a wide sector without points does not show the direction of turning
     is_near = (np.abs(turned) < _NEAR_RAD) & (
         after <= _PAUSE_STEPS * float(np.median(after[after > 0]))
     )
@@ -95,7 +91,7 @@ def find_turning(ring: I64, time: F64, azimuth_rad: F64) -> Turning | None:
 
 
 def find_unit(usual_s: float, turning: Turning) -> float:
-    """Return the unit of stored times in which the scanner turns as scanners do, first of all the usual one [s].
+    """Return the unit of stored times with a usual turn rate, the usual unit first [s].
 
     >>> find_unit(1.0, Turning(10.0, True)), find_unit(1.0, Turning(1e-5, True))
     (1.0, 1e-06)
@@ -130,7 +126,7 @@ def counts_turns(time: F64, turning: Turning) -> bool:
 
 
 def turn_times(ring: I64, azimuth_rad: F64, between_s: float) -> F64:
-    """Return times that follow the azimuths of points in the order of a driver, without times of their own.
+    """Return times of points that have none, from their azimuths.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""Streams as bags: firings of spinning scanners as clouds, lines of profilers as laser scans.
-
-And how bags are written.
+"""Write streams as bags: firings of spinning scanners as clouds, lines of profilers as laser scans.
 
 A cloud has the shots of one block, missing ones included, in the order of their times: ``x y z
 intensity ring label time scan_line``. A laser scan is a line; its class codes are the intensities of the scan
@@ -33,28 +31,23 @@ _SCAN = "/scan"
 _POINTS = "/points"
 _FRAME = "scanner"
 _REACH_M = 1e4
-"""Ranges beyond are none [m]."""
+"""``range_max`` of laser scans [m]."""
 _EVEN = 1e-3
-"""Directions of a column differ by less from line to line, and steps of the angle by this share, in a laser scan."""
+"""In laser scans directions of a column change by less from line to line, and the step of the
+angle by a smaller share."""
 _POINT = np.dtype("<f4, <f4, <f4, <f4, <u2, <u2, <f4, <u4")
 _POINT.names = ("x", "y", "z", "intensity", "ring", "label", "time", SCAN_LINE)
 
 
 class BagOutput(StagedWriter):
-    """What writers of bags have in common.
-
-    a container, and what makes a bag of the folder that a database lies in.
-    """
+    """Base of the writers of bags: opens the container, names ``metadata.yaml`` of a database."""
 
     _metadata: Path | None = None
     _packed = ""
-    """How the bag is compressed, as in the input; ROS 2 knows zstd alone."""
+    """Compression, as in the input; ROS 2 has zstd only."""
 
     def _name_metadata(self) -> None:
-        """Register what makes a bag of the folder of a database.
-
-        Nothing where the folder has another one.
-        """
+        """Register ``metadata.yaml`` beside a database, unless the folder has another bag."""
         if self.path.suffix.lower() != DATABASE:
             return
         metadata = self.path.with_name(METADATA)
@@ -63,14 +56,14 @@ class BagOutput(StagedWriter):
         }
         if others & {DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
             self._notice(
-                f"no {METADATA} was written: the folder has another bag; a folder of its own would get one"
+                f"no {METADATA} was written: the folder has another bag (write to an empty folder)"
             )
             return
         self._metadata = self._output(metadata)
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open a writer of rosbags, and bring what it wrote under the temporary names at the end."""
+        """Open a writer of rosbags; at the end move its files to the temporary names."""
         from rosbags import rosbag1, rosbag2
 
         suffix = self.path.suffix.lower()
@@ -132,14 +125,17 @@ class BagStreamWriter(BagOutput, StreamWriter):
             self._add_scans(item)
 
     def _judged(self, block: ScanBlock) -> bool:
-        """Return whether the head turns from line to line; refuse what no message can hold."""
+        """Return whether the head turns from line to line; refuse lines that no message holds."""
         turns = block.angle_rad is None
         if block.xyz_m is not None:
             with np.errstate(invalid="ignore"):
                 way = block.xyz_m / np.linalg.norm(block.xyz_m, axis=2, keepdims=True)
             turns = bool(np.nanmax(np.abs(way - way[:1]), initial=0.0) > _EVEN)
         if turns and (block.points_per_line > MAX_RINGS or block.xyz_m is None):
-            problem = f"lines of {block.points_per_line} shots turn, expected those of a profiler or of {MAX_RINGS} rings"
+            problem = (
+                f"lines of {block.points_per_line} shots turn, "
+                f"expected lines of a profiler or of at most {MAX_RINGS} rings"
+            )
             raise OutputError(str(self.path), problem, "write .npz")
         if not turns and block.angle_rad is not None:
             step = np.diff(block.angle_rad)
@@ -172,9 +168,9 @@ class BagStreamWriter(BagOutput, StreamWriter):
                 )
 
     def _span_of(self, times_s: F64, line: int) -> tuple[float, float]:
-        """Return the times of the first and the last shot of a line.
+        """Return the times of the first and the last shot of a line [s].
 
-        Shots without a time lie evenly between others.
+        Shots without a time are evenly between the others.
         """
         known = np.flatnonzero(np.isfinite(times_s))
         if len(known) < min(len(times_s), 2):
@@ -195,14 +191,14 @@ class BagStreamWriter(BagOutput, StreamWriter):
     # -- spinning scanners
 
     def _add_cloud(self, item: StreamItem) -> None:
-        """Take a block; send the shots that were fired before any that may follow."""
+        """Send the shots of a block that were fired before all later ones."""
         block = item.block
         assert block.time_s is not None
         assert block.xyz_m is not None
         fired = np.isfinite(block.time_s)
         n_lost = int(np.count_nonzero(~fired & ~np.isnan(block.range_m)))
         if n_lost:
-            problem = f"{n_lost} returns from line {block.first_line} on have no time, which a point of a cloud has"
+            problem = f"{n_lost} returns from line {block.first_line} on have no time"
             raise OutputError(
                 str(self.path), problem, "write .npz, which keeps times that are no numbers"
             )
@@ -218,8 +214,7 @@ class BagStreamWriter(BagOutput, StreamWriter):
             shots["label"] = item.codes[fired].clip(0)
         shots = np.concatenate([self._waiting, shots])
         shots = shots[np.argsort(shots["time"], kind="stable")]
-        # lasers of a line need not look the same way at one time: later lines begin before this one
-        # has ended
+        # lasers look to different azimuths at one time: later lines begin before this one ends
         end = (
             np.inf
             if block.is_last or not fired[-1].any()
@@ -249,7 +244,6 @@ class BagStreamWriter(BagOutput, StreamWriter):
         )
 
     def _close(self) -> None:
-        """Write the messages that waited."""
         self._send_cloud(self._waiting)
         end = self._messages.tell()
         self._messages.seek(0)
@@ -281,7 +275,7 @@ class BagStreamWriter(BagOutput, StreamWriter):
         return round(time_s * 1e9)
 
     def _send(self, topic: str, kind: str, time_s: float, *values: Any) -> None:
-        """Keep a message; the time is that of its last shot, when it is known as a whole."""
+        """Keep a message with the time of its last shot, at which it is complete."""
         name = kind.replace("/", "/msg/")
         pack = self._store.serialize_ros1 if self._is_first else self._store.serialize_cdr
         data = bytes(pack(self._store.types[name](*values), name))

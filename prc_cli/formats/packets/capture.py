@@ -1,7 +1,4 @@
-"""Datagrams of a capture (pcap, pcapng).
-
-UDP over IPv4 or IPv6, fragments put together, in bounded memory.
-"""
+"""Read the UDP datagrams of a capture (pcap, pcapng) over IPv4 and IPv6, in bounded memory."""
 
 from __future__ import annotations
 
@@ -17,11 +14,11 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
 
 MAX_PACKET = 1 << 18
-"""Longest packet of a capture, as libpcap has it [bytes]."""
+"""Longest packet of a capture, as in libpcap [bytes]."""
 MAX_BLOCK = 1 << 24
 """Longest block of a pcapng file that is not a packet [bytes]."""
 MAX_PENDING = 64
-"""Most datagrams whose fragments wait for the others."""
+"""Most incomplete datagrams that are kept."""
 MAX_DATAGRAM = 1 << 16
 _UDP = 17
 _FRAGMENT = 44
@@ -31,7 +28,7 @@ _PCAP = {
     b"\x4d\x3c\xb2\xa1": ("<", 1e-9),
     b"\xa1\xb2\x3c\x4d": (">", 1e-9),
 }
-"""Byte order and unit of time by the first four bytes."""
+"""Byte order and unit of time [s] by the first four bytes."""
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ETHERNET = 1
 _RAW = 101
@@ -44,7 +41,7 @@ class Datagram(NamedTuple):
     """The content of a UDP datagram."""
 
     time_s: float
-    """When its first packet was captured [s]."""
+    """Capture time of its first packet [s]."""
     source: str
     """Address that sent it."""
     port: int
@@ -54,31 +51,41 @@ class Datagram(NamedTuple):
 
 @dataclass(slots=True)
 class CaptureCount:
-    """What was seen of a capture."""
+    """Losses of a capture."""
 
     n_short: int = 0
-    """Packets that the capture did not keep whole."""
+    """Packets that were cut by the snapshot length."""
     n_fragments_lost: int = 0
-    """Datagrams of which a fragment is missing."""
+    """Datagrams without one of their fragments."""
     end: str = ""
     """Why the capture ends too early; empty if it does not."""
+
+
+class _Packet(NamedTuple):
+    """A packet of a capture."""
+
+    time_s: float
+    link: int
+    """Kind of network."""
+    data: bytes
+    is_complete: bool
+    """Whether the capture kept all bytes."""
 
 
 def read_datagrams(path: Path, count: CaptureCount) -> Iterator[Datagram]:
     """Yield the UDP datagrams of a capture in its order."""
     waiting = _Fragments(count)
-    for time_s, link, packet, is_whole in _packets(path, count):
-        ip = _strip_link(link, packet)
-        datagram = None if ip is None else _strip_ip(ip, time_s, waiting)
+    for packet in _packets(path, count):
+        ip = _strip_link(packet.link, packet.data)
+        datagram = None if ip is None else _strip_ip(ip, packet.time_s, waiting)
         if datagram is not None:
             yield datagram
-        elif not is_whole:
+        elif not packet.is_complete:
             count.n_short += 1
     waiting.finish()
 
 
-def _packets(path: Path, count: CaptureCount) -> Iterator[tuple[float, int, bytes, bool]]:
-    """Yield time, kind of network, bytes and whether all were kept, of every packet."""
+def _packets(path: Path, count: CaptureCount) -> Iterator[_Packet]:
     with open_to_read(path) as handle:
         magic = handle.read(4)
         if magic in _PCAP:
@@ -88,13 +95,12 @@ def _packets(path: Path, count: CaptureCount) -> Iterator[tuple[float, int, byte
             yield from _pcapng(path, handle, count)
         else:
             problem = f"begins with {magic.hex()}, expected a capture (pcap or pcapng)"
-            raise InputError(
-                str(path), problem, "capture with tcpdump or Wireshark, and do not compress it"
-            )
+            hint = "capture with tcpdump or Wireshark, and do not compress it"
+            raise InputError(str(path), problem, hint)
 
 
-def _damaged(path: Path, at: int, problem: str) -> InputError:
-    return InputError(f"{path}: byte {at}", problem, "copy it from the archive again")
+def _damaged(path: Path, position: int, problem: str) -> InputError:
+    return InputError(f"{path}: byte {position}", problem, "copy it from the archive again")
 
 
 def _pcap(
@@ -103,50 +109,50 @@ def _pcap(
     order: str,
     unit: float,
     count: CaptureCount,
-) -> Iterator[tuple[float, int, bytes, bool]]:
+) -> Iterator[_Packet]:
     head = handle.read(20)
     if len(head) < 20:
         count.end = "the capture ends within its header"
         return
     link = struct.unpack(order + "HHiIII", head)[5] & 0xFFFF
-    at = 24
+    position = 24
     n = 0
     while record := handle.read(16):
-        kept, whole = struct.unpack(order + "II", record[8:]) if len(record) == 16 else (0, 0)
+        kept, n_sent = struct.unpack(order + "II", record[8:]) if len(record) == 16 else (0, 0)
         if kept > MAX_PACKET:
             raise _damaged(
-                path, at, f"found a packet of {kept} bytes, expected at most {MAX_PACKET}"
+                path, position, f"found a packet of {kept} bytes, expected at most {MAX_PACKET}"
             )
         data = handle.read(kept)
         if len(record) < 16 or len(data) < kept:
-            count.end = f"the capture ends in the middle of packet {n} at byte {at}"
+            count.end = f"the capture ends in the middle of packet {n} at byte {position}"
             return
         seconds, part = struct.unpack(order + "II", record[:8])
-        yield seconds + part * unit, link, data, kept >= whole
-        at = at + 16 + kept
-        n = n + 1
+        yield _Packet(seconds + part * unit, link, data, kept >= n_sent)
+        position += 16 + kept
+        n += 1
 
 
-def _pcapng(
-    path: Path, handle: IO[bytes], count: CaptureCount
-) -> Iterator[tuple[float, int, bytes, bool]]:
+def _pcapng(path: Path, handle: IO[bytes], count: CaptureCount) -> Iterator[_Packet]:
     order = "<"
-    at = 0
+    position = 0
     interfaces: list[tuple[int, float]] = []
     while head := handle.read(8):
         if head[:4] == _PCAPNG and len(head) == 8:
             mark = handle.read(4)
             order = ">" if mark == b"\x1a\x2b\x3c\x4d" else "<"
             if len(mark) == 4 and mark not in (b"\x1a\x2b\x3c\x4d", b"\x4d\x3c\x2b\x1a"):
-                raise _damaged(path, at, "found no byte order of pcapng")
+                raise _damaged(path, position, "found no byte order of pcapng")
             interfaces = []
             head += mark
         n = struct.unpack_from(order + "I", head, 4)[0] if len(head) >= 8 else 0
         if len(head) >= 8 and (n < 12 or n > MAX_BLOCK or n % 4):
-            raise _damaged(path, at, f"found a block of {n} bytes, expected 12 to {MAX_BLOCK}")
+            raise _damaged(
+                path, position, f"found a block of {n} bytes, expected 12 to {MAX_BLOCK}"
+            )
         body = handle.read(n - len(head)) if len(head) >= 8 else b""
         if len(head) < 8 or len(head) + len(body) < n:
-            count.end = f"the capture ends in the middle of a block at byte {at}"
+            count.end = f"the capture ends in the middle of a block at byte {position}"
             return
         kind = struct.unpack_from(order + "I", head)[0]
         try:
@@ -155,10 +161,12 @@ def _pcapng(
             elif kind in (2, 3, 6):
                 yield _packet(kind, order, body, interfaces)
         except (struct.error, IndexError):
-            raise _damaged(path, at, "found a block that is too short for what it is") from None
+            raise _damaged(
+                path, position, "found a block that is too short for what it is"
+            ) from None
         if len(interfaces) > MAX_PENDING:
-            raise _damaged(path, at, f"found more than {MAX_PENDING} interfaces")
-        at += n
+            raise _damaged(path, position, f"found more than {MAX_PENDING} interfaces")
+        position += n
 
 
 def _interface(order: str, body: bytes) -> tuple[int, float]:
@@ -182,17 +190,17 @@ def _packet(
     order: str,
     body: bytes,
     interfaces: list[tuple[int, float]],
-) -> tuple[float, int, bytes, bool]:
+) -> _Packet:
     """Return a packet of an enhanced (6), simple (3) or obsolete (2) block."""
     if kind == 3:
-        (whole,) = struct.unpack_from(order + "I", body)
-        data = body[4:-4][:whole]
-        return 0.0, interfaces[0][0], data, len(data) >= whole
+        (n_sent,) = struct.unpack_from(order + "I", body)
+        data = body[4:-4][:n_sent]
+        return _Packet(0.0, interfaces[0][0], data, len(data) >= n_sent)
     form = "IIIII" if kind == 6 else "HxxIIII"
-    number, high, low, kept, whole = struct.unpack_from(order + form, body)
+    number, high, low, kept, n_sent = struct.unpack_from(order + form, body)
     link, unit = interfaces[number]
     data = body[20 : 20 + kept]
-    return ((high << 32) | low) * unit, link, data, len(data) >= whole
+    return _Packet(((high << 32) | low) * unit, link, data, len(data) >= n_sent)
 
 
 def _strip_link(link: int, packet: bytes) -> memoryview | None:
@@ -202,29 +210,26 @@ def _strip_link(link: int, packet: bytes) -> memoryview | None:
         return view
     if link in (0, 108):
         return view[4:]
-    at = {_ETHERNET: 12, _LINUX: 14, _LINUX2: 0}.get(link)
-    if at is None or len(packet) < 20:
+    position = {_ETHERNET: 12, _LINUX: 14, _LINUX2: 0}.get(link)
+    if position is None or len(packet) < 20:
         return None
-    kind = (packet[at] << 8) | packet[at + 1]
-    at = 20 if link == _LINUX2 else at + 2
-    while kind in _VLAN and len(packet) >= at + 4:
-        kind = (packet[at + 2] << 8) | packet[at + 3]
-        at += 4
-    return view[at:] if kind in (0x0800, 0x86DD) else None
+    kind = (packet[position] << 8) | packet[position + 1]
+    position = 20 if link == _LINUX2 else position + 2
+    while kind in _VLAN and len(packet) >= position + 4:
+        kind = (packet[position + 2] << 8) | packet[position + 3]
+        position += 4
+    return view[position:] if kind in (0x0800, 0x86DD) else None
 
 
 def _strip_ip(ip: memoryview, time_s: float, waiting: _Fragments) -> Datagram | None:
-    """Return the UDP datagram in an IP packet, or that which it completes.
-
-    None if there is none.
-    """
+    """Return the UDP datagram in an IP packet, or the one that its fragment completes."""
     version = ip[0] >> 4 if len(ip) >= 20 else 0
     if version == 4:
         head = (ip[0] & 15) * 4
         total = (ip[2] << 8) | ip[3]
         if head < 20 or ip[9] != _UDP:
             return None
-        # 0 where the network card cuts packets itself
+        # 0 if the network card cuts packets itself
         total = total or len(ip)
         flags = (ip[6] << 8) | ip[7]
         source = ip[12:16]
@@ -266,11 +271,11 @@ class _Pending:
     time_s: float
     parts: dict[int, memoryview] = field(default_factory=dict)
     total: int | None = None
-    """Bytes of the datagram; None until its last fragment came."""
+    """Bytes of the datagram; None before its last fragment."""
 
 
 class _Fragments:
-    """Puts fragments together; the oldest are given up where too many wait."""
+    """Joins fragments; drops the oldest datagram if too many are incomplete."""
 
     def __init__(self, count: CaptureCount) -> None:
         self._count = count
@@ -288,20 +293,22 @@ class _Fragments:
         """Take a fragment; return the datagram if it is complete."""
         if offset + len(body) > MAX_DATAGRAM:
             return None
-        one = self._pending.setdefault(key, _Pending(source, time_s))
-        one.parts[offset] = body
+        pending = self._pending.setdefault(key, _Pending(source, time_s))
+        pending.parts[offset] = body
         if not more:
-            one.total = offset + len(body)
-        if one.total is not None and sum(map(len, one.parts.values())) >= one.total:
+            pending.total = offset + len(body)
+        if pending.total is not None and sum(map(len, pending.parts.values())) >= pending.total:
             del self._pending[key]
-            whole = b"".join(bytes(one.parts[at]) for at in sorted(one.parts))
-            return _udp(one.source, memoryview(whole[: one.total]), one.time_s)
+            content = b"".join(
+                bytes(pending.parts[offset_of_part]) for offset_of_part in sorted(pending.parts)
+            )
+            return _udp(pending.source, memoryview(content[: pending.total]), pending.time_s)
         if len(self._pending) > MAX_PENDING:
             self._pending.popitem(last=False)
             self._count.n_fragments_lost += 1
         return None
 
     def finish(self) -> None:
-        """Give up what is not complete."""
+        """Count and drop incomplete datagrams."""
         self._count.n_fragments_lost += len(self._pending)
         self._pending.clear()

@@ -1,10 +1,8 @@
-"""Firing columns of a spinning scanner become scan lines.
-
-Rings from low to high, staggering undone in angle.
+"""Turn firing columns of a spinning scanner into scan lines, rings from low to high.
 
 A scanner whose lasers point to different azimuths at a time sees a vertical line at different
-times. A cell takes the shot that points along its line, and keeps the shot's own time. Columns that
-did not arrive are lines without returns.
+times (staggering). A cell gets the shot that points along its line, with the time of the shot.
+Columns that did not arrive are lines without returns.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,25 +23,22 @@ from prc_cli.formats.organised.scans import CHUNK_SHOTS
 from prc_cli.formats.ranges import clean_ranges
 
 MAX_EMPTY = 64
-"""Most lines that did not arrive for one that did, over a file."""
+"""Most lost lines for one received line, over a file."""
 SPARE_CELLS = 1 << 20
 """Number of cells always allowed."""
 MAX_SHIFT = 512
-"""Most columns by which a ring lies before or behind the others."""
+"""Most columns by which a ring looks ahead of another."""
 PAUSE_LINES = 1000
-"""Lines without returns that stand for a pause of the recording."""
+"""Lines without returns in place of a pause of the recording."""
 SAME_CLOCK_S = 1.0
-"""A scanner's clock within this of the capture's is taken to be set by GPS or PTP [s]."""
+"""A clock of a scanner this close to the clock of the capture is set by GPS or PTP [s]."""
 
 
 class Columns(NamedTuple):
     """Consecutive firing columns, decoded; rings from low to high."""
 
     line: I64
-    """(n,) int64, number of the column since the first.
-
-    Numbers that are left out did not arrive.
-    """
+    """(n,) int64, number of the column since the first; missing numbers did not arrive."""
     range_m: F32
     """(n, M) float32 [m]; NaN = no return."""
     record: I64
@@ -65,7 +60,7 @@ class Columns(NamedTuple):
         return len(self.line)
 
     def part(self, where: slice | NDArray[Any]) -> Columns:
-        """Return some of the columns."""
+        """Return the columns of a slice or an index."""
         return Columns(*(None if values is None else values[where] for values in self))  # type: ignore[arg-type]
 
     def cells(self) -> list[NDArray[Any]]:
@@ -73,8 +68,22 @@ class Columns(NamedTuple):
         return [values for values in self[1:] if values is not None]
 
 
+def columns_of(line: I64, time_s: F64, xyz_m: F32, shots: Shots) -> Columns:
+    """Return columns with numbers (n,), times and coordinates (n, M, ...), and their shots."""
+    return Columns(
+        line,
+        shots.range_m,
+        shots.record,
+        time_s,
+        xyz_m,
+        shots.intensity,
+        shots.further_m,
+        shots.further_record,
+    )
+
+
 def _sorted(columns: Columns) -> Columns:
-    """Return columns in the order of their numbers: packets may overtake each other."""
+    # packets may overtake each other
     if (np.diff(columns.line) > 0).all():
         return columns
     return columns.part(np.argsort(columns.line, kind="stable"))
@@ -97,31 +106,28 @@ class ColumnLines:
         self._m = len(shift)
         self._span = int(shift.max())
         self._rings = {int(by): np.flatnonzero(shift == by) for by in np.unique(shift)}
-        """Rings by the number of lines that they lie behind their column."""
+        """Rings by the number of lines from their column to their line."""
         self._most = max(1, CHUNK_SHOTS // self._m)
         self._held: list[NDArray[Any]] = []
-        """Cells of lines that wait for shots, from the first that was not given out."""
+        """Cells of lines that wait for shots, from the first that was not yielded."""
         self._base = 0
-        """First line that was not given out."""
+        """First line that was not yielded."""
         self._n_before: int | None = None
         """Lines before the first shot, which are left out; None = no shot yet."""
         self._next = 0
         """Least column that may come."""
         self._n_shortened = 0
-        """Lines of pauses that were left out."""
+        """Lines by which pauses were shortened."""
         self._pauses: list[tuple[float, int]] = []
         """Time of the first shot after a pause [s], and its lines."""
         self._n_columns = self._n_lost = self._unplaced = self._not_fired = self._collisions = 0
 
     def count_not_fired(self, n: int) -> None:
-        """Count records of columns that the scanner itself marks as empty.
-
-        They have no place in a line.
-        """
+        """Count records of columns that the scanner marks as empty."""
         self._not_fired += n
 
     def count_unplaced(self, n: int) -> None:
-        """Count records that lie in no ring, or have a time of no column."""
+        """Count records without a ring, or with a time outside all columns."""
         self._unplaced += n
 
     def count_collisions(self, n: int) -> None:
@@ -154,33 +160,32 @@ class ColumnLines:
         yield from self._give(self._base + int(used[-1]) + 1 if len(used) else self._next)
 
     def lost(self) -> str:
-        """Return a sentence on columns that did not arrive, and on pauses; empty if all did."""
-        said = []
+        """Return a sentence on lost columns and pauses; empty if there are none."""
+        notes = []
         if self._n_lost:
             share = self._n_lost / (self._n_lost + self._n_columns)
-            said.append(
-                f"{self._n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"
-            )
+            lost = f"{self._n_lost:,} columns did not arrive ({share:.2%})"
+            notes.append(f"{lost}: they are lines of missing shots")
         if self._pauses:
             begin_s, n = self._pauses[0]
             more = f", the first of {len(self._pauses)}," if len(self._pauses) > 1 else ""
-            said.append(
-                f"the recording has a pause{more} of {n:,} columns before {begin_s:.3f} s: {PAUSE_LINES:,} lines "
-                "without returns stand for it (input.max_gap_lines)"
+            notes.append(
+                f"the recording has a pause{more} of {n:,} columns before {begin_s:.3f} s: "
+                f"{PAUSE_LINES:,} lines without returns replace it (input.max_gap_lines)"
             )
-        return "; ".join(said)
+        return "; ".join(notes)
 
     def _in_turn(self, columns: Columns) -> Columns:
-        """Leave out columns that come too late, and shorten pauses of the recording."""
+        """Drop columns that come too late, and shorten pauses of the recording."""
         columns = self._after_pauses(_sorted(columns))
         before = np.append(self._next - 1, columns.line)
         keep = columns.line > np.maximum.accumulate(before)[:-1]
         if not keep.all():
             late = columns.part(~keep)
             self._unplaced += sum(
-                int(np.count_nonzero(one >= 0))
-                for one in (late.record, late.further_record)
-                if one is not None
+                int(np.count_nonzero(records >= 0))
+                for records in (late.record, late.further_record)
+                if records is not None
             )
             columns = columns.part(keep)
         if not columns.n:
@@ -189,15 +194,14 @@ class ColumnLines:
         self._n_columns += columns.n
         self._n_lost += int(gaps.sum())
         if self._n_lost > MAX_EMPTY * self._n_columns + SPARE_CELLS // self._m:
-            problem = f"{self._n_lost} columns did not arrive, {self._n_columns} did, expected most of them"
-            raise InputError(
-                self._where, problem, f"shorten the pauses: --set input.max_gap_lines={PAUSE_LINES}"
-            )
+            problem = f"{self._n_lost} columns did not arrive, only {self._n_columns} did"
+            hint = f"shorten the pauses: --set input.max_gap_lines={PAUSE_LINES}"
+            raise InputError(self._where, problem, hint)
         self._next = int(columns.line[-1]) + 1
         return columns
 
     def _after_pauses(self, columns: Columns) -> Columns:
-        """Shorten the gaps that are longer than the longest, and keep where they were."""
+        """Shorten the gaps that are longer than ``max_gap_lines``, and note them."""
         columns = columns._replace(line=columns.line - self._n_shortened)
         gaps = np.diff(np.append(self._next - 1, columns.line)) - 1
         longest = self._config.max_gap_lines
@@ -206,15 +210,15 @@ class ColumnLines:
             return columns
         surplus = np.zeros(columns.n, np.int64)
         surplus[long] = gaps[long] - min(PAUSE_LINES, longest)
-        for at in long:
-            known_s = columns.time_s[at][np.isfinite(columns.time_s[at])]
+        for index in long:
+            known_s = columns.time_s[index][np.isfinite(columns.time_s[index])]
             begin_s = float(known_s.min()) if len(known_s) else math.nan
-            self._pauses.append((begin_s, int(gaps[at])))
+            self._pauses.append((begin_s, int(gaps[index])))
         self._n_shortened += int(surplus.sum())
         return columns._replace(line=columns.line - np.cumsum(surplus))
 
     def _with_further(self, columns: Columns) -> Columns:
-        """Give both what is held and new columns further returns where one of them has any."""
+        """Add empty further returns to held or new cells if only the others have some."""
         if columns.further_m is not None and len(self._held) == len(columns) - 3:
             self._held += [np.full_like(self._held[0], np.nan), np.full_like(self._held[1], -1)]
         elif columns.further_m is None and len(self._held) == len(columns) - 1:
@@ -223,36 +227,35 @@ class ColumnLines:
         return columns
 
     def _put(self, columns: Columns) -> None:
-        """Put columns where their rings belong."""
         row = columns.line - self._base
         self._held = self._longer(int(row[-1]) + 1 + self._span)
-        # a slice is copied faster than as many numbers
+        # copying a slice is faster than an index
         is_whole = int(row[-1] - row[0]) == len(row) - 1
         for behind, rings in self._rings.items():
-            at: Any = slice(row[0] + behind, row[-1] + behind + 1) if is_whole else row + behind
+            rows: Any = slice(row[0] + behind, row[-1] + behind + 1) if is_whole else row + behind
             for held, values in zip(self._held, columns.cells(), strict=True):
                 if len(self._rings) == 1:
-                    held[at] = values
+                    held[rows] = values
                 else:
-                    held[(at, rings) if is_whole else np.ix_(at, rings)] = values[:, rings]
+                    held[(rows, rings) if is_whole else np.ix_(rows, rings)] = values[:, rings]
 
     def _longer(self, n: int) -> list[NDArray[Any]]:
-        """Return what is held, with empty cells up to line ``n``."""
+        """Return the held cells, with empty cells up to line ``n``."""
         lacking = n - len(self._held[0])
         if lacking <= 0:
             return self._held
         return [
             np.concatenate(
                 [
-                    one,
+                    cells,
                     np.full(
-                        (lacking, *one.shape[1:]),
-                        -1 if one.dtype.kind == "i" else np.nan,
-                        one.dtype,
+                        (lacking, *cells.shape[1:]),
+                        -1 if cells.dtype.kind == "i" else np.nan,
+                        cells.dtype,
                     ),
                 ]
             )
-            for one in self._held
+            for cells in self._held
         ]
 
     def _give(self, upto: int) -> Iterator[ScanBlock]:
@@ -315,7 +318,7 @@ class ColumnLines:
 class PacketClock:
     """Turns time stamps of packets into columns and times.
 
-    a clock unlike the capture's is set to that.
+    A clock that differs from the clock of the capture is set to it.
     """
 
     def __init__(self, period_s: float, column_s: float) -> None:
@@ -335,7 +338,7 @@ class PacketClock:
             self._start_s = float(host_s[0]) + (off if abs(off) <= SAME_CLOCK_S else 0.0)
         steps = (np.diff(stamp_s, prepend=self._last) + half) % self._period_s - half
         elapsed = self._elapsed + np.cumsum(steps)
-        # every step is rounded by itself: stamps of whole microseconds do not add up to a column
+        # each step is rounded: the errors of stamps in microseconds must not add up
         line = self._line + np.cumsum(np.rint(steps / self._column_s).astype(np.int64))
         self._last = float(stamp_s[-1])
         self._elapsed = float(elapsed[-1])
@@ -346,7 +349,7 @@ class PacketClock:
 
 
 def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
-    """Return coordinates of shots, z up, azimuth from y towards x as the makers have it."""
+    """Return coordinates, (..., 3) float32 [m], z up, azimuth from y towards x as in the manuals."""
     xyz: F32 = np.empty((*range_m.shape, 3), np.float32)
     flat = range_m * np.cos(elevation_rad)
     xyz[..., 0] = flat * np.sin(azimuth_rad)
@@ -355,31 +358,51 @@ def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
     return xyz
 
 
-_Further: TypeAlias = tuple[F32 | None, I64 | None]
+class Shots(NamedTuple):
+    """Main return of every shot, and the other of two returns."""
+
+    range_m: F32
+    """(...) float32 [m]; NaN = no return."""
+    intensity: F32
+    """(...) float32."""
+    record: I64
+    """(...) int64."""
+    further_m: F32 | None = None
+    """(...) float32, range of the other return [m]; None = one return a shot."""
+    further_record: I64 | None = None
+    """(...) int64, record of the other return."""
 
 
 def choose(
     range_m: F32,
-    light: F32,
+    intensity: F32,
     record: I64,
     rule: str,
-) -> tuple[F32, F32, I64, _Further]:
-    """Return range, light and record of every shot's main return, range and record of the other one."""
-    own = range_m[..., 0]
-    lit = light[..., 0]
-    at = record[..., 0]
+) -> Shots:
+    """Choose the main return of every shot.
+
+    Parameters
+    ----------
+    range_m, intensity, record : (..., returns)
+        One or two returns of every shot.
+    rule : {"strongest", "first", "last"}
+        The main return.
+    """
+    first = Shots(range_m[..., 0], intensity[..., 0], record[..., 0])
     if range_m.shape[-1] == 1:
-        return own, lit, at, (None, None)
-    other = range_m[..., 1]
-    other_lit = light[..., 1]
-    other_at = record[..., 1]
+        return first
+    second = Shots(range_m[..., 1], intensity[..., 1], record[..., 1])
     with np.errstate(invalid="ignore"):
-        wins = {"strongest": other_lit > lit, "first": other < own, "last": other > own}[rule]
-    swap = np.isfinite(other) & (wins | np.isnan(own))
-    further = np.where(swap, own, other), np.where(swap, at, other_at)
-    return (
-        np.where(swap, other, own),
-        np.where(swap, other_lit, lit),
-        np.where(swap, other_at, at),
-        further,
+        wins = {
+            "strongest": second.intensity > first.intensity,
+            "first": second.range_m < first.range_m,
+            "last": second.range_m > first.range_m,
+        }[rule]
+    swap = np.isfinite(second.range_m) & (wins | np.isnan(first.range_m))
+    return Shots(
+        range_m=np.where(swap, second.range_m, first.range_m),
+        intensity=np.where(swap, second.intensity, first.intensity),
+        record=np.where(swap, second.record, first.record),
+        further_m=np.where(swap, first.range_m, second.range_m),
+        further_record=np.where(swap, first.record, second.record),
     )

@@ -1,4 +1,4 @@
-"""Lidar packets of Ouster scanners, with the metadata (JSON) that the sensor gives.
+"""Decode the lidar packets of Ouster scanners, with the metadata (JSON) of the sensor.
 
 A packet has columns; a column has a time stamp, a number within the frame, a status and a pixel a
 ring (Ouster firmware user manual, "Lidar data packet format": LEGACY, and the profiles
@@ -20,7 +20,7 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.packets.columns import Columns, choose
+from prc_cli.formats.packets.columns import Columns, choose, columns_of
 
 MAX_METADATA = 1 << 20
 """Longest metadata file [bytes]."""
@@ -28,16 +28,29 @@ _MAX_COLUMNS = 4096
 _MAX_PIXELS = 256
 _FRAME_IDS = 1 << 16
 _MOST = 1e6
-"""Larger numbers are no angles, columns or millimetres."""
+"""Larger numbers are not angles, columns or millimetres."""
+
+
+class _Return(NamedTuple):
+    """Fields of a return in a pixel."""
+
+    position: int
+    """First byte of the range."""
+    dtype: str
+    mask: int
+    """Bits of the range."""
+    unit_m: float
+    light_position: int
+    """First byte of the signal, or of the reflectivity."""
+    light_dtype: str
 
 
 class _Profile(NamedTuple):
-    """Bytes of the parts of a packet, and what is read of a pixel."""
+    """Bytes of the parts of a packet, and fields of a pixel."""
 
     size: int
     """Bytes of a pixel."""
-    returns: tuple[tuple[int, str, int, float, int, str], ...]
-    """By return: place, type, mask and unit [m] of the range, place and type of the signal, else the reflectivity."""
+    returns: tuple[_Return, ...]
     head: int = 32
     column: int = 12
     foot: int = 0
@@ -46,19 +59,23 @@ class _Profile(NamedTuple):
 
 _PROFILES = {
     "LEGACY": _Profile(
-        12, ((0, "<u4", 0xFFFFF, 1e-3, 6, "<u2"),), head=0, column=16, foot=4, end=0
+        12, (_Return(0, "<u4", 0xFFFFF, 1e-3, 6, "<u2"),), head=0, column=16, foot=4, end=0
     ),
-    "RNG19_RFL8_SIG16_NIR16": _Profile(12, ((0, "<u4", 0x7FFFF, 1e-3, 6, "<u2"),)),
-    "RNG15_RFL8_NIR8": _Profile(4, ((0, "<u2", 0x7FFF, 8e-3, 2, "u1"),)),
+    "RNG19_RFL8_SIG16_NIR16": _Profile(12, (_Return(0, "<u4", 0x7FFFF, 1e-3, 6, "<u2"),)),
+    "RNG15_RFL8_NIR8": _Profile(4, (_Return(0, "<u2", 0x7FFF, 8e-3, 2, "u1"),)),
     "RNG19_RFL8_SIG16_NIR16_DUAL": _Profile(
-        16, ((0, "<u4", 0x7FFFF, 1e-3, 8, "<u2"), (4, "<u4", 0x7FFFF, 1e-3, 10, "<u2"))
+        16,
+        (
+            _Return(0, "<u4", 0x7FFFF, 1e-3, 8, "<u2"),
+            _Return(4, "<u4", 0x7FFFF, 1e-3, 10, "<u2"),
+        ),
     ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """What is needed of a sensor's metadata."""
+    """Metadata of a sensor."""
 
     path: str
     name: str
@@ -75,9 +92,9 @@ class Metadata:
     altitude_deg: F64
     azimuth_deg: F64
     shift: I64
-    """By pixel: columns by which a pixel lies behind its column in the frame."""
+    """(pixels,) int64, columns by which a pixel is behind its column in the frame."""
     origin_m: float
-    """From the axis to the origin of the beams [m]."""
+    """Distance from the axis to the origin of the beams [m]."""
     rotation: F64
     """(3, 3) float64, from the lidar's to the sensor's axes."""
 
@@ -117,7 +134,10 @@ class _Parser:
         self._path = path
         self._tables = [table, *(inner for inner in table.values() if isinstance(inner, dict))]
         self._tables += [
-            inner for one in self._tables[1:] for inner in one.values() if isinstance(inner, dict)
+            inner
+            for table_inside in self._tables[1:]
+            for inner in table_inside.values()
+            if isinstance(inner, dict)
         ]
 
     def _find(self, name: str, default: Any = None) -> Any:
@@ -128,8 +148,8 @@ class _Parser:
             raise self._wrong(name, "nothing", "a value of the sensor's metadata")
         return default
 
-    def _wrong(self, name: str, found: Any, expected: str) -> InputError:
-        shown = str(found)[:60]
+    def _wrong(self, name: str, value: Any, expected: str) -> InputError:
+        shown = str(value)[:60]
         return InputError(
             f"{self._path}: {name}",
             f"found {shown}, expected {expected}",
@@ -151,16 +171,16 @@ class _Parser:
     def _numbers(self, name: str, n: int, default: Any = None) -> F64:
         value = self._find(name, default)
         if not isinstance(value, list) or len(value) != n:
-            found = f"list of {len(value)}" if isinstance(value, list) else type(value).__name__
-            raise self._wrong(name, found, f"{n} numbers")
-        for one in value:
+            kind = f"list of {len(value)}" if isinstance(value, list) else type(value).__name__
+            raise self._wrong(name, kind, f"{n} numbers")
+        for number in value:
             # compared, not converted: a whole number may be larger than any float
-            if not isinstance(one, int | float) or not -_MOST < one < _MOST:
-                raise self._wrong(name, one, f"{n} numbers of angles, columns or millimetres")
+            if not isinstance(number, int | float) or not -_MOST < number < _MOST:
+                raise self._wrong(name, number, f"{n} numbers of angles, columns or millimetres")
         return np.array(value, np.float64)
 
     def metadata(self) -> Metadata:
-        """Return what is needed."""
+        """Return the checked metadata."""
         profile = self._find("udp_profile_lidar", "LEGACY")
         if not isinstance(profile, str) or profile not in _PROFILES:
             raise self._wrong("udp_profile_lidar", profile, f"one of {', '.join(_PROFILES)}")
@@ -243,7 +263,7 @@ class OusterDecoder:
         first, last = metadata.window
         self._window_first = first
         n_window = (last - first) % metadata.frame_columns + 1
-        # a whole turn goes on into the next; parts of a turn do not
+        # a whole turn continues in the next; parts of a turn do not
         span = int(self.shift.max() - self.shift.min())
         self._per_frame = n_window if n_window == metadata.frame_columns else n_window + span
         self._n_window = n_window
@@ -274,11 +294,11 @@ class OusterDecoder:
         pixels = np.ascontiguousarray(
             columns["pixels"].reshape(-1, m, columns["pixels"].shape[-1])[is_good]
         )
-        ranges, lights = self._pixels(pixels[:, self._order])
+        ranges, intensities = self._pixels(pixels[:, self._order])
         time_s = np.repeat(columns["time"].ravel()[is_good, None] * 1e-9, m, axis=1)
-        range_m, lit, record, further = choose(ranges, lights, record, self._rule)
-        xyz = self._place(range_m, number[is_good])
-        return Columns(line, range_m, record, time_s, xyz, lit, *further)
+        shots = choose(ranges, intensities, record, self._rule)
+        xyz = self._place(shots.range_m, number[is_good])
+        return columns_of(line, time_s, xyz, shots)
 
     def _lines(self, frame: I64, within: I64) -> I64:
         """Return the number of every column since the first."""
@@ -296,7 +316,7 @@ class OusterDecoder:
         return line - self._first_line
 
     def _place(self, range_m: F32, number: I64) -> F32:
-        """Return coordinates on the sensor's axes [m] (Ouster firmware user manual, "Lidar range to XYZ")."""
+        """Return coordinates on the sensor's axes [m] (firmware manual, "Lidar range to XYZ")."""
         meta = self._meta
         encoder = 2 * math.pi * (1.0 - number / meta.frame_columns)
         altitude = np.deg2rad(meta.altitude_deg[self._order])
@@ -312,14 +332,14 @@ class OusterDecoder:
     def _pixels(self, pixels: U8) -> tuple[F32, F32]:
         """Return ranges [m] and intensities of pixels, (n, M, returns) float32; NaN = no return."""
 
-        def field(at: int, dtype: str) -> Any:
-            return np.ascontiguousarray(pixels[..., at : at + np.dtype(dtype).itemsize]).view(
+        def field(place: int, dtype: str) -> Any:
+            return np.ascontiguousarray(pixels[..., place : place + np.dtype(dtype).itemsize]).view(
                 dtype
             )[..., 0]
 
-        ranges, lights = np.empty((2, *pixels.shape[:2], self.n_returns), np.float32)
-        for one, (at, kind, mask, unit_m, light_at, light_kind) in enumerate(self._form.returns):
-            stored = field(at, kind) & mask
-            ranges[..., one] = np.where(stored == 0, np.nan, stored * unit_m)
-            lights[..., one] = field(light_at, light_kind)
-        return ranges, lights
+        ranges, intensities = np.empty((2, *pixels.shape[:2], self.n_returns), np.float32)
+        for index, form in enumerate(self._form.returns):
+            stored = field(form.position, form.dtype) & form.mask
+            ranges[..., index] = np.where(stored == 0, np.nan, stored * form.unit_m)
+            intensities[..., index] = field(form.light_position, form.light_dtype)
+        return ranges, intensities

@@ -1,4 +1,4 @@
-"""Reader of captures: every scanner that sends packets is a scanner of the stream."""
+"""Read captures: every sender of packets is a scanner of the stream."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Decoder: TypeAlias = SpinningDecoder | OusterDecoder
 
 
 def is_scan(packet: bytes, metadata: Metadata | None) -> bool:
-    """Whether a packet holds shots of a known maker."""
+    """Return whether a packet has shots of a known scanner."""
     return is_spinning(packet) or (metadata is not None and len(packet) == metadata.packet_size)
 
 
@@ -78,11 +78,11 @@ class PacketLines:
         self._size = len(first)
         self._packets: list[tuple[bytes, float, int]] = []
         self._n_skipped = 0
-        """Records of packets that had come before."""
+        """Records of packets that are copies of earlier ones."""
         self._enough = max(1, BATCH_SHOTS // max(1, self.n_records))
 
     def add(self, packet: bytes, time_s: float, first_record: int) -> Iterator[ScanBlock]:
-        """Take a packet; yield blocks when there is enough for one."""
+        """Take a packet; yield complete blocks."""
         if len(packet) != self._size:
             problem = f"found a packet of {len(packet)} bytes, expected {self._size} as before"
             raise InputError(self._where, problem, "split the capture where the set-up changed")
@@ -91,17 +91,17 @@ class PacketLines:
             yield from self._decode()
 
     def finish(self) -> Iterator[ScanBlock]:
-        """Yield what waits."""
+        """Yield the last blocks."""
         yield from self._decode()
         if self._lines is not None:
             yield from self._lines.finish()
 
     def lost(self) -> str:
-        """Return a sentence on columns that did not arrive, empty if all did."""
+        """Return a sentence on lost columns, empty if there are none."""
         return "" if self._lines is None else self._lines.lost()
 
     def skip(self) -> None:
-        """Count the records of a packet that had come before."""
+        """Count the records of a packet that is a copy of an earlier one."""
         self._n_skipped += self.n_records
 
     def _decode(self) -> Iterator[ScanBlock]:
@@ -123,7 +123,7 @@ class PacketLines:
 
 @dataclass(slots=True)
 class _Scanner:
-    """A scanner as the first pass finds it."""
+    """A scanner in the first pass over the capture."""
 
     first: bytes
     start_s: float
@@ -152,17 +152,17 @@ class PacketStream:
         self._others: dict[tuple[int, int], int] = {}
         """Datagrams that are not read, by port and size."""
         self._unknown = ""
-        """What one of them says about its scanner."""
+        """Description of an unknown scanner."""
         self._scanners = self._wanted(self._look())
         decoders = [
-            open_decoder(f"{path}: {key}", one.first, self._metadata, config)
-            for key, one in self._scanners.items()
+            open_decoder(f"{path}: {key}", scanner.first, self._metadata, config)
+            for key, scanner in self._scanners.items()
         ]
-        for number, (one, decoder) in enumerate(
+        for number, (scanner, decoder) in enumerate(
             zip(self._scanners.values(), decoders, strict=True)
         ):
-            one.number = number
-            one.name = decoder.name
+            scanner.number = number
+            scanner.name = decoder.name
         self._has_returns = any(decoder.n_returns > 1 for decoder in decoders)
         self._widest = max(decoder.points_per_line for decoder in decoders)
         check_width(path, self._widest, config)
@@ -171,9 +171,9 @@ class PacketStream:
 
     @property
     def info(self) -> StreamInfo:
-        """What is known before reading, and afterwards also what was found while reading."""
+        """Properties known before reading, and after reading also its notes."""
         shown = "; ".join(
-            f"{one.number}: {one.name} at {key}" for key, one in self._scanners.items()
+            f"{scanner.number}: {scanner.name} at {key}" for key, scanner in self._scanners.items()
         )
         assumed = [
             Assumption(
@@ -217,12 +217,12 @@ class PacketStream:
         return notes
 
     def _describe(self) -> dict[str, str]:
-        told = {
-            f"scanner {one.number}": f"{key}, {one.name}, {one.n:,} packets "
-            f"from {one.start_s:.3f} s to {one.end_s:.3f} s"
-            for key, one in self._scanners.items()
+        scanners = {
+            f"scanner {scanner.number}": f"{key}, {scanner.name}, {scanner.n:,} packets "
+            f"from {scanner.start_s:.3f} s to {scanner.end_s:.3f} s"
+            for key, scanner in self._scanners.items()
         }
-        return {**told, "not read": self._shown_others(8) or "nothing"}
+        return {**scanners, "not read": self._shown_others(8) or "nothing"}
 
     def _shown_others(self, most: int) -> str:
         others = sorted(self._others.items(), key=lambda item: -item[1])[:most]
@@ -233,8 +233,8 @@ class PacketStream:
             yield from read_datagrams(path, count)
 
     def _look(self) -> dict[str, _Scanner]:
-        """Read the capture once: which scanners there are, and where it ends."""
-        found: dict[str, _Scanner] = {}
+        """Read the capture once for its scanners and its end."""
+        scanners: dict[str, _Scanner] = {}
         for datagram in self._datagrams(self._count):
             if not is_scan(datagram.payload, self._metadata):
                 key = (datagram.port, len(datagram.payload))
@@ -243,31 +243,30 @@ class PacketStream:
                 if is_hesai(datagram.payload):
                     self._unknown = describe(datagram.payload)
                 continue
-            one = found.get(_key(datagram))
-            if one is None:
-                if len(found) == MAX_SCANNERS:
+            scanner = scanners.get(_key(datagram))
+            if scanner is None:
+                if len(scanners) == MAX_SCANNERS:
                     problem = f"more than {MAX_SCANNERS} senders, expected scanners"
                     raise InputError(
                         str(self._path), problem, "capture the scanners' addresses alone"
                     )
-                one = found[_key(datagram)] = _Scanner(datagram.payload, datagram.time_s)
-            one.n += 1
-            one.end_s = datagram.time_s
-        return dict(sorted(found.items()))
+                scanner = scanners[_key(datagram)] = _Scanner(datagram.payload, datagram.time_s)
+            scanner.n += 1
+            scanner.end_s = datagram.time_s
+        return dict(sorted(scanners.items()))
 
-    def _wanted(self, found: dict[str, _Scanner]) -> dict[str, _Scanner]:
-        """Return the scanners to read."""
-        if not found:
+    def _wanted(self, scanners: dict[str, _Scanner]) -> dict[str, _Scanner]:
+        if not scanners:
             raise InputError(str(self._path), *self._nothing())
-        wanted = list(found) if self._config.topic is None else self._config.topic.split(",")
+        wanted = list(scanners) if self._config.topic is None else self._config.topic.split(",")
         for name in wanted:
-            if name not in found:
-                problem = f"found {name!r}, {self._path.name} has {', '.join(found)[:500]}"
+            if name not in scanners:
+                problem = f"found {name!r}, {self._path.name} has {', '.join(scanners)[:500]}"
                 raise ConfigError("input.topic", problem, "name one of them")
-        return {key: one for key, one in found.items() if key in wanted}
+        return {key: scanner for key, scanner in scanners.items() if key in wanted}
 
     def _nothing(self) -> tuple[str, str]:
-        """Return why there is nothing to read, and what to do."""
+        """Return why there is nothing to read, and a hint."""
         end = f" ({self._count.end})" if self._count.end else ""
         problem = f"no packets of a known scanner{end}: {self._shown_others(5) or 'no datagram'}"
         if self._unknown:
@@ -292,23 +291,25 @@ class PacketStream:
             key = _key(datagram)
             if key not in self._scanners or not is_scan(datagram.payload, self._metadata):
                 continue
-            one = lines.get(key)
-            if one is None:
+            scan_lines = lines.get(key)
+            if scan_lines is None:
                 number = self._scanners[key].number
-                one = PacketLines(
+                scan_lines = PacketLines(
                     f"{self._path}: {key}", number, datagram.payload, self._metadata, self._config
                 )
-                lines[key] = one
+                lines[key] = scan_lines
             if repeats[key].is_again(datagram.payload):
-                one.skip()
+                scan_lines.skip()
             else:
-                yield from one.add(datagram.payload, datagram.time_s, record)
-            record += one.n_records
-        for one in lines.values():
-            yield from one.finish()
-        twice = [each.told(f"packets of {key}") for key, each in repeats.items()]
-        self._repeated = next((told for told in twice if told), "")
-        self._lost = [f"{key}: {lost}" for key, one in lines.items() if (lost := one.lost())]
+                yield from scan_lines.add(datagram.payload, datagram.time_s, record)
+            record += scan_lines.n_records
+        for scan_lines in lines.values():
+            yield from scan_lines.finish()
+        notes = [copies.note(f"packets of {key}") for key, copies in repeats.items()]
+        self._repeated = next((note for note in notes if note), "")
+        self._lost = [
+            f"{key}: {lost}" for key, scan_lines in lines.items() if (lost := scan_lines.lost())
+        ]
 
 
 def _key(datagram: Datagram) -> str:
@@ -316,13 +317,10 @@ def _key(datagram: Datagram) -> str:
 
 
 def find_metadata(path: Path | None, config: InputConfig) -> Metadata | None:
-    """Return the metadata of an Ouster.
-
-    Those named, else of the same name with ``.json``; None without.
-    """
+    """Return the metadata of an Ouster: as configured, else beside ``path`` with ``.json``."""
     if config.metadata is not None:
         named = Path(config.metadata).expanduser()
-        # the calibration of a Velodyne is no metadata
+        # the calibration of a Velodyne is not JSON
         return None if named.suffix in (".yml", ".yaml") else read_metadata(named)
     beside = None if path is None else path.with_suffix(".json")
     return read_metadata(beside) if beside is not None and beside.is_file() else None

@@ -1,7 +1,4 @@
-"""Messages and packets that a recording holds twice.
-
-Two recorders at work, or two parts that overlap.
-"""
+"""Count messages and packets that a recording has twice: of two recorders, or of parts that overlap."""
 
 from __future__ import annotations
 
@@ -10,21 +7,21 @@ from dataclasses import dataclass, field
 MOST_KEPT = 4096
 """Messages that are remembered."""
 LEAST_SHARE = 0.01
-"""Smaller shares of repeats are not worth a doubt."""
+"""Smaller shares of repeats are no warning."""
 
 
 @dataclass(slots=True)
 class Repeats:
-    """Knows the last messages of a topic or packets of a scanner, which hold their time."""
+    """Remembers the last messages of a topic, or packets of a scanner."""
 
     n: int = 0
     """Messages, all of them."""
     n_again: int = 0
-    """Messages that had come before."""
+    """Messages that are copies of earlier ones."""
     _known: dict[int, None] = field(default_factory=dict)
 
     def is_again(self, data: bytes) -> bool:
-        """Take a message; return whether it is one of the last ones again.
+        """Take a message; return whether it is a copy of one of the last ones.
 
         >>> repeats = Repeats()
         >>> [repeats.is_again(data) for data in (b"one", b"two", b"one")]
@@ -40,7 +37,7 @@ class Repeats:
             del self._known[next(iter(self._known))]
         return False
 
-    def told(self, name: str) -> str:
+    def note(self, name: str) -> str:
         """Return a sentence on repeats; empty if there are few."""
         if self.n_again <= LEAST_SHARE * self.n:
             return ""

@@ -1,6 +1,4 @@
-"""Data packets of Velodyne and Hesai.
-
-Blocks of an azimuth and the distances of all lasers, by a table of models.
+"""Decode the data packets of Velodyne and Hesai: blocks of an azimuth and the distances of all lasers.
 
 Velodyne (user manuals of VLP-16, VLP-32C, HDL-32E, HDL-64E S3, VLS-128): 1206 bytes, 12 blocks of a
 flag, an azimuth and 32 distances with reflectivity; then a time stamp, the return mode and the
@@ -24,26 +22,33 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.process import absent
 from prc_cli.core.types import F64, I64, U8
-from prc_cli.formats.packets.columns import MAX_SHIFT, Columns, PacketClock, choose, place
+from prc_cli.formats.packets.columns import (
+    MAX_SHIFT,
+    Columns,
+    PacketClock,
+    choose,
+    columns_of,
+    place,
+)
 
 _TURN = 36000
 """Azimuths are in hundredths of a degree."""
 _SPLIT = "split the capture where the set-up changed"
-NEEDED = "needed: the layout of its packets and the angles of its lasers; or convert it with its maker's program"
+NEEDED = "convert it with its maker's program: prc does not know its packets and laser angles"
 _RETURNS = {**dict.fromkeys((0x39, 0x3A, 0x3B, 0x3C, 0x3E), 2), 0x3D: 3}
-"""Returns a shot by the mode; one in all others."""
+"""Returns a shot by mode; one in other modes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """What a scanner sends; arrays are (M,) float64, lasers in the order of its packets."""
+    """Packets of a scanner; arrays are (M,) float64, lasers in the order of its packets."""
 
     name: str
     packet: np.dtype[np.void]
-    """Fields ``blocks`` (``azimuth``, ``shots``), ``stamp``, ``mode``, ``kind``, and ``date`` where there is one."""
+    """Fields ``blocks`` (``azimuth``, ``shots``), ``stamp``, ``mode``, ``kind``, maybe ``date``."""
     elevation_deg: F64
     azimuth_deg: F64
-    """How far a laser looks ahead of the azimuth of its block."""
+    """Angle by which a laser looks ahead of the azimuth of its block."""
     fired_us: F64
     """From the first laser of a column."""
     column_us: float
@@ -56,11 +61,11 @@ class Model:
     firings: int = 1
     """Columns of a block."""
     unit_m: float = 0.0
-    """Unit of distances; 0 = ``kind`` holds it in millimetres."""
+    """Unit of distances; 0 = ``kind`` is the unit in millimetres."""
     least: int = 1
-    """Least distance that is one, in its unit."""
+    """Smaller stored distances are no return."""
     added_m: float | F64 = 0.0
-    """What is added to every distance."""
+    """Offset of every distance [m]."""
     clock_s: float = 3600.0
     """Period of its clock."""
     has_mode: bool = True
@@ -92,7 +97,7 @@ _VELODYNE = np.dtype(
 
 
 class _Firing(NamedTuple):
-    """How a Velodyne fires: lasers in slots, some at once, with slots of rest behind the first half."""
+    """Firing of a Velodyne: lasers in slots, some at once, with pauses behind the first half."""
 
     name: str
     calibration: str
@@ -114,12 +119,12 @@ _FIRINGS = {
 """By the number of the model in the packets."""
 _OTHER_NUMBERS = {0x23: "VLP-32A or VLP-32B", 0x31: "Velarray"}
 _FOUR_US = {"S2": (48.0, 6.0, (0.0, 1.26, 2.46, 3.66)), "S3": (57.6, 7.2, (0.0, 1.3, 2.5, 3.7))}
-"""Of an HDL-64E: from column to column, from four lasers to the next four, and within the four."""
+"""Times of an HDL-64E [us]: column to column, four lasers to the next four, within the four."""
 _MAX_CALIBRATION = 1 << 20
 
 
 def _velodyne(where: str, packet: bytes, calibration: Path | None) -> Model:
-    # the blocks of an HDL-64E take turns; its last bytes are a status
+    # blocks of an HDL-64E alternate; its last bytes are a status
     if packet[100:102] == b"\xff\xdd" and packet[200:202] == b"\xff\xee":
         return _hdl64(where, calibration)
     if packet[1205] not in _FIRINGS:
@@ -130,7 +135,7 @@ def _velodyne(where: str, packet: bytes, calibration: Path | None) -> Model:
     table = yaml.safe_load(bundled.to_string())
     up, turned = (
         # stored as float32: the calibrations have three decimals at most
-        np.rad2deg([one[key] for one in table["lasers"]]).round(3)
+        np.rad2deg([laser[key] for laser in table["lasers"]]).round(3)
         for key in ("vert_correction", "rot_correction")
     )
     slot = np.arange(len(up)) // firing.at_once
@@ -169,9 +174,11 @@ def _hdl64(where: str, calibration: Path | None) -> Model:
     _, yaml = _libraries(where)
     try:
         table = yaml.safe_load(read_small(calibration, _MAX_CALIBRATION))
-        lasers = sorted(table["lasers"], key=lambda one: int(one["laser_id"]))
+        lasers = sorted(table["lasers"], key=lambda laser: int(laser["laser_id"]))
         keys = ("vert_correction", "rot_correction", "dist_correction")
-        up, turned, added = np.array([[float(one.get(key, 0.0)) for one in lasers] for key in keys])
+        up, turned, added = (
+            np.array([float(corrections.get(key, 0.0)) for corrections in lasers]) for key in keys
+        )
         model = str(table.get("status", {}).get("Model", "S2"))
         unit_m = float(table.get("distance_resolution", 0.002))
     except (
@@ -223,10 +230,10 @@ class _Layout(NamedTuple):
     lasers: int
     blocks: int
     head: int
-    """Bytes of the header; 0 where every block has a flag instead."""
+    """Bytes of the header; 0 = every block has a flag instead."""
     shot: np.dtype[np.void]
     tail: tuple[int, int, int]
-    """Places of mode, date and time stamp behind the blocks."""
+    """Bytes from the blocks to mode, date and time stamp."""
     column_us: float
     stamp_us: float
     stamps_last: bool = True
@@ -276,19 +283,19 @@ _LAYOUTS = (
     ),
 )
 KNOWN = ", ".join(
-    [f"Velodyne {one.name}" for one in _FIRINGS.values()]
+    [f"Velodyne {firing.name}" for firing in _FIRINGS.values()]
     + ["HDL-64E"]
-    + [f"Hesai {one.name}" for one in _LAYOUTS]
+    + [f"Hesai {layout.name}" for layout in _LAYOUTS]
 )
 """Names of the models."""
 
 
 def _layout(packet: bytes) -> _Layout | None:
     """Return the layout of a Hesai's packet; None for any other."""
-    for one in _LAYOUTS:
-        if packet.startswith(one.start) and len(packet) in one.sizes:
-            counts = packet[6:8] if one.head == 12 else bytes([one.lasers, one.blocks])
-            return one if counts == bytes([one.lasers, one.blocks]) else None
+    for layout in _LAYOUTS:
+        if packet.startswith(layout.start) and len(packet) in layout.sizes:
+            counts = packet[6:8] if layout.head == 12 else bytes([layout.lasers, layout.blocks])
+            return layout if counts == bytes([layout.lasers, layout.blocks]) else None
     return None
 
 
@@ -309,7 +316,7 @@ def _hesai(layout: _Layout, size: int) -> Model:
         {
             "names": ["blocks", "kind", "mode", "date", "stamp"],
             "formats": [(block, layout.blocks), "u1", "u1", ("u1", 6), "<u4"],
-            "offsets": [layout.head, unit, *(end + at for at in layout.tail)],
+            "offsets": [layout.head, unit, *(end + behind for behind in layout.tail)],
             "itemsize": size,
         }
     )
@@ -332,19 +339,19 @@ def _hesai(layout: _Layout, size: int) -> Model:
 
 
 def is_spinning(packet: bytes) -> bool:
-    """Whether a packet is of a Velodyne, or of a Hesai whose layout is known."""
+    """Return whether a packet is of a Velodyne, or of a Hesai with a known layout."""
     if len(packet) == VELODYNE_SIZE:
         return packet[:2] == b"\xff\xee"
     return _layout(packet) is not None
 
 
 def is_hesai(packet: bytes) -> bool:
-    """Whether a packet begins as those of Hesai with a header do, known or not."""
+    """Return whether a packet begins with a header of Hesai, known or not."""
     return packet[:2] == b"\xee\xff" and len(packet) >= 12
 
 
 def describe(packet: bytes) -> str:
-    """Return what a packet says about the scanner that sent it, for messages.
+    """Return the scanner that sent a packet, for messages.
 
     >>> describe(bytes([0xEE, 0xFF, 4, 3, 0, 0, 128, 2]) + bytes(1110))
     'Hesai, protocol 4.3, 128 channels in 2 blocks, 1118 bytes'
@@ -387,7 +394,7 @@ class SpinningDecoder:
         self._order = np.argsort(model.elevation_deg, kind="stable")
         n_groups = table["blocks"].shape[0] // (model.banks * self.n_returns)
         self._used = n_groups * model.banks * self.n_returns
-        """Blocks with shots: a VLS-128 leaves some empty."""
+        """Blocks with shots; a VLS-128 has empty blocks."""
         self.n_columns = n_groups * model.firings
         self.n_records = self.n_columns * self._m * self.n_returns
         self._clock = PacketClock(model.clock_s, model.column_us * 1e-6)
@@ -396,7 +403,7 @@ class SpinningDecoder:
 
     @property
     def shift(self) -> I64:
-        """By ring, how many columns it looks ahead; known when packets were decoded."""
+        """(M,) int64, columns that a ring looks ahead; zeros before packets are decoded."""
         if self._step < 1.0:
             return np.zeros(self._m, np.int64)
         ahead = np.rint(self._model.azimuth_deg[self._order] * 100.0 / self._step)
@@ -418,14 +425,14 @@ class SpinningDecoder:
         metres += np.broadcast_to(model.added_m, m).astype(np.float32)[order, None]
         metres[distance < model.least] = np.nan
         if self.n_returns == 2:
-            # a shot of one return holds it twice
+            # a shot of one return contains it twice
             metres[..., 1][metres[..., 1] == metres[..., 0]] = np.nan
         light = self._by_column(blocks["shots"]["light"]).astype(np.float32)
         within = np.arange(self.n_records).reshape(self.n_columns, m, self.n_returns)
         record = (first_record[:, None, None, None] + within).reshape(-1, m, self.n_returns)
-        range_m, lit, record, further = choose(metres, light, record, self._rule)
+        shots = choose(metres, light, record, self._rule)
         line, time_s = self._times(table, host_s)
-        # how far the head has turned when a laser fires, as a share of the way to the next block
+        # turning of the head until a laser fires, as a share of the way to the next block
         turn = (np.arange(model.firings)[:, None] * model.column_us + model.fired_us[order]) / (
             model.firings * model.column_us
         )
@@ -435,26 +442,22 @@ class SpinningDecoder:
             + model.azimuth_deg[order] * 100.0
         )
         turned = np.deg2rad(turned.reshape(-1, m) / 100.0)
-        xyz = place(range_m, turned, np.deg2rad(model.elevation_deg[order]))
-        return Columns(line, range_m, record, time_s, xyz, lit, *further)
+        xyz = place(shots.range_m, turned, np.deg2rad(model.elevation_deg[order]))
+        return columns_of(line, time_s, xyz, shots)
 
     def _check(self, table: NDArray[np.void]) -> None:
-        """Refuse a set-up that changes."""
         changed = (table["mode"] != self._mode) | (table["kind"] != self._kind)
         if self._model.has_mode and changed.any():
             bad = table[int(np.argmax(changed))]
             what = "unit of distances" if "date" in self._fields else "model"
             problem = (
-                f"found {what} {bad['kind']:#04x} and return mode {bad['mode']:#04x} after {self._kind:#04x} and "
-                f"{self._mode:#04x}, expected one of each"
+                f"found {what} {bad['kind']:#04x} and return mode {bad['mode']:#04x} "
+                f"after {self._kind:#04x} and {self._mode:#04x}, expected one of each"
             )
             raise InputError(self._where, problem, _SPLIT)
 
     def _by_column(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of blocks, (n, blocks, shots), as (columns, M, returns).
-
-        Rings from low to high.
-        """
+        """Return values of blocks, (n, blocks, shots), as (columns, M, returns), rings upwards."""
         model = self._model
         shape = (
             len(values),
@@ -469,7 +472,7 @@ class SpinningDecoder:
         return columns
 
     def _azimuths(self, azimuth: I64) -> tuple[I64, NDArray[Any]]:
-        """Return the azimuth of every group of blocks, and how far it turns to the next, (n, groups)."""
+        """Return the azimuth of every group of blocks and the turn to the next, (n, groups)."""
         if azimuth.shape[1] > 1:
             gap = np.diff(azimuth, axis=1) % _TURN
             # the last block has no next: it turns as the one before

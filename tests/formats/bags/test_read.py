@@ -190,7 +190,7 @@ def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
     path = made.write_db3(tmp_path / "a.db3", made.lasers(2))
     data = path.read_bytes()
     (tmp_path / "a.db3-wal").write_bytes(b"more")
-    assert "a.db3-wal holds more messages, which are not read" in read(path)[0].info.facts.notes[0]
+    assert "messages of a.db3-wal are not read" in read(path)[0].info.facts.notes[0]
     # SQLite quotes what it does not understand, and Python cannot decode the quotation
     path.write_bytes(data.replace(b"PRIMARY KEY,name", b"PRIMARY \xccEY,name"))
     with pytest.raises(InputError, match="the bag is damaged"):
