@@ -1,4 +1,4 @@
 """Builds the stream from a file.
 
-Scan lines, columns and ranges from records, the same way for every format.
+Finds scan lines, columns and ranges in records, in the same way for every format.
 """

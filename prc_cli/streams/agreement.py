@@ -25,7 +25,7 @@ CONTRADICTED = "contradicted"
 LEAST_STUCK = 8
 """Fewer columns at one extreme angle may be rounded."""
 STUCK_RUNS = 3.0
-"""Columns at one extreme are so many times more than usually share an angle."""
+"""Columns at one extreme angle are this many times more than usually share an angle."""
 EVEN_RAD = math.radians(2.0)
 """Angles of the other columns lie this near to a straight line."""
 APART = 60
@@ -72,7 +72,7 @@ def stuck_columns(angle_rad: F64) -> Mask:
 def continued(angle_rad: F64, is_stuck: Mask) -> F64 | None:
     """Return angles with those that are cut off on the line of the others.
 
-    None where these are not even.
+    None if these are not even.
 
     >>> true = np.deg2rad(np.linspace(-160, 159, 320))
     >>> cut = np.clip(true, -1.5, 1.5)
@@ -91,7 +91,7 @@ def continued(angle_rad: F64, is_stuck: Mask) -> F64 | None:
 
 
 def turns_back(angle_rad: F64) -> bool:
-    """Tell whether angles run back within the line, as those without their sign do.
+    """Return whether angles run back within the line, as those without their sign do.
 
     >>> turns_back(np.abs(np.linspace(-2, 2, 300))), turns_back(np.linspace(-2, 6, 300) % 6.28)
     (True, False)
@@ -112,7 +112,7 @@ def contradicted_share(
 ) -> float | None:
     """Return the share of columns whose points contradict range and angle.
 
-    None where they do not tell.
+    None if there are too few.
 
     Parameters
     ----------

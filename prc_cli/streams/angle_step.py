@@ -1,7 +1,7 @@
 """The angle between columns, measured from the ranges alone.
 
 On a plane that a scan line crosses, the inverse range is ``u = 1/r = A cos b + B sin b`` of the
-beam's angle b, whatever the plane and wherever down is. With even columns, ``b = b0 + s j``, so
+beam's angle b, for any plane and any direction of down. With even columns, ``b = b0 + s j``, so
 ``u'' = -s² u`` along the columns, and s can be read off every piece of a plane. Pieces are windows
 of adjacent returns with a quadratic fitted to u: one that does not fit (leaves, edges, mixed
 returns) is dropped, one whose curvature is uncertain is not taken.
@@ -38,7 +38,7 @@ ROUGH = 0.02
 CERTAIN = 0.08
 """Windows are taken whose curvature is known to this share."""
 LEVELS = ((BENT, CERTAIN), (ROUGH, CERTAIN), (ROUGH, 0.15), (ROUGH, 0.3))
-"""Both limits, the next ones where the first leave too few.
+"""The next limits apply if the first leave too few windows.
 
 Streets with noise of 3 cm, forests with 3 mm.
 """
@@ -47,7 +47,7 @@ LEAST_PIECES = 30
 WIDEST_RAD = math.radians(16.0)
 """Windows that are wider see bent surfaces as one (roads have a crown).
 
-They count where there are no others.
+They count if there are no others.
 """
 PEAK_WIDTH = 0.03
 """Planes agree, bent surfaces do not.
@@ -55,12 +55,12 @@ PEAK_WIDTH = 0.03
 The step is where most pieces lie within this share or their own error.
 """
 SPREAD_SHARE = 0.25
-"""What pieces differ by stands for bent ones among them.
+"""A spread of the pieces shows bent ones among them.
 
 This part of it is added to the uncertainty.
 """
 WIDTHS_SHARE = 0.5
-"""The same of what the two most certain widths of windows differ by.
+"""The same for the difference of the two most certain window widths.
 
 Crowns of roads and bent walls show in it.
 """
@@ -68,9 +68,9 @@ MOST_OFF = 0.1
 """A step that is known less well is not used."""
 LEAST_OFF = 0.005
 LEAST_OFF_WIDE = 0.02
-"""Least uncertainty, where all pieces agree: they may all lie on one road.
+"""Least uncertainty if all pieces agree: they may all be on one road.
 
-The second where all windows are wider than
+The second applies if all windows are wider than
 :data:`WIDEST_RAD`: real roads bend them."""
 LEAST_FIELD_RAD = math.radians(20.0)
 """Least angle of a line: ranges that hardly change have a curvature of next to nothing."""
@@ -205,7 +205,7 @@ def _peak(curvature: F64, error: F64, centre: float) -> float:
 def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
     """Return ``-u''/u`` amid windows of inverse ranges, and its standard error, (n,).
 
-    Not of one range (a code).
+    Windows of one repeated range (a code) are left out.
     """
     window = pieces.shape[1]
     design, fit = _quadratic(window)

@@ -1,6 +1,6 @@
 """Judges scan angles: whether they sweep, are fine enough for columns and turn round.
 
-Columns and their angles.
+Gives the columns and their angles.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Rings of a spinning scanner, which may lie as close, are fewer.
 MOST_SHARED = 0.01
 """Largest share of neighbours that angles may put into one column.
 
-From there on the check of collisions doubts.
+From there on the check of collisions gives a warning.
 """
 TURN_OFF = 0.02
 """Tolerance for whole turns."""
@@ -345,7 +345,7 @@ def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Tabl
 def shots_in_time(source: RecordSource, names: tuple[str, ...], most: int) -> Iterator[Table]:
     """Yield times and other dimensions of the first shots, about ``most``.
 
-    Of returns at one time the first.
+    Of returns with one time only the first is kept.
     """
     returns = ("return_number", "number_of_returns")
     several = set(returns) <= set(source.dimensions)
@@ -373,7 +373,7 @@ def has_sweeps(shots: Table, path: str) -> bool:
 
 
 def lacks_shots(shots: Table, path: str, points_per_line: int) -> bool:
-    """Whether sweeps of the scan angle hold fewer shots than a line of fixed length."""
+    """Whether sweeps of the scan angle have fewer shots than a line of fixed length."""
     angle = np.asarray(shots["angle"], np.float64)
     try:
         line, _ = lines_by_wrap(angle, find_sweep(angle, path), WrapState())
@@ -394,7 +394,7 @@ def columns_of_angles(
     *,
     whole_turn: bool,
 ) -> tuple[bool, str]:
-    """Tell whether scan angles give columns, and why.
+    """Return whether scan angles give columns, and why.
 
     They sweep one way, and few neighbours share a step.
     """
@@ -443,7 +443,7 @@ def turns_round(shots: Table) -> bool:
 
 
 def turn_of_times(time_s: F64, angle: F64) -> float | None:
-    """Return the angle that the scanner turns in a line, also where no shot returns [rad].
+    """Return the angle that the scanner turns in a line, also if no shot returns [rad].
 
     None if unknown.
 

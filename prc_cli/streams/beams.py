@@ -186,16 +186,16 @@ class BeamFinder:
         )
 
     def find(self, sample: Sample) -> Directions:
-        """Apply the first applicable method, and tell whether columns are rings.
+        """Apply the first applicable method, and find whether columns are rings.
 
-        Hints name what the input takes.
+        Hints name only options that the input accepts.
         """
         facts = self.info.facts
         try:
             directions = self._find(sample)
         except (InputError, ConfigError) as error:
             raise fitting_error(error, facts.refuses, facts.remedy) from error
-        # each scan of a file is made by a scanner that stands, and turns slowly
+        # in a file of scans the scanner does not move, and turns slowly
         if (
             not sample.is_spinning
             or not directions.keep_xyz
@@ -575,7 +575,7 @@ def _no_step(step: AngleStep | None, points_per_line: int) -> str:
 def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
     """Return coordinates (lines, M, 3) in a tilted scan plane.
 
-    True heights, horizontal distance in x.
+    Heights are true, x is the horizontal distance.
     """
     up = -cos_tilt * np.cos(beam_rad)
     across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))

@@ -72,7 +72,7 @@ class AngleGrid:
     """Number of columns in the sector of the lines, or in a whole turn."""
     whole_turn: bool
     is_spread: bool = False
-    """Whether of two neighbours in one column one moves to a free column beside.
+    """Whether one of two neighbours in a column moves to a free column beside.
 
     Shots are uneven within a turn.
     """

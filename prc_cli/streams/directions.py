@@ -127,7 +127,7 @@ def _check_lengths(xyz: NDArray[Any]) -> None:
 def _check_level(unit: F64, seen: Mask) -> None:
     """Refuse lines that run sideways at a nearly constant elevation.
 
-    Sweeps of a turning head, not of its mirror.
+    Such lines are sweeps of a turning head, not of its mirror.
     """
     elevation = np.arcsin(np.clip(unit[..., 2], -1.0, 1.0))
     azimuth = np.arctan2(unit[..., 1], unit[..., 0])

@@ -200,7 +200,7 @@ class DownGuess:
     down_rad: float
     """Scan angle of straight down [rad]."""
     depth_m: float
-    """Distance of the plane that is taken for the ground [m]."""
+    """Distance of the plane that is used as the ground [m]."""
     rival_rad: float | None = None
     """Scan angle of the best other direction, more than :data:`RIVAL_RAD` away [rad].
 
@@ -355,10 +355,7 @@ def middle_of_lines(range_m: F32) -> F64:
 
 
 def _planes(along: F64, middle_m: F64, step_rad: float) -> tuple[F64, F64, Mask]:
-    """Return the fullest plane across every direction.
-
-    Angle filled [rad], distance [m], columns.
-    """
+    """Return the fullest plane across every direction: angle filled [rad], distance [m], columns."""
     near = (along > math.cos(REACH_RAD)) & np.isfinite(middle_m)
     row, column = np.nonzero(near)
     depth = middle_m[column] * along[near]

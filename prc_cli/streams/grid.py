@@ -2,7 +2,7 @@
 
 Rules are resolved (:mod:`.rules`), the scanners set up (:mod:`.setup`), and chunks of records
 become whole lines (:mod:`.lines`), whole lines blocks: one return per cell, the rest as further
-returns or counted. Memory holds a chunk of records and the open lines of every scanner.
+returns or counted. Memory contains a chunk of records and the open lines of every scanner.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def open_grid(
     with_intensity: bool = False,
     assumptions: tuple[Assumption, ...] = (),
 ) -> GridStream:
-    """Turn a list of records into the stream; ``told`` is what was assumed before."""
+    """Turn a list of records into the stream; ``assumptions`` are those made before."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
     rules = resolve_rules(
         records, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity
@@ -246,7 +246,7 @@ class GridStream(Brief):
     ) -> ScanBlock:
         """Make the block of lines ``first_line`` on.
 
-        Of several shots in a cell, the first with a range is kept.
+        The first shot with a range in a cell is kept.
         """
         m = setup.points_per_line
         rules = self.rules
@@ -314,7 +314,7 @@ def _winners(
 ) -> np.ndarray:
     """Mark the record that every cell shows.
 
-    The first chosen return with a range, else the first chosen return.
+    That is the first chosen return with a range, else the first chosen one.
     """
     winner = np.full(n_cells, -1, np.int64)
     position = np.flatnonzero(is_chosen)

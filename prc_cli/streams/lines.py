@@ -1,4 +1,4 @@
-"""Reads records into whole scan lines: finds where lines begin, and holds back those that are open.
+"""Reads records into whole scan lines: finds where lines start, and keeps back open lines.
 
 One pure function per rule takes the shots (the first record of each) of one scanner in input order;
 state across chunks is passed in and returned. Whole lines are sorted by line; all later steps
@@ -77,7 +77,7 @@ Found: TypeAlias = tuple[I64, Mask, LineState]
 class LineRules:
     """How the lines of one scanner are found.
 
-    By number, by time or by angle if one is set, else of fixed length.
+    They follow a number, a time or an angle if one is set, else a fixed length.
     """
 
     where: str
@@ -121,7 +121,7 @@ class LineRules:
     def begins_with_first(self) -> bool:
         """Whether line 0 is the line of the first shot.
 
-        Else shots before line 0 are expected, not late.
+        If not, shots before line 0 are expected, not late.
         """
         return self.origin_s is None or self.dimension is not None
 
@@ -541,7 +541,7 @@ def whole_lines(
 
 
 TURN_RECORDS = 1 << 16
-"""First records that show whether rings fire in turns, whatever the chunks of the reader."""
+"""First records that show whether rings fire in turns, for any chunks of the reader."""
 
 
 def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
@@ -557,14 +557,13 @@ def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
             break
     head = take(head, slice(0, TURN_RECORDS)) if head else head
     scanners = split_scanners(head, rules.scanner, source.path) if n_rows(head) else ()
-    return frozenset(
-        scanner
-        for scanner, records in scanners
-        if fire_in_turns(
-            np.asarray(records["time"], np.float64),
-            np.asarray(_columns_of(records, rules), np.float64),
-        )
-    )
+    in_turns = []
+    for scanner, records in scanners:
+        time_s = np.asarray(records["time"], np.float64)
+        column = np.asarray(_columns_of(records, rules), np.float64)
+        if fire_in_turns(time_s, column):
+            in_turns.append(scanner)
+    return frozenset(in_turns)
 
 
 def _has_all_shots(rules: GridRules) -> bool:
@@ -682,7 +681,7 @@ def check_partial_line(
 ) -> None:
     """Refuse a last line that is cut short.
 
-    The hint names another M where the ranges of a source repeat with it.
+    The hint names another M if the ranges of a source repeat with it.
     """
     n_over = n_shots % points_per_line
     if not n_over:

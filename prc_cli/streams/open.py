@@ -1,6 +1,6 @@
 """Opens an input file, or a window of it, as a stream of blocks, by the kind of its source.
 
-Images hold lines and columns and are blocks already. Records become blocks in
+Images have lines and columns and are blocks already. Records become blocks in
 :mod:`prc_cli.streams.grid`, frames of rings in :mod:`prc_cli.streams.rings`. A window is some of
 the lines, by number or by time, read no farther than to their end.
 """
@@ -136,9 +136,9 @@ def grid_of(stream: ScanStream) -> GridStream | None:
 
 
 def drive_of(stream: ScanStream) -> Drive | SpinningDrive | None:
-    """Return what was found of a registered cloud behind a stream (``range = "points"``).
+    """Return the path found in a registered cloud behind a stream (``range = "points"``).
 
-    None for other inputs.
+    Other inputs give None.
     """
     layer: object = stream
     while layer is not None:
@@ -180,7 +180,7 @@ class WindowedStream:
     A line belongs to the window by its number, or by the time of its first shot that has one. The
     lines are consecutive: from the first one that has begun to the last before the end. Where all
     scanners have passed the end, the rest of the input is not read, except where a later scanner
-    may begin anew (several scans in a row, or scanners split by a field with a window of lines).
+    may start again (several scans in a row, or scanners split by a field with a window of lines).
     """
 
     source: ScanStream
@@ -260,7 +260,7 @@ class WindowedStream:
     def _places(self, block: ScanBlock, seen: _Seen, part: _Part) -> F64:
         """Return the number or the time of every line, (lines,).
 
-        a line without time has that of the line before.
+        A line without time has the time of the line before.
         """
         lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.float64)
         if self.window.in_lines:
@@ -327,9 +327,9 @@ def no_times(path: str, window: Window) -> InputError:
 
 
 def windowed(stream: ScanStream, config: InputConfig) -> ScanStream:
-    """Return the window of a stream that the configuration asks for.
+    """Return the configured window of a stream.
 
-    Without one, the stream itself.
+    Without a window, return the stream itself.
     """
     window = config.window
     if window is None:

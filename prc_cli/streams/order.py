@@ -76,9 +76,9 @@ class OrderEvidence:
     begins_anew: int | None = None
     """First record whose times run a second time over those before; None if there is none."""
     unset: float | None = None
-    """The time that every step back goes to, before all others.
+    """The time to which every step back goes, before all others.
 
-    That of records without a time; None if none is.
+    It is the time of records without a time; None if there is none.
     """
 
     @property
@@ -368,7 +368,7 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
             f"{of_records}: leave these records unclassified with --trust-order, or take them out"
         )
     if path.lower().endswith(".copc.laz"):
-        # every node of the octree begins anew
+        # every node of the octree starts again
         return "COPC files lie in the order of their octree: sort with --sort-by-time"
     if evidence.begins_anew is not None:
         again = f"the times from record {evidence.begins_anew} on were there before"
@@ -422,9 +422,9 @@ class WatchedStream:
 
 
 def take_turns(block: ScanBlock) -> bool:
-    """Tell whether the rings of a spinning scanner fire in another order than they lie.
+    """Return whether the rings of a spinning scanner fire in another order than they lie.
 
-    The times of each rise.
+    The times of each ring rise.
     """
     if block.time_s is None or block.xyz_m is None or block.points_per_line > MAX_RINGS:
         return False
@@ -452,7 +452,7 @@ class WeekState:
 def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
     """Add a week to the times after the first step back of about one.
 
-    Later ones lie near the week's end.
+    Later steps back are near the end of the week.
     """
     position = np.flatnonzero(np.isfinite(time_s))
     added: Mask = np.zeros(len(time_s), np.bool_)

@@ -36,7 +36,7 @@ class ByteStream(Protocol):
     def read(self, size: int = -1, /) -> bytes | None:
         """Return available bytes, at least one (waiting for it), at most ``size``.
 
-        Empty at the end.
+        It is empty at the end.
         """
 
 

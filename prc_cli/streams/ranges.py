@@ -29,7 +29,7 @@ class RangeRule:
     """Source of ranges; exactly one of the first three is set."""
 
     dimension: str | None = None
-    """Dimension that holds the range [m]."""
+    """Dimension with the range [m]."""
     origin_m: tuple[float, float, float] | None = None
     """Fixed position of the sensor in the coordinates of the input [m]; zeros = sensor frame."""
     trajectory: Trajectory | None = None
@@ -122,7 +122,7 @@ def open_ranges(
 def metres_of(config: InputConfig, crs_wkt: str | None) -> tuple[float, float]:
     """Return the metres in one unit of x and y, and of z.
 
-    As given, else those of the coordinate system.
+    They are configured, or those of the coordinate system.
     """
     if config.range_scale != 1.0:
         return config.range_scale, config.range_scale

@@ -58,7 +58,7 @@ MAX_RING_ORDER_RAD = math.radians(0.5)
 MIN_RING = 0.01
 """Least size of the first and last ring, as a share of the median ring.
 
-Fewer are shots across the border.
+Smaller ones are shots across the border.
 """
 WINDOW = 64
 """Number of neighbours over which the step of azimuth is measured."""
@@ -187,7 +187,7 @@ LEAST_ORDERED = 0.9
 def turns_in_order(frame: Table) -> float:
     """Return how often the ring with most points turns around the scanner.
 
-    0 where it has no number or order.
+    0 if rings have no number or order.
     """
     if RING not in frame:
         return 0.0
@@ -245,10 +245,7 @@ def _cut_turns(along: F64) -> tuple[I64, F64]:
 
 
 def _cuts(along: F64, step: float) -> Iterator[float]:
-    """Yield candidate azimuths for the start of rings, in the direction of rotation.
-
-    Axes, first shot, gaps.
-    """
+    """Yield azimuths where rings may start, as the scanner turns: axes, first shot, gaps."""
     yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
     n_bins = 360
     seen = (

@@ -88,7 +88,7 @@ class GridRules:
     height_names: tuple[str, ...]
     """Dimensions beside the scan angle for finding straight down.
 
-    Range and registered heights, or none.
+    These are range and registered heights, or none.
     """
     point_names: tuple[str, ...]
     """Dimensions beside the scan angle that test it: range and registered coordinates, or none."""
@@ -147,13 +147,13 @@ class GridRules:
 
     @property
     def needs_intensity(self) -> bool:
-        """Whether intensities choose between returns, or blocks hold them."""
+        """Whether intensities choose between returns, or blocks contain them."""
         decides = self.has_returns and self.config.return_ == "strongest"
         return self.has("intensity") and (decides or self.holds_intensity)
 
     @property
     def holds_intensity(self) -> bool:
-        """Whether blocks hold intensities."""
+        """Whether blocks contain intensities."""
         return self.has("intensity") and (self.with_intensity or not self.only_ranges)
 
     @property
@@ -299,10 +299,7 @@ NO_RANGES_HINT = (
 
 
 def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
-    """Whether an input is registered points alone.
-
-    Nothing in it says in which order they were fired.
-    """
+    """Whether an input is registered points without any order of firing."""
     has = set(source.dimensions)
     is_named = config.range == "sensor-xyz" or any(
         rule.startswith("dimension:") for rule in (config.range, config.lines)
@@ -326,9 +323,9 @@ def _auto_rules(
     missing: list[InputError] = []
 
     def resolved(key: str, rule: str, ask: Callable[[], tuple[str, str]]) -> str:
-        """Return the rule found, with its reason taken down.
+        """Return the rule and record its reason.
 
-        Empty, with its error kept, where none is.
+        It is empty if there is none; its error is kept.
         """
         if rule != "auto":
             return rule
@@ -364,7 +361,7 @@ def only_times_tell(source: RecordSource) -> bool:
 def _all_missing(
     source: RecordSource, missing: list[InputError], config: InputConfig
 ) -> InputError:
-    """Return one error for all that is missing, so that nobody is asked three times."""
+    """Return one error for everything that is missing, instead of one after the other."""
     has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
     if len(missing) == 1 or has_range:
         return _with_draft(source, missing[0])
@@ -488,7 +485,7 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
 def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
     """Whether coordinates beside ranges are relative to the scanner.
 
-    Of a profiler scan angles tell as much.
+    For a profiler, scan angles show it as well.
     """
     kind, _, name = range_.partition(":")
     if kind != "dimension" or name in XYZ or not set(XYZ) <= set(source.dimensions):
@@ -627,7 +624,7 @@ class _WithElevation(DerivedSource):
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions.
 
-        a point at the origin has no elevation and stays in the current line.
+        A point at the origin has no elevation and stays in the current line.
         """
         if not {"angle", _LINE} & set(names):
             yield from self.source.chunks(names)
@@ -664,11 +661,11 @@ def with_sweeps(
     source: RecordSource, config: InputConfig
 ) -> tuple[InputConfig, tuple[Assumption, ...]]:
     """Find lines and columns by time from the directions, if nothing else gives them."""
-    asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
-    knows = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(
+    is_open = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
+    has_directions = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(
         source.dimensions
     )
-    if not asks or not knows or not only_times_tell(source) or config.scanner != "none":
+    if not is_open or not has_directions or not only_times_tell(source) or config.scanner != "none":
         return config, ()
     records = sorted_by_time(source) if config.order == "sort-time" else source
     rule = open_ranges(

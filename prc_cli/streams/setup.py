@@ -1,6 +1,6 @@
 """Step two, setup: fixes how every scanner is read before its first block.
 
-Sweep, column angles, M, down.
+It finds the sweep, the column angles, M and down.
 
 From the first records, or from one pass over the needed dimensions where that takes the whole
 input.
@@ -294,7 +294,7 @@ def _survey(
 ) -> dict[int, tuple[int, int, int]]:
     """Read the input once for lines, shots and M of every scanner.
 
-    The whole of it, or to the end of a window.
+    It stops at the end of a window.
     """
     extents: dict[int, tuple[int, int, int]] = {}
     for whole in whole_lines(
@@ -327,7 +327,7 @@ def _agreed_angles(
 ) -> tuple[F64 | None, list[Assumption]]:
     """Return recorded angles, mended where they are cut off.
 
-    None where x, y, z show that they are others.
+    None if x, y, z contradict them.
     """
     if first is None or angle is None or rules.gives_angles or rules.config.angles == "measured":
         return angle, []
@@ -373,7 +373,7 @@ def _contradicted(
 ) -> float | None:
     """Return the share of columns whose x, y, z contradict range and angle.
 
-    None where there are none.
+    None if there are none.
     """
     if not rules.point_names:
         return None
@@ -508,7 +508,7 @@ def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
 def _column_number_step(number: NDArray[Any], points_per_line: int | None) -> Step:
     """Return the step of column numbers.
 
-    Where they fit into a line of the M that is given, it is meant.
+    If they fit into a line of the configured M, they are used as they are.
     """
     is_meant = points_per_line is not None and np.all(
         columns_by_dimension(number) < points_per_line
@@ -519,7 +519,7 @@ def _column_number_step(number: NDArray[Any], points_per_line: int | None) -> St
 def _usual_step(steps: dict[int, Steps]) -> Steps:
     """Return the steps of a scanner that the first records lack.
 
-    Those that the others have in common.
+    These are the steps that all other scanners share.
     """
     kinds = set(steps.values())
     return kinds.pop() if len(kinds) == 1 else Steps()

@@ -1,6 +1,6 @@
 """Finds the step of line and column numbers.
 
-Counters may be shared, decimated, or those of an encoder.
+Counters may be shared or decimated, or come from an encoder.
 
 A counter that several facets or scanners share rises by their number from line to line; columns may
 be ticks of an encoder. Without division all numbers between would be empty lines and columns.

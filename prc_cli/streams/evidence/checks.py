@@ -28,9 +28,9 @@ from prc_cli.streams.evidence.lines import (
 from prc_cli.streams.evidence.table import verdict_of
 
 MANY = 0.01
-"""Share of records that are lost or meet before doubt begins."""
+"""Share of records that are lost or share a cell: more give a warning."""
 MANY_OF_RINGS = 0.05
-"""Share of records that meet before doubt begins in frames of rings.
+"""The same share for cells in frames of rings.
 
 Shots of a ring stray in azimuth, and where they
 meet, are labelled like further returns."""
@@ -39,7 +39,7 @@ MOST = 0.2
 LEAST_RECORDS = 100
 """Fewer records are not judged."""
 NEAR_M = 0.02
-"""Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+"""Least median range of a scanner [m]: less are millimetres read as metres, or no ranges."""
 NARROW = 2.0
 """The longest ranges of a scanner are more than twice the shortest."""
 LEAST_MEDIAN_M = 0.15
@@ -74,7 +74,7 @@ MOST_COUNTED = 1 << 16
 
 
 def check_thinned(dropped: str) -> tuple[Finding, ...]:
-    """Ask whether the file is one that shots were left out of.
+    """Check whether the file is one that shots were left out of.
 
     ``dropped`` is what its run record says.
     """
@@ -95,7 +95,7 @@ LONGEST_LINE = 10_000
 
 
 def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
-    """Ask whether the stream has lines enough to judge it, or any lines at all."""
+    """Check whether the stream has lines enough to judge it, or any lines at all."""
     if n_shots < LEAST_SHOTS:
         return
     measured = (
@@ -110,7 +110,7 @@ def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
 
 
 def check_coordinates(seen: Seen) -> Finding | None:
-    """Ask whether x, y, z agree with ranges and scan angles, as the setup compared them."""
+    """Check whether x, y, z agree with ranges and scan angles, as the setup compared them."""
     reasons = {
         assumption.value: assumption.why
         for assumption in seen.info.assumptions
@@ -132,7 +132,7 @@ def check_coordinates(seen: Seen) -> Finding | None:
 
 
 def check_collisions(seen: Seen) -> Finding | None:
-    """Ask whether every shot has a cell of its own."""
+    """Check whether every shot has a cell of its own."""
     share = _share(seen, seen.tally.n_collisions)
     if share is None:
         return None
@@ -152,7 +152,7 @@ def check_collisions(seen: Seen) -> Finding | None:
 
 
 def check_unplaced(seen: Seen) -> Finding | None:
-    """Ask whether every record has a cell."""
+    """Check whether every record has a cell."""
     share = _share(seen, seen.tally.n_unplaced)
     if share is None:
         return None
@@ -172,7 +172,7 @@ def check_unplaced(seen: Seen) -> Finding | None:
 
 
 def check_left_out(seen: Seen) -> Finding | None:
-    """Ask, where columns are by order, whether lines hold all their shots."""
+    """Check whether lines contain all their shots, if columns are by order."""
     by_order = any(
         assumption.key == "input.columns" and assumption.value == "order"
         for assumption in seen.info.assumptions
@@ -199,7 +199,7 @@ def _share(seen: Seen, count: int) -> float | None:
 
 
 def check_returns(seen: Seen) -> Finding | None:
-    """Ask whether the shots have returns."""
+    """Check whether the shots have returns."""
     if seen.n_shots < LEAST_RECORDS:
         return None
     share = 1 - seen.n_missing / seen.n_shots
@@ -215,7 +215,7 @@ def check_returns(seen: Seen) -> Finding | None:
 
 
 def check_other_readers(seen: Seen) -> Finding | None:
-    """Ask whether the usual library reads the file, too."""
+    """Check whether the usual library reads the file, too."""
     if not seen.info.facts.refused:
         return None
     measured = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
@@ -229,7 +229,7 @@ def check_other_readers(seen: Seen) -> Finding | None:
 
 
 def check_unread(seen: Seen) -> Finding | None:
-    """Ask whether the header counts all records."""
+    """Check whether the header counts all records."""
     if not seen.info.facts.unread:
         return None
     hint = (
@@ -242,7 +242,7 @@ def check_unread(seen: Seen) -> Finding | None:
 
 
 def check_missing_code(seen: Seen) -> Finding | None:
-    """Ask whether one and the same largest range stands for no return."""
+    """Check whether the largest range is a code for no return."""
     known = _known_ranges(seen)
     if len(known) < LEAST_RECORDS:
         return None
@@ -268,9 +268,9 @@ def check_missing_code(seen: Seen) -> Finding | None:
 
 
 def _near_codes(known: F32) -> Finding | None:
-    """Return the doubt that very short ranges are error codes.
+    """Return the warning that very short ranges are error codes.
 
-    None where there are few, or hardly others.
+    None if there are few, or hardly others.
     """
     is_near = known < CODE_M
     share = float(np.mean(is_near))
@@ -295,7 +295,7 @@ def _known_ranges(seen: Seen) -> F32:
 
 
 def check_rounding(seen: Seen) -> Finding | None:
-    """Ask whether the ranges are finer than the thresholds of the methods."""
+    """Check whether the ranges are finer than the thresholds of the methods."""
     known = _known_ranges(seen).astype(np.float64)
     if len(known) < LEAST_ROUNDED:
         return None
@@ -321,7 +321,7 @@ def check_rounding(seen: Seen) -> Finding | None:
 
 
 def check_ranges(seen: Seen) -> Finding | None:
-    """Ask whether the ranges are numbers that a scanner can measure."""
+    """Check whether the ranges are numbers that a scanner can measure."""
     known = _known_ranges(seen)
     if len(known) < LEAST_RECORDS:
         return None
@@ -378,15 +378,15 @@ OTHER_UNIT = "if x, y, z and the trajectory are in another unit: "
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
-    """Ask every check of a scanner that was seen, the gravest faults first.
+    """Run every check of a scanner, the gravest faults first.
 
-    a check that cannot tell finds nothing.
+    A check without enough data gives no finding.
     """
     along = any(
         assumption.key == "input.range" and assumption.value.startswith("trajectory")
         for assumption in seen.info.assumptions
     )
-    for finding in _known(*_of_ranges(seen)):
+    for finding in _known(*_findings_of_ranges(seen)):
         yield _along_path(finding) if along and finding.check in BY_PLACE else finding
     yield from _known(
         check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen)
@@ -400,24 +400,21 @@ def _along_path(finding: Finding) -> Finding:
     return replace(finding, hint=LATE, option="")
 
 
-def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
+def _findings_of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield (ranges := check_ranges(seen))
     if _is_against(ranges):
         return
     yield check_rounding(seen)
     yield check_missing_code(seen)
     figures = raw = figures_of(seen.windows)
-    if any(
-        _is_told(finding)
-        for finding in (check_shot_order(figures), check_line_order(seen, figures))
-    ):
+    if _is_not_fine(check_shot_order(figures)) or _is_not_fine(check_line_order(seen, figures)):
         # flakes, drops and fog are like none of the shots around
         figures = _in_clear_air(seen, figures)
     yield (order := check_shot_order(figures))
     if _is_against(order):
         return
     if not seen.has_rings and not seen.info.facts.has_fitted_lines:
-        # what rings and fitted lines are is known: columns cannot be others, lines cannot be longer
+        # the length of rings and of fitted lines is known
         turned = most_turned(seen.windows)
         yield (length := check_line_length(seen, figures, turned))
         if _is_against(length):
@@ -430,7 +427,7 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield check_dropouts(raw)
     yield check_few_rings(seen)
     if seen.has_rings or (seen.beam_rad is not None and is_fan(seen.beam_rad)):
-        # the method for rings finds its ground by itself, also between walls and below a ceiling
+        # the method for rings finds the ground itself, also between walls and below a ceiling
         yield check_cones(seen)
         return
     yield (height := check_height(seen))
@@ -447,7 +444,7 @@ def _in_clear_air(seen: Seen, figures: Figures) -> Figures:
 
 
 def check_few_rings(seen: Seen) -> Finding | None:
-    """Ask whether as many rings return as the method tells classes by."""
+    """Check whether as many rings return as the method tells classes by."""
     if (
         not seen.least_rings
         or seen.n_shots - seen.n_missing < LEAST_RETURNED
@@ -471,7 +468,7 @@ def _known(*findings: Finding | None) -> Iterator[Finding]:
     return (finding for finding in findings if finding is not None)
 
 
-def _is_told(finding: Finding | None) -> bool:
+def _is_not_fine(finding: Finding | None) -> bool:
     return finding is not None and finding.verdict is not Verdict.FINE
 
 

@@ -67,7 +67,7 @@ class ConeSample:
 
 
 def check_cones(seen: Seen) -> Finding | None:
-    """Ask whether coordinates are those of the scanner's own frame, and rings are rings."""
+    """Check whether coordinates are those of the scanner's own frame, and rings are rings."""
     if seen.cone_spread_rad is None or not seen.has_rings:
         return None
     spread, fitted = seen.cone_spread_rad

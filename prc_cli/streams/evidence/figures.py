@@ -53,7 +53,7 @@ class LineSample:
         """Times that the sample has been full."""
 
     def add(self, block: ScanBlock) -> None:
-        """Take what is needed of the next lines of the scanner."""
+        """Add the next lines of the scanner."""
         if self._first is None:
             self._first = block.first_line
         line = first = block.first_line - self._first
@@ -87,11 +87,10 @@ class LineSample:
 
     def windows(self) -> tuple[Window, ...]:
         """Return the windows in the order of the stream; the last may be shorter."""
+        first = self._first or 0
         return tuple(
-            Window(
-                (self._first or 0) + index * self._n_lines, self._kept[index][: self._open[index]]
-            )
-            for index in sorted(self._kept)
+            Window(first + index * self._n_lines, rows[: self._open[index]])
+            for index, rows in sorted(self._kept.items())
         )
 
 
@@ -110,7 +109,7 @@ SMOOTH = 0.01
 ROUGH = 0.05
 AS_FAR = 0.2
 LEAST_ROUGH = 100
-"""Shots off the middle of their neighbours by so much are leaves or edges.
+"""Shots that are this much off the mean of their neighbours are leaves or edges.
 
 They are seen again where the next line is
 nearer than so much of that; fewer tell nothing."""
@@ -144,7 +143,7 @@ class Figures:
     moved: tuple[float, float]
     """Of neighbouring lines and of lines far apart: the least of the tenth that is least alike."""
     noise_m: float
-    """Range noise [m], or above it where hardly anything is smooth.
+    """Range noise [m]; larger if hardly any surface is smooth.
 
     From the twentieth of the shots that lie nearest to
     the middle of their neighbours."""
@@ -214,9 +213,9 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
 
 
 def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
-    """Return windows without the shots that none of the eight around is as far as.
+    """Return windows without shots that are unlike all eight around.
 
-    None where these are not few.
+    None if these are many.
 
     Where shots are shuffled, or numbers misread, most shots are alone: there is nothing to leave
     out.
@@ -248,7 +247,7 @@ def _alone(range_m: F32) -> Mask:
 def spread(windows: tuple[Window, ...]) -> list[F32]:
     """Return the ranges of a few runs of lines, even over the stream.
 
-    a short stream is cut into as many.
+    A short stream is cut into as many.
     """
     n = min(len(windows), MOST_RUNS)
     chosen = [windows[round(i * (len(windows) - 1) / max(n - 1, 1))].range_m for i in range(n)]
@@ -256,10 +255,8 @@ def spread(windows: tuple[Window, ...]) -> list[F32]:
     runs = []
     for rows in chosen:
         length = max(len(rows) // n_runs, 2 * LINE_LAGS)
-        runs += [
-            rows[i : i + min(length, max(SHOTS_EACH // rows.shape[1], LINE_LAGS) + LINE_LAGS)]
-            for i in range(0, len(rows), length)
-        ]
+        n_lines = max(SHOTS_EACH // rows.shape[1], LINE_LAGS) + LINE_LAGS
+        runs += [rows[i : i + min(length, n_lines)] for i in range(0, len(rows), length)]
     return [rows for rows in runs if len(rows) > LINE_LAGS]
 
 
@@ -326,7 +323,7 @@ def _lonely(rows: F32) -> tuple[int, int]:
 
 
 def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
-    """Return how alike lines far apart are if lines had another length, NaN if that cannot be told.
+    """Return how alike lines far apart are if lines had another length, NaN if there are too few.
 
     The stream behind each window is cut into lines of the given length, counted from the start of
     the stream. With the right length, what moves with the scanner (its dead angle, the ground)
@@ -402,14 +399,12 @@ class Turned:
 def most_turned(windows: tuple[Window, ...]) -> Turned | None:
     """Return the place along the stream where a shift of all columns helps most.
 
-    None in short streams.
+    None for short streams.
     """
     places = pieces(windows)
     turns: list[Turned] = []
-    profiles = [
-        _profile(place.range_m[:FOLD_LINES, :: max(place.range_m.shape[1] // TURN_COLUMNS, 1)])
-        for place in places
-    ]
+    step = max(places[0].range_m.shape[1] // TURN_COLUMNS, 1) if places else 1
+    profiles = [_profile(place.range_m[:FOLD_LINES, ::step]) for place in places]
     for i in range(len(places) - 1):
         first = profiles[i]
         second = profiles[i + 1]
@@ -502,11 +497,11 @@ class Seen:
     None = unknown or not needed.
     """
     most_noise_m: float = math.inf
-    """Most range noise that the method stands [m]."""
+    """Most range noise that the method tolerates [m]."""
     has_rings: bool = False
     """Whether columns are known to be the rings of a spinning scanner."""
     least_rings: int = 0
-    """With fewer rings the method tells classes less well."""
+    """With fewer rings the method labels less well."""
     cone_spread_rad: tuple[float, float] | None = None
     """Spread of elevation within rings, as used and in the best frame [rad]."""
 

@@ -1,6 +1,6 @@
 """Checks of the geometry against level ground.
 
-Where down is, the angle between shots, and the unit of length.
+They test the direction of down, the angle between shots, and the unit of length.
 
 The ground is the plane that nearly every line of the sample shows below the scanner; what the plane
 says is compared with the angles and ranges in use. The angle between shots is compared with what
@@ -37,11 +37,11 @@ streets and 8 deg in forests."""
 LOOKS_DOWN_RAD = math.radians(30.0)
 """A scanner looks down if it measures this near to straight down."""
 LEAST_ASIDE = 3.0
-"""Where it does not, the ground must be so many times the runner-up."""
+"""If it does not look down, the ground must be this many times the runner-up."""
 LEAST_WINDOWS = 2
 """Windows that look elsewhere for the drive to contradict itself.
 
-Also at least a quarter of all.
+At least a quarter of all must do so.
 """
 ELSEWHERE_RAD = math.radians(40.0)
 """From here on a window looks elsewhere."""
@@ -57,13 +57,13 @@ MOST_DOUBTLESS = 0.08
 measured: of 64 lines this is up to 6 % off."""
 SURE = 3.0
 UNSURE = 0.05
-"""A step that is measured less well says nothing of one that is told."""
+"""A step that is measured less well cannot contradict the given step."""
 FAR_FACTOR = 1.6
 """Steps that are off by this factor are against."""
 UNEVEN_RAD = math.radians(2.0)
 """Beams that lie farther from a straight line in the column are not even."""
 MOST_OFF = 0.03
-"""Uncertainty of measured angles above which they are a doubt.
+"""Uncertainty of measured angles above which they give a warning.
 
 The error is at most 2.1 times as large, and one of 5 %
 costs fused .02 of the mean F1 of streets, one of 20 % .11, in forests .43 (``python -m
@@ -80,10 +80,10 @@ BLIND_LOW_M = 0.3
 BLIND_HIGH_M = 6.0
 LOWEST_M = 0.1
 HIGHEST_M = 50.0
-"""Depths of the ground: outside the first are doubtful.
+"""Depths of the ground: outside the first pair they give a warning.
 
-Where down is not known outside the second, because a slant
-makes the depth larger; outside the third against."""
+If down is not known the second pair applies, because a slant makes the depth larger. Outside
+the third pair the input is refused."""
 
 
 def check_down(seen: Seen) -> Finding | None:
@@ -144,7 +144,7 @@ def _corrected(seen: Seen, guess: DownGuess) -> str:
 def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
     """Return the number of windows with ground in another direction for sure.
 
-    0 where they are few.
+    0 if they are few.
     """
     if len(seen.windows) < 2 * LEAST_WINDOWS:
         return 0
@@ -159,7 +159,7 @@ def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
 def check_angle_step(seen: Seen) -> Finding | None:
     """Compare the angle between shots with the one that planes show.
 
-    Doubt a measured one that is uncertain.
+    A measured angle that is uncertain gives a warning.
     """
     if seen.angle_rad is not None and are_radians(seen.angle_rad):
         measured_text = (
@@ -213,7 +213,7 @@ _MEASURED = "--set input.angles=measured"
 def _even_step(beam_rad: F64) -> float | None:
     """Return the angle from column to column of even beams, without its sign.
 
-    None where they are not even.
+    None if they are not even.
     """
     beam = np.unwrap(beam_rad)
     column = np.arange(len(beam_rad))
@@ -240,7 +240,7 @@ def check_height(seen: Seen) -> Finding | None:
     high = HIGH_M
     angle = seen.beam_rad if seen.beam_rad is not None else seen.angle_rad
     if angle is None:
-        # whatever the angles are: the ground is the nearest plane, and its depth its least range
+        # for any angles: the ground is the nearest plane, and its depth its least range
         angle = wrap(2 * math.pi * np.arange(seen.points_per_line) / seen.points_per_line)
     scale = _scale(angle, lines)
     guess = guess_down(angle, lines * np.float32(scale))
@@ -288,11 +288,11 @@ def _lines(seen: Seen) -> F32:
 def _scale(beam_rad: F64, range_m: F32) -> float:
     """Return the factor that brings the median depth below the scanner to :data:`USUAL_M`.
 
-    1 where nothing is there.
+    1 if there are no returns.
     """
     below = np.flatnonzero(np.abs(beam_rad) < ARC_RAD)
     below = below[spread_rows(len(below), MOST_ANGLES)]
     depth = range_m[:, below].astype(np.float64) * np.cos(beam_rad[below])
     depth = depth[np.isfinite(depth)]
-    # within what float32 holds, whatever the ranges are
+    # within the limits of float32, for any ranges
     return float(np.clip(USUAL_M / np.median(depth), 1e-6, 1e6)) if len(depth) else 1.0

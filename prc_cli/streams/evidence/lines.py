@@ -68,13 +68,13 @@ _ORDER_HINT = (
 def _share_of_random(difference: float, figures: Figures) -> float:
     """Return a difference beside that of random shots.
 
-    NaN where all shots see one surface at one distance.
+    NaN if all shots see one surface at one distance.
     """
     return difference / figures.random if figures.random >= SMOOTH else math.nan
 
 
 def check_shot_order(figures: Figures) -> Finding | None:
-    """Ask whether consecutive shots see the same surfaces."""
+    """Check whether consecutive shots see the same surfaces."""
     ratio = _share_of_random(figures.shot[0], figures)
     if not np.isfinite(ratio):
         return None
@@ -97,9 +97,9 @@ def check_shot_order(figures: Figures) -> Finding | None:
 
 
 def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
-    """Ask whether lines repeat after M shots.
+    """Check whether lines repeat after M shots.
 
-    Where all columns ``turned`` at one place, M is right.
+    If all columns ``turned`` at one place, M is right.
     """
     m = seen.points_per_line
     first = figures.line[0]
@@ -173,9 +173,9 @@ def _next_alike(seen: Seen, lengths: list[int]) -> int | None:
 
 
 def is_shifted(turned: Turned | None, points_per_line: int) -> bool:
-    """Tell whether all columns shift at a single place.
+    """Return whether all columns shift at a single place.
 
-    a wrong M shifts them from every line to the next.
+    A wrong M shifts them from every line to the next.
     """
     if turned is None or turned.gain >= TURNED or turned.n_places > 1:
         return False
@@ -185,7 +185,7 @@ def is_shifted(turned: Turned | None, points_per_line: int) -> bool:
 
 
 def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
-    """Ask whether all columns keep their place along the stream."""
+    """Check whether all columns keep their place along the stream."""
     if turned is None:
         return None
     expected = f"at least {TURNED:g} times"
@@ -206,7 +206,7 @@ def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
 
 
 def check_noise(seen: Seen, figures: Figures) -> Finding | None:
-    """Ask whether the range noise is one that the method stands."""
+    """Check whether the method tolerates the range noise."""
     if not np.isfinite(seen.most_noise_m) or not np.isfinite(figures.noise_m):
         return None
     measured = f"ranges have noise of about {figures.noise_m:.3f} m"
@@ -241,7 +241,7 @@ def _repeating(seen: Seen, period: int) -> Finding:
 def _step_alike(figures: Figures) -> int:
     """Return how many lines later comes one that is far more alike than the next.
 
-    0 where none is.
+    0 if there is none.
     """
     steps = (
         step
@@ -252,7 +252,7 @@ def _step_alike(figures: Figures) -> int:
 
 
 def _alternating(seen: Seen, figures: Figures, step: int) -> Finding:
-    """Tell lines that alternate: scanned to and fro, of several scanners, or M too small."""
+    """Explain lines that alternate: to and fro, several scanners, or M too small."""
     if step == 2 and figures.reversed_line <= HALF * figures.line[1]:
         measured = "every second line runs the other way"
         return Finding(
@@ -292,7 +292,7 @@ def _longest(seen: Seen) -> F32:
 def _is_as_alike(seen: Seen, period: int) -> bool:
     """Return whether shots a period apart are as alike as those M apart.
 
-    Where these are too few, alike at all.
+    If these are too few, whether shots are alike at all.
     """
     logs = np.log(_longest(seen))
     m = seen.points_per_line
@@ -319,7 +319,7 @@ def _exact(seen: Seen, period: int) -> int:
 
 
 def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
-    """Ask whether the scene changes along the stream, but not from line to line."""
+    """Check whether the scene changes along the stream, but not from line to line."""
     near, far = figures.moved
     if figures.again > SEEN_AGAIN and seen.n_lines >= STANDING_LINES and not _is_fan(seen):
         measured = (
@@ -347,7 +347,7 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
 
 
 def check_dropouts(figures: Figures) -> Finding | None:
-    """Ask whether shots are lost where surfaces are smooth."""
+    """Check whether shots are lost where surfaces are smooth."""
     if figures.n_between < LEAST_PAIRS:
         return None
     measured = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"

@@ -36,9 +36,9 @@ RANDOM_PAIRS = 1_000_000
 _MULTIPLES = 6
 """Multiples of the period at which the correlation must rise again."""
 _MULTIPLES_SEEN = 16
-"""Multiples checked where the stream is long enough.
+"""Multiples checked if the stream is long enough.
 
-Lines of different lengths lose step by then.
+Lines of different lengths are no longer aligned by then.
 """
 
 
@@ -104,7 +104,7 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
 def _autocorrelation(signal: F64, n_lags: int, valid: F64 | None = None) -> F64:
     """Correlation at lags 0 to ``n_lags``, (n_lags + 1,).
 
-    Of the valid pairs, -1 to 1; of all, 1 at lag 0.
+    With ``valid`` it is that of the valid pairs, -1 to 1; else 1 at lag 0.
     """
     fft = np.fft  # that of SciPy takes 25 MiB more
     least_size = len(signal) + n_lags + 1
@@ -309,7 +309,7 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
     stop = int(np.searchsorted(time_s, time_s[0] + MAX_BINS * shot_s))
     time_s = time_s[:stop]
     use = np.flatnonzero(use)[:stop]
-    # a rounded stamp stands for the shots fired after it
+    # a rounded stamp is the time of the shots fired after it
     spread_s, _, _ = spread_stamps(time_s, 1 / shot_s, StampState())
     bins = np.maximum.accumulate(np.rint((spread_s - time_s[0]) / shot_s).astype(np.int64))
     n = int(bins[-1]) + 1
@@ -440,7 +440,7 @@ def shot_period(time_s: F64) -> float:
 def _lattice(time_s: F64, usual: float) -> float:
     """Return the step of a lattice on which times lie, refined over ever longer distances.
 
-    ``usual`` = about it.
+    ``usual`` is a first estimate.
     """
     lag = 1
     while lag < len(time_s):
@@ -457,9 +457,9 @@ def _lattice(time_s: F64, usual: float) -> float:
 
 
 def _rounded_period(time_s: F64, quantum: float) -> float:
-    """Return the time from shot to shot where several share a stamp.
+    """Return the time from shot to shot if several share a stamp.
 
-    From the longest stretches without a gap.
+    The longest stretches without a gap give it.
     """
     best = 0.0
     width = 64

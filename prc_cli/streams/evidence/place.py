@@ -1,7 +1,7 @@
 """Street or forest: what kind of place the first lines of a scan show.
 
-A road is smooth, and what stands beside it mostly too. The floor of a forest is rough, and what
-stands on it mostly leaves. Smooth is a shot near the line between two shots a little before and
+A road is smooth, and most objects beside it are, too. The floor of a forest is rough, and most
+objects on it are leaves. A shot is smooth if it is near the line between two shots a little before and
 after it in its line.
 """
 
@@ -19,7 +19,7 @@ from prc_cli.core.types import F32, F64
 
 SAMPLE_LINES = 64
 MOST_LINES = 256
-"""Lines with returns that are looked at, and where these leave it open."""
+"""Lines with returns that are used at first, and if these are not clear."""
 MAX_CELLS = 1 << 22
 """Most cells that are read to find these lines."""
 REACH_RAD = math.radians(0.6)
@@ -37,25 +37,27 @@ LOW_RAD = math.radians(75.0)
 LOW_M = 15.0
 """The ground is looked for this near to straight down, in this range."""
 HIGH_M = 40.0
-"""Range of what stands higher than the scanner."""
+"""Largest range of objects above the scanner."""
 LEAST_LOW = 1000
 """Fewer shots on the ground are too few to tell."""
 LEAST_HIGH_SHARE = 0.01
-"""With fewer shots on high things, of all cells, nothing stands there."""
+"""With fewer shots, of all cells, there are no objects above the scanner."""
 FOREST_SCORE = 0.98
 OPEN_SCORE = 0.05
-"""The smooth share of the ground, and a third of that of what stands higher.
+"""Score: the smooth share of the ground, plus a third of the smooth share of objects above.
 
-0.99 and more in streets, forests have
-0.5 to 0.97. Chosen on 31 simulated streets (of four scanners) and 10 forests. So near to it more
-lines are looked at: coarse noisy scanners have 0.978 in 64 lines of a street, 1.02 and more in
-256."""
+Streets have 0.99 and more, forests 0.5 to 0.97. Chosen on 31 simulated streets (of four scanners)
+and 10 forests. Within ``OPEN_SCORE`` more lines are used: coarse noisy scanners have 0.978 in 64
+lines of a street, and 1.02 and more in 256.
+"""
 CLOSE_SCORE = 0.03
-"""So near to it the kind is in doubt."""
+"""Scores this near to it give a warning."""
 BUILT_SHARE = 0.42
-"""Where less than this share of what stands higher is smooth, a place with a smooth floor may be a
-park, or a forest whose floor is level: of 48 simulated streets one has less in 256 lines, forests
-have 0.05 to 0.41, a park 0.2."""
+"""Least smooth share of objects above in a street.
+
+With less, a place with a smooth floor may be a park, or a forest on level ground. Of 48 simulated
+streets one has less in 256 lines. Forests have 0.05 to 0.41, a park 0.2.
+"""
 
 
 Kind = Literal["street", "forest", "unknown"]
@@ -67,15 +69,15 @@ class Place:
 
     kind: Kind
     why: str
-    """What was found, for people."""
+    """The figures, for people."""
     is_open: bool = False
-    """Whether more lines may tell otherwise."""
+    """Whether more lines may change the kind."""
     doubt: str = ""
-    """What speaks for another kind, with the limit; empty where nothing does."""
+    """The reason for another kind, with the limit; empty if there is none."""
 
 
 def place_of(range_m: F32, beam_rad: F64) -> Place:
-    """Tell streets from forests."""
+    """Return whether the place is a street or a forest."""
     steps = np.abs(np.diff(np.unwrap(beam_rad)))
     step = float(np.median(steps)) if len(steps) else 0.0
     k = max(round(REACH_RAD / step), 1) if step > 0 else 1
@@ -95,7 +97,7 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     floor = int(np.count_nonzero(low & smooth)) / n_low
     reason = f"{100 * floor:.0f} % of the ground is smooth"
     if n_high < LEAST_HIGH_SHARE * middle_m.size:
-        # nothing stands there: a road in the open, or a clearing
+        # no objects: a road in the open, or a clearing
         limit = FOREST_SCORE - BUILT_SHARE / 3
         kind: Kind = "street" if floor > limit else "unknown"
         doubt = (
@@ -107,7 +109,9 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     standing = int(np.count_nonzero(high & smooth)) / n_high
     reason += f", and {100 * standing:.0f} % of what stands higher than the scanner"
     score = floor + standing / 3
-    kind = "forest" if score < FOREST_SCORE else "street" if standing >= BUILT_SHARE else "unknown"
+    kind = "street" if standing >= BUILT_SHARE else "unknown"
+    if score < FOREST_SCORE:
+        kind = "forest"
     off = abs(score - FOREST_SCORE)
     doubt = ""
     if off < CLOSE_SCORE:
@@ -128,9 +132,9 @@ def _smooth(
     k: int,
     step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which shots have both others on one surface, and which of all are smooth.
+    """Return which shots have both neighbours on one surface, and which are smooth.
 
-    Without k columns each side.
+    The first and last k columns are left out.
     """
     r = range_m.astype(np.float64)
     y = r * np.sin(beam_rad)
@@ -148,7 +152,7 @@ def _smooth(
 
 
 def place_of_blocks(blocks: Iterator[ScanBlock]) -> Place:
-    """Tell the place from the first lines of the first scanner, however cut.
+    """Return the place that the first lines of the first scanner show, for any blocks.
 
     Needs beam directions.
     """

@@ -18,7 +18,7 @@ from prc_cli.streams.evidence.figures import SMOOTH, likeness
 MISREAD_CHECKS = ("ranges", "shot-order")
 """Checks that a wrong reading fails."""
 SAMPLE_BYTES = 1 << 18
-"""Read from the middle, where a scanner surely stands in its scene."""
+"""Bytes read from the middle of the file, where the scanner is in its scene."""
 TYPES = ("f4", "f8", "u2", "u4", "i4")
 SCALES_M = (1.0, 0.001, 0.01)
 """Metres, millimetres, centimetres."""
@@ -27,7 +27,7 @@ USUAL_M = (0.5, 80.0)
 FARTHEST_M = 5000.0
 """The median range of streets and forests, about; that of any scan; the farthest range of any."""
 MOST_ODD = 0.01
-"""Share of numbers that are no range, nor stand for a missing one (0 or NaN)."""
+"""Largest share of numbers that are neither a range nor missing (0 or NaN)."""
 LEAST_RANGES = 2000
 READABLE = 0.1
 """Likeness of neighbouring shots, as a share of that of random shots.
@@ -47,10 +47,10 @@ class Reading:
     header_bytes: int
     scale: float
     has_zeros: bool
-    """Whether zeros stand for missing shots."""
+    """Whether zeros are missing shots."""
 
     def options(self) -> str:
-        """Return what to type; what every dump is taken for is left out.
+        """Return the options to type, without the defaults of dumps.
 
         >>> Reading("f4", "big", 0, 1.0, False).options()
         '--set layout.endian=big'
@@ -120,7 +120,7 @@ def _header_bytes(
 ) -> int:
     """Return the bytes before the first whole line, if they can be a header.
 
-    Else those before the first number.
+    Else the bytes before the first number.
     """
     if points_per_line is not None:
         over = size % (item_bytes * points_per_line)
@@ -130,7 +130,7 @@ def _header_bytes(
 
 
 def with_other_reading(finding: Finding, path: str, points_per_line: int | None) -> Finding:
-    """Say in a finding against a dump how to read it, if there is a way."""
+    """Add to the refusal of a dump how to read it, if there is a way."""
     dump = Path(path)
     if finding.verdict is not Verdict.AGAINST or finding.check not in MISREAD_CHECKS:
         return finding

@@ -10,15 +10,15 @@ from prc_cli.core.types import U64
 from prc_cli.streams.evidence.table import verdict_of
 
 COLUMNS = 64
-"""Columns that stand for a line, even over it."""
+"""Columns that represent a line, evenly spread."""
 LEAST_VALUES = 32
-"""Fewer ranges, or fewer different ones, do not stand for a line."""
+"""Lines with fewer ranges, or fewer different ones, are not compared."""
 MOST_KEPT = 1 << 15
-"""Lines that are remembered; of longer streams only each second, fourth, ... as its digits say."""
+"""Most lines that are kept; of longer streams every second, fourth … by its digest."""
 MOST_TIMES = 4
 """Lines that repeat more often are those of a standing scanner without noise."""
 LEAST_REPEATED = 8
-"""Fewer repeated lines are not told."""
+"""Fewer repeated lines give no warning."""
 _ODD = np.random.default_rng(20).integers(0, 1 << 62, COLUMNS).astype(np.uint64) * np.uint64(
     2
 ) + np.uint64(1)
@@ -71,7 +71,7 @@ class LineRepeats:
 
 
 def check_repeats(repeats: LineRepeats, of_recording: str = "") -> Finding:
-    """Ask whether lines come twice; ``of_recording`` is what the recording itself holds twice."""
+    """Check whether lines come twice; ``of_recording`` names the repeats in the recording."""
     n = repeats.n_repeated
     if of_recording:
         hint = (

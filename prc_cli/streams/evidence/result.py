@@ -1,11 +1,11 @@
-"""Checks of the result: labels that no rightly told scan gets.
+"""Checks of the result: labels that no scan gets if its description is right.
 
 A wrong direction of down, a wrong M or damaged ranges show in the labels: the ground is not below
 the scanner or leans, things lie below it, most of the scan is noise. The shares that are usual
 differ between methods (:class:`prc_cli.methods.base.UsualLabels`).
 
 Lines are kept while they pass: every n-th, in up to 128 of their columns; n doubles whenever there
-are too many. All figures are computed from these when they are asked for. The choice depends on the
+are too many. All figures are computed from these on demand. The choice depends on the
 line numbers alone, so the findings depend neither on threads nor on the reader's chunks.
 """
 
@@ -37,7 +37,7 @@ LEAST_RETURNS = 1000
 LEAST_SHARE = 0.5
 """Least share of returns in kept columns: fewer if columns are empty at regular steps."""
 DOWN_RAD = math.radians(60.0)
-"""What lies this near to straight down is ground, or stands on it."""
+"""Shots this near to straight down are on the ground, or on objects that stand on it."""
 NEAR_M = 20.0
 BELOW_M = 1.0
 """Returns this near should not lie this far below the ground."""
@@ -129,7 +129,7 @@ class _Kept:
 def _columns_with_returns(range_m: F32) -> I64:
     """Return evenly spread columns, (n,) int64.
 
-    Where these miss most returns, of the columns that have some.
+    If these miss most returns, only columns with returns are used.
     """
     step = -(-range_m.shape[1] // MAX_COLUMNS)
     even = np.arange((step - 1) // 2, range_m.shape[1], step)
@@ -179,7 +179,7 @@ class ResultWatch:
     def findings(self) -> tuple[Finding, ...]:
         """Return the answers of all checks to what has passed so far.
 
-        Too little to tell gives no finding.
+        Too few labels give no finding.
         """
         scanners = sorted(self._scanners.items())
         return tuple(worst_of({scanner: self._fitted(kept.sample()) for scanner, kept in scanners}))
@@ -191,7 +191,7 @@ class ResultWatch:
 
 
 def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
-    """Ask all checks of the result of one scanner."""
+    """Run all checks of the labels of one scanner."""
     there = sample.labels != Label.MISSING
     if np.count_nonzero(there) < LEAST_RETURNS:
         return
@@ -448,7 +448,7 @@ def _along(
 def _share(part: F64, whole: F64) -> F64:
     """Return shares pooled over as many stretches as make a long one.
 
-    NaN where there are too few returns.
+    NaN if there are too few returns.
     """
     kernel = np.ones(LONG_STRETCHES)
     parts = np.convolve(part, kernel, "valid")

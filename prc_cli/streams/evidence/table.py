@@ -17,14 +17,14 @@ from prc_cli.core.findings import Finding, Verdict
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A question that is asked of every input."""
+    """A question about every input."""
 
     name: str
     """Name, as for ``--accept-doubt``."""
     asks: str
     """The question."""
     limit: str
-    """Where doubt begins, and where the input is refused."""
+    """The limits of the warning and of the refusal."""
     reason: str
     """Why the limit is that number."""
     blind: str
@@ -40,13 +40,15 @@ def check_table() -> tuple[Check, ...]:
 
 def verdict_of(*, doubtful: bool, against: bool = False) -> Verdict:
     """Return the answer of a check that has one or two limits."""
-    return Verdict.AGAINST if against else Verdict.DOUBTFUL if doubtful else Verdict.FINE
+    if against:
+        return Verdict.AGAINST
+    return Verdict.DOUBTFUL if doubtful else Verdict.FINE
 
 
 def worst_of(by_scanner: Mapping[int, Iterable[Finding]]) -> list[Finding]:
     """Return one answer to every check.
 
-    Of several scanners the worst, with the name of the scanner.
+    Of several scanners it is the worst answer, with the scanner.
     """
     worst: dict[str, Finding] = {}
     for scanner, findings in by_scanner.items():

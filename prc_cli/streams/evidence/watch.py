@@ -1,4 +1,4 @@
-"""Watches a stream while it passes, and asks all checks of it.
+"""Watches a stream while it passes, and runs all checks of it.
 
 Nothing is read twice: a bounded sample of the lines is kept while blocks pass. Evidence against the
 input is raised as soon as the sample is full for the first time, and again at the end; outputs get
@@ -38,7 +38,7 @@ MAX_SCANNERS = 4
 
 @dataclass(slots=True)
 class _Scanner:
-    """What has been seen of one scanner."""
+    """The sample and the counts of one scanner."""
 
     sample: LineSample
     angle_rad: F64 | None = None
@@ -60,10 +60,10 @@ class EvidenceStream(Brief):
     most_noise_m: float = math.inf
     least_rings: int = 0
     dropped: str = ""
-    """What a run record says of shots that were left out."""
+    """The note of a run record on shots that were left out."""
     others: tuple[Finding, ...] = ()
     is_part: bool = False
-    """Whether only a window of the lines was asked for, which may be short."""
+    """Whether the stream is only a window of the lines, which may be short."""
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
     _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
@@ -88,7 +88,7 @@ class EvidenceStream(Brief):
             refuse(self.info.path, self._final)
 
     def _see(self, block: ScanBlock) -> bool:
-        """Take what is needed of a block.
+        """Add a block.
 
         Return whether the sample of its scanner became full just now.
         """
@@ -111,7 +111,7 @@ class EvidenceStream(Brief):
         return before == 0 < scanner.sample.n_full
 
     def seen(self) -> tuple[Seen, ...]:
-        """Return what has been seen so far, by scanner."""
+        """Return the samples and counts so far, by scanner."""
         info = self.info
         every = self._scanners.values()
         n_shots = sum(state.n_shots for state in every)
@@ -138,12 +138,12 @@ class EvidenceStream(Brief):
     def findings(self) -> tuple[Finding, ...]:
         """Return the answers of all checks once the stream was read to its end.
 
-        Before that, none.
+        Before that there are none.
         """
         return self._final
 
     def see(self, block: ScanBlock) -> int:
-        """Take what is needed of a block that is read elsewhere.
+        """Add a block that is read elsewhere.
 
         Return how often samples have been full.
         """
@@ -151,7 +151,7 @@ class EvidenceStream(Brief):
         return sum(scanner.sample.n_full for scanner in self._scanners.values())
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
-        """Return what asks all checks of what has been seen so far, now or in another thread."""
+        """Return a function that runs all checks so far, in this or another thread."""
         is_long = (
             sum(scanner.n_lines for scanner in self._scanners.values()) >= LEAST_LINES
         )  # short streams are not judged
@@ -176,17 +176,17 @@ class EvidenceStream(Brief):
 def _ask_of_all(
     seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]
 ) -> tuple[Finding, ...]:
-    """Ask all checks of every scanner.
+    """Run all checks of every scanner.
 
-    ``others`` are answers to what was asked of the whole stream.
+    ``others`` are answers about the whole stream.
     """
-    by_scanner = {
-        scan.scanner: [
-            _fitted(with_other_reading(finding, scan.info.path, scan.points_per_line), scan)
+    by_scanner: dict[int, list[Finding]] = {}
+    for scan in seen:
+        findings = (
+            with_other_reading(finding, scan.info.path, scan.points_per_line)
             for finding in ask_all(scan)
-        ]
-        for scan in seen
-    }
+        )
+        by_scanner[scan.scanner] = [_fitted(finding, scan) for finding in findings]
     every = (*worst_of(by_scanner), *others)
     return accept(sorted(every, key=lambda finding: CHECK_NAMES.index(finding.check)), accepted)
 
@@ -229,10 +229,10 @@ def watched(
 class LiveEvidence:
     """A live stream that is checked whenever it is twice as long, and at its end."""
 
-    def __init__(self, watch: EvidenceStream, tell: Callable[[Finding], None]) -> None:
+    def __init__(self, watch: EvidenceStream, report: Callable[[Finding], None]) -> None:
         self._watch = watch
-        self._tell = tell
-        self._told: set[str] = set()
+        self._report = report
+        self._reported: set[str] = set()
         self._worst: dict[str, Finding] = {}
 
     @property
@@ -242,31 +242,31 @@ class LiveEvidence:
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        n_asked = 0
-        asked: Future[tuple[Finding, ...]] | None = None
-        with ThreadPoolExecutor(1, thread_name_prefix="evidence") as beside:
+        n_checked = 0
+        pending: Future[tuple[Finding, ...]] | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="evidence") as executor:
             for block in self._watch.source.blocks():
-                if asked is not None and asked.done():
-                    self.hear(asked.result())
-                    asked = None
+                if pending is not None and pending.done():
+                    self.hear(pending.result())
+                    pending = None
                 n_full = self._watch.see(block)
-                if n_full > n_asked and asked is None:
-                    n_asked = n_full
-                    asked = beside.submit(self._watch.question(is_whole=False))
+                if n_full > n_checked and pending is None:
+                    n_checked = n_full
+                    pending = executor.submit(self._watch.question(is_whole=False))
                 yield block
-            if asked is not None:
-                self.hear(asked.result())
+            if pending is not None:
+                self.hear(pending.result())
         self.hear(self._watch.question(is_whole=True)())
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the worst answer of every check so far.
 
-        What was labelled in doubt stays doubtful.
+        A warning is never taken back.
         """
         return tuple(self._worst.values())
 
     def hear(self, findings: Iterable[Finding]) -> None:
-        """Take answers, also those of other checks: refuse, keep and tell them."""
+        """Add answers, also those of other checks: refuse, keep and report them."""
         answers = accept(findings, self._watch.accepted)
         refuse(self.info.path, answers)
         for finding in answers:
@@ -274,6 +274,6 @@ class LiveEvidence:
             if known is None or finding.verdict >= known.verdict:
                 self._worst[finding.check] = finding
         for doubt in doubts(answers):
-            if doubt.check not in self._told:
-                self._told.add(doubt.check)
-                self._tell(doubt)
+            if doubt.check not in self._reported:
+                self._reported.add(doubt.check)
+                self._report(doubt)
