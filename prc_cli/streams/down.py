@@ -355,7 +355,7 @@ def middle_of_lines(range_m: F32) -> F64:
 
 
 def _planes(along: F64, middle_m: F64, step_rad: float) -> tuple[F64, F64, Mask]:
-    """Return the fullest plane across every direction: angle filled [rad], distance [m], columns."""
+    """Return the fullest plane across every direction: angle [rad], distance [m], columns."""
     near = (along > math.cos(REACH_RAD)) & np.isfinite(middle_m)
     row, column = np.nonzero(near)
     depth = middle_m[column] * along[near]

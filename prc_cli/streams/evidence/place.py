@@ -1,8 +1,8 @@
 """Street or forest: what kind of place the first lines of a scan show.
 
 A road is smooth, and most objects beside it are, too. The floor of a forest is rough, and most
-objects on it are leaves. A shot is smooth if it is near the line between two shots a little before and
-after it in its line.
+objects on it are leaves. A shot is smooth if it is near the line between two shots a little before
+and after it in its scan line.
 """
 
 from __future__ import annotations
