@@ -113,11 +113,8 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
 
 def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     try:
-        return [
-            path
-            for path in sorted(folder.iterdir())
-            if suffix_of(path) in suffixes and path.is_file()
-        ]
+        files = sorted(path for path in folder.iterdir() if suffix_of(path) in suffixes)
+        return [path for path in files if path.is_file()]
     except OSError:
         return []
 
@@ -129,13 +126,10 @@ def _not_a_scan(path: Path) -> str:
         if bags:
             return f"this describes a bag: name the file beside it, {bags[0]}"
     if path.suffix.lower() == ".json":
-        captures = [
-            path.with_suffix(suffix)
-            for suffix in (".pcap", ".pcapng")
-            if path.with_suffix(suffix).is_file()
-        ]
-        if captures:
-            return f"this describes a scanner: name the capture beside it, {captures[0]}"
+        for suffix in (".pcap", ".pcapng"):
+            capture = path.with_suffix(suffix)
+            if capture.is_file():
+                return f"this describes a scanner: name the capture beside it, {capture}"
     return hint_of(path) or "rename the file or convert it"
 
 

@@ -42,13 +42,16 @@ def unit_of(time: F64) -> str:
     if len(known) < 2:
         return "s"
     size = float(np.median(np.abs(known)))
-    step = _mean_step(known)
+    n = min(_STEPS, len(known) - 1)
+    step = float(np.median(np.abs(known[n:] - known[:-n]))) / n
+    is_whole = bool((known == np.rint(known)).all())
     if size <= LATEST_S and step <= SLOWEST_SHOT_S:
         return "s"
     for unit in _UNITS:
         factor = FACTORS[unit]
-        if size * factor <= LATEST_S and (step * factor <= SLOWEST_SHOT_S):
-            return unit if size > LATEST_S or (step > LEAST_COUNT and _is_whole(known)) else "s"
+        if size * factor <= LATEST_S and step * factor <= SLOWEST_SHOT_S:
+            is_count = step > LEAST_COUNT and is_whole
+            return unit if size > LATEST_S or is_count else "s"
     return "s"
 
 
@@ -60,15 +63,6 @@ def unit_of_positions(time: F64) -> str:
     """
     size = float(np.median(np.abs(time))) if len(time) else 0.0
     return next((unit for unit in ("s", *_UNITS) if size * FACTORS[unit] <= LATEST_S), "s")
-
-
-def _mean_step(time: F64) -> float:
-    n = min(_STEPS, len(time) - 1)
-    return float(np.median(np.abs(time[n:] - time[:-n]))) / n
-
-
-def _is_whole(time: F64) -> bool:
-    return bool((time == np.rint(time)).all())
 
 
 @dataclass(slots=True)

@@ -112,11 +112,8 @@ class EchoPulseSource(FieldSource):
             )
         self._count = count
         folder = path.parent
-        self._arrays = {
-            member.name: member
-            for member in map(_Array.of, sorted(folder.iterdir()))
-            if member is not None
-        }
+        arrays = [_Array.of(file) for file in sorted(folder.iterdir())]
+        self._arrays = {array.name: array for array in arrays if array is not None}
         self._n_pulses = count.n
         self._time = _read_time(folder / "time.txt", self._n_pulses)
         n_echoes = n_empty = 0

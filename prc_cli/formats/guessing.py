@@ -366,13 +366,14 @@ def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
 
 
 def _even_name(known: F64, step: F64) -> str | None:
-    whole = bool(np.all(known == np.floor(known)))
+    is_whole = bool(np.all(known == np.floor(known)))
     if np.all(step >= 0):
-        rises = float(np.mean(step > 0))
         # times may be rounded more coarsely than shots
-        return "time" if not whole else "scan_line" if rises < 0.5 else None
+        if not is_whole:
+            return "time"
+        return "scan_line" if float(np.mean(step > 0)) < 0.5 else None
     usual = float(np.median(step))
     even = float(np.mean(np.abs(step - usual) <= 0.1 * abs(usual))) if usual else 0.0
     if even < _EVEN:
         return None
-    return "column" if whole and usual == 1 and known.min() == 0 else "angle"
+    return "column" if is_whole and usual == 1 and known.min() == 0 else "angle"

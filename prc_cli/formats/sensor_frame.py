@@ -78,7 +78,8 @@ def is_spinning(xyz_m: F32) -> bool:
     if np.count_nonzero(enough) < 2:
         return False
     with np.errstate(invalid="ignore"):
-        off = _wrap(np.arctan2(xyz_m[..., 1], xyz_m[..., 0]).astype(np.float64) - azimuth[:, None])
+        off = np.arctan2(xyz_m[..., 1], xyz_m[..., 0]).astype(np.float64) - azimuth[:, None]
+    off = (off + math.pi) % (2 * math.pi) - math.pi
     one_way = np.mean(np.abs(off[enough][is_finite[enough]]) < _SPIN_RAD)
     turned = np.ptp(np.unwrap(azimuth[enough]))
     return bool(one_way > 0.9 and turned > _TURNED_RAD)
@@ -124,7 +125,11 @@ def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
     """
     xyz_m, ring = _sample(xyz, rings, MOST_SHOTS)
     n_rings = len(np.unique(ring))
-    if len(ring) < FEWEST_SHOTS or n_rings < FEWEST_RINGS or _gap(xyz_m) > WIDEST_GAP:
+    if len(ring) < FEWEST_SHOTS or n_rings < FEWEST_RINGS:
+        return None
+    azimuth = np.sort(np.arctan2(xyz_m[:, 1], xyz_m[:, 0]))
+    widest_rad = float(np.diff(azimuth, append=azimuth[0] + 2 * math.pi).max())
+    if widest_rad / (2 * math.pi) > WIDEST_GAP:
         return None
     fit = _Fit(xyz_m, ring)
     before = fit.spread()
@@ -157,12 +162,6 @@ def spread_of_cones(xyz_m: F32, ring: I64, *, is_fitted: bool) -> float:
 def _sample(xyz_m: F32, ring: I64, most: int) -> tuple[F64, I64]:
     shots = np.linspace(0, len(ring) - 1, min(len(ring), most)).astype(np.int64)
     return xyz_m[shots].astype(np.float64), ring[shots]
-
-
-def _gap(xyz_m: F64) -> float:
-    """Return the widest sector without a shot, as a share of a turn."""
-    azimuth = np.sort(np.arctan2(xyz_m[:, 1], xyz_m[:, 0]))
-    return float(np.diff(azimuth, append=azimuth[0] + 2 * math.pi).max()) / (2 * math.pi)
 
 
 @dataclass(slots=True)
@@ -250,8 +249,3 @@ class _Fit:
         if with_apex:
             self.apex_m = self.apex_m + self.turn.T @ np.clip(step[2:], -1.0, 1.0)
         return float(np.abs(step).max())
-
-
-def _wrap(angle: F64) -> F64:
-    wrapped: F64 = (angle + math.pi) % (2 * math.pi) - math.pi
-    return wrapped

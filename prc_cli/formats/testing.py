@@ -47,12 +47,12 @@ def check_reads(
     standard = [name for name in names if name in STANDARD_NAMES]
     assert list(names[: len(standard)]) == standard, f"expected standard names first: {names}"
     assert source.facts is not None
-    whole = _records(form, sample, layout, names)
-    n = len(whole[names[0]])
+    values = _records(form, sample, layout, names)
+    n = len(values[names[0]])
     assert source.n_records in (None, n), f"{source.n_records} records were announced, {n} read"
     for name in names:
         alone = _records(form, sample, layout, (name,))[name]
-        assert alone.tobytes() == whole[name].tobytes(), f"{name} differs when it is read alone"
+        assert alone.tobytes() == values[name].tobytes(), f"{name} differs when it is read alone"
     return n
 
 

@@ -81,7 +81,7 @@ def lzf(data: bytes) -> bytes:
     out = bytearray()
     literal = bytearray()
     seen = {}
-    at = 0
+    position = 0
 
     def flush() -> None:
         for first in range(0, len(literal), 32):
@@ -89,18 +89,18 @@ def lzf(data: bytes) -> bytes:
             out.extend(bytes([len(part) - 1]) + part)
         literal.clear()
 
-    while at < len(data):
-        key = data[at : at + 3]
-        back = at - seen.get(key, -9000) - 1
+    while position < len(data):
+        key = data[position : position + 3]
+        back = position - seen.get(key, -9000) - 1
         length = 0
-        while len(key) == 3 and back < 8192 and length < 264 and at + length < len(data):
-            if data[at + length] != data[at - back - 1 + length]:
+        while len(key) == 3 and back < 8192 and length < 264 and position + length < len(data):
+            if data[position + length] != data[position - back - 1 + length]:
                 break
             length += 1
-        seen[key] = at
+        seen[key] = position
         if length < 3:
-            literal.append(data[at])
-            at += 1
+            literal.append(data[position])
+            position += 1
             continue
         flush()
         short = length - 2
@@ -108,7 +108,7 @@ def lzf(data: bytes) -> bytes:
         if short >= 7:
             out.append(short - 7)
         out.append(back & 255)
-        at += length
+        position += length
     flush()
     return bytes(out)
 

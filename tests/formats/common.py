@@ -79,12 +79,14 @@ def record_blocks(
     for first in range(0, len(cells), 2 * m):
         record = cells[first : first + 2 * m].reshape(2, m)
         values = np.where(record >= 0, labels[record], Label.MISSING).astype(np.uint8)
-        own: dict[str, Any] = {
+        cell_values: dict[str, Any] = {
             name: np.where(record >= 0, field[record], 0) for name, field in fields.items()
         }
-        if "range_m" in own:
-            own["range_m"] = np.where(record >= 0, own["range_m"], np.nan).astype(np.float32)
-        blocks.append(labelled(values, first_line=first // m, record=record, **own))
+        if "range_m" in cell_values:
+            cell_values["range_m"] = np.where(record >= 0, cell_values["range_m"], np.nan).astype(
+                np.float32
+            )
+        blocks.append(labelled(values, first_line=first // m, record=record, **cell_values))
     return blocks
 
 

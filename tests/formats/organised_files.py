@@ -233,7 +233,9 @@ def replace_xml(raw: bytes, old: bytes, new: bytes) -> bytes:
     """The file with another XML section at its end, checksums and header right."""
     start, length = xml_section(raw)
     pages = raw[: start // 1024 * 1024]
-    payload = b"".join(raw[at : at + 1020] for at in range(len(pages), len(raw), 1024))
+    payload = b"".join(
+        raw[first_byte : first_byte + 1020] for first_byte in range(len(pages), len(raw), 1024)
+    )
     before = payload[: start % 1024]
     xml = payload[start % 1024 : start % 1024 + length]
     assert old in xml, xml.decode()
@@ -242,7 +244,10 @@ def replace_xml(raw: bytes, old: bytes, new: bytes) -> bytes:
     payload += b"\0" * (-len(payload) % 1020)
     made = bytearray(
         pages
-        + b"".join(payload[at : at + 1020] + b"\0\0\0\0" for at in range(0, len(payload), 1020))
+        + b"".join(
+            payload[first_byte : first_byte + 1020] + b"\0\0\0\0"
+            for first_byte in range(0, len(payload), 1020)
+        )
     )
     struct.pack_into("<Q", made, 16, len(made))
     struct.pack_into("<QQ", made, 24, start, len(xml))

@@ -47,27 +47,27 @@ def test_a_clock_that_begins_anew_counts_on(period_s: float) -> None:
     wanted = period_s - 0.2 + np.arange(4000) * 1e-4
     swapped = wanted % period_s
     swapped[[1999, 2000]] = swapped[[2000, 1999]]
-    found, notes = read_times(Times(swapped))
+    times, notes = read_times(Times(swapped))
     wanted[[1999, 2000]] = wanted[[2000, 1999]]
-    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    np.testing.assert_allclose(times, wanted, atol=1e-6)
     assert "begins anew" in notes[0]
 
 
 def test_a_recording_that_is_appended_to_another_is_no_border() -> None:
     times = np.concatenate([5000.0 + np.arange(2000) * 1e-4, 1000.0 + np.arange(2000) * 1e-4])
-    found, notes = read_times(Times(times))
-    np.testing.assert_array_equal(found, times)
+    seconds, notes = read_times(Times(times))
+    np.testing.assert_array_equal(seconds, times)
     assert not notes
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: float) -> None:
     seconds = 1.7e9 + np.arange(4000) * 1.25e-5
-    found, notes = read_times(Times(np.rint(seconds * factor)))
-    np.testing.assert_allclose(found, seconds, atol=6e-4)
+    detected, notes = read_times(Times(np.rint(seconds * factor)))
+    np.testing.assert_allclose(detected, seconds, atol=6e-4)
     assert notes == (f"the times are in {unit} (input.time_unit)",)
-    told, _ = read_times(Times(seconds * factor), unit)
-    np.testing.assert_allclose(told, seconds, atol=1e-3)
+    converted, _ = read_times(Times(seconds * factor), unit)
+    np.testing.assert_allclose(converted, seconds, atol=1e-3)
 
 
 def test_seconds_and_numbers_of_records_stay() -> None:

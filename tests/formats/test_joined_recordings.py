@@ -26,9 +26,9 @@ def check_joined(whole: Path, parts: list[Path]) -> list[int]:
     assert are_recordings(parts)
     config = InputConfig()
     expected = join(list(open_recordings([whole], config).blocks()))
-    found = join(list(open_recordings(parts, config).blocks()))
-    np.testing.assert_array_equal(found.range_m, expected.range_m)
-    np.testing.assert_array_equal(found.records(), expected.records())
+    joined = join(list(open_recordings(parts, config).blocks()))
+    np.testing.assert_array_equal(joined.range_m, expected.range_m)
+    np.testing.assert_array_equal(joined.records(), expected.records())
     firsts = JoinedRecordings(tuple(parts), config).firsts()
     assert firsts[-1] == expected.tally.n_records
     return firsts
@@ -38,7 +38,7 @@ def test_bags_of_one_drive(tmp_path: Path) -> None:
     sent = cloud_messages(drive(800))
     whole = bags.write_bag(tmp_path / "a.bag", sent)
     parts = [bags.write_bag(tmp_path / f"a_{k}.bag", sent[2 * k : 2 * k + 2]) for k in range(2)]
-    n_first = sum(one.message.width for one in sent[:2])
+    n_first = sum(message.message.width for message in sent[:2])
     assert check_joined(whole, parts)[1] == n_first
 
 

@@ -101,8 +101,8 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     range_m = street()
     line, column = np.indices(range_m.shape)
     angle = np.broadcast_to(angles(), range_m.shape)
-    found = {"range": range_m, "scan_line": line, "column": column, "angle": angle}
-    rows = np.rec.fromarrays([value.ravel() for value in found.values()], names=list(found))
+    columns = {"range": range_m, "scan_line": line, "column": column, "angle": angle}
+    rows = np.rec.fromarrays([value.ravel() for value in columns.values()], names=list(columns))
     path = tmp_path / "archive" / "drive.toy"
     path.parent.mkdir()
     with path.open("wb") as handle:
@@ -133,8 +133,8 @@ def test_the_line_frequency_of_a_header_gives_the_times_of_a_window(toy: Path) -
 @pytest.mark.slow
 def test_a_format_from_outside_goes_through_the_commands(toy: Path, tmp_path: Path) -> None:
     assert check_reads(by_suffix("scans")[".toy"], toy) == street().size
-    found = json.loads(run("info", toy, "--json"))
-    assert found["format"] == "toy"
+    info = json.loads(run("info", toy, "--json"))
+    assert info["format"] == "toy"
     run("classify", toy, tmp_path / "labels.npy", "--preset", "urban")
     run("convert", toy, tmp_path / "same.npz")
     run("classify", tmp_path / "same.npz", tmp_path / "same.npy", "--preset", "urban")

@@ -30,7 +30,7 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
 
 
 @pytest.mark.parametrize(
-    ("given", "found"),
+    ("config", "message"),
     [
         (Layout(), "layout.fields: none given, expected at least one field"),
         (
@@ -62,10 +62,10 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
         ),
     ],
 )
-def test_layouts_that_contradict_themselves(given: Layout, found: str) -> None:
+def test_layouts_that_contradict_themselves(config: Layout, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        record_dtype(given)
-    assert found in str(caught.value)
+        record_dtype(config)
+    assert message in str(caught.value)
     assert caught.value.exit_code == 2
 
 
@@ -111,15 +111,17 @@ def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
     value: float,
 ) -> None:
     sample = (SAMPLES / f"{name}.toml").read_text(encoding="utf-8")
-    given = Layout.model_validate(tomllib.loads(sample)["layout"])
+    sample_layout = Layout.model_validate(tomllib.loads(sample)["layout"])
     example = [line[6:] for line in sample.splitlines() if line.startswith("#     ")]
     monkeypatch.chdir(tmp_path)
     exec("\n".join(example), {})
     (path,) = tmp_path.iterdir()
     assert f"prc classify {path.name} " in sample or name == "csv_oakland"
     is_text = path.suffix in (".csv", ".txt")
-    source: RecordSource = TextSource(path, given) if is_text else RawBinarySource(path, given)
-    assert set(source.dimensions) >= {item.name for item in given.fields}
+    source: RecordSource = (
+        TextSource(path, sample_layout) if is_text else RawBinarySource(path, sample_layout)
+    )
+    assert set(source.dimensions) >= {item.name for item in sample_layout.fields}
     ranges = np.concatenate([chunk.values["range"] for chunk in source.chunks(("range",))])
     assert len(ranges) == n
     assert np.isnan(ranges).mean() == pytest.approx(share_missing, abs=1e-4)
@@ -134,8 +136,8 @@ def test_every_sample_layout_is_tried_above() -> None:
 
 
 def test_every_reason_is_counted_once() -> None:
-    given = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, -5.0, 0.5, 1.0, 1.5, 100.0, 100.5])
-    ranges, tally = clean_ranges(given, min_range=1.0, max_range=100.0)
+    stored = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, -5.0, 0.5, 1.0, 1.5, 100.0, 100.5])
+    ranges, tally = clean_ranges(stored, min_range=1.0, max_range=100.0)
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(ranges)), [8, 9])
     assert tally == ReadTally(n_not_finite=2, n_not_positive=3, n_beyond=3)
 

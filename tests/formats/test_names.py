@@ -41,8 +41,8 @@ def test_the_vertical_direction_is_the_angle(names: str, angle: str, down: str |
     ],
 )
 def test_names_and_units_of_usual_programs(name: str, standard: str, unit: str) -> None:
-    found = usual_names(["x", name])[standard]
-    assert (found.name, found.unit) == (name, unit)
+    usual = usual_names(["x", name])[standard]
+    assert (usual.name, usual.unit) == (name, unit)
 
 
 @pytest.mark.parametrize("names", ["range elevation", "x y elevation", "azimuth elevation"])

@@ -36,15 +36,15 @@ def test_skipping_lines_equals_reading_them(
     )
     every = lines_of(data)
     for n in range(11):
-        one: Any = ptx._Survey.__new__(ptx._Survey)
-        one._handle = io.BytesIO(data)
-        one._line = 7
-        one._path = Path("a.ptx")
+        survey: Any = ptx._Survey.__new__(ptx._Survey)
+        survey._handle = io.BytesIO(data)
+        survey._line = 7
+        survey._path = Path("a.ptx")
         # an empty last line is none
         expected = min(n, len(every))
-        assert one._skip(n) == expected
-        assert one._line == 7 + expected
-        assert one._handle.read() == b"".join(every[n:])
+        assert survey._skip(n) == expected
+        assert survey._line == 7 + expected
+        assert survey._handle.read() == b"".join(every[n:])
 
 
 @pytest.mark.parametrize(
@@ -92,8 +92,8 @@ def chunks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     las.write(path)
     head = bytearray(path.read_bytes())
     start = struct.unpack_from("<I", head, 96)[0]
-    at = bytes(head).index(b"laszip encoded") + 16 + 2 + 2 + 32
-    head[at : at + len(data)] = data
+    position = bytes(head).index(b"laszip encoded") + 16 + 2 + 2 + 32
+    head[position : position + len(data)] = data
     body = io.BytesIO()
     body.write(bytes(head[:start]))
     compressor = lazrs.LasZipCompressor(body, vlr)
@@ -119,13 +119,13 @@ def test_batches_hold_every_record_once(
         assert records.table.first_byte[0] == header.data_offset + 8
         assert records.table.first_byte[-1] == records.table.start
         assert records.table.n_unread == 0
-        found = [(first, bytes(raw)) for first, raw in records.batches(n_max, 0xFFFFFFFF)]
-    assert [first for first, _ in found] == list(
-        np.cumsum([0, *(len(raw) // 28 for _, raw in found)])
+        batches = [(first, bytes(raw)) for first, raw in records.batches(n_max, 0xFFFFFFFF)]
+    assert [first for first, _ in batches] == list(
+        np.cumsum([0, *(len(raw) // 28 for _, raw in batches)])
     )[:-1]
-    assert max(len(raw) for _, raw in found) <= n_max * 28
+    assert max(len(raw) for _, raw in batches) <= n_max * 28
     times = (
-        np.frombuffer(b"".join(raw for _, raw in found), np.uint8)
+        np.frombuffer(b"".join(raw for _, raw in batches), np.uint8)
         .reshape(25, 28)[:, 20:]
         .copy()
         .view("<f8")
@@ -135,11 +135,11 @@ def test_batches_hold_every_record_once(
 
 def counted(path: Path) -> Contents:
     source = open_records(path)
-    found = Contents()
+    contents = Contents()
     assert source is not None
-    for _ in watched_contents(source, found):
+    for _ in watched_contents(source, contents):
         pass
-    return found
+    return contents
 
 
 def test_counts_agree_with_laspy(real_data: Path) -> None:
@@ -147,20 +147,23 @@ def test_counts_agree_with_laspy(real_data: Path) -> None:
     laspy = pytest.importorskip("laspy")
     path = real_data / "las" / "three_strips_edge_flags.laz"
     las = laspy.read(path)
-    found = counted(path)
+    contents = counted(path)
     for axis in "xyz":
-        assert found.bounds_m[axis] == pytest.approx((las[axis].min(), las[axis].max()))
-    assert found.time_s == pytest.approx((las.gps_time.min(), las.gps_time.max()))
-    for told, values in ((found.classes, las.classification), (found.sources, las.point_source_id)):
-        assert told == dict(
+        assert contents.bounds_m[axis] == pytest.approx((las[axis].min(), las[axis].max()))
+    assert contents.time_s == pytest.approx((las.gps_time.min(), las.gps_time.max()))
+    for counts, values in (
+        (contents.classes, las.classification),
+        (contents.sources, las.point_source_id),
+    ):
+        assert counts == dict(
             zip(
                 *map(np.ndarray.tolist, np.unique(np.asarray(values), return_counts=True)),
                 strict=True,
             )
         )
     both = (np.asarray(las.return_number) == 2) & (np.asarray(las.number_of_returns) == 3)
-    assert found.returns["2 of 3"] == np.count_nonzero(both)
-    assert found.is_registered
+    assert contents.returns["2 of 3"] == np.count_nonzero(both)
+    assert contents.is_registered
 
 
 @pytest.mark.parametrize(
@@ -175,7 +178,7 @@ def test_counts_agree_with_laspy(real_data: Path) -> None:
 def test_coordinates_beyond_a_scanner_are_registered(
     x: list[float], y: list[float], is_registered: bool
 ) -> None:
-    found = Contents()
-    assert found.is_registered is None
-    found.see({"x": np.array(x, float), "y": np.array(y, float)})
-    assert found.is_registered is is_registered
+    contents = Contents()
+    assert contents.is_registered is None
+    contents.see({"x": np.array(x, float), "y": np.array(y, float)})
+    assert contents.is_registered is is_registered

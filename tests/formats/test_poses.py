@@ -98,7 +98,7 @@ def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> N
         tmp_path / "poses.bag", [*odometry(rows, version=1), *odometry(rows, version=1, topic="/x")]
     )
     lever = ("--set", "input.trajectory_lever_arm=[0.5, -0.2, 1.5]")
-    found = []
+    labels = []
     for name, more in (
         (track, ()),
         (tum(tmp_path / "a.tum", rows), lever),
@@ -128,10 +128,10 @@ def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> N
         )
         assert result.exit_code in (0, 4), result.output + result.stderr
         with np.load(output) as arrays:
-            found.append(arrays["range_m"])
-    assert np.isfinite(found[0]).sum() > 100
-    for other in found[1:]:
-        np.testing.assert_allclose(other, found[0], atol=2e-5)
+            labels.append(arrays["range_m"])
+    assert np.isfinite(labels[0]).sum() > 100
+    for same_labels in labels[1:]:
+        np.testing.assert_allclose(same_labels, labels[0], atol=2e-5)
 
 
 def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:

@@ -40,20 +40,20 @@ AUTO = InputConfig()
 
 def scans_of(stream: ScanStream) -> list[ScanBlock]:
     """One block a scan; every scan's blocks follow one another and the last says so."""
-    found: dict[int, list[ScanBlock]] = {}
+    scans: dict[int, list[ScanBlock]] = {}
     for block in stream.blocks():
-        parts = found.setdefault(block.scanner, [])
+        parts = scans.setdefault(block.scanner, [])
         assert block.first_line == sum(part.n_lines for part in parts)
         assert not any(part.is_last for part in parts)
         parts.append(block)
-    assert all(parts[-1].is_last for parts in found.values())
-    return [join(found[scanner]) for scanner in sorted(found)]
+    assert all(parts[-1].is_last for parts in scans.values())
+    return [join(scans[scanner]) for scanner in sorted(scans)]
 
 
-def refused(path: Path, given: InputConfig = AUTO) -> str:
+def refused(path: Path, config: InputConfig = AUTO) -> str:
     """The error of opening and reading, always one line, without the folder."""
     with pytest.raises(PrcError) as caught:
-        scans_of(PtxStream(path, given))
+        scans_of(PtxStream(path, config))
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{path.parent}/", "")
@@ -91,7 +91,7 @@ def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
 def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
     points = grid_points(8, 6)
     plain = ptx_scan(points) + ptx_scan(points)
-    (one, _) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", plain), AUTO))
+    (scan, _) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", plain), AUTO))
     ways = {
         "CR LF": plain.replace("\n", "\r\n"),
         "blank lines at the end": plain + "\n \n\r\n\n",
@@ -108,8 +108,8 @@ def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
         blocks = scans_of(PtxStream(write_text(tmp_path / "b.ptx", text), AUTO))
         assert len(blocks) == 2, name
         for block in blocks:
-            assert equal(block.range_m, one.range_m), name
-            assert equal(block.intensity, one.intensity), name  # type: ignore[arg-type]
+            assert equal(block.range_m, scan.range_m), name
+            assert equal(block.intensity, scan.intensity), name  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("shots", [1, 7, 13, 50])
@@ -127,11 +127,11 @@ def test_chunks_change_nothing(
     whole = scans_of(PtxStream(path, AUTO))
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
     monkeypatch.setattr(ptx, "BLOCK_BYTES", text_bytes)
-    for block, one in zip(scans_of(PtxStream(path, AUTO)), whole, strict=True):
-        assert equal(block.range_m, one.range_m)
-        assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
-        assert equal(block.record, one.record)  # type: ignore[arg-type]
-        assert block.tally == one.tally
+    for block, whole_block in zip(scans_of(PtxStream(path, AUTO)), whole, strict=True):
+        assert equal(block.range_m, whole_block.range_m)
+        assert equal(block.xyz_m, whole_block.xyz_m)  # type: ignore[arg-type]
+        assert equal(block.record, whole_block.record)  # type: ignore[arg-type]
+        assert block.tally == whole_block.tally
 
 
 def test_a_last_column_cut_short_is_padded_if_told(tmp_path: Path) -> None:

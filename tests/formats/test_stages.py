@@ -82,14 +82,16 @@ def drive(
             trigger[rows] = 0
             interval[rows] = 0
             test[rows] = 0
-        own = None if record is None else record[rows]
-        blocks.append(labelled(labels[rows], first_line=first, record=own, stages=stages))
+        record_of_rows = None if record is None else record[rows]
+        blocks.append(
+            labelled(labels[rows], first_line=first, record=record_of_rows, stages=stages)
+        )
     return Drive(blocks, labels != Label.MISSING, surface, dense, height, trigger, interval, test)
 
 
-def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
+def same_bits(actual: np.ndarray, expected: np.ndarray) -> bool:
     return np.array_equal(
-        np.asarray(found, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4")
+        np.asarray(actual, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4")
     )
 
 
@@ -108,15 +110,15 @@ def test_rewritten_files_hold_them(
     output = tmp_path / f"out{after}"
     make_las(source, form, extra=extra)
     order = np.random.default_rng(8).permutation(N)
-    given = drive(order=order)
-    write(output, source, given.blocks, options=STAGES)
+    block = drive(order=order)
+    write(output, source, block.blocks, options=STAGES)
     old = laspy.read(source)
     new = laspy.read(output)
     assert list(new.point_format.extra_dimension_names) == [
         *old.point_format.extra_dimension_names,
         *NAMES,
     ]
-    for name, expected in zip(NAMES, given.columns(), strict=True):
+    for name, expected in zip(NAMES, block.columns(), strict=True):
         assert same_bits(new[name][order], expected.ravel())
     for name in old.point_format.dimension_names:
         if name != "classification":

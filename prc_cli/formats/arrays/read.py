@@ -390,9 +390,9 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
     if wanted is None:
         problem = f"found {shape[0]} ranges in a row, expected (lines, points per line)"
         raise InputError(header.where, problem, "set input.points_per_line")
-    n_lines, rest = divmod(shape[0], wanted)
-    if rest and config.partial_line == "error":
-        problem = f"{shape[0]} ranges are {n_lines} lines of {wanted} and {rest} more"
+    n_lines, n_left = divmod(shape[0], wanted)
+    if n_left and config.partial_line == "error":
+        problem = f"{shape[0]} ranges are {n_lines} lines of {wanted} and {n_left} more"
         hint = "check input.points_per_line, or set input.partial_line to pad"
         raise InputError(header.where, problem, hint)
-    return n_lines + bool(rest), wanted, shape[0]
+    return n_lines + bool(n_left), wanted, shape[0]

@@ -239,8 +239,8 @@ class LasBuilder(StagedWriter):
             raise OutputError(
                 str(self.path), problem, "check the ranges' unit, or set [input] max_range"
             )
-        whole: I64 = steps.astype(np.int64)
-        return whole
+        whole_steps: I64 = steps.astype(np.int64)
+        return whole_steps
 
     def _set_offset(self, xyz: F64) -> None:
         if self._has_offset:

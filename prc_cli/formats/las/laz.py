@@ -407,10 +407,10 @@ class LazRecords:
             return
         size = self.header.record_bytes
         bounds = self.table.first_record
-        whole = self.largest * size <= LARGE_CHUNK_BYTES
-        kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
+        in_memory = self.largest * size <= LARGE_CHUNK_BYTES
+        kind = lazrs.ParLasZipDecompressor if in_memory else lazrs.LasZipDecompressor
         if layers_of_several is not None and not (
-            whole and self.header.point_format >= LAYERED_FORMATS
+            in_memory and self.header.point_format >= LAYERED_FORMATS
         ):
             layers = layers_of_several
             layers_of_several = None
@@ -429,7 +429,7 @@ class LazRecords:
                 self._check_layers(source, chunk, end)
             stop = int(bounds[end])
             # decode whole chunks even if longer than a batch: only then is damage noticed
-            step = stop - first if whole else n_max
+            step = stop - first if in_memory else n_max
             for begin in range(first, stop, step):
                 n = min(step, stop - begin)
                 room = room if reuse and n <= len(room) else np.empty((n, size), np.uint8)

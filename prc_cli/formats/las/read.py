@@ -223,6 +223,25 @@ class LasSource:
     def describe(self) -> dict[str, Any]:
         """Return the header as plain values for JSON, for ``prc info``."""
         header = self.header
+        extra_bytes = [
+            {
+                "name": extra.name,
+                "type": extra.type_name,
+                "description": extra.description,
+                "scaled": extra.scale is not None,
+            }
+            for extra in self._layout.extra
+        ]
+        vlrs = [
+            {
+                "user_id": vlr.user_id,
+                "record_id": vlr.record_id,
+                "bytes": vlr.n_bytes,
+                "description": vlr.description,
+                "extended": vlr.extended,
+            }
+            for vlr in (*header.vlrs, *header.evlrs)
+        ]
         return {
             "version": "{}.{}".format(*header.version),
             "point_format": header.point_format,
@@ -235,25 +254,8 @@ class LasSource:
             "system_id": text_of(header.fields().values("system_id")[0]),
             "generating_software": text_of(header.fields().values("software")[0]),
             "crs": self.crs_wkt,
-            "extra_bytes": [
-                {
-                    "name": extra.name,
-                    "type": extra.type_name,
-                    "description": extra.description,
-                    "scaled": extra.scale is not None,
-                }
-                for extra in self._layout.extra
-            ],
-            "vlrs": [
-                {
-                    "user_id": v.user_id,
-                    "record_id": v.record_id,
-                    "bytes": v.n_bytes,
-                    "description": v.description,
-                    "extended": v.extended,
-                }
-                for v in (*header.vlrs, *header.evlrs)
-            ],
+            "extra_bytes": extra_bytes,
+            "vlrs": vlrs,
             "notes": list(self.notes),
         }
 

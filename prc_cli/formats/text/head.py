@@ -86,17 +86,17 @@ def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> He
             names = ("",) * (n_columns - len(stripped)) + tuple(stripped)
             names_line = number
             is_sure = is_usual
-    if not names and any(not _is_count(cells) and not has_mark(text) for _, text, cells in lines):
+    # a line may be the number of rows
+    if not names and any(
+        not has_mark(text) and not (len(cells) == 1 and cells[0].strip().isdecimal())
+        for _, text, cells in lines
+    ):
         return None
     return Head(names, names_line, lines[-1][0])
 
 
 def _has_letters(cell: str) -> bool:
     return any(letter.isalpha() for letter in cell)
-
-
-def _is_count(cells: list[str]) -> bool:
-    return len(cells) == 1 and cells[0].strip().isdecimal()
 
 
 def _unit(cell: str) -> str:

@@ -353,8 +353,9 @@ def _sbet_records(path: Path, size: int) -> F64:
     parts = []
     with path.open("rb") as handle:
         while raw := handle.read(_BATCH * SBET_BYTES):
-            whole = raw[: len(raw) // SBET_BYTES * SBET_BYTES]
-            parts.append(np.frombuffer(whole, "<f8").reshape(-1, 17)[:, :11].astype(np.float64))
+            complete = raw[: len(raw) // SBET_BYTES * SBET_BYTES]
+            records = np.frombuffer(complete, "<f8").reshape(-1, 17)
+            parts.append(records[:, :11].astype(np.float64))
     return np.concatenate(parts)
 
 

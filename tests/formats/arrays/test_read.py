@@ -53,22 +53,22 @@ def save_npz(folder: Path, *, compressed: bool = True, **arrays: Any) -> Path:
     return path
 
 
-def refused(path: Path, given: InputConfig = AUTO) -> str:
+def refused(path: Path, rules: InputConfig = AUTO) -> str:
     """The error of opening and reading, always one line, without the folder."""
     with pytest.raises(PrcError) as caught:
-        whole(WatchedStream(ArrayStream(path, given), given.order))
+        whole(WatchedStream(ArrayStream(path, rules), rules.order))
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{path.parent}/", "")
 
 
 @pytest.mark.parametrize("chunk", [1, 200, 1 << 19])
-@pytest.mark.parametrize("given", ["xyz", "angles", "M"])
+@pytest.mark.parametrize("clue", ["xyz", "angles", "M"])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_rows_that_are_rings_are_exchanged(
     tmp_path: Path,
     chunk: int,
-    given: str,
+    clue: str,
     order: Literal["C", "F"],
 ) -> None:
     """Rings x azimuth was taken for lines: PRC, or refused."""
@@ -76,27 +76,27 @@ def test_rows_that_are_rings_are_exchanged(
     azimuth = np.linspace(0, 2 * np.pi, 90)[None]
     ranges = (np.arange(16 * 90).reshape(16, 90) / 100 + 2).astype(np.float32)
     arrays: dict[str, Any] = {"range_m": ranges, "intensity": 2 * ranges}
-    if given == "xyz":
+    if clue == "xyz":
         across = np.cos(elevation) * np.stack([np.cos(azimuth), np.sin(azimuth)])
         arrays["xyz"] = ranges[..., None] * np.stack(
             [*across, np.broadcast_to(np.sin(elevation), ranges.shape)], -1
         )
-    elif given == "angles":
+    elif clue == "angles":
         arrays["zenith_deg"] = 90 - np.rad2deg(elevation[:, 0])
     np.savez(
         tmp_path / "a.npz",
         **{name: np.asarray(value, order=order) for name, value in arrays.items()},
     )
     stream = ArrayStream(
-        tmp_path / "a.npz", config(points_per_line=16 if given == "M" else None), chunk_shots=chunk
+        tmp_path / "a.npz", config(points_per_line=16 if clue == "M" else None), chunk_shots=chunk
     )
     assert (stream.info.n_lines, stream.info.points_per_line) == (90, 16)
     block = whole(stream)
     np.testing.assert_array_equal(block.range_m, ranges.T)
     np.testing.assert_array_equal(block.intensity, 2 * ranges.T)
     np.testing.assert_array_equal(ranges.ravel()[block.records()], ranges.T)
-    assert any(one.key == "input.lines" for one in stream.info.assumptions)
-    if given == "xyz":
+    assert any(assumption.key == "input.lines" for assumption in stream.info.assumptions)
+    if clue == "xyz":
         np.testing.assert_array_equal(
             block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32)
         )
@@ -149,7 +149,7 @@ def test_everything_an_archive_can_hold(
 
 
 @pytest.mark.parametrize(
-    ("array", "found"),
+    ("array", "message"),
     [
         (
             np.ones((2, 3), complex),
@@ -175,14 +175,14 @@ def test_everything_an_archive_can_hold(
         ),
     ],
 )
-def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) -> None:
-    assert found in refused(save(tmp_path, array))
+def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, message: str) -> None:
+    assert message in refused(save(tmp_path, array))
     name = "range_m"
-    assert found.removeprefix("scan.npy: ") in refused(save_npz(tmp_path, **{name: array}))
+    assert message.removeprefix("scan.npy: ") in refused(save_npz(tmp_path, **{name: array}))
 
 
 @pytest.mark.parametrize(
-    ("beside", "found"),
+    ("beside", "message"),
     [
         (
             {"angle_deg": np.zeros(4)},
@@ -209,9 +209,9 @@ def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) 
     ],
 )
 def test_arrays_that_do_not_fit_the_ranges(
-    tmp_path: Path, beside: dict[str, Any], found: str
+    tmp_path: Path, beside: dict[str, Any], message: str
 ) -> None:
-    assert refused(save_npz(tmp_path, range_m=image(), **beside)).startswith(f"scan.npz: {found}")
+    assert refused(save_npz(tmp_path, range_m=image(), **beside)).startswith(f"scan.npz: {message}")
 
 
 @pytest.mark.parametrize(
@@ -234,7 +234,7 @@ def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any])
 
 
 @pytest.mark.parametrize(
-    ("change", "found"),
+    ("change", "message"),
     [
         (lambda raw: b"", "scan.npy: no npy header (EOF: reading magic string"),
         (lambda raw: b"PK\3\4" + raw, "no npy header (the magic string is not correct"),
@@ -255,10 +255,10 @@ def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any])
         (lambda raw: raw[:6] + b"\3\0" + raw[8:], "found npy format 3.0, expected 1.0 or 2.0"),
     ],
 )
-def test_damaged_npy(tmp_path: Path, change: Any, found: str) -> None:
+def test_damaged_npy(tmp_path: Path, change: Any, message: str) -> None:
     path = save(tmp_path, image())
     path.write_bytes(change(path.read_bytes()))
-    assert found in refused(path)
+    assert message in refused(path)
 
 
 def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_damaged_archives(tmp_path: Path, compressed: bool) -> None:
 def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Path) -> None:
     content = io.BytesIO()
     np.save(content, image())
-    for change, found in (
+    for change, message in (
         (
             content.getvalue()[:-4],
             "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)",
@@ -311,7 +311,7 @@ def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Pa
     ):
         with zipfile.ZipFile(tmp_path / "scan.npz", "w") as archive:
             archive.writestr("range_m.npy", change)
-        assert found in refused(tmp_path / "scan.npz")
+        assert message in refused(tmp_path / "scan.npz")
 
 
 @pytest.mark.data

@@ -90,7 +90,7 @@ def test_parquet(tmp_path: Path, kind: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "found"),
+    ("values", "message"),
     [
         ([1, 2.5], "record 1: found the class code 2.5, expected a whole number"),
         ([1, 2, np.nan], "record 2: found the class code nan, expected a whole number"),
@@ -108,10 +108,10 @@ def test_parquet(tmp_path: Path, kind: Any) -> None:
         (np.ones(0), "found shape (0,), expected (records,)"),
     ],
 )
-def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, found: str) -> None:
+def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, message: str) -> None:
     path = tmp_path / "codes.npy"
     np.save(path, np.asarray(values))
-    assert refused(path).startswith(f"codes.npy: {found}")
+    assert refused(path).startswith(f"codes.npy: {message}")
 
 
 @pytest.mark.data
@@ -164,11 +164,11 @@ def test_one_entry_a_record_in_record_order(
     record = write(
         path, SOURCE, record_blocks(labels, order=order), n_records=990 if known else None
     )
-    found = read_back(path)
-    assert found.dtype == np.uint8
-    assert np.array_equal(found, ClassCodes().lookup()[labels])
+    rows = read_back(path)
+    assert rows.dtype == np.uint8
+    assert np.array_equal(rows, ClassCodes().lookup()[labels])
     assert {item.code: item.count for item in record.classes} == dict(
-        zip(*np.unique(found, return_counts=True), strict=True)
+        zip(*np.unique(rows, return_counts=True), strict=True)
     )
 
 

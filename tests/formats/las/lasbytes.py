@@ -58,11 +58,11 @@ def parse(path: Path) -> Parsed:
     form = data[104] & 0x3F
     compressed = bool(data[104] & 0x80)
     vlrs = []
-    at = size
+    position = size
     for _ in range(n_vlrs):
-        end = at + 54 + field(data, at + 20, "H")
-        vlrs.append(data[at:end])
-        at = end
+        end = position + 54 + field(data, position + 20, "H")
+        vlrs.append(data[position:end])
+        position = end
     n = n_points(data)
     if compressed:
         laszip = next(vlr[54:] for vlr in vlrs if vlr[2:].startswith(b"laszip encoded"))
@@ -76,7 +76,13 @@ def parse(path: Path) -> Parsed:
         tail_at = start + n * length
         records = np.frombuffer(data[start:tail_at], np.uint8).copy()
     return Parsed(
-        data[:size], vlrs, data[at:start], records.reshape(n, length), data[tail_at:], form, data
+        data[:size],
+        vlrs,
+        data[position:start],
+        records.reshape(n, length),
+        data[tail_at:],
+        form,
+        data,
     )
 
 

@@ -21,12 +21,12 @@ from tests.formats.las.test_rewrite import random_labels, record_blocks, write
 def nodes(path: Path) -> dict[tuple[int, int, int, int], int]:
     """Points of every node, by laspy's own reader, pages included."""
     with laspy.CopcReader.open(str(path)) as reader:
-        found: dict[tuple[int, int, int, int], int] = {}
+        nodes_by_key: dict[tuple[int, int, int, int], int] = {}
         reader.query(laspy.copc.Bounds(mins=np.zeros(3), maxs=np.full(3, 16.0)))
         for key, entry in reader.root_page.entries.items():
             if entry.point_count >= 0:
-                found[key.level, key.x, key.y, key.z] = entry.point_count
-    return found
+                nodes_by_key[key.level, key.x, key.y, key.z] = entry.point_count
+    return nodes_by_key
 
 
 @pytest.mark.parametrize("point_format", [6, 7, 8])
@@ -51,18 +51,18 @@ def test_the_index_stays_valid(tmp_path: Path, point_format: int, two_pages: boo
     for level in (None, 0, 1):
         for low in (0.0, 8.0):
             box = laspy.copc.Bounds(mins=np.full(3, low), maxs=np.full(3, low + 8.0))
-            found = []
+            clouds = []
             for path in (source, output):
                 with laspy.CopcReader.open(str(path)) as reader:
-                    found.append(reader.query(box, level=level))
-            assert len(found[0]) == len(found[1]) > 0
-            order = [np.lexsort((one.gps_time, one.x)) for one in found]
+                    clouds.append(reader.query(box, level=level))
+            assert len(clouds[0]) == len(clouds[1]) > 0
+            order = [np.lexsort((cloud.gps_time, cloud.x)) for cloud in clouds]
             for name in ("X", "Y", "Z", "gps_time", "intensity", "return_number"):
-                np.testing.assert_array_equal(found[0][name][order[0]], found[1][name][order[1]])
+                np.testing.assert_array_equal(clouds[0][name][order[0]], clouds[1][name][order[1]])
             # the class of every point found is that of the record
             by_time = dict(zip(new.gps_time.tolist(), classes.tolist(), strict=True))
-            got = [by_time[time] for time in np.array(found[1].gps_time).tolist()]
-            np.testing.assert_array_equal(np.array(found[1].classification), got)
+            got = [by_time[time] for time in np.array(clouds[1].gps_time).tolist()]
+            np.testing.assert_array_equal(np.array(clouds[1].classification), got)
 
 
 def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
@@ -71,15 +71,15 @@ def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
     n = len(make_copc(source))
     data = bytearray(source.read_bytes())
     las = read_header(source)
-    at = next(evlr.start for evlr in las.evlrs if evlr.record_id == 1000) + 60
+    position = next(evlr.start for evlr in las.evlrs if evlr.record_id == 1000) + 60
     good = bytes(data)
     for place, value in (
-        (at + 16, struct.pack("<Q", 7)),
-        (at + 24, struct.pack("<i", 5)),
-        (at + 28, struct.pack("<i", 1)),
+        (position + 16, struct.pack("<Q", 7)),
+        (position + 24, struct.pack("<i", 5)),
+        (position + 28, struct.pack("<i", 1)),
         (375 + 54 + 40, struct.pack("<Q", 3)),
         (375 + 54 + 48, struct.pack("<Q", 33)),
-        (at + 8 * 32 + 16, struct.pack("<Q", at)),
+        (position + 8 * 32 + 16, struct.pack("<Q", position)),
     ):
         data[:] = good
         data[place : place + len(value)] = value
@@ -132,8 +132,8 @@ def make_copc(
     header.write_to(out)
     start = out.tell()
     compressor = lazrs.LasZipCompressor(out, vlr)
-    at = np.concatenate([[0], np.cumsum(sizes)])
-    for first, stop in pairwise(at.tolist()):
+    bounds = np.concatenate([[0], np.cumsum(sizes)])
+    for first, stop in pairwise(bounds.tolist()):
         if first:
             compressor.finish_current_chunk()
         compressor.compress_many(np.frombuffer(points[first:stop].tobytes(), np.uint8))

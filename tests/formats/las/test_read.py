@@ -88,8 +88,8 @@ def test_every_dimension_of_every_point_format(
         VERSION[point_format],
     )
     assert source.format == suffix.upper()
-    own = {"X", "Y", "Z", "gps_time", "scan_angle", "scan_angle_rank"}
-    names = set(las.header.point_format.dimension_names) - own | {"x", "y", "z", "angle"}
+    renamed = {"X", "Y", "Z", "gps_time", "scan_angle", "scan_angle_rank"}
+    names = set(las.header.point_format.dimension_names) - renamed | {"x", "y", "z", "angle"}
     assert set(source.dimensions) == names | ({"time"} if point_format not in (0, 2) else set())
     for name in source.dimensions:
         values = read(source, name)
@@ -126,21 +126,21 @@ def test_spared_intensity_is_there_wherever_it_may_decide(
     source.skip_intensity()
     names = ("time", "number_of_returns", "intensity")
     chunks = list(source.chunks(names))
-    found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
-    np.testing.assert_array_equal(found["time"], las.gps_time)
-    np.testing.assert_array_equal(found["number_of_returns"], number)
+    values = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+    np.testing.assert_array_equal(values["time"], las.gps_time)
+    np.testing.assert_array_equal(values["number_of_returns"], number)
     np.testing.assert_array_equal(
-        found["intensity"][number > 1], np.asarray(las.intensity)[number > 1]
+        values["intensity"][number > 1], np.asarray(las.intensity)[number > 1]
     )
     if first_pair is None:
-        assert np.any(found["intensity"] != np.asarray(las.intensity))  # it was not decoded
+        assert np.any(values["intensity"] != np.asarray(las.intensity))  # it was not decoded
     assert source.laz_contexts is not None
     assert plain.laz_contexts is not None
     np.testing.assert_array_equal(read(plain, "intensity"), las.intensity)
     kept = (
-        np.concatenate(list(one.laz_contexts.take(n)))
-        for one in (source, plain)
-        if one.laz_contexts is not None
+        np.concatenate(list(reader.laz_contexts.take(n)))
+        for reader in (source, plain)
+        if reader.laz_contexts is not None
     )
     np.testing.assert_array_equal(next(kept), next(kept))
 
@@ -438,8 +438,8 @@ def test_any_damage_ends_in_one_line_or_in_records(
     raw = bytearray(path.read_bytes())
     # most of the header and all of what describes the records lies in the first kilobyte
     for place, junk in edits:
-        at = int(place * min(len(raw) - 8, 1000))
-        raw[at : at + len(junk)] = junk
+        position = int(place * min(len(raw) - 8, 1000))
+        raw[position : position + len(junk)] = junk
     path.write_bytes(raw[: int(len(raw) * (1 if cut > 0.6 else cut))])
     try:
         source = LasSource(path)

@@ -169,9 +169,9 @@ def test_foreign_bytes_behind_the_points_are_kept(tmp_path: Path, before: str, a
     make_las(source, 6, gap=b"foreign bytes, no record of any kind", evlrs=EVLRS)
     rewrite(source, output)
     data = output.read_bytes()
-    at = field(data, 235, "Q")
-    assert data[at:] == b"".join(EVLRS)
-    assert data[:at].endswith(b"foreign bytes, no record of any kind")
+    position = field(data, 235, "Q")
+    assert data[position:] == b"".join(EVLRS)
+    assert data[:position].endswith(b"foreign bytes, no record of any kind")
 
 
 @pytest.mark.parametrize("after", [".las", ".laz"])
@@ -221,13 +221,13 @@ def test_a_real_file_with_its_own_classes_comes_back_whole(real_data: Path, tmp_
     """Writing the codes that are there already gives the same compressed points, byte for byte."""
     source = real_data / "las" / "ign_tile_not_chronological.laz"
     old = parse(source)
-    own = np.asarray(laspy.read(source).classification).astype(int)
+    class_codes = np.asarray(laspy.read(source).classification).astype(int)
     names = ["unclassified", "ground", "vegetation", "building", "noise", "stem", "car", "curb"]
-    values = np.unique(own)
+    values = np.unique(class_codes)
     codes = ClassCodes(**dict(zip(names, values.tolist(), strict=False)))
     table = {code: label for label, code in enumerate(codes.lookup().tolist()) if label}
     labels = np.array([table[code] for code in range(256) if code in table], np.uint8)[
-        np.searchsorted(sorted(table), own)
+        np.searchsorted(sorted(table), class_codes)
     ]
     write(tmp_path / "out.laz", source, record_blocks(labels, 500), codes=codes)
     new = parse(tmp_path / "out.laz")
@@ -261,11 +261,11 @@ NAMES = {64: "stem", 65: "car"}
 
 def entries(path: Path) -> dict[int, str]:
     """The names as laspy reads them."""
-    found = [
+    lookups = [
         vlr for vlr in laspy.read(path).header.vlrs if isinstance(vlr, ClassificationLookupVlr)
     ]
-    assert len(found) <= 1
-    return dict(found[0].lookups) if found else {}
+    assert len(lookups) <= 1
+    return dict(lookups[0].lookups) if lookups else {}
 
 
 def stems(n: int = N) -> list[LabelledBlock]:
@@ -311,7 +311,7 @@ def test_names_of_the_input_are_kept_and_joined(tmp_path: Path) -> None:
     )
     assert after[54:] == before + struct.pack("<B15s", 64, b"stem")
     assert after[22:54].startswith(b"of the makers")
-    assert not [one for one in record.notices if "named" in one]
+    assert not [notice for notice in record.notices if "named" in notice]
     assert names_of_file(tmp_path / "out.laz")[64] == "stem"
     # what names them all already stays as it is
     write(tmp_path / "again.laz", tmp_path / "out.laz", stems(), user_names=NAMES)
@@ -340,11 +340,11 @@ def stream(seed: int = 0, **fields: Any) -> tuple[list[LabelledBlock], np.ndarra
     blocks = []
     for first in range(0, LINES, 5):
         rows = slice(first, first + 5)
-        own = {
+        values = {
             name: value if name in ("angle_rad", "scanner") else value[rows]
             for name, value in fields.items()
         }
-        blocks.append(labelled(labels[rows], first_line=first, range_m=ranges[rows], **own))
+        blocks.append(labelled(labels[rows], first_line=first, range_m=ranges[rows], **values))
     return blocks, ranges, labels
 
 
@@ -355,14 +355,14 @@ def test_a_record_for_every_return_in_order(tmp_path: Path, suffix: str) -> None
     record = write(tmp_path / f"a{suffix}", SOURCE, blocks)
     las = laspy.read(tmp_path / f"a{suffix}")
     line, column = np.nonzero(~np.isnan(ranges))
-    own = ranges[line, column]
+    chosen = ranges[line, column]
     assert (las.header.version.minor, las.point_format.id) == (4, 6)
-    assert las["range"].tobytes() == own.tobytes()
+    assert las["range"].tobytes() == chosen.tobytes()
     assert np.array_equal(las["scan_line"], line)
     assert np.array_equal(las["column"], column)
     assert np.array_equal(las.classification, ClassCodes().lookup()[labels[line, column]])
-    assert np.allclose(las.x, own * np.cos(angle[column]), atol=0.0005001)
-    assert np.allclose(las.y, own * np.sin(angle[column]), atol=0.0005001)
+    assert np.allclose(las.x, chosen * np.cos(angle[column]), atol=0.0005001)
+    assert np.allclose(las.y, chosen * np.sin(angle[column]), atol=0.0005001)
     assert np.allclose(
         las.z, line * SPACING_M, atol=0.0005001
     )  # lines that nobody knows upright lie one above the other
@@ -381,12 +381,12 @@ def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     blocks, ranges, _ = stream(xyz_m=xyz, time_s=time, intensity=intensity, scanner=3)
     record = write(tmp_path / "a.laz", SOURCE, blocks)
     las = laspy.read(tmp_path / "a.laz")
-    at = np.nonzero(~np.isnan(ranges))
-    assert np.allclose(las.xyz, xyz[at], atol=0.00051)
-    assert np.array_equal(las.gps_time, np.nan_to_num(time[at]))
-    assert np.array_equal(las.intensity, np.clip(np.rint(intensity[at]), 0, 65535))
+    has_return = np.nonzero(~np.isnan(ranges))
+    assert np.allclose(las.xyz, xyz[has_return], atol=0.00051)
+    assert np.array_equal(las.gps_time, np.nan_to_num(time[has_return]))
+    assert np.array_equal(las.intensity, np.clip(np.rint(intensity[has_return]), 0, 65535))
     assert np.all(las.point_source_id == 3)
-    n_first = np.count_nonzero(at[0] == 0)
+    n_first = np.count_nonzero(has_return[0] == 0)
     assert f"{n_first} records have no time; their gps_time is 0" in record.notices
     assert any(
         "intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices

@@ -236,8 +236,8 @@ def test_three_ways_to_the_same_bytes(
     if damaged:
         data = bytearray(source.read_bytes())
         first = field(bytes(data), 96, "I") + 8
-        at = int(rng.integers(first, struct.unpack_from("<q", data, first - 8)[0]))
-        data[at] ^= int(rng.integers(1, 256))
+        position = int(rng.integers(first, struct.unpack_from("<q", data, first - 8)[0]))
+        data[position] ^= int(rng.integers(1, 256))
         source.write_bytes(data)
     monkeypatch.setattr(las_splice, "batch_records", lambda *_, **__: 120)
     kept = classify_again(source, tmp_path / "kept.laz", labels, kept=True)
@@ -253,5 +253,5 @@ def test_three_ways_to_the_same_bytes(
         assert spliced == kept == full
     elif spliced is not None and full is not None:
         # damage that a decoder does not notice is in both; how it is coded may differ
-        found = [parse(tmp_path / name).records for name in ("spliced.laz", "full.laz")]
-        np.testing.assert_array_equal(found[0], found[1])
+        records = [parse(tmp_path / name).records for name in ("spliced.laz", "full.laz")]
+        np.testing.assert_array_equal(records[0], records[1])

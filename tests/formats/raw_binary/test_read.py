@@ -85,7 +85,7 @@ def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "found"),
+    ("content", "message"),
     [
         (b"", "the file is empty (0 bytes), expected records of 24 bytes"),
         (b"HEA", "found 3 bytes, fewer than the header of 5 bytes; check layout.header_bytes"),
@@ -97,12 +97,12 @@ def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_short_files_are_refused_when_opened(tmp_path: Path, content: bytes, found: str) -> None:
+def test_short_files_are_refused_when_opened(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "short.raw"
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
         RawBinarySource(path, WIDE)
-    assert str(caught.value).startswith(f"{path}: {found}")
+    assert str(caught.value).startswith(f"{path}: {message}")
     assert "\n" not in str(caught.value)
 
 

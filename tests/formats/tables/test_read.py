@@ -34,14 +34,14 @@ def test_parquet(tmp_path: Path) -> None:
     source = open_table(tmp_path / "a.parquet")
     assert source is not None
     assert set(source.dimensions) == {"scan_line", "range", "range_m"}
-    found = columns(tmp_path / "a.parquet", "range", "scan_line")
-    np.testing.assert_array_equal(found["range"], [7, 8])
-    np.testing.assert_array_equal(found["scan_line"], [1, 2])
+    values = columns(tmp_path / "a.parquet", "range", "scan_line")
+    np.testing.assert_array_equal(values["range"], [7, 8])
+    np.testing.assert_array_equal(values["scan_line"], [1, 2])
     table = pa.table({"azimuth [gon]": [100.0, 200.0], "Range_mm": [1500, None]})
     parquet.write_table(table, tmp_path / "b.parquet")
-    found = columns(tmp_path / "b.parquet", "range", "angle")
-    np.testing.assert_allclose(found["range"], [1.5, np.nan])
-    np.testing.assert_allclose(found["angle"], [np.pi / 2, np.pi])
+    values = columns(tmp_path / "b.parquet", "range", "angle")
+    np.testing.assert_allclose(values["range"], [1.5, np.nan])
+    np.testing.assert_allclose(values["angle"], [np.pi / 2, np.pi])
 
 
 def test_what_cannot_be_read(tmp_path: Path) -> None:

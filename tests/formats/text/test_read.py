@@ -48,9 +48,9 @@ def values(
     name: str = "range",
     layout: Layout | None = None,
 ) -> list[float]:
-    found = read(TextSource(write(folder, content), layout), name)[name]
-    assert found.dtype == np.float64
-    return [float(value) for value in found]
+    column = read(TextSource(write(folder, content), layout), name)[name]
+    assert column.dtype == np.float64
+    return [float(value) for value in column]
 
 
 def problem(
@@ -139,8 +139,8 @@ def test_values_do_not_depend_on_blocks(
     lines = [f"{a}{delimiter}{b}\n{gap}" for (a, b), gap in zip(rows, between, strict=False)]
     path = write(tmp_path_factory.mktemp("text"), f"u{delimiter}v\n" + "".join(lines))
     expected = [[float(cell.strip(' "') or "nan") for cell in row] for row in rows]
-    found = read(TextSource(path, block_bytes=block), "u", "v")
-    np.testing.assert_array_equal(np.stack([found["u"], found["v"]], axis=1), expected)
+    columns = read(TextSource(path, block_bytes=block), "u", "v")
+    np.testing.assert_array_equal(np.stack([columns["u"], columns["v"]], axis=1), expected)
 
 
 # --- layouts
@@ -150,7 +150,7 @@ def test_values_do_not_depend_on_blocks(
 
 
 @pytest.mark.parametrize(
-    ("content", "found"),
+    ("content", "message"),
     [
         (
             "range,x\n1,2\n\n# c\nabc,3\n",
@@ -188,18 +188,18 @@ def test_values_do_not_depend_on_blocks(
 def test_errors_name_the_line_and_the_text(
     tmp_path: Path,
     content: str | bytes,
-    found: str,
+    message: str,
     block: int,
 ) -> None:
     path = write(tmp_path, content)
     with pytest.raises(InputError) as caught:
         read(TextSource(path, block_bytes=block), "range")
-    assert str(caught.value).startswith(f"{path}: {found}")
+    assert str(caught.value).startswith(f"{path}: {message}")
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "found"),
+    ("content", "message"),
     [
         (b"", "the file is empty, expected a record a row"),
         (b"\xef\xbb\xbf", "the file is empty"),
@@ -216,8 +216,8 @@ def test_errors_name_the_line_and_the_text(
         (b",".join([b"1"] * 10_001) + b"\n", "line 1: 10001 cells, expected at most 10000"),
     ],
 )
-def test_files_that_hold_no_rows_or_no_text(tmp_path: Path, content: bytes, found: str) -> None:
-    assert found.removesuffix(", expected") in problem(tmp_path, content)
+def test_files_that_hold_no_rows_or_no_text(tmp_path: Path, content: bytes, message: str) -> None:
+    assert message.removesuffix(", expected") in problem(tmp_path, content)
 
 
 def test_a_line_without_end_is_refused_before_it_is_held(
@@ -250,9 +250,9 @@ def test_rows_are_found_among_any_lines_that_are_none(
     path = write(tmp_path_factory.mktemp("text"), "\n".join(every) + "\n" * ends)
     text = find_format(path, None)
     assert (text.header_line, text.names) == (len(lines) + 1, ("range", "time"))
-    found = read(TextSource(path, None, block_bytes), "range", "time")
-    np.testing.assert_array_equal(found["range"], [1.0, 3.0])
-    np.testing.assert_array_equal(found["time"], [2.0, 4.0])
+    columns = read(TextSource(path, None, block_bytes), "range", "time")
+    np.testing.assert_array_equal(columns["range"], [1.0, 3.0])
+    np.testing.assert_array_equal(columns["time"], [2.0, 4.0])
 
 
 def cloud_values(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:

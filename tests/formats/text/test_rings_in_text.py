@@ -39,8 +39,8 @@ def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None
     with pytest.raises(InputError, match="the file holds 3.0 turns") as caught:
         open_input(path, InputConfig())
     assert "--lines time:3600 --columns dimension:ring --range sensor-xyz" in caught.value.hint
-    told = InputConfig(lines="time:3600", columns="dimension:ring", range="sensor-xyz")
-    blocks = list(open_input(path, told).blocks())
+    config = InputConfig(lines="time:3600", columns="dimension:ring", range="sensor-xyz")
+    blocks = list(open_input(path, config).blocks())
     assert sum(block.n_lines for block in blocks) == 3 * 360
 
 

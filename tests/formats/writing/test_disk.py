@@ -74,23 +74,23 @@ def test_records_are_read_in_any_order(
     with module.DiskColumn(tmp_path / "rows", kind, (np.nan, -5)) as column:
         column.append(rows[:400])
         column.append(rows[400:])
-        found = column.get(wanted)
-    assert np.array_equal(found["code"], expected)
-    assert np.array_equal(found["x"], np.where(expected < 0, np.nan, expected / 7), equal_nan=True)
+        values = column.get(wanted)
+    assert np.array_equal(values["code"], expected)
+    assert np.array_equal(values["x"], np.where(expected < 0, np.nan, expected / 7), equal_nan=True)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_json_is_sorted_and_the_same_every_time() -> None:
     text = run_record().to_json()
     assert text == run_record().to_json()
-    found = json.loads(text)
-    assert list(found) == sorted(found)
-    assert found["program"] == "prc-cli"
-    assert found["version"] == __version__
-    assert found["input"] == {"name": "drive.bin", "sha256": "00ff", "size": 17}
-    assert found["stream"]["points_per_line"] == 20
-    assert found["tally"]["n_not_finite"] == 3
-    assert found["assumptions"] == [{"key": "input.lines", "value": "fixed", "why": "told so"}]
+    record = json.loads(text)
+    assert list(record) == sorted(record)
+    assert record["program"] == "prc-cli"
+    assert record["version"] == __version__
+    assert record["input"] == {"name": "drive.bin", "sha256": "00ff", "size": 17}
+    assert record["stream"]["points_per_line"] == 20
+    assert record["tally"]["n_not_finite"] == 3
+    assert record["assumptions"] == [{"key": "input.lines", "value": "fixed", "why": "told so"}]
     assert text.endswith(b"}\n")
 
 
@@ -108,5 +108,5 @@ def test_json_is_sorted_and_the_same_every_time() -> None:
     ],
 )
 def test_folders_are_left_out(value: object, kept: str) -> None:
-    found = json.loads(run_record(config={"input": {"range": [value]}}).to_json())
-    assert found["config"]["input"]["range"] == [kept]
+    record = json.loads(run_record(config={"input": {"range": [value]}}).to_json())
+    assert record["config"]["input"]["range"] == [kept]

@@ -68,17 +68,17 @@ def _e57(path: Path) -> int:
 
 def _cloud(path: Path) -> int:
     word = rb"element vertex (\d+)" if path.suffix == ".ply" else rb"POINTS (\d+)"
-    found = re.search(word, path.read_bytes()[:2000])
-    assert found is not None
-    return int(found[1])
+    match = re.search(word, path.read_bytes()[:2000])
+    assert match is not None
+    return int(match[1])
 
 
 def _bag(path: Path) -> int:
     with AnyReader([path.parent if path.suffix == ".db3" else path]) as reader:
         scans = [
-            reader.deserialize(data, one.msgtype)
-            for one, _, data in reader.messages()
-            if one.topic == "/scan"
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+            if connection.topic == "/scan"
         ]
     return sum(len(scan.ranges) for scan in scans)
 
@@ -107,8 +107,8 @@ def test_every_stream(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"o{suffix}"
     made = simulate("street", path, load_settings("street", options=SETTINGS))
     n_returns = made.counts.n_shots - made.counts.n_missing
-    found = READERS[suffix](path)
-    assert found in {LINES * M, n_returns, n_returns + made.counts.n_extra}
+    contents = READERS[suffix](path)
+    assert contents in {LINES * M, n_returns, n_returns + made.counts.n_extra}
 
 
 @pytest.mark.parametrize(
