@@ -81,19 +81,23 @@ class RunConfig(MethodTables, _Input):
 
     @property
     def classifier(self) -> MethodParams:
-        """Parameters of the classifier that ``method`` names.
+        """Parameters of the method.
 
-        Undecided, of PRC, which needs the least of an input.
+        Raises
+        ------
+        ConfigError
+            No method is named (``method = "auto"``); see :attr:`is_decided`.
         """
-        params: MethodParams = (
-            self.prc if self.method == "auto" else getattr(self, table_of(self.method))
-        )
+        if self.method == "auto":
+            problem = "found auto, expected a method: the input has not chosen one yet"
+            raise ConfigError("method", problem, f"give one of: {', '.join(METHODS)}")
+        params: MethodParams = getattr(self, table_of(self.method))
         return params
 
     @property
     def needs_beams(self) -> bool:
-        """Whether the classifier needs beam angles from straight down."""
-        return self.classifier.method().needs.beams
+        """Whether a method is named that needs beam angles from straight down."""
+        return self.is_decided and self.classifier.method().needs.beams
 
     def to_table(self) -> dict[str, Any]:
         """Return the effective configuration as a nested table, names as in TOML, unset values left out."""

@@ -179,14 +179,17 @@ def _open(
     parts: Sequence[Path] = (),
 ) -> ScanStream:
     """Open an input: ``geometry`` adds the angles that the method does not need."""
+    # without a method the input is read as for PRC, which needs the least
+    params = config.classifier if config.is_decided else config.prc
+    needs = params.method().needs
     stream = open_input(
         path,
         config.input,
         config.layout,
-        lines_at_once=config.classifier.method().needs.lines_per_block or 1,
+        lines_at_once=needs.lines_per_block or 1,
         geometry=geometry or config.needs_beams,
         only_ranges=only_ranges,
-        with_intensity=config.classifier.method().needs.intensity,
+        with_intensity=needs.intensity,
         parts=parts,
     )
     if not config.needs_beams:
@@ -269,8 +272,11 @@ def load_classifier(
     The first call compiles them.
     """
     chosen = LoadedConfig.of(config).config
-    methods = [chosen.classifier]
-    if not chosen.is_decided and choice_by_request(chosen, engine=engine) is None:
+    if chosen.is_decided:
+        methods = [chosen.classifier]
+    elif choice_by_request(chosen, engine=engine) is not None:
+        methods = [chosen.prc]
+    else:
         forest = chosen.fused.model_copy(update={"environment": "forest"})
         methods = [*(getattr(chosen, name) for name in CHOSEN_FROM), forest]
     with use_engine(engine):

@@ -342,12 +342,13 @@ class _ObjectRun:
     def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
         """Watch the blocks of a stream, and label them unless the input has classes."""
         config = self._loaded.config
-        method = config.classifier.method()
+        # classes of the input need no method: it is checked as for PRC, which needs the least
+        params = config.prc if self._takes_classes else config.classifier
         first = next(stream.blocks(), None)
         has_xyz = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
         self._watch = watched(
-            stream, config.input, needs=method.needs, others=self._loaded.findings
+            stream, config.input, needs=params.method().needs, others=self._loaded.findings
         )
         # with_beams adds coordinates to blocks of a leaning scan plane: they are not of the input
         if self._takes_classes:
