@@ -1,4 +1,4 @@
-"""The whole configuration: the parameters of all stages, in layers, with the source of every value.
+"""The configuration of a run: the parameters of all stages, and the source of every value.
 
 Layers, later ones win: built-in defaults, a preset, a TOML file, command-line options.
 """
@@ -55,28 +55,27 @@ class RunConfig(MethodTables, _Input):
     @model_validator(mode="before")
     @classmethod
     def _decided_by_table(cls, values: Any) -> Any:
-        """Take the method whose table is given, where none is named."""
         if not isinstance(values, Mapping) or "method" in values:
             return values
-        given = tables_given(values)
-        return {**values, "method": given[0]} if len(given) == 1 else values
+        methods_given = tables_given(values)
+        return {**values, "method": methods_given[0]} if len(methods_given) == 1 else values
 
     @classmethod
-    def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
-        """Return what was set once in a method's table, and is constant now (``constants.toml`` of the method)."""
+    def constants(cls, location: list[str], value: Any) -> dict[str, Any]:
+        """Return keys of a method that are constants now (``constants.toml`` of the method)."""
         path = Path(methods.__file__).with_name(location[0]) / "constants.toml"
         if len(location) < 2 or not path.exists():
             return {}
         known = dict(flatten(tomllib.loads(path.read_text("utf-8")), f"{location[0]}."))
         key = ".".join(location)
         keys = (
-            [name for name, _ in flatten(given, f"{key}.")] if isinstance(given, Mapping) else [key]
+            [name for name, _ in flatten(value, f"{key}.")] if isinstance(value, Mapping) else [key]
         )
         return {name: known[name] for name in keys if name in known}
 
     @property
     def is_decided(self) -> bool:
-        """Whether a method is named; otherwise the input decides (:mod:`prc_cli.jobs.choice`)."""
+        """Whether a method is named; if not, :mod:`prc_cli.jobs.choice` chooses one by the input."""
         return self.method != "auto"
 
     @property
@@ -100,11 +99,11 @@ class RunConfig(MethodTables, _Input):
         return self.is_decided and self.classifier.method().needs.beams
 
     def to_table(self) -> dict[str, Any]:
-        """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
+        """Return the effective configuration as a nested table of TOML, without unset values."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def of_run(self) -> dict[str, Any]:
-        """Return :meth:`to_table` without the parameters of the other classifiers, which labels do not depend on."""
+        """Return :meth:`to_table` with the parameters that labels depend on: no other method's."""
         table = self.to_table()
         for method in METHODS:
             if method not in (CHOSEN_FROM if self.method == "auto" else (self.method,)):
@@ -113,11 +112,11 @@ class RunConfig(MethodTables, _Input):
 
 
 CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused", "rings")
-"""Methods that an input may decide on."""
+"""Methods that prc may choose for an input."""
 
 
 def tables_given(table: Mapping[str, Any]) -> list[MethodName]:
-    """Return the methods whose tables a configuration holds.
+    """Return the methods that have a table in a configuration.
 
     >>> tables_given({"sequential_angle": {}, "input": {}})
     ['sequential-angle']
@@ -138,34 +137,31 @@ PRESETS = (
 
 
 ChosenPreset = Literal["urban", "fused", "fused-forest", "rings"]
-"""Presets that an input may decide on."""
+"""Presets that prc may choose for an input."""
 
 
 @dataclass(frozen=True, slots=True)
 class MethodChoice:
-    """The method that was chosen for an input, where none is named."""
+    """The method that prc chose for an input."""
 
     preset: ChosenPreset
     """Preset with the same labels."""
     why: str
     lacks: str = ""
-    """What is missing for a better method; empty where nothing is."""
+    """What is missing for a better method; empty if nothing is."""
     give: str = ""
-    """What mends that."""
+    """Option that gives it."""
     doubt: str = ""
-    """What speaks against the kind of place that was taken; empty where nothing does."""
+    """Why the kind of place may be wrong; empty if it is clear."""
 
     @property
     def method(self) -> MethodName:
-        """Its method."""
+        """Name of the method."""
         return {"urban": "prc", "rings": "rings"}.get(self.preset, "fused")  # type: ignore[return-value]
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """A doubt where a better method could not be, or the place may be another one.
-
-        Figures of `python -m benchmarks.contest`, photon-80.
-        """
+        """A doubt if a better method lacks data, or if the kind of place is not clear."""
         if self.doubt:
             expected = "a place that is clearly a street or a forest"
             give = (
@@ -174,13 +170,14 @@ class MethodChoice:
             return (Finding("method", Verdict.DOUBTFUL, self.doubt, expected, give),)
         if not self.lacks:
             return ()
-        found = f"PRC as published was taken: {self.lacks}"
+        # figures of `python -m benchmarks.contest`, photon-80
+        problem = f"PRC as published was taken: {self.lacks}"
         expected = "the angles of the beams, with which fused labels streets (mean F1 0.96 there, of PRC 0.59)"
         return (
             Finding(
                 "method",
                 Verdict.DOUBTFUL,
-                found,
+                problem,
                 expected,
                 f"{self.give}; or name the method: --preset urban",
             ),
@@ -188,7 +185,7 @@ class MethodChoice:
 
     @property
     def assumption(self) -> Assumption:
-        """The choice as it stands in the run record.
+        """The choice, for the run record.
 
         >>> MethodChoice("urban", "as an example").assumption.value
         'prc (--preset urban)'
@@ -197,7 +194,7 @@ class MethodChoice:
 
 
 def refuse_window(config: RunConfig, command: str) -> None:
-    """Refuse a part of a stream where whole ones are needed."""
+    """Raise :class:`ConfigError` if a part of a stream is given to a command that needs it whole."""
     if config.input.window is not None:
         problem = f"found {config.input.window.option}, but {command} takes files whole"
         raise ConfigError(
@@ -217,22 +214,22 @@ class LoadedConfig(Brief):
     files: tuple[Path, ...] = ()
     """Files it was read from; a run never overwrites them."""
     notes: tuple[str, ...] = ()
-    """What was taken without being told, one sentence each."""
+    """Choices that prc made by itself, one sentence each."""
     choice: MethodChoice | None = None
-    """The method that was chosen for an input, and why; None = it was named."""
+    """The method that prc chose, and why; None = the user named it."""
 
     @classmethod
     def of(cls, config: LoadedConfig | RunConfig | None) -> LoadedConfig:
-        """Return a configuration with its sources; default: nothing is set."""
+        """Return a configuration with its sources; None = the defaults."""
         return config if isinstance(config, LoadedConfig) else cls(config or RunConfig())
 
     def inputs(self, *more: Path | None) -> tuple[Path, ...]:
-        """Return the files that a run reads, those given and its own; it never overwrites them."""
+        """Return all files that a run reads; it never overwrites them."""
         return tuple(path for path in (*more, *self.files, self.trajectory) if path is not None)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What speaks against the method that was chosen."""
+        """Doubts about the method that prc chose."""
         return () if self.choice is None else self.choice.findings
 
     @property
@@ -305,9 +302,9 @@ def from_layers(
         # validated after every layer, so that the message names the right source
         build(RunConfig, merged, name)
         sources.update(dict.fromkeys(dict(flatten(layer)), name))
-    if "method" not in merged and (given := tables_given(merged)):
-        tables = " and ".join(f"[{table_of(method)}]" for method in given)
-        if len(given) > 1:
+    if "method" not in merged and (methods_given := tables_given(merged)):
+        tables = " and ".join(f"[{table_of(method)}]" for method in methods_given)
+        if len(methods_given) > 1:
             problem = f"found the tables {tables} and no method, expected one method"
             raise ConfigError(
                 layers[-1][0], problem, 'name it: method = "auto" is what labels the input best'
@@ -321,9 +318,7 @@ _PRESET = "preset "
 
 
 def preset_of(loaded: LoadedConfig) -> str | None:
-    """Return the preset that named the method, or whose labels the chosen method gives.
-
-    None = there is none.
+    """Return the preset that named the method, or that is equal to the chosen one; None = no preset.
 
     >>> preset_of(load_config(preset="street-scan")), preset_of(load_config())
     ('street-scan', None)
@@ -335,7 +330,7 @@ def preset_of(loaded: LoadedConfig) -> str | None:
 
 
 def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
-    """Resolve a relative trajectory path against the folder of the configuration file that names it."""
+    """Return a table whose relative path of a trajectory starts at the folder of its file."""
     inputs = table.get("input")
     rule = inputs.get("range") if isinstance(inputs, Mapping) else None
     if not isinstance(rule, str) or not rule.startswith("trajectory:"):
@@ -379,7 +374,7 @@ class PresetSummary:
 def preset_summaries() -> list[PresetSummary]:
     """Read every preset.
 
-    >>> [(each.name, each.n_changed) for each in preset_summaries()][:3]
+    >>> [(preset.name, preset.n_changed) for preset in preset_summaries()][:3]
     [('urban', 1), ('forest', 6), ('fused', 1)]
     """
     defaults = dict(flatten(RunConfig().to_table()))
@@ -412,7 +407,7 @@ def sample_summaries() -> list[tuple[Path, str]]:
 
 
 def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
-    """Add the layout that lies beside a dump (``drive.bin.toml`` or ``drive.toml``), if none was given."""
+    """Add the layout beside a dump (``drive.bin.toml`` or ``drive.toml``), if none is given."""
     layout = loaded.config.layout
     if layout is not None and layout.fields and not has_layout(path):
         if loaded.sources.get("layout.fields") == "option" and path.is_file():
@@ -429,19 +424,19 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     for beside in dict.fromkeys((path.with_name(f"{path.name}.toml"), path.with_suffix(".toml"))):
         if beside in loaded.files or not beside.is_file():
             continue
-        found = read_toml(beside)
-        if not isinstance(found.get("layout"), dict):
+        table = read_toml(beside)
+        if not isinstance(table.get("layout"), dict):
             continue
-        own: dict[str, Any] = {key: found[key] for key in ("input", "layout") if key in found}
+        sections: dict[str, Any] = {key: table[key] for key in ("input", "layout") if key in table}
         note = f"the layout is that of {beside.name} beside the dump; --layout gives another"
-        told = _with_table(loaded, from_folder(own, beside.parent), str(beside), note)
-        return replace(told, files=(*loaded.files, beside))
+        with_layout = _with_table(loaded, from_folder(sections, beside.parent), str(beside), note)
+        return replace(with_layout, files=(*loaded.files, beside))
     inputs = loaded.config.input
-    is_told = (
+    has_rules = (
         inputs.points_per_line is not None
         or (inputs.lines, inputs.columns, inputs.range) != ("auto",) * 3
     )
-    if is_told or not is_dump(path) or not path.is_file():
+    if has_rules or not is_dump(path) or not path.is_file():
         return loaded
     # imported here: only dumps need it
     from prc_cli.formats.guessing import frame_fields
@@ -467,18 +462,18 @@ FRAME_SAMPLE = "kitti_frame.toml"
 
 def _with_table(
     loaded: LoadedConfig,
-    own: Mapping[str, Any],
+    beneath: Mapping[str, Any],
     name: str,
     note: str,
 ) -> LoadedConfig:
-    """Lay a table under what was told."""
+    # the table is beneath options and files
     usual = dict(flatten(RunConfig().to_table()))
-    table = merge(loaded.config.to_table(), own)
+    table = merge(loaded.config.to_table(), beneath)
     for key, value in flatten(loaded.config.to_table()):
         if key in loaded.sources or value != usual.get(key):
             table = merge(table, _nested(key, value))
     config = build(RunConfig, table, name)
-    sources = {**{key: name for key, _ in flatten(own)}, **loaded.sources}
+    sources = {**{key: name for key, _ in flatten(beneath)}, **loaded.sources}
     return replace(loaded, config=config, sources=sources, notes=(*loaded.notes, note))
 
 
@@ -513,11 +508,9 @@ def _parse_value(text: str) -> Any:
 
 
 def options_of(loaded: LoadedConfig) -> list[str]:
-    """Return the words of a command line that set again what options and files set.
+    """Return the command-line options that give these settings again, files without folders.
 
-    Files without their folders.
-
-    Presets are left out, and so is what only shapes the output.
+    Presets and settings of the output are left out.
 
     >>> options_of(load_config(options={"method": "prc", "input": {"points_per_line": 2154, "lines": "fixed"}}))
     ['--method', 'prc', '--set', 'input.points_per_line=2154', '--set', 'input.lines=fixed']
@@ -533,8 +526,8 @@ def options_of(loaded: LoadedConfig) -> list[str]:
     for file in loaded.files:
         words += ["--layout" if file in layouts else "--config", file.name]
     for key, source in loaded.sources.items():
-        is_said = key.startswith("output.") or (bool(layouts) and key.startswith("layout."))
-        if source != "option" or is_said or key not in values:
+        is_other = key.startswith("output.") or (bool(layouts) and key.startswith("layout."))
+        if source != "option" or is_other or key not in values:
             continue
         value = values[key]
         text = (
@@ -609,10 +602,7 @@ def _toml_key(
 
 
 def _origin(source: str) -> str:
-    """Return a comment with the source.
-
-    Control characters in file names are escaped, so they cannot end it.
-    """
+    # control characters in names of files are escaped: they could end the comment
     shown = "".join(
         character if character.isprintable() else ascii(character)[1:-1] for character in source
     )
@@ -620,7 +610,7 @@ def _origin(source: str) -> str:
 
 
 def _toml_value(value: Any) -> str:
-    """Return a value as JSON, which is valid TOML once some characters are escaped."""
+    # JSON is valid TOML once some characters are escaped
     text = json.dumps(value, ensure_ascii=False)
     return "".join(c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in text)
 

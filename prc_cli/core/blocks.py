@@ -13,16 +13,10 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, cut
 
 LOOK_AHEAD_SHOTS = 1
-"""Shots needed beyond the next line.
-
-Index i + M + 1 of a line's last shot is two lines further on.
-"""
+"""Shots needed beyond the next line: i + M + 1 of a line's last shot is in the line after it."""
 
 MOST_WAITING = 1 << 26
-"""Most shots buffered for one block.
-
-a scanner of 250,000 shots per line at 255 lines per block needs fewer.
-"""
+"""Most shots buffered for one block; 255 lines of 250,000 shots need fewer."""
 
 
 def look_ahead_lines(points_per_line: int) -> int:
@@ -157,6 +151,6 @@ ArrayT = TypeVar("ArrayT", bound=NDArray[np.generic])
 
 
 def _join_field(arrays: list[ArrayT | None]) -> ArrayT | None:
-    """Concatenate a field; None unless every part has it."""
+    # None unless every part has the field
     present = [array for array in arrays if array is not None]
     return np.concatenate(present) if len(present) == len(arrays) else None  # type: ignore[return-value]

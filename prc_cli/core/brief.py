@@ -30,11 +30,11 @@ class Brief:
 
     def __repr__(self) -> str:
         shown = ""
-        for each in fields(self):  # type: ignore[arg-type]
+        for field in fields(self):  # type: ignore[arg-type]
             if len(shown) > LONGEST:
                 return f"{type(self).__name__}({shown}, ...)"
-            if each.repr and not each.name.startswith("_"):
-                shown += f"{', ' if shown else ''}{each.name}={_short(getattr(self, each.name))}"
+            if field.repr and not field.name.startswith("_"):
+                shown += f"{', ' if shown else ''}{field.name}={_short(getattr(self, field.name))}"
         return f"{type(self).__name__}({shown})"
 
 

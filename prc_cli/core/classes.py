@@ -40,7 +40,7 @@ LABEL_BITS = 15
 class Reason(IntEnum):
     """Rule that gave a shot its label, ``16 k + label`` with k from 1.
 
-    :mod:`prc_cli.methods.reasons` says each.
+    :mod:`prc_cli.methods.reasons` has a sentence for each.
     """
 
     MISSING = 0
@@ -118,10 +118,7 @@ class Surface(IntEnum):
     VERTICAL = 3
     """V."""
     UNDECIDED = 4
-    """A return on a line where no angle can be measured.
-
-    Fewer than two returns, or all at the same place.
-    """
+    """A return on a line with fewer than two returns, or with all at the same place."""
 
 
 class TriggerSide(IntEnum):
@@ -136,7 +133,7 @@ class TriggerSide(IntEnum):
 
 
 class CarTest(IntEnum):
-    """What the search for cars made of a return between dividers (Stamos et al. 2012, sec. 7.3 to 8)."""
+    """Result of the search for cars for a return between dividers (Stamos et al. 2012, sec. 7.3 to 8)."""
 
     OUTSIDE = 0
     """In no interval."""
@@ -211,7 +208,7 @@ ASPRS_NAMES = {
     18: "high noise",
     20: "ignored ground",
 }
-"""Names of ASPRS LAS 1.4, table 17, for classes that references hold."""
+"""Names of ASPRS LAS 1.4, table 17."""
 
 
 class ClassCodes(Params):

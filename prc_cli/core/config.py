@@ -1,9 +1,7 @@
-"""Machinery of the configuration.
+"""Base of the configuration: strict parameter models, TOML tables, errors that name the key.
 
-Strict parameter models, layered TOML tables, errors that name the key.
-
-The stages declare their own keys; :mod:`prc_cli.config` combines their models. The sample
-configurations, which hold presets and class mappings, lie where :func:`samples_folder` says.
+The stages declare their keys; :mod:`prc_cli.config` combines their models. Presets and class
+mappings are sample configurations, in the folder of :func:`samples_folder`.
 """
 
 from __future__ import annotations
@@ -33,16 +31,16 @@ class Params(BaseModel):
     )
 
     @classmethod
-    def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
-        """Return dotted keys that are none any more, with their values, for the error that names them."""
+    def constants(cls, location: list[str], value: Any) -> dict[str, Any]:
+        """Return keys that are constants now, dotted, with their values, for the error message."""
         return {}
 
     def __repr__(self) -> str:
         """Return the values that are not the defaults, in a line."""
-        told = ", ".join(
+        changed = ", ".join(
             f"{key}={value!r}" for key, value in flatten(self.model_dump(exclude_defaults=True))
         )
-        return f"{type(self).__name__}({told if len(told) <= LONGEST else f'{told[:LONGEST]}...'})"
+        return f"{type(self).__name__}({changed if len(changed) <= LONGEST else f'{changed[:LONGEST]}...'})"
 
 
 _EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"}
@@ -152,19 +150,18 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
         .removeprefix("Input should be ")
     )
     # the input of a check over several keys is a whole table: its own message says what was found
-    told = (
+    says_value = (
         issue["type"] == "missing"
         or isinstance(issue["input"], Mapping | BaseModel)
         or "found " in expected
     )
-    found = "" if told else f"found {issue['input']!r}, "
+    value = "" if says_value else f"found {issue['input']!r}, "
     more = f" (and {len(issues) - 1} more)" if len(issues) > 1 else ""
     hint = "see `prc config schema` for every key, its bounds and its unit"
-    return ConfigError(where, f"{key or 'configuration'}: {found}expected: {expected}{more}", hint)
+    return ConfigError(where, f"{key or 'configuration'}: {value}expected: {expected}{more}", hint)
 
 
 def _keys_at(model: type[BaseModel], location: list[str]) -> set[str]:
-    """Keys that a model knows at a nested location."""
     current: type[BaseModel] | None = model
     for part in location:
         if current is None:
@@ -177,10 +174,7 @@ def _keys_at(model: type[BaseModel], location: list[str]) -> set[str]:
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
-    """Return the first parameter model inside an annotation such as ``Layout | None``.
-
-    None = there is none.
-    """
+    """Return the first parameter model in an annotation such as ``Layout | None``, or None."""
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
@@ -194,22 +188,19 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def samples_folder(package: Path = _PACKAGE) -> Path:
-    """Return the folder of the sample configurations.
-
-    Inside an installed package, beside the package in a checkout.
-    """
+    """Return the folder of the sample configurations, in an installed package or a checkout."""
     installed = package / "sample_configs"
     return installed if installed.is_dir() else package.parent / "sample_configs"
 
 
 def or_sample(path: Path) -> Path:
-    """Return a file, or where there is none the sample configuration of this name.
+    """Return a file; if it does not exist, the sample configuration of this name.
 
     >>> or_sample(Path("kitti_frame.toml")).is_file(), or_sample(Path("no_sample.toml")).is_file()
     (True, False)
     """
     if path.exists() or path.is_absolute() or ".." in path.parts:
         return path
-    own = path.relative_to("sample_configs") if path.parts[:1] == ("sample_configs",) else path
-    sample = samples_folder() / own
+    name = path.relative_to("sample_configs") if path.parts[:1] == ("sample_configs",) else path
+    sample = samples_folder() / name
     return sample if sample.is_file() else path

@@ -34,10 +34,8 @@ class KnownRule:
     """A rule for lines, columns or ranges that follows from the format, for ``auto``."""
 
     key: str
-    """``lines``, ``columns`` or ``range``.
-
-    ``turn`` = ``whole`` where lines are whole turns with a gap; ``nadir`` = the
-    angle of straight down [deg]."""
+    """``lines``, ``columns``, ``range``, ``turn`` (``whole``: lines are whole turns with a gap) or
+    ``nadir`` (the angle of straight down [deg])."""
     value: str
     """As in ``[input]``."""
     why: str
@@ -46,10 +44,7 @@ class KnownRule:
 
 @dataclass(frozen=True, slots=True)
 class SourceFacts:
-    """Metadata of a source of records or of images.
-
-    a format leaves what it does not know at the default.
-    """
+    """Metadata of a source of records or of images; the defaults mean "not known"."""
 
     points_per_line: int | None = None
     """M, shots in a scan line, where the file records it."""
@@ -62,31 +57,22 @@ class SourceFacts:
     range_name: str = "range"
     """What the file calls the slant range."""
     has_line_times: bool = False
-    """Whether lines are judged by the time of their first shot.
+    """Whether checks use the time of a line's first shot.
 
-    The file holds one time per line, which blocks repeat
-    for each shot, or shots of a line are fired out of turn."""
+    The file has one time per line, which blocks repeat for each shot, or a line's shots are fired
+    out of turn."""
     has_returns: bool = False
     """Whether shots of the file may have several returns, known where images are read (bags, packets)."""
     has_scans: bool = False
-    """Whether the file holds several scans in sequence.
-
-    Each is a scanner of the stream with its own directions.
-    """
+    """Whether the file has several scans in sequence; each is a scanner of the stream."""
     stations: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
-    """Position of the scanner of every scan among all scans, by scanner [m].
-
-    Empty where all are at the origin.
-    """
+    """Position of every scan [m], by scanner; empty if all are at the origin."""
     scanners: tuple[str, ...] = ()
     """Names of the scanners, by their number, where several send at the same time (bags, packets)."""
     rules: tuple[KnownRule, ...] = ()
     """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()
-    """What is unusual about the file, one sentence each.
-
-    Always shown, and kept in the run record.
-    """
+    """Unusual facts about the file, one sentence each, shown and kept in the run record."""
     refused: str = ""
     """Why the usual library refuses the file, whose damage is copied; empty if it does not."""
     unread: str = ""
@@ -94,12 +80,9 @@ class SourceFacts:
     dropped: str = ""
     """What the run record inside the file says of shots that were left out; empty = nothing."""
     refuses: frozenset[str] = frozenset()
-    """Keys of ``[input]`` that the input refuses, because it says itself what they say.
-
-    Hints do not name them.
-    """
+    """Keys of ``[input]`` that the file itself answers; hints do not name them."""
     remedy: str = ""
-    """What else can be done with such an input, for hints of which nothing is left."""
+    """What else can be done with such an input, for hints without any option left."""
     repeated: str = ""
     """What a recording holds twice, of which one was read, known after reading; empty = nothing."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
@@ -107,29 +90,17 @@ class SourceFacts:
     downs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     """Scan angle that points straight down [rad] and cosine of the tilt of the scan plane, by scanner, where known."""
     has_fitted_lines: bool = False
-    """Whether lines and columns are those of a fitted path.
-
-    a part of a drive, whose lines need not repeat.
-    """
+    """Whether lines and columns come from a fitted path; such lines need not repeat."""
     findings: tuple[Finding, ...] = ()
-    """Answers of checks that were asked before lines were found."""
+    """Answers of checks that were done before lines were found."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)
     """Returns the header's values, ready for JSON, for ``prc info``."""
     align_chunks: Callable[[int], None] = field(default=_nothing, repr=False, compare=False)
-    """Makes chunks end at multiples of this many records, so that blocks need not be joined.
-
-    Changes no value.
-    """
+    """Makes chunks end at multiples of this many records, so that blocks need not be joined."""
     skip_intensity: Callable[[], None] = field(default=_nothing, repr=False, compare=False)
-    """Leaves ``intensity`` undefined for shots where it does not choose between returns.
-
-    It is slow to decode.
-    """
+    """Leaves ``intensity`` undefined, unless it chooses between returns: it is slow to decode."""
     check_layers: Callable[[], None] = field(default=_nothing, repr=False, compare=False)
-    """Decodes what nobody asks for too, so that damage in it is found.
-
-    What is copied as bytes must be sound.
-    """
+    """Decodes all layers, so that damage is found: they are copied as bytes."""
 
     def rule(self, key: str) -> KnownRule | None:
         """Return the rule of a key, None if the file implies none."""

@@ -84,10 +84,7 @@ def read_small(path: Path, limit: int) -> bytes:
 
 
 def read_own(path: Path, limit: int) -> bytes:
-    """Return the content of a small file that only this user wrote, in a folder that is his.
-
-    Never of a link.
-    """
+    """Return the content of a small file that only this user may write, and its folder; no links."""
     if not hasattr(os, "getuid"):
         return read_small(path, limit)
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -117,19 +114,13 @@ def refuse_links(*paths: Path) -> None:
 
 
 def file_state(path: Path | int) -> tuple[int, int, int, int]:
-    """Return what changes when a file does, even if times are put back.
-
-    Size, mtime, ctime, number.
-    """
-    found = os.fstat(path) if isinstance(path, int) else path.stat()
-    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
+    """Return size, mtime [ns], ctime [ns] and inode; one of them changes when a file does."""
+    status = os.fstat(path) if isinstance(path, int) else path.stat()
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def who_may_change(path: Path, *, may_add: bool = False) -> str:
-    """Return why others than this user (or a group of him alone) and root may change a path.
-
-    Empty if they may not.
-    """
+    """Return why users other than this one and root may change a path; empty if none may."""
     return _who_may_change(path.lstat(), may_add=may_add) if hasattr(os, "getuid") else ""
 
 
@@ -137,9 +128,8 @@ def _who_may_change(status: os.stat_result, *, may_add: bool = False) -> str:
     if status.st_uid not in (os.getuid(), 0):
         return f"it belongs to user {status.st_uid}"
     mode = stat.S_IMODE(status.st_mode)
-    if stat.S_ISLNK(status.st_mode) or (
-        may_add and mode & stat.S_ISVTX
-    ):  # the mode of a link means nothing
+    # the mode of a link means nothing
+    if stat.S_ISLNK(status.st_mode) or (may_add and mode & stat.S_ISVTX):
         return ""
     is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
     return f"its mode is {mode:o}" if is_open else ""
@@ -154,11 +144,11 @@ def _is_own_group(group: int) -> bool:
     if group == 0:
         return True
     try:
-        found = grp.getgrgid(group)
+        members = grp.getgrgid(group)
         name = pwd.getpwuid(os.getuid()).pw_name
     except KeyError:  # an account without a name, as in containers
         return False
-    return found.gr_name == name and not set(found.gr_mem) - {name}
+    return members.gr_name == name and not set(members.gr_mem) - {name}
 
 
 def suffix_of(path: Path) -> str:
@@ -337,10 +327,7 @@ def parts_of(path: Path, machine: str = "*") -> Iterator[Path]:
 
 
 def remove_stale(path: Path) -> tuple[Path, ...]:
-    """Remove temporary files of ``path`` by dead processes here, and ``path`` itself if it is one.
-
-    Return them.
-    """
+    """Remove and return what dead processes of this machine left of an output."""
     return remove_unfinished(path)
 
 
@@ -385,7 +372,6 @@ def remove_unfinished(
 
 
 def _dead_parts(path: Path) -> Iterator[Path]:
-    """Yield the temporary files that dead processes of this machine left of an output."""
     for part in tuple(parts_of(path, _machine())):
         if is_left_behind(part):
             yield part
@@ -412,7 +398,7 @@ def discard(temporary: Path) -> None:
 
 
 def is_same(first: Path, second: Path) -> bool:
-    """Tell whether two names are those of one file; links are not followed."""
+    """Return whether two names are those of one file; links are not followed."""
     try:
         return os.path.samestat(first.lstat(), second.lstat())
     except OSError:
@@ -420,27 +406,22 @@ def is_same(first: Path, second: Path) -> bool:
 
 
 def is_left_behind(part: Path) -> bool | None:
-    """Tell whether a file is a temporary one whose process is dead.
-
-    None if it is of another machine.
-    """
-    found = _TEMPORARY.fullmatch(part.name)
-    if found is None:
+    """Return whether a file is the temporary one of a dead process; None = of another machine."""
+    name = _TEMPORARY.fullmatch(part.name)
+    if name is None:
         return False
-    if found["machine"] != _machine():
+    if name["machine"] != _machine():
         return None
-    process = int(found["process"])
+    process = int(name["process"])
     return not _is_running(process) or is_younger(process, part, CLOCK_S)
 
 
 def _machine() -> str:
-    """Return a short name of this machine without folder separators and glob characters."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 def _is_running(process: int) -> bool:
-    """Return whether a process runs; always True on Windows, where asking would end it."""
-    if os.name != "posix":
+    if os.name != "posix":  # on Windows the question would end it
         return True
     try:
         os.kill(process, 0)
@@ -448,21 +429,15 @@ def _is_running(process: int) -> bool:
         return False
     except OSError:  # it runs, but belongs to somebody else
         return True
-    # a dead one is answered for until its parent asks for its end, which first processes of
-    # containers never do
+    # a dead process exists until its parent waits for it; first processes of containers never do
     with contextlib.suppress(OSError, IndexError):
-        return Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (
-            b"Z",
-            b"X",
-        )
+        state = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0]
+        return state not in (b"Z", b"X")
     return True
 
 
 def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
-    """Tell whether a process began some seconds after a file was last written.
-
-    Numbers are given again.
-    """
+    """Return whether a process is younger than a file: then its number was used before."""
     try:
         ticks = int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[19])
         runs_s = float(Path("/proc/uptime").read_text().split()[0]) - ticks / os.sysconf(
@@ -482,10 +457,7 @@ def atomic_output(path: Path, *, overwrite: bool | None = None) -> Iterator[Path
 
 @contextlib.contextmanager
 def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tuple[Path, ...]]:
-    """Give temporary paths to write, as :func:`atomic_output`.
-
-    All get their names, in this order, or none does.
-    """
+    """Give temporary paths to write; all get their names, in this order, or none does."""
     temporaries = tuple(temporary_name(path) for path in paths)
     replaced = tuple(os.path.lexists(path) if overwrite is None else overwrite for path in paths)
     try:
@@ -499,10 +471,7 @@ def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tupl
 
 @contextlib.contextmanager
 def whole_set() -> Iterator[None]:
-    """Give all files that are finished inside their names together, at the end.
-
-    None of them on any failure.
-    """
+    """Give all files that are finished inside their names at the end; none on any failure."""
     if _PENDING.get() is not None:  # a part of a larger set
         yield
         return
@@ -522,9 +491,7 @@ def whole_set() -> Iterator[None]:
 
 
 def place_all(files: Sequence[_Finished]) -> None:
-    """Flush finished temporary files and give them their names.
-
-    If one fails, remove those that got theirs before.
+    """Flush finished temporary files and give them their names, all or none.
 
     Unless it replaces a file, each keeps its temporary name beside the new one until all are in
     place. So a process that dies in between leaves a proof that the outputs are its own.
@@ -542,10 +509,7 @@ def place_all(files: Sequence[_Finished]) -> None:
 
 @held
 def _give_names(files: Sequence[_Finished]) -> None:
-    """Give all files their names.
-
-    Signals wait, and folders are flushed at the end, so that it takes no time.
-    """
+    # signals wait, so folders are flushed last
     made: list[Path] = []
     try:
         for temporary, path, overwrite in files:
@@ -586,7 +550,7 @@ _PROOFS: list[Path] = []
 def keep_proofs() -> None:
     """Keep one temporary name of every set until :func:`drop_proofs`.
 
-    a run that is killed at its end shows, too.
+    It shows that a run was killed at its end.
     """
     _State.keeps_proofs = True
 
@@ -599,10 +563,7 @@ def drop_proofs() -> None:
 
 
 _MADE: list[Path] = []
-"""Temporary names of a command, which may still be there.
-
-a signal may come between a file and who removes it.
-"""
+"""Temporary names of a command; a signal may have kept their files from being removed."""
 
 
 def remove_own() -> None:
@@ -614,10 +575,7 @@ def remove_own() -> None:
 
 
 def why_not_written(temporary: Path) -> int:
-    """Return the error of the system that a library did not tell when it could not write a file.
-
-    0 = not known.
-    """
+    """Return the error number of the system for a library that could not write a file, 0 = unknown."""
     with contextlib.suppress(OSError, ImportError):
         import resource
 
@@ -653,7 +611,7 @@ def take_back() -> None:
 
 
 def left_words(placed: Sequence[Path] = _REPLACED) -> str:
-    """Return what a run that was cut off leaves behind.
+    """Return a sentence on the outputs of a run that was cut off.
 
     >>> left_words([]), left_words([Path("out/a.npy"), Path("b.npy"), Path("c.npy")])
     ('no output was left behind', 'a.npy, b.npy and 1 more are whole and stay')
@@ -674,19 +632,15 @@ def flush(temporary: Path) -> None:
 
 
 def _link(temporary: Path, path: Path) -> None:
-    """Give a file its name only if nothing has it.
-
-    a rename would replace what has appeared there.
-    """
+    # a rename would replace a file that has appeared under this name
     try:
         if os.name == "nt":  # where a rename never replaces
             temporary.rename(path)
         else:
             os.link(temporary, path)
     except FileExistsError as error:
-        if is_same(
-            temporary, path
-        ):  # the answer of a file server was lost, and the request repeated
+        # the answer of a file server was lost, and the request repeated
+        if is_same(temporary, path):
             return
         problem = "appeared while it was being written, and was not replaced"
         raise OutputExistsError(
@@ -730,10 +684,6 @@ def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename durable where folders can be flushed (POSIX).
-
-    Elsewhere the rename is enough.
-    """
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)

@@ -1,8 +1,7 @@
 """Findings: the answers of the checks of an input and of its labels.
 
 A check asks one question of a stream, for example whether its lines repeat after M shots. The
-checks are in
-:mod:`prc_cli.streams.evidence`; every command reports their findings in the same words.
+checks are in :mod:`prc_cli.streams.evidence`.
 """
 
 from __future__ import annotations
@@ -68,12 +67,12 @@ _ACCEPTED = "accepted doubt "
 
 
 class Verdict(IntEnum):
-    """The answer of a check, in ascending order of what it means for the labels."""
+    """The answer of a check, the worst last."""
 
     FINE = 0
-    """Nothing speaks against the input, or too little is there to tell."""
+    """The check found no fault, or the input is too small for it."""
     DOUBTFUL = 1
-    """Labels are written, the user is told, the exit code is 4."""
+    """Labels are written with a warning; the exit code is 4."""
     AGAINST = 2
     """Labels would be wrong: the input is refused."""
 
@@ -94,11 +93,11 @@ class Finding:
     option: str = ""
     """The option of the command line that mends it, if one does."""
     is_accepted: bool = False
-    """Whether the user accepts it (``--accept-doubt``): it is recorded, and does no more."""
+    """Whether the user accepts it (``--accept-doubt``); then it is only recorded."""
 
     @property
     def problem(self) -> str:
-        """Return what was found against what was expected.
+        """Return the fault and the expectation in one clause.
 
         >>> Finding("units", Verdict.DOUBTFUL, "the scanner is 6.6 m above the ground", "at most 5 m").problem
         'the scanner is 6.6 m above the ground, expected at most 5 m'
@@ -123,7 +122,7 @@ class Finding:
 
 
 def is_doubt(notice: str) -> bool:
-    """Tell whether a notice of a run record is a doubt that nobody accepted.
+    """Return whether a notice of a run record is a doubt that nobody accepted.
 
     >>> is_doubt(Finding("units", Verdict.DOUBTFUL, "odd", "").notice())
     True
@@ -146,22 +145,20 @@ def doubt_of(notice: str) -> tuple[str, str] | None:
 
 
 def accepted_doubt_of(notice: str) -> str | None:
-    """Return the check of a doubt in a run record that the user accepted.
-
-    None for any other notice.
-    """
+    """Return the check of an accepted doubt in a run record; None for any other notice."""
     return (
         notice.removeprefix(_ACCEPTED).partition(":")[0] if notice.startswith(_ACCEPTED) else None
     )
 
 
 def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:
-    """Mark the findings that the user accepts by name; those that are fine are left as they are."""
+    """Mark the findings that the user accepts by the names of their checks."""
     known = set(names)
-    return tuple(
-        replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one
-        for one in findings
-    )
+    marked = []
+    for finding in findings:
+        is_accepted = finding.check in known and finding.verdict > Verdict.FINE
+        marked.append(replace(finding, is_accepted=True) if is_accepted else finding)
+    return tuple(marked)
 
 
 class Doubted(Brief):
@@ -177,18 +174,20 @@ class Doubted(Brief):
 
 
 def notices(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """Return what a run record says of findings that are not fine."""
-    return tuple(one.notice() for one in findings if one.verdict is not Verdict.FINE)
+    """Return the notices of a run record for findings that are not fine."""
+    return tuple(finding.notice() for finding in findings if finding.verdict is not Verdict.FINE)
 
 
 def doubts(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return the findings that the user has to look at: not fine, and not accepted."""
-    return tuple(one for one in findings if one.verdict > Verdict.FINE and not one.is_accepted)
+    unsure = (finding for finding in findings if finding.verdict > Verdict.FINE)
+    return tuple(finding for finding in unsure if not finding.is_accepted)
 
 
 def refuse(path: str, findings: Iterable[Finding]) -> None:
-    """Raise the first finding that speaks against the input, if there is one."""
-    for one in doubts(findings):
-        if one.verdict is Verdict.AGAINST:
-            insist = f"or insist with --accept-doubt {one.check}"
-            raise EvidenceError(path, one.problem, f"{one.hint}, {insist}" if one.hint else insist)
+    """Raise :class:`EvidenceError` for the first finding that is against the input, if any."""
+    for finding in doubts(findings):
+        if finding.verdict is Verdict.AGAINST:
+            insist = f"or insist with --accept-doubt {finding.check}"
+            hint = f"{finding.hint}, {insist}" if finding.hint else insist
+            raise EvidenceError(path, finding.problem, hint)

@@ -1,4 +1,4 @@
-"""Where a spinning scanner stands in the frame of its coordinates, and where its axis points to."""
+"""Position and axis of a spinning scanner in the frame of its coordinates."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SensorFrame:
     )
     """Its axes in the frame of the coordinates, one a row."""
     apex_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the scanner is in the frame of the coordinates [m]."""
+    """Position of the scanner in the frame of the coordinates [m]."""
     spread_deg: tuple[float, float] = (0.0, 0.0)
     """Spread of the elevation within rings as the coordinates are, and in this frame [deg]."""
 
@@ -45,14 +45,14 @@ class SensorFrame:
         >>> SensorFrame(apex_m=(0.0, 0.0, 1.7), spread_deg=(2.1, 0.1)).shown()
         'the scanner is at 0.00, 0.00, 1.70'
         """
-        told = []
+        clauses: list[str] = []
         if any(self.apex_m):
-            told.append(f"the scanner is at {', '.join(f'{one:.2f}' for one in self.apex_m)}")
+            x, y, z = self.apex_m
+            clauses.append(f"the scanner is at {x:.2f}, {y:.2f}, {z:.2f}")
         if self.lean_deg >= 0.05:
-            told.append(
-                f"{'its' if told else 'the scanner' + chr(39) + 's'} axis leans by {self.lean_deg:.1f} deg"
-            )
-        return " and ".join(told)
+            owner = "its" if clauses else "the scanner's"
+            clauses.append(f"{owner} axis leans by {self.lean_deg:.1f} deg")
+        return " and ".join(clauses)
 
 
 def turning(axis_rad: F64) -> F64:

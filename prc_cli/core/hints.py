@@ -1,7 +1,4 @@
-"""Hints name only what the input takes.
-
-Parts of a hint that name a refused option are left out, in this one place.
-"""
+"""Hints name only options that the input takes; the other parts are left out here."""
 
 from __future__ import annotations
 
@@ -43,9 +40,7 @@ def named_keys(text: str) -> frozenset[str]:
 
 
 def fitting(hint: str, refuses: Collection[str], remedy: str = "") -> str:
-    """Return a hint without the parts that name refused keys.
-
-    The remedy of the input if nothing is left.
+    """Return a hint without the parts that name refused keys; if none is left, the remedy.
 
     Parameters
     ----------

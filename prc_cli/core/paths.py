@@ -1,4 +1,4 @@
-"""Paths of the running command: what it reads and what it writes; no path may be both.
+"""Paths of the running command: inputs and outputs; no path may be both.
 
 The command line declares both while it reads its options, before anything is opened
 (:mod:`prc_cli.cli.paths`). Every output is compared again when it is prepared and when it gets its
@@ -66,7 +66,7 @@ def run_key(*inputs: Path) -> str:
 
 
 def is_one_file(first: Path, second: Path) -> bool:
-    """Tell whether two names lead to one file, whether it is there or not."""
+    """Return whether two names lead to one file, whether it is there or not."""
     try:
         return first.samefile(second)
     except (OSError, ValueError):

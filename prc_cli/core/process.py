@@ -1,4 +1,4 @@
-"""The running process: whose it is, what a step of decoding may take, when freed memory goes back to the system.
+"""The running process: its owner, the limits of a decoding step, and its memory.
 
 Limits are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and
 the workers of ``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more
@@ -27,15 +27,12 @@ _T = TypeVar("_T")
 
 
 class _State:
-    own = limited = False
+    is_own = limits_hold = False
 
 
 def claim_process() -> None:
-    """Say that this process is the command's own.
-
-    Packages may be loaded without what prc never uses.
-    """
-    _State.own = True
+    """Declare that the command owns this process: packages load without parts it never uses."""
+    _State.is_own = True
     # pydantic then does not look through all installed packages for plugins
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
@@ -46,7 +43,7 @@ def is_own_process() -> bool:
     >>> is_own_process()
     False
     """
-    return _State.own
+    return _State.is_own
 
 
 _HIDING = threading.RLock()
@@ -92,13 +89,13 @@ BYTES_PER_BYTE = 64
 
 def hold_limits() -> None:
     """Hold the limits in this process from now on, where the system can."""
-    _State.limited = sys.platform == "linux"
+    _State.limits_hold = sys.platform == "linux"
 
 
 @contextlib.contextmanager
 def step(path: Path) -> Iterator[None]:
     """Hold the limits while a library decodes a part of a file."""
-    if not _State.limited:
+    if not _State.limits_hold:
         yield
         return
     import resource
@@ -111,8 +108,8 @@ def step(path: Path) -> Iterator[None]:
     }
     before = {kind: resource.getrlimit(kind) for kind in most}
     for kind, (soft, hard) in before.items():
-        own = most[kind] if soft == resource.RLIM_INFINITY else min(most[kind], soft)
-        resource.setrlimit(kind, (own, hard))
+        limit = most[kind] if soft == resource.RLIM_INFINITY else min(most[kind], soft)
+        resource.setrlimit(kind, (limit, hard))
     try:
         yield
     finally:
@@ -142,35 +139,29 @@ _M_ARENA_MAX = -8
 _SMALL = 1 << 17
 _LARGE = (1 << 25) - (1 << 16)
 _KEPT = 1 << 26
-"""Bytes: what glibc maps by itself at the start, the most that it may be told to, and the most that it keeps."""
+"""glibc's first threshold for mapping, the largest that can be set, and the most kept free [bytes]."""
 
 
 def return_memory() -> None:
-    """Let the C library return large arrays as they are freed.
-
-    Threads started afterwards share one arena.
-    """
-    _tell(_M_ARENA_MAX, 1)
-    _tell(_M_MMAP_THRESHOLD, _SMALL)
-    _tell(_M_TRIM_THRESHOLD, _SMALL)
+    """Let the C library return large arrays as they are freed; later threads share one arena."""
+    _set_malloc(_M_ARENA_MAX, 1)
+    _set_malloc(_M_MMAP_THRESHOLD, _SMALL)
+    _set_malloc(_M_TRIM_THRESHOLD, _SMALL)
 
 
 def keep_memory() -> None:
-    """Let the C library keep up to 64 MiB of freed memory.
-
-    Requesting its pages again takes longer.
-    """
-    _tell(_M_ARENA_MAX, 1)
-    _tell(_M_MMAP_THRESHOLD, _LARGE)
-    _tell(_M_TRIM_THRESHOLD, _KEPT)
+    """Let the C library keep up to 64 MiB of freed memory: new pages take longer."""
+    _set_malloc(_M_ARENA_MAX, 1)
+    _set_malloc(_M_MMAP_THRESHOLD, _LARGE)
+    _set_malloc(_M_TRIM_THRESHOLD, _KEPT)
 
 
-def _tell(what: int, value: int) -> None:
+def _set_malloc(parameter: int, value: int) -> None:
     import ctypes
 
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:
-        mallopt(what, value)
+        mallopt(parameter, value)
 
 
 _P = ParamSpec("_P")

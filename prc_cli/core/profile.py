@@ -107,10 +107,7 @@ def profiling() -> Iterator[Profile]:
 
 
 def timed(name: str) -> AbstractContextManager[None]:
-    """Return a context that is timed as a stage while :func:`profiling`.
-
-    Otherwise it does nothing.
-    """
+    """Return a context that is timed as a stage, if inside :func:`profiling`."""
     profile = _Active.profile
     return _NOTHING if profile is None else profile.timed(name)
 

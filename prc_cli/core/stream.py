@@ -22,10 +22,7 @@ from prc_cli.core.frame import SensorFrame
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 
 FAR_M = 20_000.0
-"""Beyond the range of any terrestrial scanner [m].
-
-a sign of a wrong origin, unit or coordinate system.
-"""
+"""Beyond the range of any terrestrial scanner [m]: origin, unit or coordinate system is wrong."""
 MAX_RINGS = 256
 """Most rings of a spinning scanner."""
 
@@ -67,42 +64,27 @@ class StreamInfo(Brief):
     None if unknown.
     """
     cos_tilt: float = 1.0
-    """Cosine of the tilt of the scan plane from the vertical.
-
-    Height per metre of range along that beam.
-    """
+    """Cosine of the tilt of the scan plane from the vertical; height per metre of range there."""
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """Down angle and cosine by scanner, where found per scanner.
-
-    If not empty, unknown for all other scanners.
-    """
+    """Down angle [rad] and cosine by scanner; if not empty, unknown for all other scanners."""
     angles_off: float = 0.0
-    """Uncertainty of scan angles that were measured from the ranges, as a share.
-
-    0 = the input gives them.
-    """
+    """Relative uncertainty of scan angles that were measured from the ranges, 0 = given."""
     assumptions: tuple[Assumption, ...] = ()
     facts: SourceFacts = field(default_factory=SourceFacts)
     """Metadata of the file."""
     dimensions: tuple[str, ...] = ()
-    """Names of the records' dimensions, where lines were found from records.
-
-    Empty for images and frames.
-    """
+    """Names of the records' dimensions; empty for images and frames."""
 
     def down(self, scanner: int) -> tuple[float | None, float]:
         """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
-        return (
-            self.downs.get(scanner, (None, 1.0)) if self.downs else (self.down_rad, self.cos_tilt)
-        )
+        if self.downs:
+            return self.downs.get(scanner, (None, 1.0))
+        return self.down_rad, self.cos_tilt
 
 
 @dataclass(frozen=True, slots=True)
 class ReadTally:
-    """Counts of what a reader set missing or could not place, summed over blocks.
-
-    Nothing is dropped uncounted.
-    """
+    """Counts of shots that a reader set missing and of records that have no cell of their own."""
 
     n_not_finite: int = 0
     """Infinite ranges, taken as missing (NaN and empty cells are the usual codes for missing)."""
@@ -125,24 +107,20 @@ class ReadTally:
         # most are empty, and tallies are added a dozen times per chunk
         if other == _NO_TALLY:
             return self
-        return (
-            other
-            if self == _NO_TALLY
-            else ReadTally(*map(add, _counts_of(self), _counts_of(other)))
-        )
+        if self == _NO_TALLY:
+            return other
+        return ReadTally(*map(add, _counts_of(self), _counts_of(other)))
 
     def counts(self, *, everything: bool = False) -> Iterator[tuple[str, int]]:
-        """Yield the counts but that of the records, with descriptions.
-
-        Zero counts only with ``everything``.
-        """
-        for name, count in zip((one.name for one in fields(self)), _counts_of(self), strict=True):
+        """Yield every count but ``n_records``, with a description; zeros only with ``everything``."""
+        for name in self.__dataclass_fields__:
+            count = getattr(self, name)
             if name != "n_records" and (count or everything):
                 yield name.removeprefix("n_").replace("_", " "), count
 
 
 _NO_TALLY = ReadTally()
-_counts_of = attrgetter(*(one.name for one in fields(ReadTally)))
+_counts_of = attrgetter(*(count.name for count in fields(ReadTally)))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -176,10 +154,7 @@ class ExtraReturns(Brief):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ScanBlock(Brief):
-    """Consecutive scan lines of one scanner, at least one.
-
-    :func:`prc_cli.core.blocks.regroup` cuts them anew.
-    """
+    """Consecutive scan lines of one scanner, at least one."""
 
     first_line: int
     """Index of the block's first line in the stream of its scanner."""
@@ -199,8 +174,7 @@ class ScanBlock(Brief):
     intensity: F32 | None = None
     """(lines, M) float32, NaN = missing.
 
-    Raw units of the input, scaled to 0..65535 for formats that state their
-    limits (PTX, E57)."""
+    Raw units of the input, scaled to 0..65535 for formats that state their limits (PTX, E57)."""
     angle_rad: F64 | None = None
     """(M,) float64, scan angle per column [rad]."""
     beam_rad: F64 | None = None
@@ -208,10 +182,7 @@ class ScanBlock(Brief):
     scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None
     = unknown or not requested."""
     has_rings: bool = False
-    """Whether columns are known to be the rings of a spinning scanner.
-
-    By what the input is, or by coordinates.
-    """
+    """Whether columns are known to be the rings of a spinning scanner."""
     frame: SensorFrame | None = None
     """Frame of a spinning scanner in that of ``xyz_m``; None = the same, as far as is known."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
@@ -219,10 +190,7 @@ class ScanBlock(Brief):
     is_last: bool = False
     """The scanner has no more lines."""
     next_m: F32 | None = None
-    """(lines <= look-ahead, M) float32, ranges of the lines that follow the block [m].
-
-    Set by regrouping only.
-    """
+    """(lines <= look-ahead, M) float32, ranges of the lines after the block [m], if regrouped."""
 
     @property
     def n_lines(self) -> int:
@@ -245,10 +213,7 @@ class ScanBlock(Brief):
 
 
 def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
-    """Return the lines ``start`` to ``stop`` of a block.
-
-    The part that begins at line 0 keeps the tally.
-    """
+    """Return the lines ``start`` to ``stop`` of a block; the part from line 0 keeps the tally."""
     inside = (block.extra.line >= start) & (block.extra.line < stop)
     extra = ExtraReturns(
         block.extra.line[inside] - np.int32(start),
@@ -273,10 +238,7 @@ def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
 
 
 class ScanStream(Protocol):
-    """Interface of all readers: properties of the stream, and its blocks.
-
-    May be read repeatedly.
-    """
+    """Interface of all readers: the properties of a stream and its blocks, read repeatedly."""
 
     @property
     def info(self) -> StreamInfo:
@@ -285,7 +247,10 @@ class ScanStream(Protocol):
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start, chronological for each scanner.
 
-        InputError where the input is damaged.
+        Raises
+        ------
+        InputError
+            The input is damaged.
         """
 
 
@@ -294,27 +259,17 @@ class StageLabels:
     """Intermediate results of the sequential-angle classifier (Stamos et al. 2012)."""
 
     surface: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`.
-
-    The coarse classification (sec. 4).
-    """
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`: coarse classification (sec. 4)."""
     car_surface: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface` of the car stages.
-
-    T', H and V (sec. 7.1).
-    """
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`: T', H and V of cars (sec. 7.1)."""
     ground_height_m: F32
-    """(lines, M) float32, z_g, ground height relative to the scanner at that line [m].
-
-    NaN = unknown.
-    """
+    """(lines, M) float32, z_g, ground height relative to the scanner [m]; NaN = unknown."""
     trigger: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.TriggerSide` (sec. 7.2)."""
     car_interval: U16
     """(lines, M) uint16, number p of the interval between dividers on the shot's half-line, from 1.
 
-    0 = none
-    (sec. 7.3, before anything is taken out of the interval)."""
+    0 = none (sec. 7.3, before anything is taken out of the interval)."""
     car_test: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.CarTest`."""
 
@@ -326,7 +281,9 @@ class StageLabels:
 
     def of_lines(self, lines: slice) -> StageLabels:
         """Return some of the lines; views."""
-        return StageLabels(**{one.name: getattr(self, one.name)[lines] for one in fields(self)})
+        return StageLabels(
+            **{stage.name: getattr(self, stage.name)[lines] for stage in fields(self)}
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,10 +291,7 @@ class CriticalZetas:
     """Range differences that both thresholds must exceed for a shot to have support (Lehtola et al. 2019, V-A)."""
 
     in_line_m: F32
-    """(lines, M) float32, compared with zeta_p [m].
-
-    Infinite = too few neighbours, NaN = missing.
-    """
+    """(lines, M) float32, compared with zeta_p [m]; inf = too few neighbours, NaN = missing."""
     adjacent_m: F32
     """(lines, M) float32, compared with zeta_s [m]."""
 
@@ -358,23 +312,18 @@ class LabelledBlock(Brief):
     above_m: F32 | None = None
     """(lines, M) float32, height above the ground [m]; NaN = missing, or no ground is known.
 
-    None = the method has no
-    ground, or it was not asked for."""
+    None = the method has no ground, or it was not asked for."""
     critical: CriticalZetas | None = None
     """Critical thresholds of PRC."""
     confidence: U8 | None = None
     """(lines, M) uint8, per cent of such shots whose label is right; 0 = no return, or not known.
 
-    None = the method has
-    none, or it was not asked for."""
+    None = the method has none, or it was not asked for."""
     extra_confidence: U8 | None = None
     """(n,) uint8, the same of ``block.extra``."""
     reasons: U8 | None = None
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Reason`.
-
-    The rule that gave the label; None unless asked for.
-    """
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Reason`; None unless asked for."""
     measures: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """(lines, M) each: what the stages measured, by names with their units, for ``prc explain``."""
+    """(lines, M) arrays that the stages measured, by names with their units, for ``prc explain``."""
     is_up_assumed: bool = False
     """Whether there is a plane below and one above the scanner, and z is assumed to point up."""

@@ -25,10 +25,7 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 TICK_S = 0.2
-"""Longest wait before signals are handled [s].
-
-On POSIX, where signals interrupt waits, they are handled at once.
-"""
+"""Longest wait before signals are handled [s]; on POSIX signals interrupt waits at once."""
 PATIENCE_S = 5.0
 """How long closing waits for a reader thread to end [s]."""
 _CGROUP = Path("/sys/fs/cgroup")
@@ -127,10 +124,7 @@ def _wait(future: Future[_B]) -> _B:
 
 
 class Relay(Generic[_A]):
-    """A value handed from job to job across threads.
-
-    Jobs start in the order of their turns 0, 1, 2 ...
-    """
+    """A value handed from job to job across threads, in the order of their turns 0, 1, 2 ..."""
 
     def __init__(self, value: _A) -> None:
         self._value = value
@@ -139,10 +133,7 @@ class Relay(Generic[_A]):
         self._changed = threading.Condition()
 
     def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> tuple[_B, _A]:
-        """Wait for a turn, then call the function with the value.
-
-        It returns a result and the next turn's value.
-        """
+        """Wait for a turn, then call the function: value -> (result, value of the next turn)."""
         with self._changed:
             while self._turn != turn and not self._is_broken(turn):
                 with timed("waiting for the block before"):
@@ -187,10 +178,7 @@ class _Channel(Generic[_A]):
         self._error: BaseException | None = None
 
     def put(self, item: _A) -> bool:
-        """Append an item when there is room.
-
-        Return False at once when the receiver has cancelled.
-        """
+        """Append an item when there is room; False if the receiver has cancelled."""
         with self._changed:
             while len(self._items) >= self._depth and not self._cancelled:
                 self._changed.wait(TICK_S)
@@ -311,7 +299,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
-        at: TracebackType | None,
+        traceback: TracebackType | None,
     ) -> None:
         if kind is None:
             self.close()
@@ -320,9 +308,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
 
 
 def drain(messages: queue.SimpleQueue[_A]) -> list[_A]:
-    """Take all messages from a queue.
-
-    Wait at most :data:`TICK_S` for the first; empty if none came.
+    """Take all messages from a queue; wait at most :data:`TICK_S` for the first.
 
     >>> messages: queue.SimpleQueue[int] = queue.SimpleQueue()
     >>> messages.put(1)

@@ -1,7 +1,4 @@
-"""A part of a drive: some scan lines, or some seconds.
-
-Parsed from text and compared with lines and times.
-"""
+"""A part of a drive, in scan lines or seconds, read from the text of an option."""
 
 from __future__ import annotations
 
@@ -40,8 +37,8 @@ class Window:
 
 def parse_window(only_lines: str | None, only_time: str | None, first: str | None) -> Window | None:
     """Read a window; at most one text may be given."""
-    given = [text for text in (only_lines, only_time, first) if text is not None]
-    if len(given) > 1:
+    texts = [text for text in (only_lines, only_time, first) if text is not None]
+    if len(texts) > 1:
         message = "one of only_lines, only_time and first, not several"
         raise ValueError(message)
     if only_lines is not None:
@@ -52,11 +49,11 @@ def parse_window(only_lines: str | None, only_time: str | None, first: str | Non
 
 
 def _of_lines(text: str) -> Window:
-    found = _LINES.fullmatch(text.strip())
+    match = _LINES.fullmatch(text.strip())
     expected = "A:B, lines A to B - 1 counted from 0, such as 200:300, 200: or :300"
-    if found is None:
+    if match is None:
         raise ValueError(expected)
-    low, high = found.groups()
+    low, high = match.groups()
     window = Window(f"--only-lines {text}", True, float(low or 0), float(high or math.inf))
     if window.first >= window.stop:
         raise ValueError(expected)
@@ -64,14 +61,14 @@ def _of_lines(text: str) -> Window:
 
 
 def _of_times(text: str) -> Window:
-    found = _TIMES.fullmatch(text.strip())
+    match = _TIMES.fullmatch(text.strip())
     expected = (
         "A:B, from A until just before B, in the stream's own seconds (prc info shows them), or with a + since its "
         "first one: 512.5:542.5, +10:+40, +1min:"
     )
-    if found is None:
+    if match is None:
         raise ValueError(expected)
-    plus, low, low_unit, other_plus, high, high_unit = found.groups()
+    plus, low, low_unit, other_plus, high, high_unit = match.groups()
     window = Window(
         f"--only-time {text}",
         False,
@@ -86,12 +83,12 @@ def _of_times(text: str) -> Window:
 
 
 def _of_first(text: str) -> Window:
-    found = _FIRST.fullmatch(text.strip())
-    size = float(found.group(1)) if found is not None else 0.0
-    in_lines = found is not None and found.group(2).startswith("line")
-    if found is None or size <= 0 or (in_lines and size != int(size)):
+    match = _FIRST.fullmatch(text.strip())
+    size = float(match.group(1)) if match is not None else 0.0
+    in_lines = match is not None and match.group(2).startswith("line")
+    if match is None or size <= 0 or (in_lines and size != int(size)):
         expected = "a length with its unit, such as 30s, 2min or 500lines"
         raise ValueError(expected)
     if in_lines:
         return Window(f"--first {text}", True, 0.0, size)
-    return Window(f"--first {text}", False, 0.0, size * _SECONDS[found.group(2)], True, True)
+    return Window(f"--first {text}", False, 0.0, size * _SECONDS[match.group(2)], True, True)
