@@ -1,4 +1,4 @@
-"""The loops that aim the shots of a simulated scan, and find the nearest surface of every shot.
+"""Loops that aim the shots of a simulated scan and find the nearest surface of every shot.
 
 The shots of a line lie nearly in one plane, and their angle within it rises or falls with the
 column. Hence bodies are first intersected with the plane of the line; the intersection covers a
@@ -38,7 +38,7 @@ _Z = np.uint64(0xE7037ED1A0B428DB)
 
 
 class _Frame(NamedTuple):
-    """The plane in which the shots of a line lie, nearly, and how far they stray from it."""
+    """The plane of the shots of a line, and how far they stray from it."""
 
     normal: tuple[float, float, float]
     first: tuple[float, float, float]
@@ -48,24 +48,35 @@ class _Frame(NamedTuple):
     centre: tuple[float, float, float]
     """Middle of the places where shots begin [m]."""
     stray_m: float
-    """Greatest distance of such a place from the centre [m] ..."""
+    """Greatest distance of such a place from the centre [m]."""
     stray_out_m: float
-    """... and from the plane through the centre [m]."""
+    """Greatest distance of such a place from the plane through the centre [m]."""
     tilt: float
     """Greatest sine of the angle between a shot and the plane."""
     time_s: float
     """Middle of the times of the shots [s]."""
     half_time_s: float
-    """From there to the first or last of them [s]."""
+    """From the middle to the first or last of the times [s]."""
+
+
+class _Leaves(NamedTuple):
+    """Leaves of a body for the shots of a line."""
+
+    number: float
+    """Identity of the body."""
+    rate: float
+    """Mean number of leaves per metre."""
+    shot: int
+    """Number of the first shot, or of the shot."""
 
 
 class _Bins(NamedTuple):
     """Steps of angle (diamond) of a table of columns."""
 
     first: float
-    """Where the first begins."""
+    """Start of the first step."""
     last: float
-    """Where the last ends."""
+    """End of the last step."""
     scale: float
     """Steps per unit of angle."""
 
@@ -74,14 +85,11 @@ class _Bins(NamedTuple):
 def _wrap(
     shape: int,
     numbers: F64,
-    turn: F64,
+    yaw: F64,
     hull: F64,
     j: int,
 ) -> None:
-    """Write what encloses a body.
-
-    Three points, a distance around their triangle, and the reach from the first.
-    """
+    """Write the hull of a body: three points, a distance around their triangle, its reach."""
     if shape == _TRIANGLE:
         for k in range(9):
             hull[j, k] = numbers[k]
@@ -100,8 +108,8 @@ def _wrap(
         hull[j, 9] = max(p, q) if shape == _ELLIPSOID else np.sqrt(p * p + q * q)
         # an ellipsoid ends where its capsule ends; the corners of a box need a longer one
         half = numbers[longest] - hull[j, 9] if shape == _ELLIPSOID else numbers[longest]
-        x = half * turn[0] if longest == 3 else -half * turn[1] if longest == 4 else 0.0
-        y = half * turn[1] if longest == 3 else half * turn[0] if longest == 4 else 0.0
+        x = half * yaw[0] if longest == 3 else -half * yaw[1] if longest == 4 else 0.0
+        y = half * yaw[1] if longest == 3 else half * yaw[0] if longest == 4 else 0.0
         z = half if longest == 5 else 0.0
         hull[j, 0] = numbers[0] - x
         hull[j, 1] = numbers[1] - y
@@ -202,10 +210,7 @@ def _read_line(
 
 @helper
 def _measure_line(rays: F64, angle: F64) -> _Frame:
-    """Fit a plane to the shots of a line and measure how far they stray from it.
-
-    Write their angles in it.
-    """
+    """Fit a plane to the shots of a line, measure how far they stray from it, write their angles."""
     normal, first, second = _lay_plane(rays)
     centre = _middle(rays[0])[0], _middle(rays[1])[0], _middle(rays[2])[0]
     stray = out = tilt = 0.0
@@ -241,7 +246,7 @@ def _measure_line(rays: F64, angle: F64) -> _Frame:
 def _lay_plane(
     rays: F64,
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """Return the axes of a line: the normal of its plane, the direction of its first shot, and the third axis."""
+    """Return the normal of a line's plane, the direction of its first shot, and the third axis."""
     m = rays.shape[1]
     quarter = max(m // 4, 1)
     nx = ny = nz = 0.0
@@ -279,10 +284,7 @@ def _lay_plane(
 
 @helper
 def _diamond(x: float, y: float) -> float:
-    """Return a number from 0 to 4 that rises with the angle of a vector, 1 per right angle.
-
-    Faster than the angle.
-    """
+    """Return a number from 0 to 4 that rises with the angle of a vector, 1 per right angle."""
     total = abs(x) + abs(y)
     if total == 0.0:
         return 0.0
@@ -293,7 +295,7 @@ def _diamond(x: float, y: float) -> float:
 
 @helper
 def _tabulate(angle: F64, first: I64, last: I64) -> _Bins:
-    """Write for every small step of angle the first column at or after it, and the last at or before it."""
+    """Write the first column at or after every step of angle, and the last at or before it."""
     m = len(angle)
     n_bins = len(first)
     middle, half = _middle(angle)
@@ -324,18 +326,15 @@ def _look_around(
     velocity: F64,
     frame: _Frame,
     corners: F64,
-    seen: I64,
+    in_view: I64,
     spans: F64,
 ) -> int:
-    """List the bodies that shots of a line can meet.
-
-    Number, first and last angle, nearest distance.
-    """
+    """List the bodies that shots of a line can meet: row, first and last angle, least distance."""
     normal = frame.normal
     first = frame.first
     second = frame.second
     centre = frame.centre
-    n_seen = 0
+    n_in_view = 0
     for j in range(len(hull)):
         vx = velocity[j, 0]
         vy = velocity[j, 1]
@@ -368,22 +367,17 @@ def _look_around(
             continue
         low, high, near = _span(corners, around + off, around + frame.stray_m + 1e-5 + 1e-6 * far)
         if low <= high:
-            seen[n_seen] = j
-            spans[n_seen, 0] = low
-            spans[n_seen, 1] = high
-            spans[n_seen, 2] = near
-            n_seen += 1
-    return n_seen
+            in_view[n_in_view] = j
+            spans[n_in_view, 0] = low
+            spans[n_in_view, 1] = high
+            spans[n_in_view, 2] = near
+            n_in_view += 1
+    return n_in_view
 
 
 @helper
 def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]:
-    """Return the angles (diamond) within which a triangle is seen that is cut at two heights.
-
-    And how near it comes.
-
-    ``corners`` (3, 3) float64.
-    """
+    """Return the angles (diamond) of a triangle, (3, 3), cut at two heights, and its distance."""
     low = np.inf
     high = -np.inf
     near = np.inf
@@ -391,26 +385,26 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
     # the part between the two heights is convex: its corners lie on the edges, its outermost angles
     # at corners
     for corner in range(3):
-        other = corner + 1 if corner < 2 else 0
+        next_corner = corner + 1 if corner < 2 else 0
         h = corners[corner, 0]
-        rise = corners[other, 0] - corners[corner, 0]
+        rise = corners[next_corner, 0] - corners[corner, 0]
         start = 0.0
         stop = 1.0
         if rise != 0.0:
-            one = (-top - h) / rise
-            two = (top - h) / rise
-            if one > two:
-                one, two = two, one
-            start = one if one > start else start
-            stop = two if two < stop else stop
+            below = (-top - h) / rise
+            above = (top - h) / rise
+            if below > above:
+                below, above = above, below
+            start = below if below > start else start
+            stop = above if above < stop else stop
         elif abs(h) > top:
             continue
         if start > stop:
             continue
         for end in range(2):
             way = stop if end else start
-            u = corners[corner, 1] + way * (corners[other, 1] - corners[corner, 1])
-            v = corners[corner, 2] + way * (corners[other, 2] - corners[corner, 2])
+            u = corners[corner, 1] + way * (corners[next_corner, 1] - corners[corner, 1])
+            v = corners[corner, 2] + way * (corners[next_corner, 2] - corners[corner, 2])
             square = u * u + v * v
             if square <= margin * margin * 1.0001:
                 return 0.0, 4.0, 0.0
@@ -440,7 +434,7 @@ def _list_windows(
     last: I64,
     windows: I64,
 ) -> int:
-    """List the windows of columns, first and one past the last, whose shots go between two angles, at any turn."""
+    """List the windows of columns [start, stop) whose shots go between two angles, at any turn."""
     n = 0
     turns = np.ceil((bins.first - high) / 4.0)
     while low + 4.0 * turns <= bins.last:
@@ -461,7 +455,7 @@ def _list_windows(
 
 @helper
 def _sort(keys: F64, rows: I64, n: int) -> None:
-    """Put the first n rows in the order of their keys, in place (Shell 1959)."""
+    """Sort the first n rows by their keys, in place (Shell 1959)."""
     step = n // 2
     while step > 0:
         for i in range(step, n):
@@ -485,7 +479,7 @@ def _cast_triangle(
     t: F64,
     body: I32,
 ) -> None:
-    """Intersect a window of shots with a triangle (Möller and Trumbore 1997, with the normal prepared)."""
+    """Intersect a window of shots with a triangle (Möller and Trumbore 1997)."""
     vx = velocity[0]
     vy = velocity[1]
     px = ready[3]
@@ -530,10 +524,7 @@ def _turned(
     vy: float,
     ready: F64,
 ) -> tuple[float, float, float, float, float, float]:
-    """Return a shot in the coordinates of an ellipsoid or box.
-
-    Where it begins, and where it goes.
-    """
+    """Return origin and direction of a shot in the coordinates of an ellipsoid or box."""
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
     cos = ready[6]
@@ -552,19 +543,16 @@ def _turned(
 
 @helper
 def _roots(a: float, b: float, c: float) -> tuple[float, float]:
-    """Solve a t^2 + 2 b t + c = 0 without loss of digits, the smaller first.
-
-    NaN or infinite where there is none.
-    """
+    """Solve a t^2 + 2 b t + c = 0 without loss of digits; NaN or inf = no solution."""
     square = b * b - a * c
     if not square >= 0.0:
         return np.nan, np.nan
     q = -(b + np.sqrt(square)) if b > 0.0 else np.sqrt(square) - b
-    one = q / a
-    two = c / q
-    if one < two:
-        return one, two
-    return two, one
+    first = q / a
+    second = c / q
+    if first < second:
+        return first, second
+    return second, first
 
 
 @helper
@@ -575,10 +563,7 @@ def _along_cone(
     vy: float,
     ready: F64,
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return the terms of the equation of a shot and a cone.
-
-    Place and speed along its axis; radius and its speed.
-    """
+    """Return a, b, c of the equation of shot and cone; place, speed, radius, growth along its axis."""
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
     z = rays[2, i] - ready[2]
@@ -623,9 +608,9 @@ def _cut_ellipsoid(
 def _through_slab(place: float, step: float, half: float) -> tuple[float, float]:
     if step == 0.0:
         return (np.inf, -np.inf) if abs(place) > half else (-np.inf, np.inf)
-    one = (-half - place) / step
-    two = (half - place) / step
-    return (one, two) if one < two else (two, one)
+    enter = (-half - place) / step
+    leave = (half - place) / step
+    return (enter, leave) if enter < leave else (leave, enter)
 
 
 @helper
@@ -699,7 +684,6 @@ def _chance(x: np.uint64) -> float:
 
 @helper
 def _shot_key(body_key: np.uint64, shot: int, t_min: float) -> np.uint64:
-    """Return what seeds the way of a shot through the leaves of a body."""
     cast = np.uint64(np.int64(np.floor(t_min * 1024.0)))
     return _mix(body_key ^ _mix(np.uint64(shot) + _SHOT)) ^ (cast * _CAST)
 
@@ -711,10 +695,9 @@ def _facing(
     velocity: F64,
     ready: F64,
     shape: int,
-    leaves: tuple[float, float, int],
+    leaves: _Leaves,
     t: float,
 ) -> float:
-    """Return the cosine of incidence of a shot on what it has met."""
     if shape == _TRIANGLE:
         slope = rays[3, i] * ready[9] + rays[4, i] * ready[10] + rays[5, i] * ready[11]
         return float(abs(slope) / ready[12])
@@ -724,9 +707,9 @@ def _facing(
         a, b, _, _, _, radius, growth = _along_cone(rays, i, vx, vy, ready)
         cosine = abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + ready[8] * ready[8]))
         return cosine if cosine < 1.0 else 1.0
-    number, rate, shot = leaves
-    if rate > 0.0:  # leaves face everywhere; those that face the shot are met more often
-        key = _shot_key(_mix(np.uint64(np.int64(number)) + _BODY), shot, rays[7, i])
+    if leaves.rate > 0.0:  # leaves face everywhere; those that face the shot are met more often
+        body_key = _mix(np.uint64(np.int64(leaves.number)) + _BODY)
+        key = _shot_key(body_key, leaves.shot, rays[7, i])
         return float(np.sqrt(_chance(key + _LEAF)))
     x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
     if shape == _ELLIPSOID:
@@ -766,7 +749,7 @@ def _cast_leaves(
     ready: F64,
     shape: int,
     b: int,
-    leaves: tuple[float, float, int],
+    leaves: _Leaves,
     quantiles: F64,
     t: F64,
     body: I32,
@@ -774,8 +757,7 @@ def _cast_leaves(
     """Send a window of shots through a body that is filled with leaves."""
     vx = velocity[0]
     vy = velocity[1]
-    number, rate, first_shot = leaves
-    key = _mix(np.uint64(np.int64(number)) + _BODY)
+    key = _mix(np.uint64(np.int64(leaves.number)) + _BODY)
     for i in range(start, stop):
         begin = rays[7, i]
         if not begin < _FARTHEST_M:
@@ -788,9 +770,9 @@ def _cast_leaves(
         now = enter if enter > begin else begin
         if not (enter < leave and now < leave and now <= t[i]):
             continue
-        chance = _mix(_shot_key(key, first_shot + i, begin) + _PATH)
+        chance = _mix(_shot_key(key, leaves.shot + i, begin) + _PATH)
         left = quantiles[np.int64(chance >> np.uint64(11)) % len(quantiles)]
-        here = _walk(x, y, z, dx, dy, dz, now, leave, t[i], rate, left, key)
+        here = _walk(x, y, z, dx, dy, dz, now, leave, t[i], leaves.rate, left, key)
         if here < t[i] or (here == t[i] and b < body[i] and here < np.inf):
             t[i] = here
             body[i] = b
@@ -811,19 +793,15 @@ def _walk(
     left: float,
     key: np.uint64,
 ) -> float:
-    """Go from cell to cell of the lattice of a body until the leaves on the way are enough.
-
-    Inf = never.
-    """
-    # the next side of the cell, by how much it moves from cell to cell, and what that does to the
-    # mark of the cell
+    """Go from cell to cell of a body's lattice until the leaves on the way suffice; inf = never."""
+    # next side of the cell; its step from cell to cell, and the step of the cell's mark
     p = np.floor((x + now * dx) / _CELL_M)
     q = np.floor((y + now * dy) / _CELL_M)
     r = np.floor((z + now * dz) / _CELL_M)
     mark = np.uint64(np.int64(p)) * _X + np.uint64(np.int64(q)) * _Y + np.uint64(np.int64(r)) * _Z
-    one_x, mark_x = (1.0, _X) if dx > 0.0 else (-1.0, _ZERO - _X)
-    one_y, mark_y = (1.0, _Y) if dy > 0.0 else (-1.0, _ZERO - _Y)
-    one_z, mark_z = (1.0, _Z) if dz > 0.0 else (-1.0, _ZERO - _Z)
+    step_x, mark_x = (1.0, _X) if dx > 0.0 else (-1.0, _ZERO - _X)
+    step_y, mark_y = (1.0, _Y) if dy > 0.0 else (-1.0, _ZERO - _Y)
+    step_z, mark_z = (1.0, _Z) if dz > 0.0 else (-1.0, _ZERO - _Z)
     p = p + 1.0 if dx > 0.0 else p
     q = q + 1.0 if dy > 0.0 else q
     r = r + 1.0 if dz > 0.0 else r
@@ -848,15 +826,15 @@ def _walk(
         left -= gain
         now = then if then > now else now
         if then == u:
-            p += one_x
+            p += step_x
             mark += mark_x
             u = (p * _CELL_M - x) * fast_x
         elif then == v:
-            q += one_y
+            q += step_y
             mark += mark_y
             v = (q * _CELL_M - y) * fast_y
         else:
-            r += one_z
+            r += step_z
             mark += mark_z
             w = (r * _CELL_M - z) * fast_z
     return np.inf
@@ -907,14 +885,12 @@ def cast_shots(
     for b in range(n):
         ready[b, _IS_READY] = 0.0
         _wrap(shape[b], numbers[b], turn[b], hull, b)
-    rays = np.empty(
-        (8, n_columns)
-    )  # one row per number, so that a window of columns is read in one go
+    rays = np.empty((8, n_columns))  # a row a number: a window of columns is read in one go
     angle = np.empty(n_columns)
     corners = np.empty((3, 3))
     first = np.empty(2 * n_columns, np.int64)
     last = np.empty(2 * n_columns, np.int64)
-    seen = np.empty(n, np.int64)
+    in_view = np.empty(n, np.int64)
     rows = np.empty(n, np.int64)
     spans = np.empty((n, 3))
     windows = np.empty((4, 2), np.int64)
@@ -923,25 +899,24 @@ def cast_shots(
         _read_line(origin, direction, time_s, t_min, line, rays)
         frame = _measure_line(rays, angle)
         bins = _tabulate(angle, first, last)
-        n_seen = _look_around(hull, velocity, frame, corners, seen, spans)
-        # surfaces first, then the nearest leaves: no way through leaves is walked that lies behind
-        # a hit
-        for k in range(n_seen):
-            b = seen[k]
+        n_in_view = _look_around(hull, velocity, frame, corners, in_view, spans)
+        # surfaces first, then the nearest leaves: the way through leaves ends at a hit
+        for k in range(n_in_view):
+            b = in_view[k]
             rows[k] = k
             if not (shape[b] >= _ELLIPSOID and density[b] > 0.0):
                 spans[k, 2] = -np.inf
             if ready[b, _IS_READY] == 0.0:
                 _prepare(shape[b], numbers[b], turn[b], ready[b])
-        _sort(spans, rows, n_seen)
+        _sort(spans, rows, n_in_view)
         near = t[line]
         near_body = body[line]
         for i in range(n_columns):
             near[i] = np.inf
             near_body[i] = -1
-        for row in range(n_seen):
+        for row in range(n_in_view):
             k = rows[row]
-            b = seen[k]
+            b = in_view[k]
             for w in range(_list_windows(spans[k, 0], spans[k, 1], bins, first, last, windows)):
                 start = windows[w, 0]
                 stop = windows[w, 1]
@@ -952,7 +927,7 @@ def cast_shots(
                         rays, start, stop, velocity[b], ready[b], shape[b], b, near, near_body
                     )
                 else:
-                    leaves = (number[b], 0.5 * density[b], shot)
+                    leaves = _Leaves(number[b], 0.5 * density[b], shot)
                     _cast_leaves(
                         rays,
                         start,
@@ -970,7 +945,7 @@ def cast_shots(
             b = int(near_body[i])
             facing[line, i] = 0.0
             if b >= 0:
-                leaves = (number[b], 0.5 * density[b], shot + i)
+                leaves = _Leaves(number[b], 0.5 * density[b], shot + i)
                 facing[line, i] = _facing(rays, i, velocity[b], ready[b], shape[b], leaves, near[i])
     return t, body, facing
 

@@ -1,9 +1,10 @@
-"""Simulated scans: scene, scanner, what carries it and what it makes of surfaces, as a stream with reference labels."""
+"""Simulated scans as streams with reference labels: a scene, a scanner and its platform."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,23 +15,21 @@ from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels import load_kernels
 from prc_cli.simulation.scanners import Scanner
-from prc_cli.simulation.sensor import Hits, Measured, cast, goes_behind, scan
+from prc_cli.simulation.sensor import Measured, cast, goes_behind, scan
+from prc_cli.simulation.thresholds import Hits
 from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
 from prc_cli.simulation.world import PROPERTIES, Bodies, BodiesNear, Material, Shape, hashed
 
 LINES_AT_ONCE = 64
-"""Lines that are simulated together, always the same ones, so that nothing depends on the blocks that are asked for."""
+"""Lines that are simulated together, whatever blocks are asked for: values do not depend on these."""
 LINES_LOOKED_AT = 1 << 12
-"""Lines whose places are worked out together when the end of a drive is looked for."""
+"""Lines whose places are computed together in the search for the end of a drive."""
 MOST_LINES = 2**31 - 1
 LARGEST_ROOM_M = 25.0
 BEHIND_M = 0.01
-"""What is seen through a surface lies farther behind it than this [m]."""
+"""Surfaces that are seen through another lie farther behind it than this [m]."""
 INTENSITY_SCALE = np.float32(4096.0)
-"""Intensity of a white wall at 10 m.
-
-It grows with the root of the power, so that near and far fit 16 bits.
-"""
+"""Intensity of a white wall at 10 m; it grows with the root of the power, to fit 16 bits."""
 
 KERNELS_OF_SIMULATOR = frozenset({"simulation"})
 """Modules of the compiled loops."""
@@ -43,20 +42,14 @@ class SimulatedBlock:
     labelled: LabelledBlock
     """Ranges, times, intensities, and the reference label of every return."""
     world_m: F64 | None = None
-    """(lines, M, 3) float64, where every return was measured, from the true pose [m].
-
-    NaN = missing.
-    """
+    """(lines, M, 3) float64, place of every return by the true pose [m]; NaN = missing."""
     extra_world_m: F64 | None = None
     """(n, 3) float64, the same for further returns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScan:
-    """A simulated stream with known labels.
-
-    Every call of :meth:`blocks` simulates again, in pieces.
-    """
+    """A simulated stream with known labels; every call of :meth:`blocks` simulates again."""
 
     name: str
     bodies_near: BodiesNear
@@ -71,26 +64,18 @@ class SimulatedScan:
     flake_m: float = 0.0
     """Mean way of a beam from one flake of snow, or drop, to the next [m]; 0 = clear air."""
     relabel: Callable[[F64], U8] | None = None
-    """Reference labels by place, (n, 3) [m] to (n,), instead of those of what was hit.
-
-    Needs ``with_world``.
-    """
+    """Reference labels by place, (n, 3) [m] to (n,); unset = of the bodies. Needs ``with_world``."""
 
     @property
     def lines_at_once(self) -> int:
-        """Lines that are simulated together.
-
-        a turn of a spinning scanner, else :data:`LINES_AT_ONCE`.
-        """
-        return (
-            max(1, round(360.0 / self.scanner.azimuth_step_deg))
-            if self.scanner.spins
-            else LINES_AT_ONCE
-        )
+        """Lines that are simulated together: a turn of a spinning scanner, else LINES_AT_ONCE."""
+        if not self.scanner.spins:
+            return LINES_AT_ONCE
+        return max(1, round(360.0 / self.scanner.azimuth_step_deg))
 
     @property
     def info(self) -> StreamInfo:
-        """What is known of the stream."""
+        """Properties of the stream."""
         scanner = self.scanner
         return StreamInfo(
             path=self.name,
@@ -139,32 +124,35 @@ class SimulatedScan:
         bodies = self.bodies_near(
             float(middle[0]), float(middle[1]), self.sight_m + travelled, when_s
         )
-        found = self._measure(bodies, shots, first)
-        ranges = found.range_m
-        at = found.extra_line, found.extra_column
-        extra = ExtraReturns(*at, found.extra_range_m, (first + at[0].astype(np.int64)) * m + at[1])
+        returns = self._measure(bodies, shots, first)
+        ranges = returns.range_m
+        line = returns.extra_line
+        column = returns.extra_column
+        record = (first + line.astype(np.int64)) * m + column
+        extra = ExtraReturns(line, column, returns.extra_range_m, record)
         angle_rad = scanner.angle_rad()
         block = ScanBlock(
             first,
             ranges,
             time_s=shots.time_s,
             xyz_m=_relative(scanner, first, ranges) if self.with_xyz else None,
-            intensity=_counts(found.intensity, ranges),
+            intensity=_counts(returns.intensity, ranges),
             angle_rad=angle_rad,
             beam_rad=angle_rad if scanner.turns else None,
             extra=extra,
             is_last=first + n_lines == self.n_lines,
         )
-        labelled = LabelledBlock(block, found.label, found.extra_label)
+        labelled = LabelledBlock(block, returns.label, returns.extra_label)
         if not self.with_world:
             return SimulatedBlock(labelled)
-        own = shots.origin + ranges[..., None] * shots.direction
-        further = shots.origin[at] + found.extra_range_m[:, None] * shots.direction[at]
+        world_m = shots.origin + ranges[..., None] * shots.direction
+        way = returns.extra_range_m[:, None] * shots.direction[line, column]
+        further = shots.origin[line, column] + way
         if self.relabel is not None:
-            labels = self.relabel(own.reshape(-1, 3)).reshape(ranges.shape)
+            labels = self.relabel(world_m.reshape(-1, 3)).reshape(ranges.shape)
             extra_labels = self.relabel(further)
             labelled = replace(labelled, labels=labels, extra_labels=extra_labels)
-        return SimulatedBlock(labelled, own, further)
+        return SimulatedBlock(labelled, world_m, further)
 
     def _measure(self, bodies: Bodies, shots: Shots, first: int) -> Measured:
         """Cast the shots, once more behind what light passes, and let the scanner measure."""
@@ -178,16 +166,13 @@ class SimulatedScan:
             behind = self._in_sight(
                 cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m)
             )
-        found = scan(hits, bodies, scanner, first, self.seed, behind)
+        returns = scan(hits, bodies, scanner, first, self.seed, behind)
         if self.flake_m:
-            found = in_snow(found, self.flake_m, first, self.seed)
-        return _as_static(found, bodies, shots, hits, behind) if scanner.is_static else found
+            returns = in_snow(returns, self.flake_m, first, self.seed)
+        return _as_static(returns, bodies, shots, hits, behind) if scanner.is_static else returns
 
     def _in_sight(self, hits: Hits) -> Hits:
-        """Forget what is farther than is simulated.
-
-        Whether it is among the bodies depends on where they end.
-        """
+        # beyond the sight, a body may or may not be among the bodies
         far = hits.t > self.sight_m
         hits.t[far] = np.inf
         hits.body[far] = -1
@@ -201,7 +186,7 @@ def load_simulator() -> None:
 
 
 def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
-    """Return how many whole lines a platform makes until it has gone so far, at least 1."""
+    """Return the number of whole lines until a platform has gone this far, at least 1."""
     first = 0
     while first < MOST_LINES:
         start_s = scanner.line_time_s(first, LINES_LOOKED_AT)
@@ -214,31 +199,28 @@ def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
 
 
 def _as_static(
-    found: Measured,
+    returns: Measured,
     bodies: Bodies,
     shots: Shots,
     hits: Hits,
     behind: Hits | None,
 ) -> Measured:
-    """Return what was measured with the labels of static scans."""
 
-    def relabelled(label: U8, range_m: F32, at: tuple[I32, I32] | slice) -> U8:
+    def relabelled(label: U8, range_m: F32, shot: Any) -> U8:
         way = range_m.astype(np.float64)
-        body = hits.body[at]
+        body = hits.body[shot]
         if behind is not None:
-            nearer = np.abs(way - behind.t[at]) < np.abs(way - hits.t[at])
-            body = np.where(nearer, behind.body[at], body)
-        place = shots.origin[at] + way[..., None] * shots.direction[at]
-        return static_labels(label.ravel(), bodies, body.ravel(), place.reshape(-1, 3)).reshape(
-            label.shape
-        )
+            nearer = np.abs(way - behind.t[shot]) < np.abs(way - hits.t[shot])
+            body = np.where(nearer, behind.body[shot], body)
+        place = shots.origin[shot] + way[..., None] * shots.direction[shot]
+        labels = static_labels(label.ravel(), bodies, body.ravel(), place.reshape(-1, 3))
+        return labels.reshape(label.shape)
 
+    further = returns.extra_line, returns.extra_column
     return replace(
-        found,
-        label=relabelled(found.label, found.range_m, slice(None)),
-        extra_label=relabelled(
-            found.extra_label, found.extra_range_m, (found.extra_line, found.extra_column)
-        ),
+        returns,
+        label=relabelled(returns.label, returns.range_m, slice(None)),
+        extra_label=relabelled(returns.extra_label, returns.extra_range_m, further),
     )
 
 
@@ -247,56 +229,42 @@ NEAREST_FLAKE_M = 1.0
 FLAKE_SEEN_M = 9.0
 """A flake is answered with a chance that falls by e over this distance [m]."""
 FLAKE_POWER = 0.02
-"""Power of a flake's echo at 10 m, over that of a white wall.
-
-It falls with the square of the range.
-"""
+"""Power of a flake's echo at 10 m, over that of a white wall; it falls with the range squared."""
 
 
 def in_snow(
-    found: Measured,
+    returns: Measured,
     flake_m: float,
     first_line: int,
     seed: int,
 ) -> Measured:
-    """Return what is measured where flakes, or drops, lie in the way of the beams.
-
-    Their returns are noise.
-    """
-    n_lines, m = found.range_m.shape
+    """Return measurements with flakes, or drops, in the way of the beams; their returns are noise."""
+    n_lines, m = returns.range_m.shape
     shot = (first_line * m + np.arange(n_lines * m, dtype=np.int64)).reshape(n_lines, m)
     way = -flake_m * np.log1p(-hashed(seed, 40, shot))
     seen = hashed(seed, 41, shot) < np.exp(-way / FLAKE_SEEN_M)
-    hit = seen & (way > NEAREST_FLAKE_M) & ~(way >= found.range_m)
-    range_m = found.range_m.copy()
-    label = found.label.copy()
-    intensity = found.intensity.copy()
+    hit = seen & (way > NEAREST_FLAKE_M) & ~(way >= returns.range_m)
+    range_m = returns.range_m.copy()
+    label = returns.label.copy()
+    intensity = returns.intensity.copy()
     range_m[hit] = way[hit]
     label[hit] = Label.NOISE
     intensity[hit] = FLAKE_POWER * (10.0 / way[hit]) ** 2 * (0.5 + hashed(seed, 42, shot[hit]))
-    return replace(found, range_m=range_m, label=label, intensity=intensity)
+    return replace(returns, range_m=range_m, label=label, intensity=intensity)
 
 
 def _counts(power: F32, range_m: F32) -> F32:
-    """Return intensities as scanners store them, whole numbers from 0 to 65535.
-
-    NaN where there is no return.
-    """
+    # whole numbers from 0 to 65535, as scanners store them; NaN = no return
     counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(power)), 65535.0)
     counts[np.isnan(range_m)] = np.nan
-    found: F32 = counts.astype(np.float32, copy=False)
-    return found
+    return counts.astype(np.float32, copy=False)
 
 
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
-    """Return returns relative to the scanner.
-
-    x forward (azimuth 0), y left, z up, (lines, M, 3) float32 [m].
-    """
+    """Return (lines, M, 3) float32, x forward (azimuth 0), y left, z up of the scanner [m]."""
     columns = scanner.directions()
     if not scanner.turns:
-        found: F32 = (range_m[..., None] * columns).astype(np.float32)
-        return found
+        return (range_m[..., None] * columns).astype(np.float32)
     azimuth = scanner.azimuth_rad(first_line, len(range_m))
     along = range_m * columns[:, 0]
     across = range_m * columns[:, 1]
@@ -311,7 +279,6 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
 
 
 def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
-    """Return the lines from ``start`` to before ``stop``, or to the last one."""
     stop = min(stop, item.block.n_lines)
     inside = (item.block.extra.line >= start) & (item.block.extra.line < stop)
     return LabelledBlock(
@@ -325,7 +292,7 @@ def ground_below(
     y_m: float,
     z_m: float,
 ) -> float:
-    """Return the height of what lies under a place [m]; ``z_m`` where nothing does."""
+    """Return the height of the surface under a place [m]; ``z_m`` if there is none."""
     origin = np.array([[[x_m, y_m, z_m + 1.0]] * 2])
     down = np.array([[[0.0, 0.0, -1.0]] * 2])
     t = cast(bodies_near(x_m, y_m, 1.0, 0.0), origin, down, np.zeros((1, 2))).t
@@ -338,7 +305,7 @@ def room_around(
     y_m: float,
     z_m: float,
 ) -> float:
-    """Return how far everything is from a place, between knee and head, at time 0 [m]."""
+    """Return the distance of the nearest body around a place, knee to head, at time 0 [m]."""
     heights = np.array([0.5, 1.0, 1.5])
     turns = np.arange(0.0, 2.0 * np.pi, np.pi / 90.0)
     origin = np.empty((len(heights), len(turns), 3))
@@ -354,10 +321,7 @@ def room_around(
 
 
 LEVEL_COSINE = float(np.cos(np.deg2rad(45.0)))
-"""A face is level whose normal lies within 45 degrees of the vertical.
-
-To that it is nearer than to the horizon.
-"""
+"""A face is level if its normal lies within 45 degrees of the vertical."""
 
 _LABELS: dict[Material, Label] = {
     Material.SIDEWALK: Label.HORIZONTAL,
@@ -365,8 +329,8 @@ _LABELS: dict[Material, Label] = {
     Material.SOIL: Label.HORIZONTAL,
     Material.TRUNK: Label.VERTICAL,
 }
-"""Materials whose label does not ask how they lie and is not the one of :data:`PROPERTIES`."""
-_ASKED = (
+"""Materials whose label in a static scan is another than in :data:`PROPERTIES`."""
+_OF_EITHER = (
     Material.WALL,
     Material.GLASS,
     Material.DOOR,
@@ -385,43 +349,36 @@ def static_labels(
     body: I32,
     place_m: F64,
 ) -> U8:
-    """Return the labels of a static scan.
+    """Return labels of a static scan: the classes of Stamos et al. (2012).
 
-    The classes of Stamos et al. (2012) instead of those of materials.
-
-    That classifier does not know buildings. It tells horizontal from vertical surfaces, and its
-    ground is the road alone, up to the curb. So a tripod's scan is labelled by what was hit and by
-    how it lies: sidewalks and lawns are HORIZONTAL, and so is what is nearer to level than to
-    upright of houses, fences, posts and signs: roofs of up to 45 degrees, sills, lintels, floors of
-    balconies. All else of these is VERTICAL, as are trunks. People and wires have no class there
-    and stay UNCLASSIFIED.
+    That classifier does not know buildings. It separates horizontal from vertical surfaces, and its
+    ground is only the road, up to the curb. So sidewalks and lawns are HORIZONTAL. Faces of houses,
+    fences, posts and signs are HORIZONTAL if they are nearer to level than to upright (roofs of up
+    to 45 degrees, sills, lintels, floors of balconies), else VERTICAL, as are trunks. People and
+    wires have no class there and stay UNCLASSIFIED.
     """
     of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
-    own = np.array(
+    label_of = np.array(
         [_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8
     )
-    # a shot split between two surfaces has the label of the one that its range is of, which may be
-    # the neighbour's
-    found: U8 = np.where(
+    # a split shot has the label of the surface of its range, which may be the neighbour's
+    labels: U8 = np.where(
         np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label
     ).astype(np.uint8)
-    at = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
-    material = bodies.material[body[at]]
-    known = of_material[material] == label[at]
-    at = at[known]
+    shot = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
+    material = bodies.material[body[shot]]
+    known = of_material[material] == label[shot]
+    shot = shot[known]
     material = material[known]
-    found[at] = own[material]
-    at = at[np.isin(material, _ASKED)]
-    level = is_level(bodies, body[at], place_m[at])
-    found[at] = np.where(level, Label.HORIZONTAL, Label.VERTICAL)
-    return found
+    labels[shot] = label_of[material]
+    shot = shot[np.isin(material, _OF_EITHER)]
+    level = is_level(bodies, body[shot], place_m[shot])
+    labels[shot] = np.where(level, Label.HORIZONTAL, Label.VERTICAL)
+    return labels
 
 
 def is_level(bodies: Bodies, body: I32, place_m: F64) -> Mask:
-    """Tell level faces of boxes and triangles.
-
-    Poles, balls and what is filled with bars or leaves have none.
-    """
+    """Return which places are on a level face, (n,) bool; only boxes and triangles have faces."""
     shape = bodies.shape[body]
     numbers = bodies.numbers[body]
     level = np.zeros(len(body), np.bool_)

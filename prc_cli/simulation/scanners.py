@@ -1,6 +1,6 @@
-"""Scanners as named presets: how they turn, what their beam is, what they say of a surface.
+"""Scanners as named presets: rotation, beam, ranges.
 
-Where the figures come from. Line rates, M, the dead angle and the slanted planes are those of the
+Sources of the figures. Line rates, M, the dead angle and the slanted planes are those of the
 two papers (Lehtola et al. 2019, III; Stamos et al. 2012, sec. 9). Divergence, width of the beam,
 ambiguity interval, range noise and rated range follow the makers' data sheets: FARO Focus3D 120
 (0.16 mrad, 153.49 m; unfiltered noise 0.6 mm at 10 m and 0.95 mm at 25 m on white, 1.2 and 2.2 mm
@@ -201,8 +201,8 @@ class Scanner(Params):
         """Return the azimuth of the head at every shot of lines, (n_lines, M) float64 [rad]."""
         within = self.spins * self.duty * np.arange(self.points_per_line) / self.points_per_line
         line = np.arange(first_line, first_line + n_lines)[:, None] + self.late_lines + within
-        found: F64 = np.deg2rad(self.first_azimuth_deg + self.azimuth_step_deg * line)
-        return found
+        azimuth: F64 = np.deg2rad(self.first_azimuth_deg + self.azimuth_step_deg * line)
+        return azimuth
 
     def angle_rad(self) -> F64:
         """Return the angle of every column in the scan plane, (M,) float64, rising, 0 = down [rad]."""
@@ -213,7 +213,7 @@ class Scanner(Params):
         return angle
 
     def directions(self) -> F64:
-        """Return where every column points on an even platform."""
+        """Return the direction of every column on an even platform, (M, 3) float64, unit vectors."""
         angle = self.angle_rad()
         zero = np.zeros_like(angle)
         if self.turns:
@@ -238,7 +238,7 @@ class Scanner(Params):
         )
 
     def line_time_s(self, first_line: int, n_lines: int) -> F64:
-        """Return when the first shot of every line is made, (n_lines,) float64 [s]."""
+        """Return the time of the first shot of every line, (n_lines,) float64 [s]."""
         return np.arange(first_line, first_line + n_lines, dtype=np.float64) / self.line_hz
 
     def changed(self, **values: Any) -> Scanner:
@@ -355,9 +355,9 @@ SCANNERS: dict[str, Scanner] = {
 }
 """Every preset by name, each with the mount of its paper.
 
-Stamos et al. (2012) give 5 mm as the accuracy of their
-ScanStation2, and a standard deviation of the range that is an order of magnitude below 1 cm
-(footnote 3): one preset has about 5 mm, the other 1 mm."""
+Stamos et al. (2012) give 5 mm as the accuracy of their ScanStation2, and a standard deviation of
+the range that is an order of magnitude below 1 cm (footnote 3): one preset has about 5 mm, the
+other 1 mm."""
 _SPINNING: dict[str, Any] = {
     "spins": True,
     "centre_deg": 90.0,
@@ -377,79 +377,26 @@ _SPINNING: dict[str, Any] = {
     "noise_per_m": 0.0001,
     "lost_share": 0.005,
 }
+_VLP_32C_ELEVATIONS_DEG = (
+      -25.0, -15.639,  -11.31,  -8.843,  -7.254,  -6.148,  -5.333,  -4.667,
+       -4.0,  -3.667,  -3.333,    -3.0,  -2.667,  -2.333,    -2.0,  -1.667,
+     -1.333,    -1.0,  -0.667,  -0.333,     0.0,   0.333,   0.667,     1.0,
+      1.333,   1.667,   2.333,   3.333,   4.667,     7.0,  10.333,    15.0,
+)  # fmt: skip
+_VLP_32C_AZIMUTHS_DEG = (
+     1.4, -1.4,  1.4, -1.4,  1.4, -1.4,  4.2,  1.4,
+    -1.4, -4.2,  4.2,  1.4, -1.4, -4.2,  4.2,  1.4,
+    -1.4, -4.2,  4.2,  1.4, -1.4, -4.2,  4.2,  1.4,
+    -1.4, -4.2,  1.4, -1.4,  1.4, -1.4,  1.4, -1.4,
+)  # fmt: skip
+"""Rings of the VLP-32C from low to high, as its manual lists them."""
 SCANNERS |= {
     "vlp-16": Scanner(points_per_line=16, field_deg=32.0, **_SPINNING),
     "vlp-32c": Scanner(
         points_per_line=32,
         field_deg=40.0,
-        elevations_deg=(
-            -25.0,
-            -15.639,
-            -11.31,
-            -8.843,
-            -7.254,
-            -6.148,
-            -5.333,
-            -4.667,
-            -4.0,
-            -3.667,
-            -3.333,
-            -3.0,
-            -2.667,
-            -2.333,
-            -2.0,
-            -1.667,
-            -1.333,
-            -1.0,
-            -0.667,
-            -0.333,
-            0.0,
-            0.333,
-            0.667,
-            1.0,
-            1.333,
-            1.667,
-            2.333,
-            3.333,
-            4.667,
-            7.0,
-            10.333,
-            15.0,
-        ),
-        azimuths_deg=(
-            1.4,
-            -1.4,
-            1.4,
-            -1.4,
-            1.4,
-            -1.4,
-            4.2,
-            1.4,
-            -1.4,
-            -4.2,
-            4.2,
-            1.4,
-            -1.4,
-            -4.2,
-            4.2,
-            1.4,
-            -1.4,
-            -4.2,
-            4.2,
-            1.4,
-            -1.4,
-            -4.2,
-            4.2,
-            1.4,
-            -1.4,
-            -4.2,
-            1.4,
-            -1.4,
-            1.4,
-            -1.4,
-            1.4,
-            -1.4,
-        ),
+        elevations_deg=_VLP_32C_ELEVATIONS_DEG,
+        azimuths_deg=_VLP_32C_AZIMUTHS_DEG,
         **_SPINNING,
     ),
     "hdl-64e": Scanner(

@@ -1,8 +1,6 @@
-"""The nearest surface of every shot, and what a scanner makes of it.
+"""The nearest surface of every shot, and its measurement: ranges, labels, intensities, returns.
 
-Ranges, labels, intensities, further returns.
-
-How it is thought (the loops are in :mod:`sensor_loops`):
+The model (the loops are in :mod:`sensor_loops`):
 
 - An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at the power of a white
   wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far
@@ -27,33 +25,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
 
 from prc_cli import kernels
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.simulation.scanners import Scanner
-from prc_cli.simulation.thresholds import CastBodies, SensorModel
+from prc_cli.simulation.thresholds import CastBodies, Hits, SensorModel
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape, hashed
 
 _EXPONENTIAL: F64 = -np.log1p(-(np.arange(4096) + 0.5) / 4096)
 _EXPONENTIAL /= _EXPONENTIAL.mean()
-"""Exponential numbers of mean 1, equally likely.
-
-Made once, so that every way through leaves is drawn from the same.
-"""
-
-
-class Hits(NamedTuple):
-    """What the shots of a block of lines met first."""
-
-    t: F64
-    """(lines, M) float64, range [m]; inf = nothing."""
-    body: I32
-    """(lines, M) int32, row in the bodies that were given, -1 = none."""
-    facing: F64
-    """(lines, M) float64, cosine of the angle of incidence, 0 to 1; 0 where nothing was met."""
+"""Quantiles of the exponential law of mean 1: every way through leaves is one of them."""
 
 
 def cast(
@@ -64,16 +47,23 @@ def cast(
     first_shot: int = 0,
     t_min_m: F64 | None = None,
 ) -> Hits:
-    """Find the nearest surface of every shot, of several the first body's.
+    """Find the nearest surface of every shot; the first body wins a tie.
 
-    Blocks make no difference.
+    Parameters
+    ----------
+    origin_m, direction : (lines, M, 3) float64
+    time_s : (lines,) or (lines, M) float64 [s]
+    first_shot : int
+        Number of the first shot in the stream: it seeds the way through leaves.
+    t_min_m : (lines, M) float64, optional
+        Least range [m]; default 0.
     """
     shape = origin_m.shape[:2]
     times = np.asarray(time_s, dtype=np.float64)
     times = np.broadcast_to(times[:, None] if times.ndim == 1 else times, shape)
     t_min = np.zeros(shape) if t_min_m is None else t_min_m
     yaw = np.where(bodies.shape >= Shape.ELLIPSOID, bodies.numbers[:, 6], 0.0)
-    given = CastBodies(
+    arrays = CastBodies(
         shape=np.require(bodies.shape, np.uint8, ["C", "W"]),
         numbers=_plain(bodies.numbers),
         turn=np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
@@ -82,11 +72,10 @@ def cast(
         number=_plain(bodies.number),
     )
     rays = _plain(origin_m), _plain(direction), _plain(times), _plain(t_min)
-    return Hits(*kernels.cast_shots(*rays, first_shot, given, _EXPONENTIAL))
+    return Hits(*kernels.cast_shots(*rays, first_shot, arrays, _EXPONENTIAL))
 
 
 def _plain(numbers: F64) -> F64:
-    """Return numbers as the kernel takes them, without a copy where they are so already."""
     return np.require(numbers, np.float64, ["C", "W"])
 
 
@@ -98,12 +87,12 @@ _QUANTILES = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What the scanner says of consecutive lines."""
+    """Measurements of consecutive lines."""
 
     range_m: F32
     """(lines, M) float32, nearest return [m]; NaN = missing."""
     label: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Label` of what the range is of."""
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Label` of the surface of the range."""
     intensity: F32
     """(lines, M) float32, power over that of a white wall at 10 m; 0 = missing."""
     extra_line: I32
@@ -125,12 +114,12 @@ def goes_behind(
     first_line: int,
     seed: int,
 ) -> Mask:
-    """Mark shots through glass, or past a leaf.
+    """Mark shots that go through glass or past a leaf, (lines, M) bool.
 
     Cast them again from there and give the result to :func:`scan`.
     """
     _, kind = _about(bodies)
-    mask: Mask = kernels.goes_behind((*hits,), kind, _model(scanner), first_line, seed)
+    mask: Mask = kernels.goes_behind(hits, kind, _model(scanner), first_line, seed)
     return mask
 
 
@@ -142,12 +131,12 @@ def scan(
     seed: int,
     behind: Hits | None = None,
 ) -> Measured:
-    """Turn what the beams meet into what the scanner says."""
+    """Measure the surfaces that the beams meet."""
     surface, kind = _about(bodies)
-    nothing = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
-    second = nothing if behind is None else (*behind,)
+    if behind is None:
+        behind = Hits(np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
-        (*hits,), second, surface, kind, _model(scanner), _quantiles(), first_line, seed
+        hits, behind, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
     lines = np.ascontiguousarray(extra[:, 0])
     columns = np.ascontiguousarray(extra[:, 1])
@@ -157,7 +146,7 @@ def scan(
 
 
 def _about(bodies: Bodies) -> tuple[F64, U8]:
-    """Return reflectance and a number in 0..1 of every body, (n, 2), and label and bits of what it is, (n, 2)."""
+    """Return (reflectance, number in 0..1) float64 and (label, bits) uint8 of bodies, (n, 2) each."""
     reflectance = np.array([PROPERTIES[material].reflectance for material in Material])
     label = np.array([PROPERTIES[material].label for material in Material], dtype=np.uint8)
     is_glass = np.array([PROPERTIES[material].is_glass for material in Material])
@@ -171,7 +160,6 @@ def _about(bodies: Bodies) -> tuple[F64, U8]:
 
 
 def _model(scanner: Scanner) -> SensorModel:
-    """Return what the loop is given of a scanner."""
     named = {name: getattr(scanner, name) for name in SensorModel._fields if hasattr(scanner, name)}
     return SensorModel(
         exit_m=scanner.exit_mm / 1000.0,

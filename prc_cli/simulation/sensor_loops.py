@@ -1,6 +1,4 @@
-"""Loops of the simulated sensor, from surfaces to ranges.
-
-Echoes, their mixture, loss, noise and stray light.
+"""Loops of the simulated sensor, from surfaces to ranges: echoes, mixture, loss, noise, stray light.
 
 Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else.
 Powers are in 1/m²: share of the light that comes back from a surface, times the cosine of
@@ -8,6 +6,8 @@ incidence, over the square of the range.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,12 +24,12 @@ from prc_cli.kernels.cache import (
     record,
     uint8,
 )
-from prc_cli.simulation.thresholds import SensorModel
+from prc_cli.simulation.thresholds import Hits, SensorModel
 
 GLASS = 1
 LEAVED = 2
 CURVED = 4
-"""Bits of what a body is."""
+"""Bits of a body."""
 LABEL_MISSING = 0
 LABEL_NOISE = 2
 """As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
@@ -58,14 +58,20 @@ _GHOST_REFLECTANCE = 0.1
 _NOTHING = 128
 """Bit of a shot that meets nothing."""
 _T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
-"""Columns of the echoes, and first rows of the shots of a line.
-
-Range, power, tangent of incidence, label.
-"""
+"""Range, power, tangent of incidence, label: columns of echoes, first rows of a line's shots."""
 _STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
-"""More of these rows: slope of flat surfaces, and the shares of the beam on what the shots beside it meet."""
+"""Further rows: slope of flat surfaces, shares of the beam on the surfaces of the shots beside it."""
 
-_HITS = Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))
+
+class _Hit(NamedTuple):
+    """A surface that one shot meets."""
+
+    t: float
+    """Range [m]."""
+    body: int
+    """Row in the bodies, -1 = none."""
+    facing: float
+    """Cosine of the angle of incidence."""
 
 
 @helper
@@ -107,7 +113,6 @@ def _cosine(facing: float) -> float:
 
 @helper
 def _slope(facing: float) -> float:
-    """Return the tangent of the angle of incidence."""
     cosine = _cosine(facing)
     return float(np.sqrt(1.0 - cosine * cosine) / cosine)
 
@@ -116,18 +121,17 @@ def _slope(facing: float) -> float:
 def _goes_on(
     key: np.uint64,
     column: int,
-    what: int,
+    bits: int,
     facing: float,
     model: SensorModel,
 ) -> bool:
-    """Return whether the light goes on behind the first surface: through glass, or past a leaf."""
-    if what & GLASS:
+    if bits & GLASS:
         return (
             abs(facing) < _FLASH
             and _draw(key, column, _FOR_GLASS) >= model.pane_share + model.ghost_share
         )
     return (
-        what & LEAVED != 0
+        bits & LEAVED != 0
         and model.max_returns > 1
         and _draw(key, column, _FOR_LEAVES) < model.leaves_share
     )
@@ -142,24 +146,24 @@ def _prepare(
     kind: U8,
     model: SensorModel,
     work: F64,
-    what: U8,
+    bits: U8,
 ) -> None:
-    """Write power, slope and label of what every shot of a line meets, and what it is."""
+    """Write power, slope and label of the surface of every shot of a line, and its bits."""
     for column in range(t.shape[0]):
-        one = body[column]
-        if one < 0:
-            what[column] = _NOTHING
+        b = body[column]
+        if b < 0:
+            bits[column] = _NOTHING
             work[_T, column] = np.inf
             continue
-        what[column] = kind[one, 1]
+        bits[column] = kind[b, 1]
         work[_T, column] = t[column]
-        work[_LABEL, column] = kind[one, 0]
-        work[_POWER, column] = surface[one, 0] * _cosine(facing[column]) / (t[column] * t[column])
+        work[_LABEL, column] = kind[b, 0]
+        work[_POWER, column] = surface[b, 0] * _cosine(facing[column]) / (t[column] * t[column])
         slope = _slope(facing[column])
-        work[_SLOPE, column] = 0.0 if kind[one, 1] & LEAVED else slope
+        work[_SLOPE, column] = 0.0 if kind[b, 1] & LEAVED else slope
         # slanted planes have steps too; the slope of round bodies and leaves is not that of their
         # edge
-        work[_STEEP, column] = 0.0 if kind[one, 1] & (LEAVED | CURVED) else slope
+        work[_STEEP, column] = 0.0 if kind[b, 1] & (LEAVED | CURVED) else slope
 
 
 @helper
@@ -167,7 +171,7 @@ def _split(
     key: np.uint64,
     body: I32,
     work: F64,
-    what: U8,
+    bits: U8,
     model: SensorModel,
 ) -> None:
     """Write the shares of every beam, up to half, that fall on the surfaces of the adjacent shots.
@@ -179,8 +183,8 @@ def _split(
         work[_BEFORE, column] = 0.0
         work[_AFTER, column] = 0.0
     for column in range(m - 1):
-        both = what[column] | what[column + 1]
-        if both & GLASS or what[column] & what[column + 1] & _NOTHING:
+        both = bits[column] | bits[column + 1]
+        if both & GLASS or bits[column] & bits[column + 1] & _NOTHING:
             continue
         near = min(work[_T, column], work[_T, column + 1])
         if not both & _NOTHING:
@@ -206,10 +210,7 @@ def _pane_echo(
     model: SensorModel,
     echo: F64,
 ) -> int:
-    """Write the echo of glass itself, or of what it mirrors.
-
-    Return how many echoes there are, 0 or 1.
-    """
+    """Write the echo of glass itself, or of what it mirrors; return the number of echoes, 0 or 1."""
     t = work[_T, column]
     echo[0, _T] = t
     echo[0, _POWER] = work[_POWER, column]
@@ -222,8 +223,8 @@ def _pane_echo(
     if chance >= model.pane_share + model.ghost_share:
         return 0
     if chance >= model.pane_share:
-        # mirrored things seem to lie behind the pane, as far as they are in front; the same for the
-        # whole pane
+        # mirrored objects seem to lie behind the pane, as far as they are in front; the same for
+        # the whole pane
         echo[0, _T] = t * (1.3 + 1.7 * mirrored)
         echo[0, _POWER] = _GHOST_REFLECTANCE / (echo[0, _T] * echo[0, _T])
         echo[0, _SLOPE] = 0.0
@@ -240,7 +241,7 @@ def _add_echo(
     slope: float,
     label: int,
 ) -> int:
-    """Insert an echo, by range; return how many there are now."""
+    """Insert an echo by range; return their number."""
     i = n
     while i > 0 and echo[i - 1, _T] > t:
         for j in range(_N_ECHO):
@@ -255,10 +256,7 @@ def _add_echo(
 
 @helper
 def _merge(echo: F64, n: int, model: SensorModel) -> int:
-    """Merge echoes that the scanner cannot separate.
-
-    All of them, or those within a pulse; return how many remain.
-    """
+    """Merge echoes that the scanner cannot separate (all, or within a pulse); return their number."""
     kept = 0
     for i in range(1, n):
         gap = echo[i, _T] - echo[kept, _T]
@@ -283,10 +281,7 @@ def _merge(echo: F64, n: int, model: SensorModel) -> int:
 
 @helper
 def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
-    """Return whether an echo is found.
-
-    Half of those at the power of the half range; odds by its fourth power.
-    """
+    # half of the echoes at the power of the half range are found; odds by its fourth power
     strength = power / model.half_power
     fourth = strength * strength * strength * strength
     return bool(chance * (1.0 + fourth) < fourth * (1.0 - model.lost_share))
@@ -299,7 +294,7 @@ def _sigma(
     slope: float,
     model: SensorModel,
 ) -> float:
-    """Return the range noise: from weakness, and from the depth that the beam spans on a slanted surface."""
+    # noise of weak echoes, and of the depth that the beam spans on a slanted surface
     width = model.exit_m + model.divergence * t
     return float(
         model.noise_m
@@ -330,14 +325,13 @@ def _brightness(
 
 @helper
 def _rounded(t: float, model: SensorModel) -> float:
-    """Return the range as it is given, NaN outside of the limits."""
     steps = np.floor(t / model.resolution_m + 0.5) * model.resolution_m
     return steps if model.min_range_m <= steps <= model.max_range_m else np.nan
 
 
-@kernel(boolean[:, ::1](_HITS, uint8[:, ::1], record(SensorModel), int64, int64))
+@kernel(boolean[:, ::1](record(Hits), uint8[:, ::1], record(SensorModel), int64, int64))
 def goes_behind(
-    hits: tuple[F64, I32, F64],
+    hits: Hits,
     kind: U8,
     model: SensorModel,
     first_line: int,
@@ -347,15 +341,15 @@ def goes_behind(
 
     ``kind`` (n, 2) uint8; returns (lines, M) bool.
     """
-    body = hits[1]
-    facing = hits[2]
+    body = hits.body
+    facing = hits.facing
     behind = np.zeros(body.shape, np.bool_)
     for i in range(body.shape[0]):
         key = _key(seed, first_line + i)
         for column in range(body.shape[1]):
-            one = body[i, column]
-            if one >= 0 and kind[one, 1] & (GLASS | LEAVED):
-                behind[i, column] = _goes_on(key, column, kind[one, 1], facing[i, column], model)
+            b = body[i, column]
+            if b >= 0 and kind[b, 1] & (GLASS | LEAVED):
+                behind[i, column] = _goes_on(key, column, kind[b, 1], facing[i, column], model)
     return behind
 
 
@@ -364,41 +358,44 @@ def _echoes(
     key: np.uint64,
     column: int,
     facing: float,
-    behind: tuple[float, int, float],
-    bodies: tuple[I32, F64, U8],
+    behind: _Hit,
+    body: I32,
+    surface: F64,
+    kind: U8,
     work: F64,
-    what: U8,
+    bits: U8,
     model: SensorModel,
     echo: F64,
 ) -> int:
-    """Write the echoes of a shot, from near to far; return how many there are."""
-    body, surface, kind = bodies
+    """Write the echoes of a shot, from near to far; return their number."""
     n = 1
-    if what[column] & GLASS:
+    if bits[column] & GLASS:
         n = _pane_echo(key, column, facing, surface[body[column], 1], work, model, echo)
     else:
         echo[0, _T] = work[_T, column]
         echo[0, _POWER] = work[_POWER, column]
         echo[0, _SLOPE] = work[_SLOPE, column]
         echo[0, _LABEL] = work[_LABEL, column]
-    two = behind[1]
-    if two >= 0 and _goes_on(key, column, what[column], facing, model):
+    b = behind.body
+    if b >= 0 and _goes_on(key, column, bits[column], facing, model):
         part = 0.6
         if n == 1:
             part = 0.2 + 0.6 * _draw(key, column, _FOR_ECHO)
             echo[0, _POWER] *= 1.0 - part
-        power = part * (surface[two, 0] * _cosine(behind[2]) / (behind[0] * behind[0]))
-        slope = 0.0 if kind[two, 1] & LEAVED else _slope(behind[2])
-        n = _add_echo(echo, n, behind[0], power, slope, kind[two, 0])
+        power = part * (surface[b, 0] * _cosine(behind.facing) / (behind.t * behind.t))
+        slope = 0.0 if kind[b, 1] & LEAVED else _slope(behind.facing)
+        n = _add_echo(echo, n, behind.t, power, slope, kind[b, 0])
     side = -1 if work[_BEFORE, column] > 0.0 else 1
     share = work[_BEFORE, column] if side < 0 else work[_AFTER, column]
     if share > 0.0:
         for j in range(n):
             echo[j, _POWER] *= 1.0 - share
-        other = column + side
-        if not what[other] & _NOTHING:
-            power = share * work[_POWER, other]
-            n = _add_echo(echo, n, work[_T, other], power, work[_SLOPE, other], work[_LABEL, other])
+        beside = column + side
+        if not bits[beside] & _NOTHING:
+            power = share * work[_POWER, beside]
+            n = _add_echo(
+                echo, n, work[_T, beside], power, work[_SLOPE, beside], work[_LABEL, beside]
+            )
     return _merge(echo, n, model)
 
 
@@ -413,7 +410,7 @@ def _measure(
     model: SensorModel,
     quantiles: F64,
 ) -> tuple[float, bool]:
-    """Return the range that is given for an echo, NaN = not found, and whether it was wrapped."""
+    """Return the measured range of an echo, NaN = not found, and whether it was wrapped."""
     if not _is_answered(power, _draw(key, column, _FOR_LOSS + 16 * number), model):
         return np.nan, False
     deviate = _normal(_draw(key, column, _FOR_NOISE + 16 * number), quantiles)
@@ -433,8 +430,8 @@ def _find(
     echo: F64,
     n: int,
 ) -> int:
-    """Keep the echoes that are found, at most as many as the scanner gives, with range noise."""
-    found = 0
+    """Measure the echoes and keep those that are found, at most ``max_returns``."""
+    n_found = 0
     for i in range(n):
         power = echo[i, _POWER]
         label = echo[i, _LABEL]
@@ -442,22 +439,24 @@ def _find(
         if np.isnan(t):
             continue
         # a scanner of one return takes the strongest
-        if model.max_returns == 1 and found == 1:
+        if model.max_returns == 1 and n_found == 1:
             if power <= echo[0, _POWER]:
                 continue
-            found = 0
-        if found < model.max_returns:
-            echo[found, _T] = t
-            echo[found, _POWER] = power
-            echo[found, _LABEL] = LABEL_NOISE if wraps else label
-            found += 1
-    return found
+            n_found = 0
+        if n_found < model.max_returns:
+            echo[n_found, _T] = t
+            echo[n_found, _POWER] = power
+            echo[n_found, _LABEL] = LABEL_NOISE if wraps else label
+            n_found += 1
+    return n_found
 
 
 @helper
 def _stray(
     key: np.uint64,
-    place: tuple[int, int, int],
+    line: int,
+    column: int,
+    n_columns: int,
     seed: int,
     chance: float,
     is_sky: bool,
@@ -466,11 +465,7 @@ def _stray(
     echo: F64,
     n: int,
 ) -> int:
-    """Let background light replace or move the range of a continuous wave.
-
-    Return how many returns there are.
-    """
-    line, column, n_columns = place
+    """Let background light replace or move the range of a continuous wave; return n returns."""
     share = model.background_share
     if n == 0:
         share = model.sky_share
@@ -503,7 +498,6 @@ def _keep(
     labels: U8,
     intensities: F32,
 ) -> None:
-    """Write a further return."""
     extra[place, 0] = line
     extra[place, 1] = column
     ranges[place] = np.float32(echo[j, _T])
@@ -522,11 +516,20 @@ def _keep(
             uint8[::1],
             float32[::1],
         )
-    )(_HITS, _HITS, float64[:, ::1], uint8[:, ::1], record(SensorModel), float64[::1], int64, int64)
+    )(
+        record(Hits),
+        record(Hits),
+        float64[:, ::1],
+        uint8[:, ::1],
+        record(SensorModel),
+        float64[::1],
+        int64,
+        int64,
+    )
 )
 def sense(
-    hits: tuple[F64, I32, F64],
-    behind: tuple[F64, I32, F64],
+    hits: Hits,
+    behind: Hits,
     surface: F64,
     kind: U8,
     model: SensorModel,
@@ -534,14 +537,14 @@ def sense(
     first_line: int,
     seed: int,
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
-    """Compute what the scanner measures of the surfaces that the beams of consecutive lines meet.
+    """Measure the surfaces that the beams of consecutive lines meet.
 
     ``surface`` (n, 2) float64; ``kind`` (n, 2) uint8; ``quantiles`` (k,) float64; returns
     ``range_m`` (lines, M) float32, ``label`` (lines, M) uint8, ``intensity`` (lines, M) float32,
     ``extra`` (e, 2) int32, ``extra_range_m`` (e,) float32, ``extra_label`` (e,) uint8,
     ``extra_intensity`` (e,) float32.
     """
-    n_lines, m = hits[0].shape
+    n_lines, m = hits.t.shape
     ranges = np.full((n_lines, m), np.float32(np.nan), np.float32)
     labels = np.zeros((n_lines, m), np.uint8)
     intensities = np.zeros((n_lines, m), np.float32)
@@ -553,34 +556,40 @@ def sense(
     n_extra = 0
     echo = np.empty((4, _N_ECHO))
     work = np.empty((_N_WORK, m))
-    what = np.empty(m, np.uint8)
-    looked = behind[0].shape[0] == n_lines
+    bits = np.empty(m, np.uint8)
+    looks_behind = behind.t.shape[0] == n_lines
     splits = GLASS | LEAVED if model.max_returns > 1 else GLASS
     stray_with = model.background_share + model.cluster_share
     stray_without = max(model.sky_share, model.bright_sky_share)
     for i in range(n_lines):
         key = _key(seed, first_line + i)
-        body = hits[1][i]
-        _prepare(hits[0][i], body, hits[2][i], surface, kind, model, work, what)
-        _split(key, body, work, what, model)
+        body = hits.body[i]
+        _prepare(hits.t[i], body, hits.facing[i], surface, kind, model, work, bits)
+        _split(key, body, work, bits, model)
         for column in range(m):
             n = 0
-            is_there = not what[column] & _NOTHING
+            is_there = not bits[column] & _NOTHING
             is_split = (
-                what[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
+                bits[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
             )
             if is_there and is_split:
-                second = (np.inf, -1, 1.0)
-                if looked and what[column] & splits:
-                    second = (behind[0][i, column], int(behind[1][i, column]), behind[2][i, column])
+                second = _Hit(np.inf, -1, 1.0)
+                if looks_behind and bits[column] & splits:
+                    second = _Hit(
+                        behind.t[i, column],
+                        int(behind.body[i, column]),
+                        behind.facing[i, column],
+                    )
                 n = _echoes(
                     key,
                     column,
-                    hits[2][i, column],
+                    hits.facing[i, column],
                     second,
-                    (body, surface, kind),
+                    body,
+                    surface,
+                    kind,
                     work,
-                    what,
+                    bits,
                     model,
                     echo,
                 )
@@ -599,13 +608,14 @@ def sense(
                 # most shots do not stray
                 chance = _draw(key, column, _FOR_STRAY)
                 if chance < (stray_with if n > 0 else stray_without):
-                    place = (first_line + i, column, m)
                     n = _stray(
                         key,
-                        place,
+                        first_line + i,
+                        column,
+                        m,
                         seed,
                         chance,
-                        what[column] == _NOTHING,
+                        bits[column] == _NOTHING,
                         model,
                         quantiles,
                         echo,

@@ -1,7 +1,4 @@
-"""Parameters of whole simulations, as options and TOML files give them.
-
-a scene, a scanner, what carries it.
-"""
+"""Parameters of whole simulations, from options and TOML files: scene, scanner, platform."""
 
 from __future__ import annotations
 
@@ -49,7 +46,7 @@ _DEFAULTS: dict[Kind, dict[str, str]] = {
 
 
 class SimulationSettings(Params):
-    """What every simulation has."""
+    """Settings of every simulation."""
 
     seed: int = Field(
         1, ge=0, lt=2**63, description="the same seed gives the same scene, way and noise"
@@ -63,7 +60,7 @@ _FRAME = "where the world lies on earth; unset = nowhere, coordinates count from
 
 
 class MovingSettings(SimulationSettings):
-    """What every drive and walk has."""
+    """Settings of every drive and walk."""
 
     length_m: float = Field(300.0, gt=0, le=1e7, description="way of the platform [m]")
     duration_s: float | None = Field(None, gt=0, le=1e7, description="instead of a length [s]")
@@ -137,7 +134,7 @@ _MODELS: dict[Kind, type[Settings]] = {
     "street-scan": StationSettings,
 }
 KINDS: tuple[Kind, ...] = tuple(_MODELS)
-"""What can be simulated."""
+"""Kinds of simulations."""
 
 
 def load_settings(
@@ -151,37 +148,30 @@ def load_settings(
     _refuse_two_presets(written, options or {}, where)
     table = merge(written, options or {})
     for name, presets in _presets(kind).items():
-        given = table.get(name, {})
-        if not isinstance(given, Mapping):
-            raise ConfigError(where, f"{name}: found {given!r}, expected: a table")
-        chosen = given.get("name", _DEFAULTS[kind][name])
+        entry = table.get(name, {})
+        if not isinstance(entry, Mapping):
+            raise ConfigError(where, f"{name}: found {entry!r}, expected: a table")
+        chosen = entry.get("name", _DEFAULTS[kind][name])
         if chosen not in presets:
             problem = f"{name}.name: found {chosen!r}, expected one of: {', '.join(presets)}"
             raise ConfigError(where, problem)
-        own = {key: value for key, value in given.items() if key != "name"}
-        table[name] = merge(presets[chosen], own)
-        if name == "trajectory" and "stop_every_m" not in own:
+        changes = {key: value for key, value in entry.items() if key != "name"}
+        table[name] = merge(presets[chosen], changes)
+        if name == "trajectory" and "stop_every_m" not in changes:
             table[name] = _with_room_to_stop(table[name])
     try:
         settings = build(_MODELS[kind], table, where)
     except ConfigError as error:
-        # the hint of the other configuration leads nowhere here
-        hint = (
-            error.hint
-            if "prc config" not in error.hint
-            else f"see `prc simulate parameters {kind}`"
-        )
+        # `prc config` does not know these keys
+        is_other = "prc config" in error.hint
+        hint = f"see `prc simulate parameters {kind}`" if is_other else error.hint
         raise ConfigError(error.where, error.problem, hint) from None
     if settings.scanner.is_static != (kind == "street-scan"):
-        found = "is static" if settings.scanner.is_static else "is none for a tripod"
-        fitting = ", ".join(
-            name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan")
-        )
-        raise ConfigError(
-            where,
-            f"scanner: the scanner {found}, expected one for a {kind}",
-            f"choose from: {fitting}",
-        )
+        fault = "is static" if settings.scanner.is_static else "is none for a tripod"
+        needs_static = kind == "street-scan"
+        fitting = [name for name, item in SCANNERS.items() if item.is_static == needs_static]
+        problem = f"scanner: the scanner {fault}, expected one for a {kind}"
+        raise ConfigError(where, problem, f"choose from: {', '.join(fitting)}")
     return settings
 
 
@@ -191,7 +181,7 @@ def preset_notes(
     path: Path | str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, str]:
-    """Tell which preset every table of a simulation's parameters came from, and what was changed in it.
+    """Return the preset of every table of a simulation's parameters, and the changed keys.
 
     >>> options = {"scanner": {"slant_deg": 30.0}}
     >>> preset_notes("street", load_settings("street", options=options), options=options)["scanner"]
@@ -201,56 +191,51 @@ def preset_notes(
     notes = {}
     for name, presets in _presets(kind).items():
         values = getattr(settings, name).model_dump()
-        whole = {
+        preset_values = {
             key: type(getattr(settings, name))(**preset).model_dump()
             for key, preset in presets.items()
         }
-        given = asked.get(name, {})
-        equal = [key for key, preset in whole.items() if preset == values]
-        if "name" not in given and set(given) >= set(values):
+        entry = asked.get(name, {})
+        equal = [key for key, preset in preset_values.items() if preset == values]
+        if "name" not in entry and set(entry) >= set(values):
             if equal:
                 notes[name] = f"preset {equal[0]}"
             continue
-        chosen = given.get("name", _DEFAULTS[kind][name])
-        changed = ", ".join(key for key, value in values.items() if value != whole[chosen][key])
+        chosen = entry.get("name", _DEFAULTS[kind][name])
+        changed = ", ".join(
+            key for key, value in values.items() if value != preset_values[chosen][key]
+        )
         notes[name] = f"preset {chosen}" + (f"; changed: {changed}" if changed else "")
     return notes
 
 
 def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], where: str) -> None:
-    """Refuse a preset beside a table of the file.
-
-    Its keys would be laid over the preset, maybe every one of them.
-    """
+    # the keys of the file would win over the preset, maybe all of them
     for name in ("scene", "scanner", "trajectory"):
         asked = options.get(name)
-        given = written.get(name)
-        if not (isinstance(asked, Mapping) and isinstance(given, Mapping)):
+        in_file = written.get(name)
+        if not (isinstance(asked, Mapping) and isinstance(in_file, Mapping)):
             continue
-        own = sorted(set(given) - {"name"})
-        if "name" in asked and own and asked["name"] != given.get("name"):
-            problem = f"{name}: found the preset {asked['name']!r} asked for beside {own[0]} in [{name}], expected one"
+        keys = sorted(set(in_file) - {"name"})
+        if "name" in asked and keys and asked["name"] != in_file.get("name"):
+            problem = f"{name}: found the preset {asked['name']!r} asked for beside {keys[0]} in [{name}], expected one"
             raise ConfigError(
                 where, problem, f"leave [{name}] out of the file, or do not ask for a preset"
             )
 
 
 def _presets(kind: Kind) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return the presets of every table that has some."""
-    found: dict[str, dict[str, dict[str, Any]]] = {
+    presets: dict[str, dict[str, dict[str, Any]]] = {
         "scene": SCENES[kind],
         "scanner": {name: scanner.model_dump() for name, scanner in SCANNERS.items()},
     }
     if kind != "street-scan":
-        found["trajectory"] = {name: motion.model_dump() for name, motion in MOTIONS.items()}
-    return found
+        presets["trajectory"] = {name: motion.model_dump() for name, motion in MOTIONS.items()}
+    return presets
 
 
 def _with_room_to_stop(motion: dict[str, Any]) -> dict[str, Any]:
-    """Move stops farther apart where the speed leaves no room to brake between them.
-
-    Asked-for ones are not moved.
-    """
+    # stops that the user does not set move apart if the speed leaves no room to brake between them
     if not motion["stop_every_m"]:
         return motion
     with contextlib.suppress(ValueError, TypeError, ZeroDivisionError):
@@ -259,19 +244,19 @@ def _with_room_to_stop(motion: dict[str, Any]) -> dict[str, Any]:
             **motion,
             "stop_every_m": max(motion["stop_every_m"], math.ceil(free.braking_m / 0.3)),
         }
-    return motion  # what is wrong with it is told where it is checked
+    return motion  # its validation reports the fault
 
 
 SIGHT_M: dict[Kind, float] = {"street": 120.0, "forest": 60.0, "street-scan": 160.0}
-"""Nothing farther is simulated unless it is asked for [m]."""
+"""Default limit of the sight [m]."""
 LOOK_AHEAD_M = 60.0
 LOOK_STEP_M = 1.0
-"""How far, and how closely, a place for a tripod is looked for [m]."""
+"""Length and step of the search for a place of the tripod [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """A scan that can be simulated, and what is known of its world."""
+    """A scan that can be simulated, with its settings and its scene."""
 
     kind: Kind
     settings: Settings
@@ -280,7 +265,7 @@ class Simulation:
 
     @property
     def end_s(self) -> float:
-        """When the last shot is made [s]."""
+        """Time of the last shot [s]."""
         scanner = self.scan.scanner
         last = self.scan.n_lines - 1 + int(scanner.late_lines.max())
         return float(scanner.line_time_s(last, 1)[0]) + scanner.shot_s * (
@@ -360,10 +345,7 @@ def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:
 
 
 def _stand(street: StreetScene, settings: StationSettings) -> Station:
-    """Put the tripod where there is room.
-
-    The azimuth of its lines counts from the direction of the street.
-    """
+    # the azimuth of its lines counts from the direction of the street
     place = settings.station
     points, headings = street.path_point(place.along_m + np.arange(0.0, LOOK_AHEAD_M, LOOK_STEP_M))
     best: tuple[float, Station] | None = None

@@ -1,23 +1,17 @@
-"""What the simulator's loops and their slow twins are given, by name.
-
-The numbers of a sensor, and bodies as arrays.
-"""
+"""Records that the simulator's loops and their slow twins share: sensor, bodies, hits."""
 
 from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
-from prc_cli.core.types import F64, U8
+from prc_cli.core.types import F64, I32, U8
 
 Floats = Annotated[F64, 1]
 Table = Annotated[F64, 2]
 
 
 class SensorModel(NamedTuple):
-    """What a scanner makes of the light that comes back.
-
-    Most are its fields (:class:`~.scanners.Scanner`).
-    """
+    """Parameters of a scanner for the loops; most are fields of :class:`~.scanners.Scanner`."""
 
     step_rad: float
     """Angle between adjacent shots of a line [rad]."""
@@ -48,6 +42,17 @@ class SensorModel(NamedTuple):
     is_cw: bool
     """Whether the scanner is of a continuous wave, which mixes all echoes; else it is pulsed."""
     max_returns: int
+
+
+class Hits(NamedTuple):
+    """Surfaces that the shots of a block of lines met first."""
+
+    t: Annotated[F64, 2]
+    """(lines, M) float64, range [m]; inf = no surface."""
+    body: Annotated[I32, 2]
+    """(lines, M) int32, row in the bodies, -1 = none."""
+    facing: Annotated[F64, 2]
+    """(lines, M) float64, cosine of the angle of incidence, 0 to 1; 0 = no surface."""
 
 
 class CastBodies(NamedTuple):

@@ -1,4 +1,4 @@
-"""Where a scanner is and how it is turned at any time, the shots that follow from it, and both as files.
+"""Position and attitude of a scanner at any time, its shots, and trajectory files.
 
 Everything is a closed formula of time: sums of sines with seeded frequencies and phases, and a
 table of stops that is made by hashing. So any time can be asked for in any order and nothing grows
@@ -38,7 +38,7 @@ PathPoint = Callable[[F64], tuple[F64, F64]]
 float64 [rad, 0 = x, positive to the left]; continuous both."""
 
 _KNOT_S = 0.005
-"""Poses are worked out at least this often [s]; in between, shots are interpolated."""
+"""Poses are computed at least this often [s]; shots in between are interpolated."""
 _WAVE_M = 40.0
 """Cruising speed wavers over this distance, divided by two pi [m]."""
 _SINES = 6
@@ -119,15 +119,12 @@ MOTIONS: dict[str, MotionParams] = {
         gait_deg=2.0,
     ),
 }
-"""How the platforms of Lehtola et al. (2019, III) move.
-
-a car in town, a person with a backpack in forest.
-"""
+"""Motions of the platforms of Lehtola et al. (2019, III): a car, a person with a backpack."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Where a scanner is and how its platform is turned, at n times."""
+    """Position of a scanner and attitude of its platform at n times."""
 
     position: F64
     """(n, 3) float64, centre of the scanner in the world [m]."""
@@ -187,7 +184,7 @@ class Trajectory:
         self._gait_drift = _Wobble(seed, 4, 0.02, 0.1)
 
     def progress(self, time_s: F64) -> tuple[F64, F64, F64]:
-        """Return how far the platform is."""
+        """Return distance [m], speed [m/s] and acceleration [m/s²] at times, (n,) float64 each."""
         distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
         share = self.motion.speed_variation
         phase = hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
@@ -201,7 +198,7 @@ class Trajectory:
         )
 
     def pose(self, time_s: F64) -> Pose:
-        """Return where the scanner is and how its platform is turned."""
+        """Return the pose at times, (n,) float64 [s]."""
         time_s = np.ascontiguousarray(time_s, dtype=np.float64)
         motion = self.motion
         distance, speed, acceleration = self.progress(time_s)
@@ -215,7 +212,7 @@ class Trajectory:
         lively = 0.1 + 0.9 * moving
         lean = np.deg2rad(motion.lean_deg)
         roll, pitch, yaw, bounce = (
-            scale * lively * wobble.at(time_s)
+            scale * lively * wobble.value(time_s)
             for scale, wobble in zip(
                 (*np.deg2rad([motion.roll_deg, motion.pitch_deg, motion.yaw_deg]), motion.bounce_m),
                 self._wobbles,
@@ -224,7 +221,7 @@ class Trajectory:
         )
         # two steps make a stride: the body goes up and down with each step, left and right with
         # each stride; nobody walks like a clock
-        stride = np.pi * motion.gait_hz * time_s + 0.5 * self._gait_drift.at(time_s)
+        stride = np.pi * motion.gait_hz * time_s + 0.5 * self._gait_drift.value(time_s)
         swing = np.deg2rad(motion.gait_deg) * moving
         roll = roll + swing * np.sin(stride) + lean * speed * speed * bend
         pitch = pitch + 0.5 * swing * np.sin(2.0 * stride + 1.0) - lean * acceleration - slope
@@ -293,8 +290,7 @@ class _Wobble:
         self.rate = 2.0 * np.pi * slowest_hz * (fastest_hz / slowest_hz) ** place
         self.phase = 2.0 * np.pi * hashed(seed, 17 + 2 * channel, number)
 
-    def at(self, time_s: F64) -> F64:
-        """Return its value at times, (n,) float64."""
+    def value(self, time_s: F64) -> F64:
         total = np.zeros_like(time_s)
         for rate, phase in zip(self.rate, self.phase, strict=True):
             total += np.sin(rate * time_s + phase)
@@ -331,10 +327,7 @@ def aim(
     first_line: int,
     n_lines: int,
 ) -> Shots:
-    """Return the rays of consecutive lines.
-
-    Poses are worked out every few ms, shots lie between them.
-    """
+    """Return the rays of consecutive lines, straight between poses every few ms."""
     m = scanner.points_per_line
     late = scanner.late_lines
     row = np.arange(n_lines)[:, None] + late
@@ -365,12 +358,12 @@ def aim(
 
 
 _BATCH = 50_000
-"""Rows worked out at a time."""
+"""Rows written at a time."""
 _COLUMNS = ("time", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
 class Frame(Params):
-    """A coordinate system in metres, x to the east and y to the north, and where the simulated world lies in it."""
+    """A coordinate system in metres, x east, y north, and the place of the simulated world in it."""
 
     crs: str = Field("EPSG:32635", description="as pyproj takes it")
     easting_m: float = Field(363_000.0, description="of the world's origin [m]")
@@ -383,7 +376,7 @@ class Frame(Params):
 
 
 WORLD = Frame(crs="", easting_m=0.0, northing_m=0.0, height_m=0.0)
-"""Coordinates of the simulated world as they are; no place on earth, so for CSV alone."""
+"""Coordinates of the simulated world, without a place on earth: only for CSV."""
 
 
 def write_trajectory(
@@ -396,10 +389,7 @@ def write_trajectory(
     frame: Frame = WORLD,
     into: Path | None = None,
 ) -> None:
-    """Write where a scanner is from time 0 on.
-
-    SBET (``.sbet``, ``.out``), else CSV with angles in degrees.
-    """
+    """Write the trajectory from time 0: SBET (``.sbet``, ``.out``), else CSV with degrees."""
     is_sbet = path.suffix.lower() in SBET_SUFFIXES
     earth = _earth(path, frame) if is_sbet else None
     target = atomic_output(path) if into is None else contextlib.nullcontext(into)
@@ -426,13 +416,12 @@ def _positions(platform: Platform, duration_s: float, hz: float) -> Iterator[tup
 
 
 def check_frame(path: Path, frame: Frame) -> None:
-    """Refuse a coordinate system that coordinates in metres cannot have, as far as pyproj is there to know it."""
+    """Raise ConfigError for a coordinate system that is not in metres, if pyproj is installed."""
     if frame.crs and find_spec("pyproj") is not None:
         _earth(path, frame)
 
 
 def _earth(path: Path, frame: Frame) -> pyproj.Proj:
-    """Return what brings the frame's coordinates to longitude and latitude."""
     if not frame.crs:
         problem = "an SBET trajectory is in latitude and longitude, and the simulated world lies nowhere on earth"
         raise ConfigError(

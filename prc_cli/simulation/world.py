@@ -1,7 +1,7 @@
-"""What the world is made of: bodies with a shape, a material and, for cars and people, a velocity.
+"""Bodies of the simulated world: a shape, a material and, for cars and people, a velocity.
 
-A scene is anything that knows the bodies around a place (:data:`BodiesNear`). It makes them piece
-by piece from its seed, so that a drive of any length needs the memory of what is in sight.
+A scene gives the bodies around a place (:data:`BodiesNear`). It makes them piece by piece from its
+seed, so that the memory of a drive does not grow with its length.
 """
 
 from __future__ import annotations
@@ -18,29 +18,20 @@ from prc_cli.core.types import F64, I64, U8, Mask
 
 
 class Shape(IntEnum):
-    """What the nine numbers of a body mean; lengths in metres, angles in radians."""
+    """Shape of a body, with its nine numbers; lengths in metres, angles in radians."""
 
     TRIANGLE = 0
     """Corners a, b, c, three coordinates each; seen from both sides."""
     CONE = 1
-    """Truncated cone without caps.
-
-    Centre of one end (3), of the other end (3), radius there and there, 0.
-    """
+    """Truncated cone without caps: centres of both ends (3, 3), their radii (2), 0."""
     ELLIPSOID = 2
-    """Centre (3), half axes (3), yaw, 0, 0.
-
-    Filled with leaves where it has a density, a surface elsewhere.
-    """
+    """Centre (3), half axes (3), yaw, 0, 0; with a density filled with leaves, else a surface."""
     BOX = 3
-    """Centre (3), half edges (3), yaw, 0, 0.
-
-    Filled with leaves where it has a density, six faces elsewhere.
-    """
+    """Centre (3), half edges (3), yaw, 0, 0; with a density filled with leaves, else six faces."""
 
 
 class Material(IntEnum):
-    """What a body is made of."""
+    """Material of a body."""
 
     ASPHALT = 0
     SIDEWALK = 1
@@ -71,11 +62,11 @@ class Material(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """What a material is to a laser and to the reference."""
+    """Properties of a material: its reference label, and its answer to a laser."""
 
     label: Label
     reflectance: float
-    """Share of the light that comes back from a surface that is met squarely, 0 to 1, at about 785 to 1550 nm."""
+    """Share of the light that a surface reflects at normal incidence, 0 to 1, at 785 to 1550 nm."""
     is_glass: bool = False
     """Light goes through, or to where the glass mirrors it."""
 
@@ -107,10 +98,7 @@ PROPERTIES: dict[Material, Property] = {
     Material.DEAD_WOOD: Property(Label.VEGETATION, 0.30),
     Material.WIRE: Property(Label.UNCLASSIFIED, 0.25),
 }
-"""Label and reflectance of every material.
-
-In towns a trunk is vegetation; in forest it is a stem.
-"""
+"""Label and reflectance of every material; a trunk is vegetation in towns, a stem in forest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,36 +108,26 @@ class Bodies:
     shape: U8
     """(n,) uint8, :class:`Shape`."""
     numbers: F64
-    """(n, 9) float64, what they mean is said by the shape [m, rad].
-
-    World coordinates, z up, at time 0.
-    """
+    """(n, 9) float64, as :class:`Shape` says, in the world at time 0, z up [m, rad]."""
     material: U8
     """(n,) uint8, :class:`Material`."""
     density: F64
-    """(n,) float64, 0 = a surface.
+    """(n,) float64, leaf area density [m²/m³], 0 = a surface.
 
-    Else leaf area density [m²/m³]: the free path of a beam is exponential, its mean
-    two over the density (leaves that face everywhere)."""
+    The free path of a beam is exponential with a mean of two over the density: leaves face
+    everywhere."""
     velocity: F64
     """(n, 2) float64, along x and y [m/s]."""
     number: F64
-    """(n,) float64, an identity from 0 to below 2^53 that does not depend on what else is in sight.
-
-    It seeds what is
-    random about the body (its leaves)."""
+    """(n,) float64, identity, 0 to below 2^53, the same whatever is in sight; it seeds the leaves."""
 
     @classmethod
     def join(cls, parts: list[Bodies]) -> Bodies:
         """Return the bodies of several places as one."""
         u8 = np.empty(0, np.uint8)
         none = cls(u8, np.empty((0, 9)), u8, np.empty(0), np.empty((0, 2)), np.empty(0))
-        return cls(
-            *(
-                np.concatenate([getattr(part, f.name) for part in [none, *parts]])
-                for f in fields(cls)
-            )
-        )
+        columns = ([getattr(part, field.name) for part in [none, *parts]] for field in fields(cls))
+        return cls(*map(np.concatenate, columns))
 
     def take(self, which: Mask) -> Bodies:
         """Return some of the bodies, in their order; (n,) bool."""
@@ -160,10 +138,9 @@ class Bodies:
 
 
 BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
-"""Returns the bodies that have a part within a circle (x, y, radius [m]) at a time [s], and maybe a few more.
+"""Returns the bodies that have a part within a circle (x, y, radius [m]) at a time [s], and others.
 
-The same body has the same numbers whatever the circle, and bodies come in an order that depends on
-nothing but the seed."""
+A body has the same numbers whatever the circle, and the order depends only on the seed."""
 
 
 def hashed(seed: int, purpose: int, number: I64) -> F64:

@@ -56,12 +56,12 @@ def pieces(block: ScanBlock, sizes: list[int]) -> Iterator[ScanBlock]:
         turn = turn + 1
 
 
-def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:
+def check(blocks: list[ScanBlock], whole: ScanBlock, k: int) -> None:
     """Compare with blocks cut straight out of the whole."""
-    assert [block.n_lines for block in found[:-1]] == [k] * (len(found) - 1)
-    assert 1 <= found[-1].n_lines <= k
+    assert [block.n_lines for block in blocks[:-1]] == [k] * (len(blocks) - 1)
+    assert 1 <= blocks[-1].n_lines <= k
     ahead = look_ahead_lines(whole.points_per_line)
-    for i, block in enumerate(found):
+    for i, block in enumerate(blocks):
         lines = slice(i * k, i * k + block.n_lines)
         assert block.first_line == i * k
         assert block.scanner == whole.scanner
@@ -96,9 +96,9 @@ def test_any_cut_gives_the_same_blocks(
 ) -> None:
     whole = stream(n_lines, m, dense=dense)
     parts = list(pieces(whole, sizes))
-    found = list(regroup(iter(parts), k))
-    check(found, whole, k)
-    assert sum((block.tally for block in found), ReadTally()) == ReadTally(n_collisions=len(parts))
+    blocks = list(regroup(iter(parts), k))
+    check(blocks, whole, k)
+    assert sum((block.tally for block in blocks), ReadTally()) == ReadTally(n_collisions=len(parts))
 
 
 @pytest.mark.parametrize("k", [1, 4, 10])
@@ -108,10 +108,10 @@ def test_scanners_do_not_mix(k: int) -> None:
     mixed: list[ScanBlock] = []
     for i in range(max(len(of) for of in parts.values())):
         mixed += [of[i] for of in parts.values() if i < len(of)]
-    found = list(regroup(iter(mixed), k))
+    blocks = list(regroup(iter(mixed), k))
     for scanner, whole in wholes.items():
-        check([block for block in found if block.scanner == scanner], whole, k)
-    assert sum((block.tally for block in found), ReadTally()).n_collisions == len(mixed)
+        check([block for block in blocks if block.scanner == scanner], whole, k)
+    assert sum((block.tally for block in blocks), ReadTally()).n_collisions == len(mixed)
 
 
 def test_blocks_leave_as_soon_as_they_can() -> None:

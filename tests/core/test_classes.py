@@ -45,10 +45,10 @@ def test_values_are_looked_up(shape: tuple[int, ...]) -> None:
     values = rng.integers(0, 256, shape).astype(np.uint8)
     table = rng.integers(0, 256, 256).astype(np.uint8)
     for given in (values, values[::-1], np.asfortranarray(values)):
-        found = recode(given, table)
-        np.testing.assert_array_equal(found, table[given])
-        assert found.flags.writeable
-        assert not np.shares_memory(found, given)
+        codes = recode(given, table)
+        np.testing.assert_array_equal(codes, table[given])
+        assert codes.flags.writeable
+        assert not np.shares_memory(codes, given)
 
 
 EVERYWHERE = (Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION)
@@ -109,8 +109,8 @@ def oklab(rgb: tuple[int, int, int], seen: F64) -> F64:
             [0.0259040371, 0.7827717662, -0.8086757660],
         ]
     )
-    found: F64 = axes @ np.cbrt(cones)
-    return found
+    lab: F64 = axes @ np.cbrt(cones)
+    return lab
 
 
 @pytest.mark.parametrize("reader", SEEN_BY)

@@ -169,11 +169,11 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
     dead = Path(patience.run(command, capture_output=True, text=True, check=True).stdout.strip())
     mine = files.temporary_name(target)
     mine.write_bytes(b"half")
-    other = tmp_path / ".labels[1].npy.0badcafe-1-00000000.part"
-    other.write_bytes(b"another machine's")
+    unrelated = tmp_path / ".labels[1].npy.0badcafe-1-00000000.part"
+    unrelated.write_bytes(b"another machine's")
     assert files.remove_stale(tmp_path / "labels1.npy") == ()
     assert files.remove_stale(target) == (dead,)
-    assert sorted(tmp_path.iterdir()) == sorted([mine, other])
+    assert sorted(tmp_path.iterdir()) == sorted([mine, unrelated])
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")

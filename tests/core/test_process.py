@@ -101,11 +101,11 @@ def test_a_stage_inside_another_is_not_counted_twice() -> None:
         burn(0.02)
         with timed("inner"):
             burn(0.05)
-    found = {each.name: each for each in profile.stages()}
-    assert found["inner"].cpu_s >= 0.05
-    assert found["outer"].cpu_s >= 0.02
-    assert sum(each.cpu_s for each in found.values()) <= profile.cpu_s
-    assert found["outer"].wall_s + found["inner"].wall_s <= profile.wall_s
+    stages = {stage_time.name: stage_time for stage_time in profile.stages()}
+    assert stages["inner"].cpu_s >= 0.05
+    assert stages["outer"].cpu_s >= 0.02
+    assert sum(stage_time.cpu_s for stage_time in stages.values()) <= profile.cpu_s
+    assert stages["outer"].wall_s + stages["inner"].wall_s <= profile.wall_s
 
 
 def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter() -> None:

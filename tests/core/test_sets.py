@@ -113,13 +113,13 @@ def test_a_run_that_is_killed_at_its_very_end_shows(tmp_path: Path) -> None:
 @pytest.mark.parametrize("changed", ["command", "input"])
 def test_another_command_or_input_replaces_nothing(tmp_path: Path, changed: str) -> None:
     source = tmp_path / "in.npy"
-    other = tmp_path / "second.npy"
+    unrelated = tmp_path / "second.npy"
     source.touch()
     assert killed_at(2, lambda: write(tmp_path, source))
     if changed == "command":
         paths.begin_command("classify")
     with pytest.raises(OutputExistsError, match="left by a killed run of another command or input"):
-        write(tmp_path, other if changed == "input" else source)
+        write(tmp_path, unrelated if changed == "input" else source)
     assert (tmp_path / "o.json").read_text() == "new o.json"
     write(tmp_path, source, overwrite=True)
     assert contents(tmp_path) == WHOLE

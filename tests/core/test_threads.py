@@ -88,21 +88,21 @@ def test_error_of_an_item_comes_at_its_place(threads: int) -> None:
             raise KeyError(n)
         return uneven(n)
 
-    found: list[int] = []
+    results: list[int] = []
     source = Source(1000)
     with pytest.raises(KeyError):
-        found.extend(ordered(work, source(), threads=threads))
-    assert found == [n * n for n in range(5)]
+        results.extend(ordered(work, source(), threads=threads))
+    assert results == [n * n for n in range(5)]
     assert max(begun) <= 5 + 2 * max(threads, 1)
     assert source.closed
 
 
 @pytest.mark.parametrize("threads", THREADS)
 def test_error_of_the_items_comes_after_the_results_before_it(threads: int) -> None:
-    found: list[int] = []
+    results: list[int] = []
     with pytest.raises(OSError, match="4"):
-        found.extend(ordered(uneven, Source(10, fails_at=4)(), threads=threads))
-    assert found == [0, 1, 4, 9]
+        results.extend(ordered(uneven, Source(10, fails_at=4)(), threads=threads))
+    assert results == [0, 1, 4, 9]
 
 
 @pytest.mark.parametrize("threads", THREADS)
@@ -176,10 +176,10 @@ class TestRelay:
 
             return relay.take_turn(n, add)[0]
 
-        found: list[int] = []
+        errors: list[int] = []
         with pytest.raises(ValueError, match="block 3"):
-            found.extend(ordered(work, range(20), threads=4))
-        assert found == [0, 0, 1]
+            errors.extend(ordered(work, range(20), threads=4))
+        assert errors == [0, 0, 1]
 
     def test_nobody_waits_for_a_job_that_gave_up(self) -> None:
         relay = Relay(0)
@@ -193,18 +193,18 @@ class TestReadAhead:
     def test_items_come_in_order_and_a_few_are_ready(self) -> None:
         source = Source(50)
         leads = []
-        for given, item in enumerate(read_ahead(source(), depth=2)):
-            assert item == given
-            wait_until(lambda: source.taken >= min(given + 3, 50))  # noqa: B023
-            leads.append(source.taken - given - 1)
+        for taken, item in enumerate(read_ahead(source(), depth=2)):
+            assert item == taken
+            wait_until(lambda: source.taken >= min(taken + 3, 50))  # noqa: B023
+            leads.append(source.taken - taken - 1)
         assert max(leads) <= 3
         assert source.closed
 
     def test_error_comes_at_its_place(self) -> None:
-        found: list[int] = []
+        results: list[int] = []
         with pytest.raises(OSError, match="7"):
-            found.extend(read_ahead(Source(20, fails_at=7)()))
-        assert found == list(range(7))
+            results.extend(read_ahead(Source(20, fails_at=7)()))
+        assert results == list(range(7))
 
     def test_closing_stops_the_thread_and_closes_the_source(self) -> None:
         source = Source(10_000)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.types import F64, I32, U8
-from prc_cli.simulation.thresholds import SensorModel
+from prc_cli.core.types import F64, U8
+from prc_cli.simulation.thresholds import Hits, SensorModel
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
 N_BODIES = 9
@@ -26,7 +26,7 @@ def aim_case(rng: Generator) -> tuple[Any, ...]:
     )
 
 
-def hits(rng: Generator, n_lines: int, m: int) -> tuple[F64, I32, F64]:
+def hits(rng: Generator, n_lines: int, m: int) -> Hits:
     """Runs of the same body, at a few ranges, so that neighbours step by all amounts."""
     run = np.maximum.accumulate(np.where(rng.random((n_lines, m)) < 0.3, np.arange(m), 0), axis=1)
     body = np.take_along_axis(rng.integers(-1, N_BODIES, (n_lines, m)), run, axis=1).astype(
@@ -37,7 +37,7 @@ def hits(rng: Generator, n_lines: int, m: int) -> tuple[F64, I32, F64]:
     )
     t = t + rng.choice([0.0, 0.06, 1.0], (n_lines, m), p=[0.6, 0.2, 0.2]) * rng.random((n_lines, m))
     facing = rng.choice([1.0, 0.7, 0.1, 0.0, -0.5, 0.9986], (n_lines, m))
-    return np.where(body >= 0, t, np.inf), body, facing
+    return Hits(np.where(body >= 0, t, np.inf), body, facing)
 
 
 def bodies(rng: Generator) -> tuple[F64, U8]:
@@ -83,9 +83,9 @@ def sense_case(rng: Generator) -> tuple[Any, ...]:
     first = hits(rng, n_lines, m)
     second = hits(rng, n_lines, m)
     with np.errstate(invalid="ignore"):
-        second = (np.where(np.isinf(second[0]), np.inf, second[0] + 5.0), *second[1:])
+        second = second._replace(t=np.where(np.isinf(second.t), np.inf, second.t + 5.0))
     if rng.random() < 0.3:
-        second = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
+        second = Hits(np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     quantiles = np.sort(rng.normal(size=17))
     seed = int(rng.choice([0, 1, 2**63 - 1]))
     return (

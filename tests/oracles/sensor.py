@@ -8,7 +8,7 @@ from math import floor, isnan, nan, sqrt
 import numpy as np
 
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.simulation.thresholds import SensorModel
+from prc_cli.simulation.thresholds import Hits, SensorModel
 
 _PURPOSES = ("noise", "loss", "stray", "place", "glass", "leaves", "edge", "echo", "sky")
 _WORD = 2**64 - 1
@@ -73,7 +73,7 @@ class _Dice:
 
 
 def _surfaces(
-    hits: tuple[F64, I32, F64],
+    hits: Hits,
     i: int,
     surface: F64,
     kind: U8,
@@ -107,7 +107,7 @@ def _looks_behind(
 
 
 def goes_behind(
-    hits: tuple[F64, I32, F64],
+    hits: Hits,
     kind: U8,
     model: SensorModel,
     first_line: int,
@@ -320,8 +320,8 @@ def _with_background(
 
 
 def sense(
-    hits: tuple[F64, I32, F64],
-    behind: tuple[F64, I32, F64],
+    hits: Hits,
+    behind: Hits,
     surface: F64,
     kind: U8,
     model: SensorModel,

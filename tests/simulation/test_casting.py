@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
 from prc_cli import kernels
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F64, I32
+from prc_cli.core.types import F64
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.sensor import Hits, Measured, cast, goes_behind, scan
+from prc_cli.simulation.sensor import Measured, cast, goes_behind, scan
+from prc_cli.simulation.thresholds import Hits
 from prc_cli.simulation.world import Bodies, Material, Shape
 
 FLOOR = (Shape.TRIANGLE, [-50, -50, -2, 50, -50, -2, 0, 90, -2])
@@ -190,13 +191,8 @@ PULSED = CW.changed(
 )
 
 
-class SensorHits(NamedTuple):
-    t: F64
-    body: I32
-    facing: F64
-
-    def lines(self, first: int, stop: int) -> SensorHits:
-        return SensorHits(self.t[first:stop], self.body[first:stop], self.facing[first:stop])
+def lines_of(hits: Hits, first: int, stop: int) -> Hits:
+    return Hits(*(column[first:stop] for column in hits))
 
 
 def sensor_world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
@@ -218,23 +214,21 @@ def hits(
     facing: Any = 1.0,
     lines: int = LINES,
     columns: int = 100,
-) -> SensorHits:
+) -> Hits:
     """Hits of which each number may be given for all, or by column."""
     shape = (lines, columns)
     number = np.broadcast_to(np.asarray(body, dtype=np.int32), shape).copy()
     t = np.where(number < 0, np.inf, np.broadcast_to(np.asarray(t, dtype=np.float64), shape))
-    return SensorHits(
-        t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy()
-    )
+    return Hits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
 
 
 def step(scanner: Scanner, far: float = 30.0) -> Measured:
     """Between a post at 20 m in columns 40 to 59, and a wall."""
     column = np.arange(100)
     post = (column >= 40) & (column < 60)
-    found = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
+    shots = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
     return scan(
-        found, sensor_world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED
+        shots, sensor_world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED
     )
 
 
@@ -258,7 +252,7 @@ def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one(
     assert ((narrow.range_m[mixed] > 20.04) & (narrow.range_m[mixed] < 20.36)).all()
 
 
-def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[SensorHits, Bodies]:
+def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bodies]:
     """Runs of all materials and sky."""
     bodies = sensor_world(
         Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE
@@ -271,7 +265,7 @@ def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[SensorHi
     t = np.where(
         body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf
     )
-    return SensorHits(t, body, rng.random((lines, columns))), bodies
+    return Hits(t, body, rng.random((lines, columns))), bodies
 
 
 @pytest.mark.parametrize("name", sorted(SCANNERS))
@@ -280,13 +274,18 @@ def test_result_depends_on_line_and_seed_alone(name: str) -> None:
     rng = np.random.default_rng(3)
     seen, bodies = street(rng, 12, scanner.points_per_line)
     asked = goes_behind(seen, bodies, scanner, 5, SEED)
-    behind = SensorHits(
+    behind = Hits(
         np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing
     )
     whole = scan(seen, bodies, scanner, 5, SEED, behind)
     for first, stop in pairwise((0, 1, 7, 12)):
         part = scan(
-            seen.lines(first, stop), bodies, scanner, 5 + first, SEED, behind.lines(first, stop)
+            lines_of(seen, first, stop),
+            bodies,
+            scanner,
+            5 + first,
+            SEED,
+            lines_of(behind, first, stop),
         )
         np.testing.assert_array_equal(part.range_m, whole.range_m[first:stop])
         np.testing.assert_array_equal(part.label, whole.label[first:stop])
@@ -297,23 +296,23 @@ def test_result_depends_on_line_and_seed_alone(name: str) -> None:
         np.testing.assert_array_equal(part.extra_range_m, whole.extra_range_m[mine])
         np.testing.assert_array_equal(part.extra_label, whole.extra_label[mine])
         np.testing.assert_array_equal(part.extra_intensity, whole.extra_intensity[mine])
-    other = scan(seen, bodies, scanner, 5, SEED + 1, behind)
-    assert (other.range_m != whole.range_m).mean() > 0.5
+    reseeded = scan(seen, bodies, scanner, 5, SEED + 1, behind)
+    assert (reseeded.range_m != whole.range_m).mean() > 0.5
 
 
 @pytest.mark.parametrize("name", sorted(SCANNERS))
 def test_ranges_labels_and_intensities_go_together(name: str) -> None:
     scanner = SCANNERS[name]
     seen, bodies = street(np.random.default_rng(4), 12, scanner.points_per_line)
-    found = scan(seen, bodies, scanner, 0, SEED)
-    given = np.isfinite(found.range_m)
-    np.testing.assert_array_equal(given, found.label != Label.MISSING)
-    np.testing.assert_array_equal(given, found.intensity > 0)
-    assert (found.range_m[given] > 0).all()
-    assert 0.4 < given.mean() < 0.95
-    assert np.isfinite(found.extra_range_m).all()
+    measured = scan(seen, bodies, scanner, 0, SEED)
+    is_return = np.isfinite(measured.range_m)
+    np.testing.assert_array_equal(is_return, measured.label != Label.MISSING)
+    np.testing.assert_array_equal(is_return, measured.intensity > 0)
+    assert (measured.range_m[is_return] > 0).all()
+    assert 0.4 < is_return.mean() < 0.95
+    assert np.isfinite(measured.extra_range_m).all()
     if scanner.max_returns == 1:
-        assert len(found.extra_line) == 0
+        assert len(measured.extra_line) == 0
 
 
 def test_kernel_reads_the_labels_that_are_meant() -> None:

@@ -28,10 +28,10 @@ def bodies(scene: ForestScene) -> Bodies:
     return scene.bodies_near(15.0, 25.0, 25.0)
 
 
-def _assert_same(one: Bodies, other: Bodies) -> None:
+def _assert_same(first: Bodies, second: Bodies) -> None:
     for field in fields(Bodies):
         np.testing.assert_array_equal(
-            getattr(one, field.name), getattr(other, field.name), err_msg=field.name
+            getattr(first, field.name), getattr(second, field.name), err_msg=field.name
         )
 
 
@@ -183,8 +183,8 @@ def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     assert a.number.max() < 2.0**53
     # a smaller circle holds nothing that the larger one does not
     assert set(around(one, 100.0, 25.0).number) <= set(a.number)
-    other = around(StreetScene(seed=12), 100.0)
-    assert not np.array_equal(a.numbers, other.numbers)
+    fresh = around(StreetScene(seed=12), 100.0)
+    assert not np.array_equal(a.numbers, fresh.numbers)
 
 
 @pytest.mark.slow

@@ -94,9 +94,9 @@ def test_frames_lie_where_their_poses_say(tmp_path: Path) -> None:
 def test_snow_is_noise_near_the_scanner() -> None:
     def labelled(flake_m: float) -> tuple[np.ndarray, np.ndarray]:
         settings = load_settings("street", options=options(flake_m=flake_m))
-        found = list(open_simulation("street", settings).scan.labelled_blocks(300))
-        return np.concatenate([one.block.range_m for one in found]), np.concatenate(
-            [one.labels for one in found]
+        blocks = list(open_simulation("street", settings).scan.labelled_blocks(300))
+        return np.concatenate([block.block.range_m for block in blocks]), np.concatenate(
+            [block.labels for block in blocks]
         )
 
     clear, clear_labels = labelled(0.0)

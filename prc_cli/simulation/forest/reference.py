@@ -1,7 +1,4 @@
-"""The reference of the paper's forest.
-
-Cylinders around measured stems, ground by height, noise elsewhere.
-"""
+"""The reference of the paper's forest: cylinders around stems, ground by height, else noise."""
 
 from __future__ import annotations
 
@@ -21,10 +18,7 @@ GROUND_BELOW_BREAST_M = 0.5
 """Ground is what is lower than this under the breast height of the nearest tree [m]."""
 
 _SEARCH_M = 15.0
-"""The nearest tree of a point is looked for up to here beyond all points [m].
-
-Forests are denser than that.
-"""
+"""Search radius for the nearest tree, beyond all points [m]; forests are denser."""
 _NEIGHBOURS = 8
 """Stems keep apart; a point lies in no more cylinders than this."""
 _POINTS_AT_ONCE = 1_000_000
@@ -49,7 +43,6 @@ def reference_labels(scene: ForestScene, xyz: F64) -> U8:
 
 
 def _label(scene: ForestScene, xyz: F64) -> U8:
-    """Label finite points."""
     labels = np.full(len(xyz), Label.NOISE, dtype=np.uint8)
     if not len(xyz):
         return labels
@@ -65,8 +58,7 @@ def _label(scene: ForestScene, xyz: F64) -> U8:
     tree = cKDTree(breast[:, :2])
     away, nearest = tree.query(xyz[:, :2])
     labels[xyz[:, 2] <= breast[nearest, 2] - GROUND_BELOW_BREAST_M] = Label.GROUND
-    # cylinders overlap, and the nearest tree may have the thinner one: what is near any of them
-    # meets all around it
+    # cylinders overlap, and the nearest tree may have the thinner one
     near = np.flatnonzero(away <= radius.max())
     k = min(_NEIGHBOURS, len(stems))
     away, around = tree.query(xyz[near, :2], k=np.arange(1, k + 1))

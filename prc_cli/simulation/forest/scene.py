@@ -85,10 +85,7 @@ class Floor:
         return ellipsoids(place, half, chance.uniform(0, np.pi, n), Material.SOIL)
 
     def _herbs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
-        """Return patches near the ground.
-
-        Moss and grass, which are ground, and dwarf shrubs, which are not.
-        """
+        """Return moss and grass, which are ground, and dwarf shrubs, which are not."""
         parts = []
         for material, share, low, high, density in (
             (Material.GRASS, 0.35, 0.05, 0.15, 8.0),
@@ -209,8 +206,7 @@ class ForestScene:
         self._candidates = lru_cache(_STEM_CELLS_KEPT)(self._stand.candidates)
         self._stems = lru_cache(_STEM_CELLS_KEPT)(self._make_stems)
         self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
-        # threads ask for the same cells at the same time, and a cache alone would have each of them
-        # make its own
+        # a cache alone would let every thread make the same cells
         self._lock = RLock()
 
     def bodies_near(
@@ -220,12 +216,8 @@ class ForestScene:
         radius_m: float,
         time_s: float = 0.0,
     ) -> Bodies:
-        """Return the bodies whose circle on the map touches the one that is asked for.
-
-        Nothing moves in a forest.
-        """
-        # one thread makes all that are missing: taking turns at every cell costs more than waiting
-        # once
+        """Return the bodies whose circle on the map touches a circle; nothing moves in a forest."""
+        # one thread makes all missing cells: turns at every cell cost more than one wait
         with self._lock:
             cells = [self._cell(i, j) for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M)]
         parts = []
@@ -235,13 +227,13 @@ class ForestScene:
         return Bodies.join(parts)
 
     def stems_near(self, x_m: float, y_m: float, radius_m: float) -> Stems:
-        """Return the trees whose foot stands within a circle."""
+        """Return the trees with their foot within a circle."""
         with self._lock:
             stems = Stems.join([self._stems(i, j) for i, j in _cells_near(x_m, y_m, radius_m)])
         return stems.take(np.hypot(stems.base[:, 0] - x_m, stems.base[:, 1] - y_m) <= radius_m)
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
-        """Return the ground under the walker and where he heads."""
+        """Return the ground under the walker, (n, 3) [m], and the heading, (n,) [rad]."""
         xy, heading = self.rows.point(np.asarray(s_m, dtype=np.float64))
         return np.column_stack([xy, self.terrain.level(xy[:, 0], xy[:, 1])]), heading
 

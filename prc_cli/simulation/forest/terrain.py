@@ -14,11 +14,11 @@ CELL_M = 9.0
 """Edge of the squares that the forest is made in [m]."""
 
 BODIES_PER_CELL = 8192
-"""More bodies than ever stand in one cell: their numbers count on within it."""
+"""More than the bodies of a cell, whose numbers follow each other."""
 
 
 class Purpose(IntEnum):
-    """What a generator is for; generators of two purposes know nothing of each other."""
+    """Purpose of a generator; generators of two purposes are independent."""
 
     CANDIDATES = 0
     TREES = 1
@@ -37,10 +37,7 @@ def generator(seed: int, purpose: Purpose, *place: int) -> np.random.Generator:
 
 
 def first_number(seed: int, i: int, j: int) -> float:
-    """Return the identity of the first body of a cell; those of its others follow.
-
-    All stay below 2^53.
-    """
+    """Return the number of the first body of a cell; others follow, all below 2^53."""
     return float(generator(seed, Purpose.NUMBERS, i, j).integers(2**39)) * BODIES_PER_CELL
 
 
@@ -50,9 +47,7 @@ _TABLE_STEP_M = 0.02
 
 
 class Rows:
-    """Rows along x: even ones are walked towards +x, odd ones back.
-
-    Row k lies at y = k times the spacing.
+    """Rows along x, k times the spacing apart: even ones are walked to +x, odd ones back.
 
     In a row the walker strays to either side, in the turns he does not. All rows are equally long
     on foot, so that any distance is found without walking there.
@@ -74,10 +69,10 @@ class Rows:
     def point(self, s_m: F64) -> tuple[F64, F64]:
         """Return places along the way."""
         row = np.floor(s_m / self.period_m)
-        rest = s_m - row * self.period_m
+        walked = s_m - row * self.period_m
         forth = np.where(row % 2 == 0, 1.0, -1.0)
 
-        share = np.interp(rest, self._walked, self._share)
+        share = np.interp(walked, self._walked, self._share)
         aside, slope = self._bend(share)
         side = self._side(row)
         along = share * self._length_m
@@ -85,7 +80,7 @@ class Rows:
         turned = forth * np.arctan(side * slope)
 
         radius = self._spacing_m / 2
-        angle = np.maximum(rest - self._walked[-1], 0.0) / radius
+        angle = np.maximum(walked - self._walked[-1], 0.0) / radius
         along = along + radius * np.sin(angle)
         across = across + radius * (1 - np.cos(angle))
         x = np.where(forth > 0, along, self._length_m - along)
@@ -93,7 +88,7 @@ class Rows:
         return np.stack([x, row * self._spacing_m + across], axis=-1), heading
 
     def distance(self, x: F64, y: F64) -> F64:
-        """Return how far places are from the way, to within a few centimetres near it."""
+        """Return the distance of places from the way, to a few centimetres near it [m]."""
         nearest = np.full(np.broadcast(x, y).shape, np.inf)
         share = np.clip(x / self._length_m, 0.0, 1.0)
         beside = np.maximum(x - self._length_m, 0.0) + np.maximum(-x, 0.0)
@@ -172,7 +167,7 @@ class Terrain:
         return z
 
     def height(self, x: F64, y: F64) -> F64:
-        """Return the height on the triangles, where things stand."""
+        """Return the height of the triangles, the ground of all bodies, as x, y [m]."""
         step = self.step_m
         i = np.floor(x / step)
         j = np.floor(y / step)

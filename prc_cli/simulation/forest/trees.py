@@ -1,7 +1,4 @@
-"""Where trees stand, how thick, tall and crooked they are, and their bodies.
-
-Stems, branches, crowns.
-"""
+"""Trees: their places and measures, and the bodies of stems, branches and crowns."""
 
 from __future__ import annotations
 
@@ -69,19 +66,19 @@ def footprints(bodies: Bodies) -> tuple[F64, F64]:
     centre = numbers[:, :2].copy()
     reach = numbers[:, 3:5].max(axis=1, initial=0.0)
 
-    flat = bodies.shape == Shape.TRIANGLE
-    centre[flat] = corners[flat].mean(axis=1)
-    reach[flat] = np.hypot(*np.moveaxis(corners[flat] - centre[flat, None], -1, 0)).max(
+    triangle = bodies.shape == Shape.TRIANGLE
+    centre[triangle] = corners[triangle].mean(axis=1)
+    reach[triangle] = np.hypot(*np.moveaxis(corners[triangle] - centre[triangle, None], -1, 0)).max(
         axis=1, initial=0.0
     )
 
-    round_ = bodies.shape == Shape.CONE
-    centre[round_] = corners[round_, :2].mean(axis=1)
-    half_length = np.hypot(*(corners[round_, 1] - corners[round_, 0]).T) / 2
-    reach[round_] = half_length + numbers[round_, 6:8].max(axis=1, initial=0.0)
+    cone = bodies.shape == Shape.CONE
+    centre[cone] = corners[cone, :2].mean(axis=1)
+    half_length = np.hypot(*(corners[cone, 1] - corners[cone, 0]).T) / 2
+    reach[cone] = half_length + numbers[cone, 6:8].max(axis=1, initial=0.0)
 
-    boxes = bodies.shape == Shape.BOX
-    reach[boxes] = np.hypot(numbers[boxes, 3], numbers[boxes, 4])
+    box = bodies.shape == Shape.BOX
+    reach[box] = np.hypot(numbers[box, 3], numbers[box, 4])
     return centre, reach
 
 
@@ -127,12 +124,8 @@ class Stems:
             np.empty((0, 2)),
             np.empty(0, np.uint8),
         )
-        return cls(
-            *(
-                np.concatenate([getattr(part, f.name) for part in [none, *parts]])
-                for f in fields(cls)
-            )
-        )
+        columns = ([getattr(part, field.name) for part in [none, *parts]] for field in fields(cls))
+        return cls(*map(np.concatenate, columns))
 
     def take(self, which: Mask) -> Stems:
         """Return some of the trees; (n,) bool."""
@@ -150,19 +143,16 @@ class Stems:
         return self.axis(np.full(len(self), BREAST_HEIGHT_M))
 
     def rows(self) -> Iterator[str]:
-        """Yield the trees as lines of CSV, the names of the columns first.
-
-        x, y, z are those at breast height.
-        """
+        """Yield the trees as lines of CSV, names of columns first; x, y, z at breast height."""
         yield "species,x_m,y_m,z_m,dbh_m,height_m,lean_deg,lean_azimuth_deg"
         lean = np.degrees(np.arctan(np.hypot(*self.lean.T)))
         azimuth = np.degrees(np.arctan2(self.lean[:, 1], self.lean[:, 0]))
-        for kind, (x, y, z), *rest in zip(
-            self.species, self.breast, self.dbh, self.height, lean, azimuth, strict=True
-        ):
-            dbh, height, leans, towards = rest
+        breast = self.breast
+        for i, species in enumerate(self.species):
+            x, y, z = breast[i]
             yield (
-                f"{Species(kind).name.lower()},{x:.3f},{y:.3f},{z:.3f},{dbh:.3f},{height:.2f},{leans:.2f},{towards:.1f}"
+                f"{Species(species).name.lower()},{x:.3f},{y:.3f},{z:.3f},{self.dbh[i]:.3f},"
+                f"{self.height[i]:.2f},{lean[i]:.2f},{azimuth[i]:.1f}"
             )
 
     def __len__(self) -> int:
@@ -171,18 +161,18 @@ class Stems:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Places of a cell where a tree would stand if no neighbour were before it."""
+    """Places of a cell for trees, before the ones too close to a neighbour are dropped."""
 
     xy: F64
     """(n, 2) float64 [m]."""
     rank: F64
-    """(n,) float64, 0 to 1; of two that are too close the lower one stands."""
+    """(n,) float64, 0 to 1; of two places that are too close the lower one is kept."""
     chance: F64
-    """(n, 8) float64, uniform numbers for what the tree is like."""
+    """(n, 8) float64, uniform random numbers for the measures of the tree."""
 
 
 class Stand:
-    """Knows the trees of every cell, which keep apart by Matérn's second hard-core process (1960, ch. 3)."""
+    """Trees by cell; they keep apart by Matérn's second hard-core process (1960, ch. 3)."""
 
     def __init__(
         self,
@@ -211,18 +201,18 @@ class Stand:
         xy = (numbers[:, :2] + (i, j)) * CELL_M
         return Candidates(xy, numbers[:, 2], numbers[:, 3:])
 
-    def stems(self, own: Candidates, around: list[Candidates]) -> Stems:
+    def stems(self, cell: Candidates, around: list[Candidates]) -> Stems:
         """Return the trees of a cell."""
         near = np.concatenate([c.xy for c in around])
         rank = np.concatenate([c.rank for c in around])
-        close = np.hypot(*np.moveaxis(own.xy[:, None] - near, -1, 0)) < self.apart_m
-        stands = ~(close & (rank < own.rank[:, None])).any(axis=1)
-        trees = self._measure(own.xy[stands], own.chance[stands])
+        close = np.hypot(*np.moveaxis(cell.xy[:, None] - near, -1, 0)) < self.apart_m
+        is_kept = ~(close & (rank < cell.rank[:, None])).any(axis=1)
+        trees = self._measure(cell.xy[is_kept], cell.chance[is_kept])
         # the widest part of the foot and the stem at the walker's height stay off the path
         clear = np.full(len(trees), np.inf)
         for above in (0.0, 1.0, 2.0):
-            at = trees.axis(np.full(len(trees), above))
-            clear = np.minimum(clear, self._rows.distance(at[:, 0], at[:, 1]))
+            axis = trees.axis(np.full(len(trees), above))
+            clear = np.minimum(clear, self._rows.distance(axis[:, 0], axis[:, 1]))
         return trees.take(clear > self._params.clearance_m + 0.75 * trees.dbh)
 
     def _measure(self, xy: F64, chance: F64) -> Stems:
@@ -247,7 +237,7 @@ class Stand:
 
 
 def _two_normals(chance: F64) -> F64:
-    """Turn pairs of uniform numbers into vectors whose length has the mean square 1 (Box and Muller 1958)."""
+    """Return vectors of normal numbers, mean square length 1 (Box and Muller 1958), (n, 2)."""
     length = np.sqrt(-np.log1p(-chance[:, 0]))
     angle = 2 * np.pi * chance[:, 1]
     vectors: F64 = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)

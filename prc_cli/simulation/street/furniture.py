@@ -1,14 +1,10 @@
-"""What stands beside a street.
-
-Lamps, signs, bins, shelters, wires, walls, fences; trees, bushes and hedges.
-"""
+"""Furniture of a street: lamps, signs, bins, shelters, wires, walls, fences and hedges."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,123 +12,41 @@ import numpy as np
 from prc_cli.simulation.street.pile import Frame, Pile, Span
 from prc_cli.simulation.world import Material
 
-
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of tree, as ranges."""
-
-    bole: Span
-    """Height of the lowest branches [m]."""
-    radius: Span
-    """Of the crown [m]."""
-    crown: Span
-    """Height of the crown [m]."""
-    trunk: Span
-    """Radius of the trunk at its foot [m]."""
-    density: Span
-    """Leaf area density [m²/m³]; street and garden trees in leaf have 0.3 to 2."""
-    balls: int
-    """Parts of the crown around its middle."""
-
-
-STREET = Kind((2.8, 4.0), (1.7, 2.6), (4.0, 7.0), (0.10, 0.22), (0.6, 1.4), 5)
-AVENUE = Kind((4.0, 5.5), (2.4, 3.2), (6.0, 10.0), (0.18, 0.35), (0.5, 1.0), 6)
-CANOPY = Kind((3.5, 5.0), (4.2, 5.5), (5.0, 8.0), (0.18, 0.35), (0.6, 1.2), 6)
-GARDEN = Kind((1.2, 2.2), (1.2, 2.2), (2.5, 5.0), (0.06, 0.14), (0.7, 2.0), 4)
-BIRCH = Kind((2.2, 3.2), (1.2, 1.7), (5.0, 8.0), (0.07, 0.13), (0.3, 0.6), 4)
-
-
-def tree(
-    pile: Pile,
-    frame: Frame,
-    kind: Kind,
-    rng: np.random.Generator,
-    widest: float = 9.0,
-) -> None:
-    """Add a tree."""
-    bole, radius, crown, trunk, density = (
-        float(rng.uniform(*span))
-        for span in (kind.bole, kind.radius, kind.crown, kind.trunk, kind.density)
-    )
-    radius = min(radius, widest)
-    lean = rng.uniform(-0.03, 0.03, 2).tolist()
-    top = bole + 0.75 * crown
-    middle = bole + 0.5 * crown
-    foot = frame.at(0.0, 0.0, -0.2)
-    fork = frame.at(lean[0] * bole, lean[1] * bole, bole)
-    tip = frame.at(lean[0] * top, lean[1] * top, top)
-    pile.cone((foot, fork), (1.15 * trunk, 0.8 * trunk), Material.TRUNK)
-    pile.cone((fork, tip), (0.8 * trunk, 0.15 * trunk), Material.BRANCH)
-    centre = frame.at(lean[0] * middle, lean[1] * middle, middle)
-    pile.ellipsoid(
-        centre, (0.68 * radius, 0.68 * radius, 0.5 * crown), 0.0, Material.LEAVES, density
-    )
-    turn = rng.uniform(0.0, 2.0 * np.pi)
-    for i in range(kind.balls):
-        around = turn + i * 2.0 * np.pi / kind.balls + rng.uniform(-0.3, 0.3)
-        # balls climb around the trunk: the lower ones are wider
-        up = bole + crown * (0.28 + 0.42 * ((i * 2) % kind.balls) / max(kind.balls - 1, 1))
-        size = radius * rng.uniform(0.42, 0.56)
-        away = radius - size
-        u = away * np.cos(around)
-        v = away * np.sin(around)
-        ball = frame.at(u, v, up)
-        tall = max(min(size * rng.uniform(0.8, 1.2), up - bole + 0.3), 0.4)
-        pile.ellipsoid(ball, (size, size, tall), 0.0, Material.LEAVES, density)
-        if i < 4:
-            low = frame.at(0.0, 0.0, bole + 0.15 * i * (up - bole))
-            pile.cone(
-                (low, frame.at(0.9 * u, 0.9 * v, up)), (0.35 * trunk, 0.1 * trunk), Material.BRANCH
-            )
-
-
-def bush(
-    pile: Pile,
-    frame: Frame,
-    radius: float,
-    rng: np.random.Generator,
-) -> None:
-    """Add a round bush; leaf area density about 4 m²/m³."""
-    tall = radius * rng.uniform(0.7, 1.1)
-    half = (radius, radius * rng.uniform(0.7, 1.0), tall)
-    pile.ellipsoid(
-        frame.at(0.0, 0.0, 0.7 * tall),
-        half,
-        rng.uniform(0, np.pi),
-        Material.LEAVES,
-        rng.uniform(3.0, 5.0),
-    )
-
-
 _FOOT_M = -0.2
 """Posts begin this far below the ground [m]."""
 
 
 def lamp(pile: Pile, frame: Frame, height: float) -> None:
     """Add a lamp whose arm reaches over the road; v of the frame points away from it."""
-    top = frame.at(0.0, 0.0, height)
-    pile.cone((frame.at(0.0, 0.0, _FOOT_M), top), (0.09, 0.05), Material.POLE)
-    pile.cone((top, frame.at(0.0, -1.5, height + 0.25)), (0.04, 0.03), Material.POLE)
+    top = frame.point(0.0, 0.0, height)
+    pile.cone((frame.point(0.0, 0.0, _FOOT_M), top), (0.09, 0.05), Material.POLE)
+    pile.cone((top, frame.point(0.0, -1.5, height + 0.25)), (0.04, 0.03), Material.POLE)
     pile.box(frame, ((-0.12, 0.12), (-2.0, -1.4), (height + 0.18, height + 0.30)), Material.POLE)
 
 
 def traffic_light(pile: Pile, frame: Frame, *, arm: bool) -> None:
     """Add a traffic light, perhaps with a second one on an arm over the road."""
     high = 5.8 if arm else 3.4
-    pile.cone((frame.at(0.0, 0.0, _FOOT_M), frame.at(0.0, 0.0, high)), (0.08, 0.06), Material.POLE)
+    pile.cone(
+        (frame.point(0.0, 0.0, _FOOT_M), frame.point(0.0, 0.0, high)), (0.08, 0.06), Material.POLE
+    )
     pile.box(frame, ((-0.32, -0.1), (-0.15, 0.15), (2.3, 3.2)), Material.SIGN)
     if arm:
-        pile.cone((frame.at(0.0, 0.0, 5.7), frame.at(0.0, -3.6, 5.9)), (0.06, 0.04), Material.POLE)
+        pile.cone(
+            (frame.point(0.0, 0.0, 5.7), frame.point(0.0, -3.6, 5.9)), (0.06, 0.04), Material.POLE
+        )
         pile.box(frame, ((-0.2, 0.0), (-3.6, -3.3), (5.1, 6.0)), Material.SIGN)
 
 
 def sign(pile: Pile, frame: Frame, rng: np.random.Generator) -> None:
     """Add a post with one or two plates, a triangle now and then."""
     top = rng.uniform(2.4, 2.9)
-    pile.cone((frame.at(0.0, 0.0, _FOOT_M), frame.at(0.0, 0.0, top)), (0.035, 0.035), Material.POLE)
+    pile.cone(
+        (frame.point(0.0, 0.0, _FOOT_M), frame.point(0.0, 0.0, top)), (0.035, 0.035), Material.POLE
+    )
     if rng.random() < 0.3:
         corners = ((0.05, -0.4, top), (0.05, 0.4, top), (0.05, 0.0, top - 0.7))
-        a, b, c = (frame.at(*corner) for corner in corners)
+        a, b, c = (frame.point(*corner) for corner in corners)
         pile.triangle(a, b, c, Material.SIGN)
     else:
         half = rng.uniform(0.2, 0.35)
@@ -154,8 +68,10 @@ def bin_or_box(pile: Pile, frame: Frame, rng: np.random.Generator) -> None:
 
 def bollard(pile: Pile, frame: Frame) -> None:
     """Add a bollard."""
-    pile.cone((frame.at(0.0, 0.0, _FOOT_M), frame.at(0.0, 0.0, 0.9)), (0.06, 0.05), Material.POLE)
-    pile.ellipsoid(frame.at(0.0, 0.0, 0.9), (0.06, 0.06, 0.05), 0.0, Material.POLE)
+    pile.cone(
+        (frame.point(0.0, 0.0, _FOOT_M), frame.point(0.0, 0.0, 0.9)), (0.06, 0.05), Material.POLE
+    )
+    pile.ellipsoid(frame.point(0.0, 0.0, 0.9), (0.06, 0.06, 0.05), 0.0, Material.POLE)
 
 
 def shelter(pile: Pile, frame: Frame) -> None:
@@ -176,22 +92,24 @@ def shelter(pile: Pile, frame: Frame) -> None:
 
 def pole(pile: Pile, frame: Frame) -> None:
     """Add a pole for overhead wires, with its cross-arm."""
-    pile.cone((frame.at(0.0, 0.0, _FOOT_M), frame.at(0.0, 0.0, 8.0)), (0.14, 0.09), Material.POLE)
+    pile.cone(
+        (frame.point(0.0, 0.0, _FOOT_M), frame.point(0.0, 0.0, 8.0)), (0.14, 0.09), Material.POLE
+    )
     pile.box(frame, ((-0.05, 0.05), (-0.8, 0.8), (7.4, 7.52)), Material.POLE)
 
 
 def wires(pile: Pile, start: Frame, end: Frame) -> None:
     """Hang wires from pole to pole, each in four straight parts."""
     for v in (-0.7, 0.0, 0.7):
-        a = start.at(0.0, v, 7.55)
-        b = end.at(0.0, v, 7.55)
+        a = start.point(0.0, v, 7.55)
+        b = end.point(0.0, v, 7.55)
         knots = []
         for i in range(5):
             f = i / 4
-            x, y, z = (one + f * (two - one) for one, two in zip(a, b, strict=True))
+            x, y, z = (left + f * (right - left) for left, right in zip(a, b, strict=True))
             knots.append((x, y, z - 2.0 * f * (1.0 - f)))
-        for one, two in itertools.pairwise(knots):
-            pile.cone((one, two), (0.008, 0.008), Material.WIRE)
+        for left, right in itertools.pairwise(knots):
+            pile.cone((left, right), (0.008, 0.008), Material.WIRE)
 
 
 def boundary(

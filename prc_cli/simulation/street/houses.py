@@ -252,8 +252,8 @@ def _gable(
         )
         pile.face(frame, corners, Material.ROOF)
     for u in (-half + 0.02, half - 0.02):
-        ends = frame.at(u, 0.0, style.top), frame.at(u, style.depth, style.top)
-        pile.triangle(*ends, frame.at(u, middle, style.top + rise), Material.WALL)
+        ends = frame.point(u, 0.0, style.top), frame.point(u, style.depth, style.top)
+        pile.triangle(*ends, frame.point(u, middle, style.top + rise), Material.WALL)
     pile.box(
         frame,
         ((-half, half), (-out - 0.1, -out + 0.02), (style.top - drop - 0.1, style.top - drop)),
@@ -267,10 +267,7 @@ def _balconies(
     style: Style,
     first: int,
 ) -> None:
-    """Balconies before every other column of windows.
-
-    a slab and a railing whose bars let shots through.
-    """
+    """Balconies before every other column of windows: a slab and a railing of bars."""
     for middle in style.middles[first::2]:
         for storey in range(1, min(style.storeys, 6)):
             floor = storey * style.storey + 0.1

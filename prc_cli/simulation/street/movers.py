@@ -1,12 +1,12 @@
-"""Cars, vans and lorries, standing or oncoming, and people who walk: where they are at any time.
+"""Cars, vans and lorries, parked or oncoming, and people who walk, at any time.
 
 A car is a body with wheel arches, a cabin of glass with a roof and pillars, wheels, and a gap
 below. Measures are those of common models: cars 3.8 to 4.8 m long, 1.75 to 1.85 m wide and 1.45 to
 1.65 m high with 16 to 20 cm of ground clearance and tyres of 62 to 66 cm; vans 5 to 5.6 m long and
 1.95 to 2.5 m high; lorries of 7.5 t.
 
-All of one stream have the same speed, so that they are beads on a string that moves along the
-street; which beads are near a place at a time follows by arithmetic, without what was before.
+All movers of a stream have the same speed, like beads on a string that moves along the street. So
+the movers near a place at a time follow by arithmetic.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def car(pile: Pile, frame: Frame, model: Model) -> None:
     pile.box(frame, (*under, (model.clearance + 0.02, 0.62)), Material.CAR_BODY)
     for axle in model.axles:
         for side in (-1.0, 1.0):
-            wheel = frame.at(axle, side * (model.wide - 0.12), model.tyre)
+            wheel = frame.point(axle, side * (model.wide - 0.12), model.tyre)
             pile.ellipsoid(wheel, (model.tyre, 0.13, model.tyre), frame.yaw, Material.TYRE)
 
 
@@ -128,8 +128,8 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
     # the upper edge has corners above the arches, so that no triangle lies across an arch
     upper = sorted({*model.deck, *((u, model.waist(u)) for u, w in low if w == above)})
     for side in (-1.0, 1.0):
-        under = [frame.at(u, side * model.wide, w) for u, w in low]
-        over = [frame.at(u, side * (model.wide - 0.03), w) for u, w in upper]
+        under = [frame.point(u, side * model.wide, w) for u, w in low]
+        over = [frame.point(u, side * (model.wide - 0.03), w) for u, w in upper]
         i = j = 0
         # triangles between the lower and the upper edge, from the rear to the front
         while i + 1 < len(low) or j + 1 < len(over):
@@ -170,7 +170,7 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
         """Point of a pillar between its foot (0) and the roof (1)."""
         low = model.waist(foot) - 0.02
         v = wide + up * (narrow - wide)
-        return frame.at(foot + up * (top - foot), side * v, low + up * (model.roof - low))
+        return frame.point(foot + up * (top - foot), side * v, low + up * (model.roof - low))
 
     side_glass = Material.CAR_GLASS if model.glazed else Material.CAR_BODY
     rear = (back, roof_back)
@@ -216,7 +216,7 @@ def _door_pane(
 
     def spot(u: float, up: float) -> Point:
         wide = model.wide - 0.04 + (model.wide - model.lean - model.wide + 0.04) * up
-        return frame.at(u, side * (wide + 0.01), model.waist(u) + up * rise)
+        return frame.point(u, side * (wide + 0.01), model.waist(u) + up * rise)
 
     a = spot(back, share[0])
     b = spot(front, share[0])
@@ -256,7 +256,7 @@ def lorry(pile: Pile, frame: Frame, length: float) -> None:
         )
         pile.face(frame, spots, Material.CAR_GLASS)
         for axle in (-half + 1.4, half - 0.9):
-            wheel = frame.at(axle, side * (wide - 0.16), 0.42)
+            wheel = frame.point(axle, side * (wide - 0.16), 0.42)
             pile.ellipsoid(wheel, (0.42, 0.16, 0.42), frame.yaw, Material.TYRE)
 
 
@@ -266,26 +266,31 @@ def person(
     rng: np.random.Generator,
     stride: float,
 ) -> None:
-    """Add somebody."""
+    """Add a person."""
     tall = rng.uniform(1.55, 1.9)
     hip = 0.50 * tall
     for side in (-1.0, 1.0):
-        foot = frame.at(0.5 * side * stride, 0.10 * side, 0.0)
-        pile.cone((foot, frame.at(0.0, 0.09 * side, hip)), (0.06, 0.09), Material.PERSON)
-        hand = frame.at(-0.4 * side * stride, 0.29 * side, hip - 0.05)
-        pile.cone((hand, frame.at(0.0, 0.21 * side, 0.81 * tall)), (0.04, 0.055), Material.PERSON)
+        foot = frame.point(0.5 * side * stride, 0.10 * side, 0.0)
+        pile.cone((foot, frame.point(0.0, 0.09 * side, hip)), (0.06, 0.09), Material.PERSON)
+        hand = frame.point(-0.4 * side * stride, 0.29 * side, hip - 0.05)
+        pile.cone(
+            (hand, frame.point(0.0, 0.21 * side, 0.81 * tall)), (0.04, 0.055), Material.PERSON
+        )
     pile.ellipsoid(
-        frame.at(0.0, 0.0, 0.67 * tall), (0.14, 0.21, 0.20 * tall), frame.yaw, Material.PERSON
+        frame.point(0.0, 0.0, 0.67 * tall), (0.14, 0.21, 0.20 * tall), frame.yaw, Material.PERSON
     )
     pile.ellipsoid(
-        frame.at(0.02, 0.0, 0.935 * tall), (0.10, 0.085, 0.065 * tall), frame.yaw, Material.PERSON
+        frame.point(0.02, 0.0, 0.935 * tall),
+        (0.10, 0.085, 0.065 * tall),
+        frame.yaw,
+        Material.PERSON,
     )
 
 
 TIME_STEP_S = 0.25
-"""Way and slope of cars are taken anew after this time: they drive straight in between."""
+"""Way and slope of cars change in these steps: they drive straight in between [s]."""
 _WALK_STEP_S = 2.0
-"""The same for those who walk."""
+"""The same for people who walk [s]."""
 _FIRST_NUMBER = 2.0**46
 _STREAM_NUMBERS = 2.0**42
 _EACH = 256.0
@@ -293,7 +298,7 @@ _EACH = 256.0
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Those who move along the street one behind the other."""
+    """Movers that follow one another along the street."""
 
     index: int
     speed: float
@@ -306,7 +311,7 @@ class Stream:
 
     @property
     def step_s(self) -> float:
-        """How long one goes straight on [s]."""
+        """Time of a straight step [s]."""
         return TIME_STEP_S if self.cars else _WALK_STEP_S
 
 
@@ -323,7 +328,7 @@ def streams_of(params: StreetSceneParams) -> tuple[Stream, ...]:
 
 
 class Movers:
-    """Those that move, wherever and whenever."""
+    """The movers near any place at any time."""
 
     def __init__(self, ground: Ground, seed: int, params: StreetSceneParams) -> None:
         self._ground = ground
@@ -333,7 +338,7 @@ class Movers:
         self._bodies = lru_cache(256)(self._make)
 
     def near(self, middle_s: float, reach_m: float, time_s: float) -> list[Bodies]:
-        """Return those that are near a place."""
+        """Return the movers near a place."""
         parts: list[Bodies] = []
         for stream in self._streams:
             step = int(np.floor(time_s / stream.step_s))
@@ -395,7 +400,7 @@ def _step_down(
     s: float,
     d: float,
 ) -> float:
-    """Who crosses a side street is a curb lower [m]."""
+    """Return how much lower a person is who crosses a side street [m]."""
     junction = junction_of(seed, int(np.floor(s / PIECE_M)))
     crosses = (
         junction is not None

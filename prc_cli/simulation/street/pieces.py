@@ -1,7 +1,4 @@
-"""What stands where in a piece.
-
-Parked cars, street trees and furniture along the curb, gardens, people, wires.
-"""
+"""Objects of a piece: parked cars, trees and furniture along the curb, gardens, people, wires."""
 
 from __future__ import annotations
 
@@ -10,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from prc_cli.simulation.street import furniture, movers
-from prc_cli.simulation.street import furniture as trees
+from prc_cli.simulation.street import furniture, movers, trees
 from prc_cli.simulation.street.pile import Frame, Pile, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,
@@ -49,7 +45,7 @@ _TREES: dict[Character, float] = {
 
 @dataclass(slots=True)
 class Kerb:
-    """One side of a piece along its curb, and where it is taken already."""
+    """One side of a piece along its curb, and its occupied stretches."""
 
     ground: Ground
     plan: Plan
@@ -58,7 +54,7 @@ class Kerb:
     params: StreetSceneParams
     kerbside: Kerbside
     variety: np.random.Generator
-    """Draws what a street has only where it is asked for."""
+    """Random numbers of objects that only some parameters ask for."""
     taken: list[Span] = field(default_factory=list)
 
     def frame(self, s: float, d: float) -> Frame:
@@ -66,14 +62,14 @@ class Kerb:
         return frame_at(self.ground, s, self.side.side * d, self.side.side)
 
     def free(self, s: float, reach: float) -> bool:
-        """Whether nothing stands within ``reach`` along the strip at the curb, nor a low curb or a side street."""
+        """Whether the strip at the curb is free within ``reach``, without low curb or side street."""
         low = s - reach
         high = s + reach
         if low < self.plan.start or high > self.plan.start + PIECE_M:
             return False
-        closed = list(self.side.dropped) + (
-            [self.side.junction.bend] if self.side.junction is not None else []
-        )
+        closed = list(self.side.dropped)
+        if self.side.junction is not None:
+            closed.append(self.side.junction.bend)
         return all(high < span[0] or low > span[1] for span in (*closed, *self.taken))
 
     def claim(self, s: float, reach: float) -> bool:
@@ -85,14 +81,14 @@ class Kerb:
 
 
 def kerbsides(plan: Plan, params: StreetSceneParams, seed: int) -> tuple[Kerbside, Kerbside]:
-    """Return what the sides of a piece, left and right, have between road and sidewalk."""
-    found = []
+    """Return the kerbsides of a piece, left and right."""
+    sides = []
     for side in plan.sides:
         low, raised = kerbside_of(seed, plan.piece, side.side)
         lowered = low < params.lowered_kerbs
         verge = not lowered and raised < params.verges
-        found.append(Kerbside(lowered, 0.05 + 0.04 * raised / params.verges if verge else 0.0))
-    return found[0], found[1]
+        sides.append(Kerbside(lowered, 0.05 + 0.04 * raised / params.verges if verge else 0.0))
+    return sides[0], sides[1]
 
 
 def build_kerbs(
@@ -186,10 +182,10 @@ def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
     shelter = start + 5.0 + 20.0 * chance[1]
     if chance[0] < 0.10 and kerb.claim(shelter, 2.6):
         furniture.shelter(pile, kerb.frame(shelter, ROAD_HALF_M + 0.45))
-    for i, things in enumerate((furniture.sign, furniture.bin_or_box)):
+    for i, add in enumerate((furniture.sign, furniture.bin_or_box)):
         s = start + 1.0 + 28.0 * chance[2 + i]
         if chance[4 + i] < 0.55 and kerb.claim(s, 0.8):
-            things(pile, kerb.frame(s, ROAD_HALF_M + 0.5 + 0.3 * i), rng)
+            add(pile, kerb.frame(s, ROAD_HALF_M + 0.5 + 0.3 * i), rng)
     for _ in range(int(rng.poisson(0.8 * kerb.params.people))):
         s = start + PIECE_M * rng.random()
         yaw = rng.uniform(0.0, 2.0 * np.pi)
@@ -237,8 +233,13 @@ def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
         ]
         room = BUILDING_LINE_M + min(near, default=4.0) - _STRIP_M - 0.25
         wide = kerb.params.canopies > 0 and kerb.variety.random() < kerb.params.canopies
-        own = trees.CANOPY if wide else trees.BIRCH if birch else kind
-        trees.tree(kerb.pile, kerb.frame(s, _STRIP_M), own, rng, max(room, 3.5) if wide else room)
+        if wide:
+            species = trees.CANOPY
+        else:
+            species = trees.BIRCH if birch else kind
+        trees.tree(
+            kerb.pile, kerb.frame(s, _STRIP_M), species, rng, max(room, 3.5) if wide else room
+        )
 
 
 def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
@@ -300,13 +301,12 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
 
 
 def _boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
-    """Choose what a garden ends with, where the street asks for it."""
     if kerb.params.fences == 0 and kerb.params.hedges == 0:
         return "any"
     fence, hedge = kerb.variety.random(2).tolist()
-    return (
-        "fence" if fence < kerb.params.fences else "hedge" if hedge < kerb.params.hedges else "any"
-    )
+    if fence < kerb.params.fences:
+        return "fence"
+    return "hedge" if hedge < kerb.params.hedges else "any"
 
 
 def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:

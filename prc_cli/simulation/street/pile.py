@@ -1,7 +1,4 @@
-"""How bodies are put together.
-
-a place with axes of its own, and a pile to which bodies are added.
-"""
+"""Places with their own axes, and a pile to which bodies are added."""
 
 from __future__ import annotations
 
@@ -20,10 +17,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A place with axes u (forward), v (left, or mirrored), w (up).
-
-    Slopes lift points and keep uprights.
-    """
+    """A place with axes u (forward), v (left, or mirrored), w (up); slopes only lift points."""
 
     x: float
     y: float
@@ -37,7 +31,7 @@ class Frame:
     mirror: int = 1
     """-1 = v points to the right."""
 
-    def at(self, u: float, v: float, w: float) -> Point:
+    def point(self, u: float, v: float, w: float) -> Point:
         """World coordinates of a point [m]."""
         c = math.cos(self.yaw)
         s = math.sin(self.yaw)
@@ -97,7 +91,7 @@ class Pile:
 
     def face(self, frame: Frame, corners: Sequence[Point], material: Material) -> None:
         """Add a surface between four corners that are given along the axes of a frame."""
-        a, b, c, d = (frame.at(*corner) for corner in corners)
+        a, b, c, d = (frame.point(*corner) for corner in corners)
         self.quad((a, b, c, d), material)
 
     def cone(self, ends: tuple[Point, Point], radii: Span, material: Material) -> None:
@@ -122,17 +116,14 @@ class Pile:
         material: Material,
         density: float = 0.0,
     ) -> None:
-        """Add a level box that spans (from, to) along the axes of a frame.
-
-        The slopes lift it as a whole.
-        """
+        """Add a level box by its spans (from, to) along the axes; slopes lift it as one."""
         (u0, u1), (v0, v1), (w0, w1) = spans
-        centre = frame.at((u0 + u1) / 2, (v0 + v1) / 2, (w0 + w1) / 2)
+        centre = frame.point((u0 + u1) / 2, (v0 + v1) / 2, (w0 + w1) / 2)
         half = ((u1 - u0) / 2, (v1 - v0) / 2, (w1 - w0) / 2)
         self._add(Shape.BOX, (*centre, *half, frame.yaw, 0.0, 0.0), material, density)
 
     def bodies(self) -> Bodies:
-        """Return what was added."""
+        """Return the bodies of the pile."""
         n = len(self._shape)
         return Bodies(
             shape=np.array(self._shape, dtype=np.uint8),
@@ -145,21 +136,21 @@ class Pile:
 
 
 def outlines(bodies: Bodies) -> F64:
-    """Bounds in plan."""
+    """Return the bounds of bodies in plan, (n, 4) float64: least x, y, greatest x, y [m]."""
     numbers = bodies.numbers
-    result = np.empty((len(bodies), 4))
+    bounds = np.empty((len(bodies), 4))
     triangle = bodies.shape == Shape.TRIANGLE
     cone = bodies.shape == Shape.CONE
     for axis in (0, 1):
         corners = numbers[triangle][:, [axis, axis + 3, axis + 6]]
-        result[triangle, axis] = corners.min(axis=1)
-        result[triangle, axis + 2] = corners.max(axis=1)
+        bounds[triangle, axis] = corners.min(axis=1)
+        bounds[triangle, axis + 2] = corners.max(axis=1)
         ends = numbers[cone][:, [axis, axis + 3]]
         reach = numbers[cone][:, 6:8].max(axis=1)
-        result[cone, axis] = ends.min(axis=1) - reach
-        result[cone, axis + 2] = ends.max(axis=1) + reach
-        rest = ~triangle & ~cone
-        around = np.hypot(numbers[rest, 3], numbers[rest, 4])
-        result[rest, axis] = numbers[rest, axis] - around
-        result[rest, axis + 2] = numbers[rest, axis] + around
-    return result
+        bounds[cone, axis] = ends.min(axis=1) - reach
+        bounds[cone, axis + 2] = ends.max(axis=1) + reach
+        other_shape = ~triangle & ~cone
+        around = np.hypot(numbers[other_shape, 3], numbers[other_shape, 4])
+        bounds[other_shape, axis] = numbers[other_shape, axis] - around
+        bounds[other_shape, axis + 2] = numbers[other_shape, axis] + around
+    return bounds

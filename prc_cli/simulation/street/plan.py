@@ -1,7 +1,4 @@
-"""What can be chosen about a street, and its plan, piece by piece.
-
-Junctions, lots, driveways and crossings.
-"""
+"""Parameters of a street, and its plan by pieces: junctions, lots, driveways, crossings."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from prc_cli.core.config import Params
 from prc_cli.simulation.street.pile import Span
 
 Character = Literal["residential", "terraces", "suburb", "boulevard"]
-"""What a stretch of street is like."""
+"""Character of a stretch of street."""
 CHARACTERS: tuple[Character, ...] = ("residential", "terraces", "suburb", "boulevard")
 
 
@@ -82,7 +79,7 @@ VARIED: dict[str, float] = {
     "side_on": 0.5,
     "cars_per_km": 20.0,
 }
-"""Parameters of a street with something of everything that the sequential-angle method is known to mistake."""
+"""Parameters of a street with every object that the sequential-angle method confuses."""
 
 PIECE_M = 30.0
 """Length of a piece [m]."""
@@ -101,7 +98,7 @@ SIDE_WALK_M = 2.5
 
 
 class Purpose(IntEnum):
-    """What random numbers are for; every purpose and place has a generator of its own."""
+    """Purpose of random numbers; every purpose and place has its own generator."""
 
     LINE = 0
     BLOCK = 1
@@ -124,14 +121,14 @@ def generator(
     number: int = 0,
     side: int = 1,
 ) -> np.random.Generator:
-    """Return the random numbers of one purpose at one place (piece, block, car), the same in any order of calls."""
+    """Return the generator of a purpose at a place (piece, block, car), whatever was drawn before."""
     place = (int(purpose) * 2 + (side > 0)) * 2**56 + number + 2**40
     return np.random.Generator(np.random.Philox(key=np.array([seed, place], dtype=np.uint64)))
 
 
 @dataclass(frozen=True, slots=True)
 class Junction:
-    """Where a side street begins."""
+    """Mouth of a side street."""
 
     s: float
     half: float
@@ -166,7 +163,7 @@ class Lot:
     setback: float
     """Of the facade behind the building line [m]."""
     driveway: Span | None
-    """Where cars cross the sidewalk [m]."""
+    """Stretch in which cars cross the sidewalk [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,12 +175,12 @@ class Side:
     junction: Junction | None
     lots: tuple[Lot, ...]
     dropped: tuple[Span, ...]
-    """Where the curb is low [m]."""
+    """Stretches with a low curb [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a piece consists of."""
+    """Contents of a piece."""
 
     piece: int
     start: float
@@ -195,7 +192,7 @@ class Plan:
 
 
 def character_of(seed: int, piece: int, choice: str) -> Character:
-    """Return what the stretch around a piece is like."""
+    """Return the character of the stretch around a piece."""
     for name in CHARACTERS:
         if choice == name:
             return name
@@ -255,12 +252,20 @@ def _side(
     rng = generator(seed, Purpose.LOTS, piece, side)
     low = _border(seed, piece, side)
     high = _border(seed, piece + 1, side)
-    own = junction if junction is not None and junction.on(side) else None
-    stretches = [(low, high)] if own is None else [(low, own.open[0]), (own.open[1], high)]
+    side_street = junction if junction is not None and junction.on(side) else None
+    stretches = (
+        [(low, high)]
+        if side_street is None
+        else [(low, side_street.open[0]), (side_street.open[1], high)]
+    )
     lots = [lot for stretch in stretches for lot in _lots(rng, stretch, character)]
     dropped = [lot.driveway for lot in lots if lot.driveway is not None]
-    if own is not None:
-        dropped = [d for d in dropped if d[1] < own.bend[0] - 0.8 or d[0] > own.bend[1] + 0.8]
+    if side_street is not None:
+        dropped = [
+            d
+            for d in dropped
+            if d[1] < side_street.bend[0] - 0.8 or d[0] > side_street.bend[1] + 0.8
+        ]
     if crossing is not None:
         dropped = [d for d in dropped if d[1] < crossing[0] - 1.6 or d[0] > crossing[1] + 1.6] + [
             crossing
@@ -277,7 +282,7 @@ def _side(
         )
         for lot in lots
     )
-    return Side(side, own, kept, tuple(sorted(dropped)))
+    return Side(side, side_street, kept, tuple(sorted(dropped)))
 
 
 _WIDTHS: dict[Character, Span] = {
@@ -311,26 +316,26 @@ def _kind(rng: np.random.Generator, character: Character, width: float) -> tuple
     chance = rng.random()
     depth = rng.random()
     if character == "terraces":
-        kind = "passage" if chance < 0.08 else "yard" if chance < 0.14 else "terrace"
-        return kind, 0.0 if depth < 0.7 else 0.3
+        setback = 0.0 if depth < 0.7 else 0.3
+        if chance < 0.08:
+            return "passage", setback
+        return ("yard" if chance < 0.14 else "terrace"), setback
     if character == "suburb":
         return ("yard" if chance < 0.15 or width < 8 else "house"), 3.5 + 3.0 * depth
     if character == "boulevard":
-        return (
-            "yard" if chance < 0.1 else "terrace" if chance < 0.5 else "block"
-        ), 0.0 if chance < 0.5 else 2.5
+        if chance < 0.5:
+            return ("yard" if chance < 0.1 else "terrace"), 0.0
+        return "block", 2.5
     if chance < 0.35:
         return "terrace", 0.0
-    return (
-        "yard" if chance < 0.5 or width < 8 else "house" if chance < 0.8 else "block"
-    ), 2.0 + 2.0 * depth
+    setback = 2.0 + 2.0 * depth
+    if chance < 0.5 or width < 8:
+        return "yard", setback
+    return ("house" if chance < 0.8 else "block"), setback
 
 
 def kerbside_of(seed: int, piece: int, side: int) -> Span:
-    """Return two numbers from 0 to 1 of a side of a block.
-
-    They decide on its kerb and its verge.
-    """
+    """Return two random numbers of a side of a block, for its kerb and its verge."""
     low, raised = (
         generator(seed, Purpose.KERBSIDE, piece // PIECES_IN_BLOCK, side).random(2).tolist()
     )

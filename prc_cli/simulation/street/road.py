@@ -27,12 +27,9 @@ from prc_cli.simulation.street.plan import (
 from prc_cli.simulation.world import Material
 
 LANE_M = -1.75
-"""The lane's middle is this far to the left of the crown of the road [m].
-
-The line of arc length runs here.
-"""
+"""The lane's middle is this far to the left of the crown [m]; arc length is measured here."""
 PERIOD_M = 4800.0
-"""The curves repeat after this way [m]; what stands along the street does not."""
+"""The curves repeat after this way [m]; objects do not."""
 _STEP_M = 1.0
 _TURNS = ((3, 0.20), (7, 0.12), (13, 0.11))
 """Curves: periods in :data:`PERIOD_M` and largest turn of each [rad]; no radius is below 250 m."""
@@ -67,10 +64,7 @@ class Centreline:
         self._table: F64 = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
     def heading(self, s_m: F64) -> F64:
-        """Direction of the street, 0 = +x, counter-clockwise, 0 at the start [rad].
-
-        Same shape as ``s_m``.
-        """
+        """Direction of the street, of the shape of ``s_m``, 0 = +x, positive to the left [rad]."""
         return _sum(self._turns, s_m) - self._turn_0
 
     def height(self, s_m: F64) -> F64:
@@ -154,7 +148,7 @@ _LOW_CURB_M = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Kerbside:
-    """What a side of a piece has between road and sidewalk."""
+    """Kerb and verge of a side of a piece."""
 
     lowered: bool = False
     """The curb is low everywhere."""
@@ -174,10 +168,7 @@ class Ground:
         self.curb_m = curb_m
 
     def road(self, s_m: F64, d_m: F64) -> F64:
-        """Height of the road's surface, continued under the sidewalks and the land.
-
-        (n,) float64 [m].
-        """
+        """Height of the road, continued under sidewalks and land, (n,) float64 [m]."""
         away = np.abs(d_m)
         slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
         fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)
@@ -193,17 +184,17 @@ class Ground:
         return float(self.road(np.array([s_m]), np.array([d_m]))[0]) + raised
 
     def ramp(self, away_m: float) -> float:
-        """How much lower than usual the ground behind a lowered curb is at a distance from the crown [m]."""
+        """Return the drop of the ground behind a lowered curb, by distance from the crown [m]."""
         return (self.curb_m - _LOW_CURB_M) * max(1.0 - (away_m - ROAD_HALF_M) / _RAMP_M, 0.0)
 
     def spot(
         self, s: float, d: float, *, tilted: bool
     ) -> tuple[float, float, float, float, float, float]:
         """Place and height [m], heading [rad], slopes along and to the left, 0 where not asked for."""
-        at = np.array([s, s - 1.0, s + 1.0])
-        heading = self.line.heading(at)
-        (x, y), *_ = self.line.place(at, np.full(3, d)).tolist()
-        z = self.road(at, np.full(3, d)).tolist()
+        places = np.array([s, s - 1.0, s + 1.0])
+        heading = self.line.heading(places)
+        (x, y), *_ = self.line.place(places, np.full(3, d)).tolist()
+        z = self.road(places, np.full(3, d)).tolist()
         up = self.curb_m if abs(d) > ROAD_HALF_M else 0.0
         if not tilted:
             return x, y, z[0] + up, float(heading[0]), 0.0, 0.0
@@ -236,7 +227,6 @@ class Ground:
         base: list[float],
         plan: Plan,
     ) -> None:
-        """Front gardens, courtyards and what lies behind the houses, but for side streets."""
         ways = [lot.driveway for lot in side.lots if lot.driveway is not None]
         junction = side.junction
         top = self.curb_m
@@ -288,8 +278,8 @@ class _Mesh:
         i = min(max(int((s - self.start) // STATION_M), 0), len(self._rows) - 2)
         f = (s - self.start) / STATION_M - i
         x, y, left, ahead, z, *slopes = (
-            (1 - f) * one + f * two
-            for one, two in zip(self._rows[i], self._rows[i + 1], strict=True)
+            (1 - f) * before + f * after
+            for before, after in zip(self._rows[i], self._rows[i + 1], strict=True)
         )
         away = abs(d)
         fall = WALK_SLOPE * min(max(away - ROAD_HALF_M, 0.0), BUILDING_LINE_M - ROAD_HALF_M)
@@ -367,7 +357,7 @@ class _Mesh:
 
 
 def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
-    """Return what is left of a stretch for a raised verge between low curbs and the bends of side streets."""
+    # low curbs and the bends of side streets have no verge
     low, high = stretch
     if side.junction is not None:
         low, high = (
@@ -377,17 +367,16 @@ def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
         )
     low = max(low, base[0])
     high = min(high, base[-1])
-    found = []
+    verges = []
     for d0, d1 in [*side.dropped, (high + DROP_M, high)]:
         end = min(d0 - DROP_M, high)
         if end - low > 1.0:
-            found.append((low, end))
+            verges.append((low, end))
         low = max(low, d1 + DROP_M)
-    return found
+    return verges
 
 
 def _edges(junction: Junction) -> Span:
-    """Where the tops of a side street's curbs run [m]."""
     return junction.s - junction.half - _BATTER_M, junction.s + junction.half + _BATTER_M
 
 

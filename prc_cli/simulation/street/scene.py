@@ -37,8 +37,7 @@ class StreetScene:
         self.ground = Ground(self.line, rng.uniform(0.11, 0.14))
         self._movers = Movers(self.ground, seed, self.params)
         self._piece = lru_cache(_KEPT_PIECES)(self._make)
-        # threads ask for the same pieces at the same time, and a cache alone would have each of
-        # them make its own
+        # a cache alone would let every thread make the same pieces
         self._lock = RLock()
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
@@ -54,13 +53,9 @@ class StreetScene:
         radius_m: float,
         time_s: float = 0.0,
     ) -> Bodies:
-        """Return the bodies that have a part within a circle.
-
-        See :data:`prc_cli.simulation.world.BodiesNear`.
-        """
+        """Return the bodies within a circle, see :data:`prc_cli.simulation.world.BodiesNear`."""
         middle = self.line.nearest(x_m, y_m)
-        # lines of equal s converge on the inner side of a curve, where bodies are nearer than s
-        # tells
+        # lines of equal s converge inside a curve: bodies are nearer there than s says
         reach = 1.35 * radius_m + _REACH_M
         first, last = (int(np.floor((middle + way) / PIECE_M)) for way in (-reach, reach))
         parts = []
