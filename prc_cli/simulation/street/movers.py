@@ -182,7 +182,7 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
             b = corner(*fore, side, low)
             c = corner(*fore, side, high)
             d = corner(*rear, side, high)
-            pile.quad((a, b, c, d), material)
+            pile.quad(a, b, c, d, material)
         if not model.glazed:
             _door_pane(pile, frame, model, side)
     for pillar, material in ((fore, Material.CAR_GLASS), (rear, side_glass)):
@@ -190,12 +190,12 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
         b = corner(*pillar, 1.0, 0.0)
         c = corner(*pillar, 1.0, 1.0)
         d = corner(*pillar, -1.0, 1.0)
-        pile.quad((a, b, c, d), material)
+        pile.quad(a, b, c, d, material)
     a = corner(*rear, -1.0, 1.0)
     b = corner(*rear, 1.0, 1.0)
     c = corner(*fore, 1.0, 1.0)
     d = corner(*fore, -1.0, 1.0)
-    pile.quad((a, b, c, d), Material.CAR_BODY)
+    pile.quad(a, b, c, d, Material.CAR_BODY)
     if model.glazed:
         for u in (roof_front - 0.3, 0.5 * (back + roof_front) + 0.2):
             seats = ((u - 0.35, u - 0.2), (-0.6, 0.6), (0.6, model.roof - 0.25))
@@ -222,7 +222,7 @@ def _door_pane(
     b = spot(front, share[0])
     c = spot(front - 0.4, share[1])
     d = spot(back, share[1])
-    pile.quad((a, b, c, d), Material.CAR_GLASS)
+    pile.quad(a, b, c, d, Material.CAR_GLASS)
 
 
 def lorry(pile: Pile, frame: Frame, length: float) -> None:

@@ -83,16 +83,15 @@ class Pile:
         """Add a triangle."""
         self._add(Shape.TRIANGLE, (*a, *b, *c), material, 0.0)
 
-    def quad(self, corners: tuple[Point, Point, Point, Point], material: Material) -> None:
+    def quad(self, a: Point, b: Point, c: Point, d: Point, material: Material) -> None:
         """Add a surface between four corners, given in their order around it, as two triangles."""
-        a, b, c, d = corners
         self.triangle(a, b, c, material)
         self.triangle(a, c, d, material)
 
     def face(self, frame: Frame, corners: Sequence[Point], material: Material) -> None:
         """Add a surface between four corners that are given along the axes of a frame."""
         a, b, c, d = (frame.point(*corner) for corner in corners)
-        self.quad((a, b, c, d), material)
+        self.quad(a, b, c, d, material)
 
     def cone(self, ends: tuple[Point, Point], radii: Span, material: Material) -> None:
         """Add a pole, trunk or branch."""

@@ -303,7 +303,7 @@ class _Mesh:
             self.point(s1, d1, up),
             self.point(s0, d1, up),
         )
-        self.pile.quad(corners, material)
+        self.pile.quad(*corners, material)
 
     def kerbside(
         self, stops: list[tuple[float, float, float, float, float]], side: Side, *, verge: bool
@@ -337,7 +337,7 @@ class _Mesh:
             for i, material in enumerate(materials):
                 if i == 0 and max(one[1], two[1]) <= ROAD_HALF_M:
                     continue
-                self.pile.quad((a[i], b[i], b[i + 1], a[i + 1]), material)
+                self.pile.quad(a[i], b[i], b[i + 1], a[i + 1], material)
 
     def raised_verge(self, stretches: list[Span], side: Side, height_m: float) -> None:
         """Add a verge over the strip at the curb, between edging stones on all sides."""
@@ -353,7 +353,7 @@ class _Mesh:
                 b = self.point(s1, to_d, self.ground.curb_m)
                 c = self.point(s1, to_d, top)
                 d = self.point(s0, from_d, top)
-                self.pile.quad((a, b, c, d), Material.CURB)
+                self.pile.quad(a, b, c, d, Material.CURB)
 
 
 def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
@@ -470,14 +470,14 @@ def _side_street(
         for d0, d1 in itertools.pairwise(across):
             places = ((s0, d0), (s1, d0), (s1, d1), (s0, d1))
             a, b, c, d = (mesh.point(s, side * away, crown(s, away)) for s, away in places)
-            mesh.pile.quad((a, b, c, d), Material.ASPHALT)
+            mesh.pile.quad(a, b, c, d, Material.ASPHALT)
     for foot, top in ((low, low - _BATTER_M), (high, high + _BATTER_M)):
         for d0, d1 in itertools.pairwise(across):
             a = mesh.point(foot, side * d0, 0.0)
             b = mesh.point(foot, side * d1, 0.0)
             c = mesh.point(top, side * d1, curb_m)
             d = mesh.point(top, side * d0, curb_m)
-            mesh.pile.quad((a, b, c, d), Material.CURB)
+            mesh.pile.quad(a, b, c, d, Material.CURB)
 
 
 def frame_at(
