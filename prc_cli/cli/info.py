@@ -310,7 +310,7 @@ def _path_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, 
         return
     for number, figures in enumerate(drive.figures if verbose else drive.figures[:MOST_SHOWN]):
         name = f"pass {number}" if len(drive.figures) > 1 else "path"
-        head = f"scanner {figures.scanner}, " if len(drive.heads) > 1 else ""
+        head = f"scanner {figures.scanner}, " if drive.n_scanners > 1 else ""
         height = (
             "" if math.isnan(figures.height_m) else f", {figures.height_m:.2f} m above the ground"
         )

@@ -162,7 +162,7 @@ class Inspection(Doubted):
 
 def _path_as_dict(drive: Drive | SpinningDrive) -> dict[str, Any]:
     passes: list[dict[str, Any]] = [finite(asdict(figures)) for figures in drive.figures]
-    return {"n_scanners": len(drive.heads), "n_unplaced": drive.n_unplaced, "passes": passes}
+    return {"n_scanners": drive.n_scanners, "n_unplaced": drive.n_unplaced, "passes": passes}
 
 
 def inspect(

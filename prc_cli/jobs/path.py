@@ -28,7 +28,7 @@ from prc_cli.streams.registered.comparison import (
     compare,
 )
 from prc_cli.streams.registered.drive import Drive
-from prc_cli.streams.registered.found import found_paths
+from prc_cli.streams.registered.scanner_paths import scanner_paths
 from prc_cli.streams.registered.source import with_points
 from prc_cli.streams.registered.spinning_drive import SpinningDrive
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
@@ -85,7 +85,7 @@ def save_path(
     """
     findings = accept(drive.findings, loaded.config.input.accept_doubts or ())
     refuse(str(path), findings)
-    paths = found_paths(drive)
+    paths = scanner_paths(drive)
     crs_wkt = _source(path, loaded).facts.crs_wkt
     inputs = loaded.config.input
     scale = np.array(metres_of(inputs, crs_wkt))[[0, 0, 1]]
@@ -158,7 +158,9 @@ def hold_against(
     }
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
     refuse(str(path), cloud.drive.findings)
-    comparisons = tuple(compare(path_found, trajectory) for path_found in found_paths(cloud.drive))
+    comparisons = tuple(
+        compare(path_found, trajectory) for path_found in scanner_paths(cloud.drive)
+    )
     findings = [_finding(comparison, inputs) for comparison in comparisons]
     worst = max(findings, key=lambda finding: finding.verdict)
     doubtful = [finding for finding in cloud.drive.findings if finding.verdict > Verdict.FINE]

@@ -573,18 +573,18 @@ def sense(
                 bits[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
             )
             if is_there and is_split:
-                second = _Hit(np.inf, -1, 1.0)
+                t_behind = np.inf
+                body_behind = -1
+                facing_behind = 1.0
                 if looks_behind and bits[column] & splits:
-                    second = _Hit(
-                        behind.t[i, column],
-                        int(behind.body[i, column]),
-                        behind.facing[i, column],
-                    )
+                    t_behind = behind.t[i, column]
+                    body_behind = int(behind.body[i, column])
+                    facing_behind = behind.facing[i, column]
                 n = _echoes(
                     key,
                     column,
                     hits.facing[i, column],
-                    second,
+                    _Hit(t_behind, body_behind, facing_behind),
                     body,
                     surface,
                     kind,

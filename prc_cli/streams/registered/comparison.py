@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prc_cli.core.types import F64, Mask
-from prc_cli.streams.registered.path import FoundPath
+from prc_cli.streams.registered.path import ScannerPath
 
 COARSE_S = 0.2
 """Step of the clock in the search over a whole drive [s]."""
@@ -151,7 +151,7 @@ class Comparison:
         return self.clock_sigma_s < TELLING_S
 
 
-def compare(path: FoundPath, trajectory: Positions) -> Comparison:
+def compare(path: ScannerPath, trajectory: Positions) -> Comparison:
     """Fit the clock and the lever arm of a trajectory to the path of a scanner.
 
     Parameters
@@ -173,9 +173,9 @@ def compare(path: FoundPath, trajectory: Positions) -> Comparison:
     if distance_m.min() > FAR_M:
         return _unlike(path, given_m, _why_far(sample, trajectory, float(distance_m.min())))
     near = distance_m <= FAR_M
-    found = _best_fit(path.scanner, sample, trajectory, clocks[near], distance_m[near])
+    fit = _best_fit(path.scanner, sample, trajectory, clocks[near], distance_m[near])
     forward = path.forward if trajectory.frame is None else "forward"
-    return replace(found, distance_m=given_m, forward=forward)
+    return replace(fit, distance_m=given_m, forward=forward)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ class _Sample:
         return _Sample(self.time_s[::every], self.xyz_m[::every], self.frame[::every])
 
 
-def _unlike(path: FoundPath, given_m: float, why: str) -> Comparison:
+def _unlike(path: ScannerPath, given_m: float, why: str) -> Comparison:
     unknown = (math.nan, math.nan, math.nan)
     return Comparison(
         path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", "", math.nan, why
@@ -304,9 +304,12 @@ def _fit(
         misfit = f"the heights differ by {height_m:.2f} m throughout"
         trajectory = replace(trajectory, xyz_m=trajectory.xyz_m + np.array([0.0, 0.0, height_m]))
     solved = _solve(sample, trajectory, clock_s, with_clock=True)
-    given = _distances(sample.thinned(), trajectory, np.zeros(1))[0]
+    distance_m = _distances(sample.thinned(), trajectory, np.zeros(1))[0]
     limit = FAR_M if solved.clock_sigma_s > TELLING_S else 0.0
-    if abs(solved.clock_s) < max(CERTAIN * solved.clock_sigma_s, LEAST_CLOCK_S) or given < limit:
+    if (
+        abs(solved.clock_s) < max(CERTAIN * solved.clock_sigma_s, LEAST_CLOCK_S)
+        or distance_m < limit
+    ):
         alone = _solve(sample, trajectory, 0.0, with_clock=False)
         solved = _Solved(0.0, solved.clock_sigma_s, alone.lever_m, alone.off_m)
     spread = 1.4826 * np.median(np.abs(solved.off_m), axis=0)

@@ -10,13 +10,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import Finding
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64, I64
 from prc_cli.streams.registered.along import Places, track_along, turning_along
 from prc_cli.streams.registered.evidence import (
+    CellCounts,
+    Judged,
     PathFigures,
-    Placed,
     figures_of,
     judge,
     no_clock,
@@ -34,6 +35,7 @@ from prc_cli.streams.registered.fit import (
     fit_track,
     read_clock,
 )
+from prc_cli.streams.registered.returns import returns_of
 from prc_cli.streams.registered.rotation import Turning, find_rotation
 from prc_cli.streams.registered.scan import Scan, make_scan
 from prc_cli.streams.registered.spool import Spool
@@ -50,17 +52,15 @@ BLOCK_POINTS = 1 << 14
 CONTIGUOUS_POINTS = 1 << 20
 """Consecutive points in which the rate is refined."""
 POINTS_PER_KNOT = 320
-"""Points that are kept of the time between two knots, about."""
+"""Points that are kept between two knots, about."""
 NEAR_DOWN_RAD = math.radians(15.0)
-"""Shots within this angle of straight down tell how high the scanner is [rad]."""
+"""Shots within this angle of straight down give the height of the scanner [rad]."""
 SAME_STEP = 1e-4
 """Scans whose shots in a turn differ by less have the same columns."""
 SAME_START_RAD = 0.02
 """Arcs of one scanner begin within this of each other in all passes: the platform rolls [rad]."""
 PASS = "pass"
-"""Dimension that tells apart what was seen at different times or by different scanners."""
-MOST_RETURNS = 255
-"""Returns of a shot that are told apart."""
+"""Dimension with the number of the pass, over all scanners."""
 CELL = np.dtype(
     [
         ("scan_line", "i4"),
@@ -72,11 +72,11 @@ CELL = np.dtype(
         ("number_of_returns", "u1"),
     ]
 )
-"""What is found of every point."""
+"""Cell of a point: scan line, column, range [m], pass, scan angle [rad], returns."""
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class ScannerPoints:
     """The points of one scanner, in the order of their times, with their cells."""
 
     points: Spool
@@ -88,30 +88,30 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(Judged):
     """All scanners and passes of a cloud."""
 
-    heads: tuple[Head, ...]
+    scanners: tuple[ScannerPoints, ...]
     scans: tuple[Scan, ...]
     """By number of the pass, over all scanners."""
     tracks: tuple[Track, ...]
     """The path of each pass, with its uncertainty."""
     figures: tuple[PathFigures, ...]
-    """What each pass shows."""
+    """Figures of each pass."""
     findings: tuple[Finding, ...]
     n_unplaced: int
     """Points of passes that are too short or that no path fits."""
     split: str = ""
-    """Dimension that tells the scanners apart; empty = one scanner."""
+    """Dimension with the number of the scanner; empty = one scanner."""
 
     @property
-    def is_sure(self) -> bool:
-        """Whether nothing speaks against the paths."""
-        return all(finding.verdict is Verdict.FINE for finding in self.findings)
+    def n_scanners(self) -> int:
+        """Number of scanners."""
+        return len(self.scanners)
 
     @property
     def is_even(self) -> bool:
-        """Whether all scans have the same columns, so that one scanner with several passes measured them."""
+        """Whether all scans have the same columns: passes of one scanner."""
         first = self.scans[0]
         return all(
             abs(scan.shots_per_turn / first.shots_per_turn - 1.0) < SAME_STEP
@@ -135,12 +135,12 @@ class Drive:
         return self.scans[0].step_rad
 
     def assumptions(self) -> tuple[Assumption, ...]:
-        """Return what was found, for ``prc info`` and the run record."""
+        """Return the rates that were found, for ``prc info`` and the run record."""
         scan = self.scans[0]
         figures = self.figures[0]
         turning = scan.turning
         why = "the rotation, the path and the ranges that fit the points and their times"
-        told = [
+        assumptions = [
             Assumption("input.range", "points", why),
             Assumption(
                 "input.lines",
@@ -158,12 +158,12 @@ class Drive:
         if len(self.scans) > 1:
             value = f"{len(self.scans)} streams"
             apart = f"{self.split} tells scanners apart; " if self.split else ""
-            told.append(
+            assumptions.append(
                 Assumption(
                     "input.scanner", value, f"{apart}a gap of more than {GAP_S:g} s ends a pass"
                 )
             )
-        return tuple(told)
+        return tuple(assumptions)
 
 
 def reconstruct(
@@ -182,20 +182,20 @@ def reconstruct(
     spools
         Points in the order of their times, by scanner.
     split
-        Dimension that tells the scanners apart.
+        Dimension with the number of the scanner.
     places
-        The path where it is given: then only rates and frames are found.
+        The path, if it is given: then only rates and frames are found.
 
     Raises
     ------
     InputError
-        Where no rotation fits the points of a scanner.
+        No rotation fits the points of a scanner.
     """
-    heads: list[Head] = []
+    scanners: list[ScannerPoints] = []
     passes = _Passes()
     for number, points in sorted(spools.items()):
-        heads.append(
-            _reconstruct_head(path, points, passes, number if len(spools) > 1 else 0, places)
+        scanners.append(
+            _reconstruct_scanner(path, points, passes, number if len(spools) > 1 else 0, places)
         )
     if len(passes.scans) > MOST_PASSES:
         raise too_many_passes(path, len(passes.scans), MOST_PASSES)
@@ -205,12 +205,12 @@ def reconstruct(
     scans = tuple(passes.scans)
     tracks = tuple(passes.tracks)
     figures = tuple(passes.figures)
-    return Drive(tuple(heads), scans, tracks, figures, findings, passes.n_unplaced, split)
+    return Drive(tuple(scanners), scans, tracks, figures, findings, passes.n_unplaced, split)
 
 
 @dataclass(slots=True)
 class _Passes:
-    """What was found of all passes so far."""
+    """The passes that were reconstructed."""
 
     scans: list[Scan] = field(default_factory=list)
     tracks: list[Track] = field(default_factory=list)
@@ -225,7 +225,7 @@ class _Passes:
 
 @dataclass(frozen=True, slots=True)
 class _Rates:
-    """How fast the beam of a scanner turns and fires."""
+    """Rates of turns and of shots of a scanner."""
 
     turning: Turning
     clock: Clock
@@ -237,7 +237,6 @@ def _rates(
     longest: slice,
     places: Places | None,
 ) -> _Rates:
-    """Find the rates of a scanner from a sample of its points."""
     rotation = None
     if places is None:
         rotation = find_rotation(*sample(points))
@@ -256,23 +255,23 @@ def _rates(
     return _Rates(turning, clock)
 
 
-def _reconstruct_head(
+def _reconstruct_scanner(
     path: str,
     points: Spool,
-    found: _Passes,
+    reconstructed: _Passes,
     number: int,
     places: Places | None,
-) -> Head:
+) -> ScannerPoints:
     cells = Spool(CELL)
     if len(points) < LEAST_PASS_POINTS and number > 0:
         # stray points with the number of another scanner
-        found.n_unplaced += len(points)
+        reconstructed.n_unplaced += len(points)
         _leave_out(points, cells, slice(0, len(points)))
-        return Head(points, cells)
+        return ScannerPoints(points, cells)
     passes = find_passes(points)
-    longest = max(passes, key=lambda one: one.stop - one.start)
+    longest = max(passes, key=lambda records: records.stop - records.start)
     rates = _rates(path, points, longest, places)
-    n_before = len(found.scans)
+    n_before = len(reconstructed.scans)
     for part in passes:
         track = None
         if part.stop - part.start >= LEAST_PASS_POINTS:
@@ -283,18 +282,18 @@ def _reconstruct_head(
             else:
                 track = track_along(pieces, rates.turning, duration_s, places)
         if track is None:
-            found.n_unplaced += part.stop - part.start
+            reconstructed.n_unplaced += part.stop - part.start
             _leave_out(points, cells, part)
             continue
         scan = _scan_of(points, part, track, rates)
-        placed = _place(points, cells, part, scan, len(found.scans))
+        counts = _place(points, cells, part, scan, len(reconstructed.scans))
         if rates.turning.is_arc:
-            # the times do not tell where an arc ends, its last shot does
-            scan = replace(scan, points_per_line=min(placed.last_column + 1, scan.points_per_line))
-        found.add(scan, track, replace(figures_of(track, scan, placed), scanner=number))
-    if len(found.scans) == n_before:
+            # times do not show the end of an arc, its last shot does
+            scan = replace(scan, points_per_line=min(counts.last_column + 1, scan.points_per_line))
+        reconstructed.add(scan, track, replace(figures_of(track, scan, counts), scanner=number))
+    if len(reconstructed.scans) == n_before:
         raise no_stations(path, rates.turning)
-    return Head(points, cells)
+    return ScannerPoints(points, cells)
 
 
 def _scan_of(
@@ -303,7 +302,7 @@ def _scan_of(
     track: Track,
     rates: _Rates,
 ) -> Scan:
-    """Return the scan of a pass, its columns by the times where they are fine enough."""
+    # columns follow from the times, if these are fine enough
     turning = rates.turning
     clock = rates.clock
     first = points.read(part.start, min(part.stop, part.start + BLOCK_POINTS))
@@ -335,7 +334,7 @@ def coordinates(records: NDArray[np.void]) -> F64:
 
 
 def find_passes(points: Spool) -> list[slice]:
-    """Return the records of every pass: those without a gap of :data:`GAP_S` between them."""
+    """Return the records of every pass; a gap of :data:`GAP_S` divides passes."""
     borders = [0]
     last = math.nan
     first = 0
@@ -350,7 +349,7 @@ def find_passes(points: Spool) -> list[slice]:
 
 
 def _thinned(points: Spool, part: slice, turning: Turning) -> PassPieces:
-    """Return what gives every n-th point of a pass, so that enough lie between two knots."""
+    # every n-th point, so that enough lie between two knots
     between = (
         (part.stop - part.start) / _duration(points, part) * max(1.0 / turning.line_hz, KNOT_S)
     )
@@ -373,7 +372,6 @@ def _duration(points: Spool, part: slice) -> float:
 
 
 def _leave_out(points: Spool, cells: Spool, part: slice) -> None:
-    """Give the points of a pass no cell."""
     for records in points.chunks(part.start, part.stop):
         empty = np.zeros(len(records), CELL)
         empty["column"] = -1
@@ -386,20 +384,19 @@ def _place(
     part: slice,
     scan: Scan,
     number: int,
-) -> Placed:
-    """Find the cells of all points of a pass, and count them."""
-    placed = Placed()
-    rest = np.empty(0, points.dtype)
+) -> CellCounts:
+    counts = CellCounts()
+    waiting = np.empty(0, points.dtype)
     for records in points.chunks(part.start, part.stop):
-        records = np.concatenate([rest, records])
+        records = np.concatenate([waiting, records])
         line = np.floor(scan.phase(records["time"])).astype(np.int64)
         # columns are found in whole lines
         cut = int(np.searchsorted(line, line[-1]))
         if cut:
-            _put(cells, records[:cut], scan, number, placed)
-        rest = records[cut:]
-    _put(cells, rest, scan, number, placed)
-    return placed
+            _put(cells, records[:cut], scan, number, counts)
+        waiting = records[cut:]
+    _put(cells, waiting, scan, number, counts)
+    return counts
 
 
 def _put(
@@ -407,57 +404,25 @@ def _put(
     records: NDArray[np.void],
     scan: Scan,
     number: int,
-    seen: Placed,
+    counts: CellCounts,
 ) -> None:
-    placed = scan.cells(records["time"], coordinates(records))
+    cell = scan.cells(records["time"], coordinates(records))
     row = np.empty(len(records), CELL)
-    row["scan_line"] = placed.line
-    row["column"] = placed.column
-    row["range"] = placed.range_m
+    row["scan_line"] = cell.line
+    row["column"] = cell.column
+    row["range"] = cell.range_m
     row[PASS] = number
-    row["angle"] = scan.angle_start_rad + scan.step_rad * placed.column
+    row["angle"] = scan.angle_start_rad + scan.step_rad * cell.column
     row["return_number"], row["number_of_returns"] = returns_of(
-        records, placed.range_m, by_time=not scan.by_bearing
+        records, cell.range_m, by_time=not scan.by_bearing
     )
     cells.append(row)
-    seen.see(placed.line, placed.column, placed.range_m)
-    seen.see_times(records["time"])
-    seen.see_heights(_heights_above(records, placed.column, scan))
-
-
-def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tuple[I64, I64]:
-    """Return number of every return and number of returns of its shot, (n,) each.
-
-    Parameters
-    ----------
-    records
-        (n,) points in the order of their times.
-    range_m
-        (n,) float64 [m].
-    by_time
-        Whether points of one time are returns of one shot; else the cloud itself says so, or every
-        point is a shot.
-    """
-    if by_time:
-        is_first = np.diff(records["time"], prepend=-np.inf) > 0
-        begin = np.flatnonzero(is_first)
-        count = np.diff(begin, append=len(records))
-        shot = np.cumsum(is_first) - 1
-        number = np.ones(len(records), np.int64)
-        # only what shares its time is sorted by range
-        several = np.flatnonzero(count[shot] > 1)
-        order = several[np.lexsort((range_m[several], shot[several]))]
-        number[order] = several - begin[shot[several]] + 1
-        return np.minimum(number, MOST_RETURNS), np.minimum(count[shot], MOST_RETURNS)
-    one = np.ones(len(records), np.int64)
-    names = records.dtype.names or ()
-    if "return_number" not in names or "number_of_returns" not in names:
-        return one, one
-    return records["return_number"].astype(np.int64), records["number_of_returns"].astype(np.int64)
+    counts.add_cells(cell.line, cell.column, cell.range_m)
+    counts.add_times(records["time"])
+    counts.add_heights(_heights_above(records, cell.column, scan))
 
 
 def _heights_above(records: NDArray[np.void], column: I64, scan: Scan) -> F64:
-    """Return the heights of the scanner above its points near straight down, (n,) [m]."""
     angle = scan.angle_start_rad + column * scan.step_rad
     beside = np.abs(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi)
     below = records[beside < NEAR_DOWN_RAD]

@@ -1,4 +1,4 @@
-"""Judges the reconstruction: what a path must be like to be that of a scanner on a vehicle or a person."""
+"""Checks a reconstruction: whether its path can be that of a vehicle or a person."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WORST_ON_BEAM = 0.4
 LEAST_IN_FRONT = 0.97
 MOST_BRIDGED = 0.2
 BRIDGED_M = 0.1
-"""Share of lines whose station is less certain than this, which stand on their neighbours [m]."""
+"""Share of lines whose station is less certain than this; their neighbours hold them [m]."""
 MOST_SPEED_M_S = 45.0
 WORST_SPEED_M_S = 90.0
 MOST_HOLES = 0.15
@@ -40,9 +40,21 @@ HOLE_SHARE = 0.02
 """Points on both sides of a hole differ in range by at most this [m], and this share of it for every cell."""
 
 
+class Judged:
+    """Base of reconstructed drives with the answers of their checks."""
+
+    __slots__ = ()
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether no check doubts the paths."""
+        return all(finding.verdict is Verdict.FINE for finding in self.findings)
+
+
 @dataclass(slots=True)
-class Placed:
-    """What is counted while the points of a pass find their cells."""
+class CellCounts:
+    """Counts of the cells of a pass, with its times and heights."""
 
     n_empty: int = 0
     """Cells that are empty between two neighbouring points of one surface."""
@@ -52,10 +64,10 @@ class Placed:
     last_s: float = -math.inf
     """Times of the first and the last point [s]."""
     heights_m: list[float] = field(default_factory=list)
-    """Height of the scanner above points near straight down, the median of every piece of the pass [m]."""
+    """Height of the scanner above points near straight down, the median of every piece [m]."""
 
-    def see(self, line: I64, column: I64, range_m: F64) -> None:
-        """Take the points of whole lines, in the order of their times."""
+    def add_cells(self, line: I64, column: I64, range_m: F64) -> None:
+        """Add the cells of points of whole lines, in the order of their times."""
         self.last_column = max(self.last_column, int(column.max(initial=0)))
         step = np.diff(column)
         near = np.minimum(range_m[1:], range_m[:-1])
@@ -64,37 +76,32 @@ class Placed:
         self.n_filled += int(np.count_nonzero(inside))
         self.n_empty += int(step[inside].sum()) - int(np.count_nonzero(inside))
 
-    def see_times(self, time_s: F64) -> None:
-        """Take the rising times of points."""
+    def add_times(self, time_s: F64) -> None:
+        """Add the rising times of points."""
         if len(time_s):
-            self.first_s, self.last_s = (
-                min(self.first_s, float(time_s[0])),
-                max(self.last_s, float(time_s[-1])),
-            )
+            self.first_s = min(self.first_s, float(time_s[0]))
+            self.last_s = max(self.last_s, float(time_s[-1]))
 
-    def see_heights(self, height_m: F64) -> None:
-        """Take the heights of the scanner above points near straight down [m]."""
+    def add_heights(self, height_m: F64) -> None:
+        """Add heights of the scanner above points near straight down [m]."""
         if len(height_m):
             self.heights_m.append(float(np.median(height_m)))
 
     @property
     def height_m(self) -> float:
-        """Return the height of the scanner above the ground [m].
-
-        NaN where no point lies near straight down.
-        """
+        """Return the height of the scanner above the ground [m]; NaN without points near down."""
         return float(np.median(self.heights_m)) if self.heights_m else math.nan
 
     @property
     def share_empty(self) -> float:
-        """Return the share of the cells amid surfaces that are empty."""
+        """Return the share of empty cells within surfaces."""
         n = self.n_empty + self.n_filled
         return self.n_empty / n if n else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class PathFigures:
-    """What one pass shows, for ``prc info`` and the checks."""
+    """Figures of one pass, for ``prc info`` and the checks."""
 
     start_s: float
     """First time of the path [s]."""
@@ -107,7 +114,7 @@ class PathFigures:
     share_on_beam: float
     share_in_front: float
     share_bridged: float
-    """Share of the lines whose station is held by their neighbours alone."""
+    """Share of the lines whose station only their neighbours hold."""
     sigma_m: float
     """Median standard deviation of the stations [m]."""
     share_holes: float
@@ -120,15 +127,12 @@ class PathFigures:
     points_s: tuple[float, float]
     """Times of the first and the last point [s]."""
     height_m: float = math.nan
-    """Height of the scanner above the ground, the median over points near straight down [m].
-
-    NaN = not known.
-    """
+    """Height of the scanner above the ground, median over points near down [m]; NaN = unknown."""
     scanner: int = 0
     """Number of the scanner that made the pass; 0 where there is one."""
 
 
-def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
+def figures_of(track: Track, scan: Scan, counts: CellCounts) -> PathFigures:
     """Measure the path of a pass."""
     knots = track.knots
     hop = max(round(STATION_STEPS_S / float(np.median(np.diff(knots.time_s)))), 1)
@@ -141,7 +145,7 @@ def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
     turning = scan.turning
     return PathFigures(
         start_s=float(knots.time_s[0]),
-        points_s=(placed.first_s, placed.last_s),
+        points_s=(counts.first_s, counts.last_s),
         duration_s=float(knots.time_s[-1] - knots.time_s[0]),
         length_m=float(moved.sum()),
         speed_m_s=float(np.median(speed)),
@@ -151,29 +155,28 @@ def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
         share_in_front=track.share_in_front,
         share_bridged=float(np.mean(sigma > BRIDGED_M)),
         sigma_m=float(np.median(sigma)),
-        share_holes=placed.share_empty,
+        share_holes=counts.share_empty,
         turns_hz=turning.hz,
         lines_hz=turning.line_hz,
         shots_hz=scan.shots_per_turn * turning.hz,
         points_per_line=scan.points_per_line,
         tilt_deg=math.degrees(math.acos(min(scan.cos_tilt, 1.0))),
-        height_m=placed.height_m,
+        height_m=counts.height_m,
     )
 
 
 @dataclass(slots=True)
 class _Worst:
-    """Keeps the worst answer of several questions."""
+    """The worst answer of several questions."""
 
     finding: Finding | None = None
-    answers: list[str] = field(default_factory=list)
 
     def ask(
         self,
         figure: float,
         doubtful: float,
         against: float,
-        found: str,
+        problem: str,
         expected: str,
         hint: str,
     ) -> None:
@@ -181,7 +184,7 @@ class _Worst:
         if figure > doubtful:
             verdict = Verdict.AGAINST if figure > against else Verdict.DOUBTFUL
         if self.finding is None or verdict > self.finding.verdict:
-            self.finding = Finding(CHECK, verdict, found, expected, hint)
+            self.finding = Finding(CHECK, verdict, problem, expected, hint)
 
 
 _HINT_TRAJECTORY = "give the scanner's path instead: --range trajectory:FILE"
@@ -193,61 +196,61 @@ def judge(
     n_unplaced: int,
     n_points: int,
 ) -> tuple[Finding, ...]:
-    """Return the answer of the check of the path; the worst of all passes.
+    """Return the worst answer of all passes.
 
     Raises
     ------
     EvidenceError
-        Where the path cannot be that of a scanner.
+        The path cannot be that of a scanner.
     """
     worst = _Worst()
-    for one in figures:
-        at = f"{one.start_s:.1f} s: " if len(figures) > 1 else ""
+    for passed in figures:
+        when = f"{passed.start_s:.1f} s: " if len(figures) > 1 else ""
         worst.ask(
-            one.residual_m,
+            passed.residual_m,
             MOST_RESIDUAL_M,
             WORST_RESIDUAL_M,
-            f"{at}points lie {one.residual_m:.3f} m off their beams (median)",
+            f"{when}points lie {passed.residual_m:.3f} m off their beams (median)",
             f"at most {MOST_RESIDUAL_M} m",
             f"the times may be rounded, or the points moved after the drive; {_HINT_TRAJECTORY}",
         )
         worst.ask(
-            1.0 - one.share_on_beam,
+            1.0 - passed.share_on_beam,
             1.0 - LEAST_ON_BEAM,
             1.0 - WORST_ON_BEAM,
-            f"{at}{1.0 - one.share_on_beam:.0%} of the points lie on no beam of the scanner",
+            f"{when}{1.0 - passed.share_on_beam:.0%} of the points lie on no beam of the scanner",
             f"at most {1.0 - LEAST_ON_BEAM:.0%}",
             "if several scanners are merged: --scanner DIMENSION; else " + _HINT_TRAJECTORY,
         )
         worst.ask(
-            1.0 - one.share_in_front,
+            1.0 - passed.share_in_front,
             1.0 - LEAST_IN_FRONT,
             0.3,
-            f"{at}{1.0 - one.share_in_front:.0%} of the points lie behind the scanner",
+            f"{when}{1.0 - passed.share_in_front:.0%} of the points lie behind the scanner",
             f"at most {1.0 - LEAST_IN_FRONT:.0%}",
             _HINT_TRAJECTORY,
         )
         worst.ask(
-            one.top_speed_m_s,
+            passed.top_speed_m_s,
             MOST_SPEED_M_S,
             WORST_SPEED_M_S,
-            f"{at}the scanner moves at {one.top_speed_m_s:.0f} m/s",
+            f"{when}the scanner moves at {passed.top_speed_m_s:.0f} m/s",
             f"at most {MOST_SPEED_M_S:.0f} m/s",
             "look at the coordinates: their unit, or parts that were moved; " + _HINT_TRAJECTORY,
         )
         worst.ask(
-            one.share_bridged,
+            passed.share_bridged,
             MOST_BRIDGED,
             0.9,
-            f"{at}{one.share_bridged:.0%} of the lines do not tell where the scanner was (within {BRIDGED_M} m)",
+            f"{when}{passed.share_bridged:.0%} of the lines do not tell where the scanner was (within {BRIDGED_M} m)",
             f"at most {MOST_BRIDGED:.0%}",
             "open ground tells too little; " + _HINT_TRAJECTORY,
         )
         worst.ask(
-            one.share_holes,
+            passed.share_holes,
             MOST_HOLES,
             WORST_HOLES,
-            f"{at}{one.share_holes:.0%} of the cells amid surfaces are empty",
+            f"{when}{passed.share_holes:.0%} of the cells amid surfaces are empty",
             f"at most {MOST_HOLES:.0%}",
             "the cloud was thinned or filtered: classify the cloud before that",
         )
@@ -266,19 +269,19 @@ def judge(
 
 
 def no_stations(path: str, turning: Turning) -> EvidenceError:
-    """Return the error of points whose scan lines do not tell where the scanner was."""
+    """Return the error of points whose scan lines do not place the scanner."""
     problem = f"the beam turns {turning.hz:.5g} times a second, but its lines are too short or too few to place the scanner"
     hint = f"look at the unit of x, y, z; give a larger part of the drive; or {_HINT_TRAJECTORY}"
     return EvidenceError(path, problem, hint)
 
 
 def no_rotation(path: str, rotation: Rotation | None) -> EvidenceError:
-    """Return the error of points that no turning beam measured."""
-    found = "too few points follow each other in time"
+    """Return the error of points that fit no turning beam."""
+    reason = "too few points follow each other in time"
     if rotation is not None:
-        found = f"at the best rate, {rotation.hz:.4g} turns a second, points lie {rotation.residual_m:.2f} m off"
-        found += f" their beams, and {1 - rotation.in_front:.0%} of them behind the scanner"
-    problem = f"no rotation of a scanner fits the points and their times: {found}"
+        reason = f"at the best rate, {rotation.hz:.4g} turns a second, points lie {rotation.residual_m:.2f} m off"
+        reason += f" their beams, and {1 - rotation.in_front:.0%} of them behind the scanner"
+    problem = f"no rotation of a scanner fits the points and their times: {reason}"
     hint = (
         "airborne scanners, several scanners merged, and times that are coarse cannot be read so; "
         "give --scanner DIMENSION for several scanners, or --range trajectory:FILE"
@@ -293,6 +296,6 @@ def no_clock(path: str) -> EvidenceError:
 
 
 def too_many_passes(path: str, n_passes: int, most: int) -> EvidenceError:
-    """Return the error of a cloud that was seen too often for one run."""
+    """Return the error of a cloud with too many passes for one run."""
     problem = f"the times have gaps that part them into {n_passes} passes, expected at most {most}"
     return EvidenceError(path, problem, "classify fewer tiles together, or every tile by itself")

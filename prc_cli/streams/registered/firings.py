@@ -1,6 +1,4 @@
-"""The firings of a spinning head.
-
-Which shots were fired together, from the times of the points of every ring.
+"""The firings of a spinning head, from the times of the points of every ring.
 
 A ring fires at the same place of every firing, so the times of its points are whole firings apart.
 The clock of the points and that of the scanner may drift, so the phase of the firings is followed
@@ -21,7 +19,7 @@ from prc_cli.core.types import F64, I64
 MIN_STEPS = 100
 """Fewest steps from point to point of a ring."""
 NEIGHBOURS = 1.5
-"""Steps up to this multiple of the short ones are from a firing to the next one."""
+"""Steps up to this multiple of the short ones lead to the next firing."""
 SAME = 1e-3
 """Places nearer than this are the same, as a share of a firing."""
 MIN_EVENNESS = 0.8
@@ -35,7 +33,7 @@ BLOCK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Firings:
-    """How the rings fire."""
+    """Period and delays of the rings."""
 
     period_s: float
     """Time from firing to firing [s]."""
@@ -44,14 +42,11 @@ class Firings:
     delay_s: F64
     """(k,) float64, time of every ring's shot after the start of its firing [s]."""
     late: I64
-    """(k,) int64, firings after which every ring sees a direction, from the ring that looks ahead most."""
+    """(k,) int64, firings until every ring sees the direction of the ring that looks ahead most."""
     evenness: float
-    """How evenly the rings fire, 0 to 1."""
+    """Evenness of the firings, 0 to 1."""
     before: tuple[float, float] = (math.nan, 0.0)
-    """Time [s] and drift of the phase, in firings, of the last block followed.
-
-    Not a number at first.
-    """
+    """Time [s] and drift of the phase [firings] of the last block; time NaN at first."""
 
 
 def find_firings(
@@ -90,7 +85,7 @@ def find_firings(
     origin = float(time_s[0])
     table, block_s = _phases(fired, number, origin, period, len(ahead_rad))
     drift, ring_phase = _separated(table)
-    # what drifts evenly is an error of the period
+    # an even drift is an error of the period
     apart = np.diff(block_s)
     near = apart < 1.5 * BLOCK_S
     if near.any():
@@ -136,7 +131,7 @@ def firing_numbers(
     Returns
     -------
     (n,) int64, Firings
-        Number of the firing, -1 for points of no ring; and where its phase was followed to.
+        Number of the firing, -1 for points of no ring; the firings with the phase of the last block.
     """
     known = ring >= 0
     if not known.any():
@@ -159,7 +154,7 @@ def firing_numbers(
 
 
 def starting(firings: Firings, time_s: float) -> Firings:
-    """Return the firings counted from a time, so that neither firings nor lines from there on are below 0."""
+    """Return the firings counted from a time: later firings and lines have numbers from 0."""
     periods = (
         math.floor((time_s - firings.origin_s) / firings.period_s) - 2 - int(firings.late.max())
     )
@@ -167,10 +162,7 @@ def starting(firings: Firings, time_s: float) -> Firings:
 
 
 def line_numbers(number: I64, ring: I64, firings: Firings) -> I64:
-    """Return the line of every point.
-
-    Shots of a line look one way, as rings that look ahead fire earlier there.
-    """
+    """Return the line of every point; shots of a line look one way, -1 = no ring."""
     lines: I64 = np.where(ring >= 0, number - firings.late[ring], -1)
     return lines
 
@@ -201,17 +193,17 @@ def _phases(
     period_s: float,
     n_rings: int,
 ) -> tuple[NDArray[Any], F64]:
-    """Return the summed phase of the points of every block and ring, (b, k) complex, and the blocks' times."""
+    """Return the summed phase by block and ring, (b, k) complex, and the times of blocks."""
     block = np.floor((fired - origin_s) / BLOCK_S).astype(np.int64)
-    seen, row = np.unique(block, return_inverse=True)
-    table = np.zeros((len(seen), n_rings), np.complex128)
+    blocks, row = np.unique(block, return_inverse=True)
+    table = np.zeros((len(blocks), n_rings), np.complex128)
     np.add.at(table, (row, number), np.exp(2j * np.pi * (fired - origin_s) / period_s))
-    middle = np.asarray((seen + 0.5) * BLOCK_S + origin_s, np.float64)
+    middle = np.asarray((blocks + 0.5) * BLOCK_S + origin_s, np.float64)
     return table, middle
 
 
 def _separated(table: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the phases of blocks and of rings whose products are a table, as complex numbers of length 1."""
+    """Return the unit phases of blocks and of rings whose products are a table."""
     ring = np.ones(table.shape[1], np.complex128)
     ring *= np.exp(1j * np.angle(table[int(np.argmax(np.abs(table).sum(axis=1)))]))
     for _ in range(10):
@@ -221,7 +213,7 @@ def _separated(table: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def _first_place(place: F64) -> float:
-    """Return the place in a firing before which the longest pause lies."""
+    """Return the place in a firing after the longest pause."""
     ordered = np.sort(place)
     pause = np.diff(ordered, prepend=ordered[-1] - 1.0)
     return float(ordered[int(np.argmax(pause))])

@@ -169,20 +169,20 @@ def _windows(pieces: PassPieces, turning: Turning, spacing_s: float) -> Windows 
 
 def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator[tuple[F64, F64]]:
     """Cut pieces where scan lines begin."""
-    rest_s = np.empty(0)
-    rest_m = np.empty((0, 3))
+    left_s = np.empty(0)
+    left_m = np.empty((0, 3))
     for time_s, xyz_m in pieces:
-        time_s = np.concatenate([rest_s, time_s])
-        xyz_m = np.concatenate([rest_m, xyz_m])
+        time_s = np.concatenate([left_s, time_s])
+        xyz_m = np.concatenate([left_m, xyz_m])
         line_s = 1.0 / turning.line_hz
         begin_s = turning.origin_s + math.floor((time_s[-1] - turning.origin_s) / line_s) * line_s
         cut = int(np.searchsorted(time_s, begin_s))
         if cut:
             yield time_s[:cut], xyz_m[:cut]
-        rest_s = time_s[cut:]
-        rest_m = xyz_m[cut:]
-    if len(rest_s):
-        yield rest_s, rest_m
+        left_s = time_s[cut:]
+        left_m = xyz_m[cut:]
+    if len(left_s):
+        yield left_s, left_m
 
 
 def _smooth_all(
@@ -201,8 +201,8 @@ def _smooth_all(
     figures: list[tuple[float, float, float, int]] = []
     done = 0
     for first, last, time_s, xyz_m in segments(pieces, knots.time_s):
-        own = slice(first, last + 1)
-        start = Knots(knots.time_s[own], knots.position_m[own], knots.frame[own])
+        span = slice(first, last + 1)
+        start = Knots(knots.time_s[span], knots.position_m[span], knots.frame[span])
         bearing = turning.bearing(time_s)
         observed = observe(start.time_s, time_s, xyz_m, bearing, POINTS_BETWEEN_KNOTS)
         fit = smooth(start, observed, slope)

@@ -56,7 +56,7 @@ class Knots:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundPath:
+class ScannerPath:
     """Where one scanner was, and how it stood, at ``k`` times of all its passes.
 
     Straight lines in between.
@@ -298,8 +298,8 @@ class _System:
         both = np.stack([self.gradient.ravel(), self.border.ravel()], axis=1)
         of_gradient, of_border = cho_solve_banded((factor, True), both).T
         border = self.border.ravel()
-        rest = self.cone_weight - float(border @ of_border)
-        slope_step = -(self.cone_gradient - float(border @ of_gradient)) / max(rest, 1e-9)
+        schur = self.cone_weight - float(border @ of_border)
+        slope_step = -(self.cone_gradient - float(border @ of_gradient)) / max(schur, 1e-9)
         step: F64 = (-of_gradient - slope_step * of_border).reshape(-1, 6)
         return step, slope_step
 

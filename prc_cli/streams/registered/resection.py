@@ -34,24 +34,21 @@ class Stations:
     in_front: F64
     """(w,) float64, share of the points that lie in front of the beam, not behind it."""
     spread_m: F64
-    """(w,) float64, spread of the points across their main direction, in the plane [m].
-
-    Small on open ground.
-    """
+    """(w,) float64, spread of the points across their main direction [m]; small on open ground."""
 
     @property
     def misfit_m(self) -> F64:
-        """(w,) float64, the residual, larger where points lie behind the beam [m]."""
+        """(w,) float64, the residual, larger if points lie behind the beam [m]."""
         return self.residual_m / np.maximum(self.in_front, 0.05)
 
-    def where(self, use: Mask, other: Stations) -> Stations:
-        """Return these stations where ``use`` (w,) holds, else the other ones."""
+    def where(self, use: Mask, others: Stations) -> Stations:
+        """Return these stations if ``use`` (w,) is true, else the others."""
         return Stations(
-            position_m=np.where(use[:, None], self.position_m, other.position_m),
-            frame=np.where(use[:, None, None], self.frame, other.frame),
-            residual_m=np.where(use, self.residual_m, other.residual_m),
-            in_front=np.where(use, self.in_front, other.in_front),
-            spread_m=np.where(use, self.spread_m, other.spread_m),
+            position_m=np.where(use[:, None], self.position_m, others.position_m),
+            frame=np.where(use[:, None, None], self.frame, others.frame),
+            residual_m=np.where(use, self.residual_m, others.residual_m),
+            in_front=np.where(use, self.in_front, others.in_front),
+            spread_m=np.where(use, self.spread_m, others.spread_m),
         )
 
 
@@ -169,10 +166,7 @@ def resect(
 
 
 def masked_median(values: F64, weight: F64) -> F64:
-    """Return the median of every row of (w, n) where the weight is not 0, (w,).
-
-    Infinite where there is no value.
-    """
+    """Return the median of the values with a weight, of every row of (w, n), (w,); inf = none."""
     ordered = np.sort(np.where(weight > 0, values, np.inf), axis=1)
     middle = np.maximum(np.count_nonzero(weight > 0, axis=1) - 1, 0) // 2
     median: F64 = np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0]

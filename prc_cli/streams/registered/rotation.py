@@ -1,4 +1,4 @@
-"""How fast the beam turns: the rate at which the points of short pieces fit a turning beam.
+"""The rate of turns: the rate at which the points of short pieces fit a turning beam.
 
 A wrong rate bends every plane: no station sees the points of a piece under bearings that grow by
 it. So one rate has a clear minimum of the residual, without a gap in the times, a whole line or M.
@@ -16,7 +16,7 @@ from prc_cli.streams.registered.resection import Planes, Stations, fit_planes, r
 
 SLOWEST_HZ = 4.0
 FASTEST_HZ = 450.0
-"""Turns a second that are tried."""
+"""Range of rates that are tried [turns a second]."""
 GRID = 140
 """Rates on the first, geometric grid."""
 PIECE_POINTS = 160
@@ -24,7 +24,7 @@ PIECE_POINTS = 160
 LEAST_PIECE_POINTS = 60
 """Fewer points are no piece."""
 PIECE_LENGTHS_S = (0.004, 0.012, 0.03)
-"""Lengths of pieces that are tried, the usual one first: a slow scanner needs longer ones."""
+"""Lengths of pieces, the usual one first: a slow scanner needs longer ones."""
 REFINEMENTS = (0.04, 0.01, 0.0025, 0.0006)
 """Half widths of the finer grids, as a share of the rate."""
 CLEAR_CONTRAST = 10.0
@@ -34,9 +34,9 @@ CLEAR_IN_FRONT = 0.98
 LEAST_CONTRAST = 4.0
 MOST_RESIDUAL_M = 0.15
 LEAST_IN_FRONT = 0.9
-"""No rotation fits where one of these is not met.
+"""A rotation must meet all of these.
 
-0.29 m in an airborne strip, 0.1 m with times in steps of 100 us.
+The residual is 0.29 m in an airborne strip, 0.1 m with times in steps of 100 us.
 """
 MOST_RATE_OFF = 1e-3
 """Rates of turns and of lines that differ by less are the same."""
@@ -58,7 +58,7 @@ class Pieces:
     """(p, 3) float64, the point that coordinates count from [m]."""
 
     def thinned(self) -> Pieces:
-        """Return every second piece with every second point: enough to tell rates apart."""
+        """Return every second piece with every second point, for the coarse search."""
         return Pieces(
             self.time_s[::2, ::2],
             self.xyz_m[::2, ::2],
@@ -75,7 +75,7 @@ class Turning:
     hz: float
     """Turns a second, while shots are fired."""
     line_hz: float
-    """Scan lines a second: other than ``hz`` where every line is an arc that begins anew."""
+    """Scan lines a second: other than ``hz`` if every line is an arc."""
     origin_s: float
     """A time at which a line begins with bearing 0 [s]."""
 
@@ -101,23 +101,20 @@ class Turning:
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """How the beam turns."""
+    """A rate of turns, and how well it fits."""
 
     hz: float
     """Turns a second."""
     residual_m: float
     """Median residual of the pieces [m]."""
     contrast: float
-    """Residual away from the minimum, in residuals of the minimum.
-
-    Near 1 where no rate fits better.
-    """
+    """Usual residual over that of the best rate; near 1 if no rate fits better."""
     in_front: float
     """Median share of points in front of the beam."""
 
     @property
     def is_possible(self) -> bool:
-        """Whether the points may have been measured by a turning beam at all."""
+        """Whether a turning beam may have measured the points."""
         return (
             self.contrast > LEAST_CONTRAST
             and self.residual_m < MOST_RESIDUAL_M
@@ -126,7 +123,7 @@ class Rotation:
 
     @property
     def is_clear(self) -> bool:
-        """Whether no other rate comes near."""
+        """Whether the rate is beyond doubt."""
         return (
             self.contrast > CLEAR_CONTRAST
             and self.residual_m < CLEAR_RESIDUAL_M
@@ -140,9 +137,7 @@ def cut_pieces(
     length_s: float,
     n_pieces: int,
 ) -> Pieces | None:
-    """Choose pieces of consecutive points, spread evenly over the points.
-
-    None where there are too few.
+    """Choose pieces of consecutive points, spread evenly; None for too few points.
 
     Parameters
     ----------
@@ -200,12 +195,12 @@ def find_rotation(time_s: F64, xyz_m: F64, *, n_pieces: int = 48) -> Rotation | 
     xyz_m
         (n, 3) float64 [m].
     n_pieces
-        Pieces that are looked at.
+        Pieces at most.
 
     Returns
     -------
     Rotation or None
-        The best rate, whatever its residual; None where the points are too few.
+        The best rate, whatever its residual; None for too few points.
     """
     best: Rotation | None = None
     for length_s in PIECE_LENGTHS_S:
@@ -244,12 +239,12 @@ def _score(pieces: Pieces, planes: Planes, hz: float) -> float:
 
 
 def stations_of(pieces: Pieces, planes: Planes, hz: float) -> Stations:
-    """Return the station of every piece at a rate of turns, for the sense of turning that fits it better."""
+    """Return the station of every piece at a rate, for its better sense of turning."""
     return stations_both_ways(pieces, planes, hz)[0]
 
 
 def stations_both_ways(pieces: Pieces, planes: Planes, hz: float) -> tuple[Stations, Stations]:
-    """Return the station of every piece for the sense of turning that fits it better, and for the other one."""
+    """Return the stations of pieces for the better sense of turning, and for the other."""
     bearing = 2.0 * math.pi * hz * pieces.time_s
     left, right = (resect(planes, pieces.xyz_m, bearing, pieces.weight, sense) for sense in (1, -1))
     use = left.misfit_m <= right.misfit_m

@@ -1,7 +1,4 @@
-"""Reads a registered cloud as the stream that it was.
-
-Sorted by time, with lines, columns and ranges.
-"""
+"""Reads a registered cloud as a stream: sorted by time, with lines, columns and ranges."""
 
 from __future__ import annotations
 
@@ -34,11 +31,11 @@ from prc_cli.streams.registered.spool import Spool
 from prc_cli.streams.rules import only_times_tell
 
 CARRIED = ("intensity", "return_number", "number_of_returns")
-"""Dimensions that are handed on where the cloud has them."""
-HEADS = ("scanner_channel", "point_source_id", "user_data")
-"""Dimensions that may tell scanners apart."""
-LOOKED_AT = 1 << 22
-"""Records whose numbers of scanners are looked at."""
+"""Dimensions that the stream keeps from the cloud."""
+SCANNER_DIMENSIONS = ("scanner_channel", "point_source_id", "user_data")
+"""Dimensions that may number the scanners."""
+SAMPLE_RECORDS = 1 << 22
+"""Records that are read in the search for numbers of scanners."""
 MOST_STEPS_BACK = 1e-3
 """Clouds whose times go back more often are sorted in space."""
 MOST_SCANNERS = 8
@@ -48,7 +45,7 @@ MOST_SCANNERS = 8
 def with_points(
     source: RecordSource, config: InputConfig
 ) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
-    """Return a cloud as a stream, the rules that read it, and what is assumed.
+    """Return a cloud as a stream, the rules that read it, and the assumptions.
 
     Parameters
     ----------
@@ -60,7 +57,7 @@ def with_points(
     Raises
     ------
     InputError
-        Where the cloud lacks coordinates or times, or no rotation of a scanner fits its points.
+        The cloud lacks coordinates or times, or no rotation of a scanner fits its points.
     """
     lacking = [name for name in (*XYZ, "time") if name not in source.dimensions]
     if lacking:
@@ -69,29 +66,26 @@ def with_points(
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
     if isinstance(drive, SpinningDrive):
-        cloud = _whole(
-            source, SpinningSource(source, drive), sum(len(scan) for scan in drive.scans)
-        )
+        n_usable = sum(len(scan) for scan in drive.scans)
+        cloud = _with_lost(source, SpinningSource(source, drive), n_usable)
         return cloud, config.model_copy(update=drive.rules()), drive.assumptions()
     return _as_stream(source, config, drive, drive.assumptions())
 
 
-def _whole(source: RecordSource, cloud: RegisteredSource | SpinningSource, n_usable: int) -> Cloud:
-    """Return a cloud with the records that no time or no coordinates place."""
+def _with_lost(
+    source: RecordSource, cloud: RegisteredSource | SpinningSource, n_usable: int
+) -> Cloud:
     lost = lost_records(source, n_usable)
     return _WithLost(cloud, cloud.drive, lost) if len(lost) else cloud
 
 
 def sorts_by_itself(source: RecordSource, config: InputConfig) -> bool:
-    """Tell whether times are sorted without being told.
-
-    Where the stream is found from points and times.
-    """
+    """Return whether the stream is sorted by time without an option: points and times make it."""
     return config.range == "points" or is_tile(source, config)
 
 
 def is_tile(source: RecordSource, config: InputConfig) -> bool:
-    """Tell whether a cloud with a given path is sorted in space, and nothing but its times tells lines and columns."""
+    """Return whether a cloud with a given path is sorted in space, and has only times for lines."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
     has_path = config.range.startswith("trajectory:") and set(XYZ) <= set(source.dimensions)
     if not asks or not has_path or not only_times_tell(source):
@@ -119,7 +113,7 @@ def _as_stream(
     source: RecordSource,
     config: InputConfig,
     drive: Drive,
-    told: tuple[Assumption, ...],
+    assumptions: tuple[Assumption, ...],
 ) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     rules: dict[str, object] = {
         "lines": "dimension:scan_line",
@@ -132,16 +126,13 @@ def _as_stream(
         rules["points_per_line"] = drive.points_per_line
         rules["angle_start"] = math.degrees(drive.angle_start_rad)
         rules["angle_step"] = math.degrees(drive.step_rad)
-    n_usable = sum(len(head.points) for head in drive.heads)
-    return (
-        _whole(source, RegisteredSource(source, drive), n_usable),
-        config.model_copy(update=rules),
-        told,
-    )
+    n_usable = sum(len(scanner.points) for scanner in drive.scanners)
+    cloud = _with_lost(source, RegisteredSource(source, drive), n_usable)
+    return cloud, config.model_copy(update=rules), assumptions
 
 
 _latest: tuple[tuple[object, ...], Drive | SpinningDrive] | None = None
-"""The drive that was found last: a command opens its input several times."""
+"""Key and drive of the last cloud: a command opens its input several times."""
 
 
 def _drive_of(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
@@ -157,20 +148,20 @@ def _drive_of(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
 
 
 def _reconstructed(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
-    """Reconstruct a drive; where one scanner does not explain it, try the dimensions that number scanners."""
+    # if one scanner does not fit, the dimensions that may number scanners are tried
     if split is not None:
-        return _turning(source.path, spool_by_time(source, split), split=split)
+        return _reconstruct(source.path, spool_by_time(source, split), split=split)
     refusal: EvidenceError | None = None
     drive: Drive | SpinningDrive | None = None
     try:
-        drive = _turning(source.path, spool_by_time(source, None))
+        drive = _reconstruct(source.path, spool_by_time(source, None))
     except EvidenceError as error:
         refusal = error
     if drive is not None and drive.is_sure:
         return drive
     for name in _numbers_of_scanners(source):
         try:
-            parted = _turning(source.path, spool_by_time(source, name), split=name)
+            parted = _reconstruct(source.path, spool_by_time(source, name), split=name)
         except EvidenceError:
             continue
         if parted.is_sure:
@@ -181,8 +172,8 @@ def _reconstructed(source: RecordSource, split: str | None) -> Drive | SpinningD
     return drive
 
 
-def _turning(path: str, spools: dict[int, Spool], *, split: str = "") -> Drive | SpinningDrive:
-    """Reconstruct the drive of scanners of one plane, else of spinning heads, whose beams lie on cones."""
+def _reconstruct(path: str, spools: dict[int, Spool], *, split: str = "") -> Drive | SpinningDrive:
+    # beams of one plane first, then spinning heads, whose beams lie on cones
     try:
         return reconstruct(path, spools, split=split)
     except EvidenceError as error:
@@ -193,28 +184,25 @@ def _turning(path: str, spools: dict[int, Spool], *, split: str = "") -> Drive |
 
 
 def _numbers_of_scanners(source: RecordSource) -> Iterator[str]:
-    """Yield the dimensions that have few values in the first records, as numbers of scanners have."""
-    names = tuple(name for name in HEADS if name in source.dimensions)
+    # numbers of scanners have few values
+    names = tuple(name for name in SCANNER_DIMENSIONS if name in source.dimensions)
     values: dict[str, set[int]] = {name: set() for name in names}
     n_seen = 0
     for chunk in source.chunks(names) if names else ():
         for name in names:
             values[name].update(np.unique(chunk.values[name]).astype(int).tolist())
         n_seen += chunk.n
-        if n_seen >= LOOKED_AT:
+        if n_seen >= SAMPLE_RECORDS:
             break
     yield from (name for name in names if 1 < len(values[name]) <= MOST_SCANNERS)
 
 
 def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
-    """Write the points into temporary files in the order of their times, one for every scanner."""
+    """Write the points of every scanner into a temporary file, in the order of their times."""
     carried = tuple(name for name in CARRIED if name in source.dimensions)
-    names = (
-        *XYZ,
-        "time",
-        *carried,
-        *((split,) if split is not None and split not in carried else ()),
-    )
+    names = (*XYZ, "time", *carried)
+    if split is not None and split not in carried:
+        names = (*names, split)
     usable = _Usable(source)
     spools = _spooled(usable, names, split, must_rise=True)
     if spools is None:
@@ -240,21 +228,27 @@ def _is_usable(chunk: RecordChunk) -> Mask:
 
 @dataclass(frozen=True)
 class _WithLost(DerivedSource):
-    """A cloud as a stream, with the records that have no time or no coordinates behind it, without a cell."""
+    """A cloud as a stream, followed by the records without time or coordinates, which have no cell."""
 
     drive: Drive | SpinningDrive
     lost: I64
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Deliver the stream, then what is lost."""
+        """Deliver the stream, then the lost records."""
         first = 0
         for chunk in self.source.chunks(names):
             yield chunk
             first += chunk.n
         n = len(self.lost)
-        whole = {"scan_line": 0, "column": -1, PASS: 0, "return_number": 1, "number_of_returns": 1}
+        defaults = {
+            "scan_line": 0,
+            "column": -1,
+            PASS: 0,
+            "return_number": 1,
+            "number_of_returns": 1,
+        }
         values = {
-            name: np.full(n, whole[name], np.int32) if name in whole else np.full(n, np.nan)
+            name: np.full(n, defaults[name], np.int32) if name in defaults else np.full(n, np.nan)
             for name in names
         }
         yield RecordChunk(first, values, n, self.lost)
@@ -310,7 +304,7 @@ def _spooled(
 
 
 def record_type(names: tuple[str, ...]) -> np.dtype[np.void]:
-    """Return how a point is kept on disk."""
+    """Return the type of a point on disk."""
     sizes = {"intensity": "f4", "return_number": "u1", "number_of_returns": "u1"}
     fields = [("time", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8"), ("record", "i8")]
     fields += [(name, size) for name, size in sizes.items() if name in names]
@@ -343,7 +337,7 @@ class RegisteredSource(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        """Metadata of the cloud, with the directions of down and what is doubtful about the path."""
+        """Metadata of the cloud, the directions of down, and the findings about the path."""
         facts = self.source.facts
         return replace(
             facts,
@@ -357,8 +351,8 @@ class RegisteredSource(DerivedSource):
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Deliver the points pass after pass, each in the order of its times."""
         first = 0
-        for head in self.drive.heads:
-            for points, cells in head.pieces():
+        for scanner in self.drive.scanners:
+            for points, cells in scanner.pieces():
                 values = {name: _column(name, points, cells) for name in names}
                 yield RecordChunk(first, values, len(points), points["record"].copy())
                 first += len(points)

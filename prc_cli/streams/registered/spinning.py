@@ -470,11 +470,11 @@ def measure_rings(local_m: F64, number: I64, rings: Rings) -> Rings:
     order = np.argsort(number, kind="stable")
     border = np.searchsorted(number[order], np.arange(rings.n_rings + 1))
     for ring in range(rings.n_rings):
-        seen = elevation[order[border[ring] : border[ring + 1]]]
-        if len(seen) >= MIN_RING_POINTS:
-            middle = float(np.median(seen))
+        of_ring = elevation[order[border[ring] : border[ring + 1]]]
+        if len(of_ring) >= MIN_RING_POINTS:
+            middle = float(np.median(of_ring))
             tangent[ring] = math.tan(middle)
-            spread[ring] = float(np.median(np.abs(seen - middle)))
+            spread[ring] = float(np.median(np.abs(of_ring - middle)))
     return replace(rings, tangent=tangent, spread_rad=spread, n_points=np.diff(border))
 
 
@@ -529,13 +529,13 @@ def _with_heights(poses: Poses, windows: Windows) -> Poses:
         moving = replace(poses, velocity_m_s=poses.velocity_m_s + speed[:, None] * axis)
         local = moving.local(windows)
         level = np.hypot(local[:, :, 0], local[:, :, 1])
-        found = [
+        heights = [
             sharpest_height(z[u], far[u])
             for z, far, u in zip(local[:, :, 2], level, windows.use, strict=True)
         ]
-        sharpness = float(np.median([sharp for _, sharp in found]))
+        sharpness = float(np.median([sharp for _, sharp in heights]))
         if sharpness > best:
-            height = np.array([height for height, _ in found])[:, None]
+            height = np.array([height for height, _ in heights])[:, None]
             best = sharpness
             chosen = replace(moving, station_m=moving.station_m + height * axis)
         if np.median(np.abs(level_m_s)) < SLOW_M_S:
@@ -1023,10 +1023,10 @@ def find_head(time_s: F64, xyz_m: F64) -> SpinningHead | NoScan:
     rate = find_turn_hz(time_s, xyz_m)
     if isinstance(rate, NoScan):
         return rate
-    found = find_rings(time_s, xyz_m, rate)
-    if isinstance(found, NoScan):
-        return found
-    rings, rate = found
+    rings_and_rate = find_rings(time_s, xyz_m, rate)
+    if isinstance(rings_and_rate, NoScan):
+        return rings_and_rate
+    rings, rate = rings_and_rate
     reason = "no window lies on the rings"
     for share in (np.arange(N_TRIES) + 0.5) / N_TRIES:
         begin = max(int(share * len(time_s)) - SAMPLE_POINTS // 2, 0)

@@ -14,9 +14,10 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64
 from prc_cli.formats.records import DerivedSource, RecordChunk
-from prc_cli.streams.registered.drive import MOST_RETURNS, PASS, coordinates, find_passes, sample
-from prc_cli.streams.registered.evidence import CHECK, PathFigures, Placed, judge
-from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, FoundPath, positions_at
+from prc_cli.streams.registered.drive import PASS, coordinates, find_passes, sample
+from prc_cli.streams.registered.evidence import CHECK, CellCounts, Judged, PathFigures, judge
+from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, ScannerPath, positions_at
+from prc_cli.streams.registered.returns import count_returns
 from prc_cli.streams.registered.spinning import (
     NoScan,
     SpinningHead,
@@ -32,14 +33,11 @@ PIECE_POINTS = 1 << 20
 NO_COLUMN = -1
 LEAST_CLEAR = 0.9
 WORST_CLEAR = 0.5
-"""Share of points that lie clearly on one ring, doubtful and refused below.
-
-Half of them do by chance.
-"""
+"""Share of points clearly on one ring, doubtful and refused below; half are by chance."""
 LEAST_STATIONS = 5
 COURSE_S = 1.0
 STANDS_M_S = 0.2
-"""The course is that over this time [s]; slower platforms keep it [m/s]."""
+"""The course is measured over this time [s]; slower platforms keep it [m/s]."""
 _CELL = (
     ("scan_line", "i4"),
     ("column", "i4"),
@@ -51,24 +49,24 @@ _CELL = (
 
 
 @dataclass(frozen=True, slots=True)
-class SpinningDrive:
+class SpinningDrive(Judged):
     """All spinning scanners and passes of a cloud."""
 
     scans: tuple[Spool, ...]
-    """Points of every scanner in the order of their lines, with coordinates relative to the head and their cells."""
+    """Points of every scanner by line, with their cells and coordinates relative to the head."""
     heads: tuple[SpinningHead, ...]
     figures: tuple[PathFigures, ...]
-    """What each pass shows."""
+    """Figures of each pass."""
     findings: tuple[Finding, ...]
-    paths: tuple[FoundPath, ...] = ()
+    paths: tuple[ScannerPath, ...] = ()
     """The path of each pass."""
     n_unplaced: int = 0
     """Points of passes that no turn of the head fits."""
 
     @property
-    def is_sure(self) -> bool:
-        """Whether nothing speaks against the paths."""
-        return all(finding.verdict is Verdict.FINE for finding in self.findings)
+    def n_scanners(self) -> int:
+        """Number of scanners."""
+        return len(self.heads)
 
     @property
     def points_per_line(self) -> int:
@@ -87,12 +85,12 @@ class SpinningDrive:
         }
 
     def assumptions(self) -> tuple[Assumption, ...]:
-        """Return what was found, for ``prc info`` and the run record."""
+        """Return the rates that were found, for ``prc info`` and the run record."""
         head = self.heads[0]
         figures = self.figures[0]
         firing_hz = 1.0 / head.firings.period_s
         off = f"points lie {figures.residual_m:.3f} m off their beams (median)"
-        told = [
+        assumptions = [
             Assumption(
                 "input.range",
                 "points",
@@ -108,19 +106,19 @@ class SpinningDrive:
             ),
         ]
         if len(self.figures) > 1:
-            told.append(
+            assumptions.append(
                 Assumption(
                     "input.scanner",
                     f"{len(self.figures)} passes",
                     "gaps in time, or other scanners",
                 )
             )
-        return tuple(told)
+        return tuple(assumptions)
 
 
 @dataclass(slots=True)
-class _Pass:
-    """What is counted of one pass."""
+class _PassCounts:
+    """Windows and counts of one pass."""
 
     time_s: list[F64] = field(default_factory=list)
     station_m: list[F64] = field(default_factory=list)
@@ -132,10 +130,10 @@ class _Pass:
     n_points: int = 0
     n_on_rings: int = 0
     n_clear: int = 0
-    holes: Placed = field(default_factory=Placed)
+    cells: CellCounts = field(default_factory=CellCounts)
 
-    def see(self, scan: SpinningScan, head: SpinningHead) -> None:
-        """Take a piece."""
+    def add(self, scan: SpinningScan, head: SpinningHead) -> None:
+        """Add a piece."""
         self.n_clear += int(np.count_nonzero(are_clear(scan.local_m, scan.ring, head.rings)))
         path = scan.path
         self.time_s.append(path.time_s)
@@ -149,10 +147,10 @@ class _Pass:
         self.n_on_rings += len(known)
         # neighbours of a surface lie along the rings
         order = known[np.lexsort((scan.line[known], scan.ring[known]))]
-        self.holes.see(scan.ring[order], scan.line[order], scan.range_m[order])
+        self.cells.add_cells(scan.ring[order], scan.line[order], scan.range_m[order])
 
-    def path(self, scanner: int, number: int) -> FoundPath:
-        """Return the path, from the first to the last point, certain to what neighbouring windows scatter."""
+    def path(self, scanner: int, number: int) -> ScannerPath:
+        """Return the path from the first to the last point; its sigma is the scatter of windows."""
         known_s = np.concatenate(self.time_s)
         station = np.concatenate(self.station_m)
         axis = np.concatenate(self.axis)
@@ -170,12 +168,12 @@ class _Pass:
         sigma = scatter(station) + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
         xyz = positions_at(known_s, station, time_s)
         numbers = np.full(len(time_s), number)
-        return FoundPath(
+        return ScannerPath(
             scanner, time_s, xyz, sigma, course_frames(time_s, xyz), axis[place], numbers, "forward"
         )
 
     def figures(self, head: SpinningHead) -> PathFigures | None:
-        """Return the figures; none if no window was fitted."""
+        """Return the figures; None without a fitted window."""
         time_s = np.concatenate(self.time_s)
         if len(time_s) < 2:
             return None
@@ -193,7 +191,7 @@ class _Pass:
             share_in_front=1.0,
             share_bridged=1.0 - float(np.mean(np.concatenate(self.trusted))),
             sigma_m=float(np.linalg.norm(scatter(np.concatenate(self.station_m)))),
-            share_holes=self.holes.share_empty,
+            share_holes=self.cells.share_empty,
             turns_hz=head.rate.hz,
             lines_hz=1.0 / head.firings.period_s,
             shots_hz=head.rings.n_rings / head.firings.period_s,
@@ -204,7 +202,7 @@ class _Pass:
 
 
 def scatter(station_m: F64) -> F64:
-    """Return the standard deviations of stations (w, 3) by how they scatter about their neighbours, (3,) [m]."""
+    """Return the standard deviations of stations (w, 3) about their neighbours, (3,) [m]."""
     if len(station_m) < LEAST_STATIONS:
         return np.full(3, math.nan)
     # of equal errors, a second difference has six times the variance
@@ -214,9 +212,7 @@ def scatter(station_m: F64) -> F64:
 
 
 def course_frames(time_s: F64, xyz_m: F64) -> F64:
-    """Return axes along the course of a path, (k, 3, 3).
-
-    Forward, left, up; a platform that stands keeps its course.
+    """Return axes forward, left, up of a path, (k, 3, 3); a platform that stands keeps its course.
 
     Parameters
     ----------
@@ -239,11 +235,11 @@ def course_frames(time_s: F64, xyz_m: F64) -> F64:
     first = int(np.argmax(moves)) if moves.any() else 0
     place = np.where(last >= 0, last, first)
     course = moved[place] / np.maximum(length[place], 1e-9)[:, None]
-    zero = np.zeros(len(time_s))
-    one = np.ones(len(time_s))
-    forward = np.stack([course[:, 0], course[:, 1], zero], axis=1)
-    left = np.stack([-course[:, 1], course[:, 0], zero], axis=1)
-    return np.stack([forward, left, np.stack([zero, zero, one], axis=1)], axis=2)
+    zeros = np.zeros(len(time_s))
+    ones = np.ones(len(time_s))
+    forward = np.stack([course[:, 0], course[:, 1], zeros], axis=1)
+    left = np.stack([-course[:, 1], course[:, 0], zeros], axis=1)
+    return np.stack([forward, left, np.stack([zeros, zeros, ones], axis=1)], axis=2)
 
 
 def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive | NoScan:
@@ -264,7 +260,7 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
     scans: list[Spool] = []
     heads: list[SpinningHead] = []
     figures: list[PathFigures] = []
-    paths: list[FoundPath] = []
+    paths: list[ScannerPath] = []
     n_points = 0
     n_lost = 0
     n_clear = 0
@@ -272,26 +268,26 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
         head = find_head(*sample(points))
         if isinstance(head, NoScan):
             return head
-        found_here = {name for name, _ in _CELL}
-        kept = [one for one in points.dtype.descr if one[0] not in found_here]
+        cell_names = {name for name, _ in _CELL}
+        kept = [entry for entry in points.dtype.descr if entry[0] not in cell_names]
         placed = Spool(np.dtype([*kept, *_CELL]))
-        then = head
+        head_of_pass = head
         for part in find_passes(points):
-            seen = _Pass()
-            seen.points_s = [
+            counts = _PassCounts()
+            counts.points_s = [
                 float(points.read(place, place + 1)["time"][0])
                 for place in (part.start, part.stop - 1)
             ]
-            then = _place(points, part, placed, then, len(figures), seen)
-            found = seen.figures(head)
+            head_of_pass = _place(points, part, placed, head_of_pass, len(figures), counts)
+            pass_figures = counts.figures(head)
             n_points += part.stop - part.start
-            n_clear += seen.n_clear
-            if found is None:
+            n_clear += counts.n_clear
+            if pass_figures is None:
                 n_lost += part.stop - part.start
             else:
-                own = scanner if len(spools) > 1 else 0
-                paths.append(seen.path(own, len(figures)))
-                figures.append(replace(found, scanner=own))
+                number = scanner if len(spools) > 1 else 0
+                paths.append(counts.path(number, len(figures)))
+                figures.append(replace(pass_figures, scanner=number))
         scans.append(placed)
         heads.append(head)
     if not figures:
@@ -301,13 +297,13 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
 
 
 def judge_rings(share_clear: float) -> Finding:
-    """Return whether the rings are told apart, by the share of points that lie clearly on one of them."""
+    """Return the finding on the share of points that lie clearly on one ring."""
     verdict = Verdict.FINE
     if share_clear < LEAST_CLEAR:
         verdict = Verdict.DOUBTFUL if share_clear >= WORST_CLEAR else Verdict.AGAINST
     hint = "the times may be rounded, or the points moved after the drive; give the path: --range trajectory:FILE"
-    found = f"{1.0 - share_clear:.0%} of the points lie between the rings of the scanner"
-    return Finding(CHECK, verdict, found, f"at most {1.0 - LEAST_CLEAR:.0%}", hint)
+    problem = f"{1.0 - share_clear:.0%} of the points lie between the rings of the scanner"
+    return Finding(CHECK, verdict, problem, f"at most {1.0 - LEAST_CLEAR:.0%}", hint)
 
 
 def _place(
@@ -316,15 +312,15 @@ def _place(
     placed: Spool,
     head: SpinningHead,
     number: int,
-    seen: _Pass,
+    counts: _PassCounts,
 ) -> SpinningHead:
-    """Find the cells of the points of a pass, and write the points in the order of their lines."""
+    """Write the points of a pass with their cells by line; return the head for the next pass."""
     late = int(head.firings.late.max())
     waiting = np.empty(0, placed.dtype)
     first: int | None = None
     for records in points.chunks(part.start, part.stop, PIECE_POINTS):
         scan, head = scan_piece(np.ascontiguousarray(records["time"]), coordinates(records), head)
-        seen.see(scan, head)
+        counts.add(scan, head)
         known = scan.ring >= 0
         if first is None and known.any():
             first = int(scan.line[known].min()) - late
@@ -334,19 +330,18 @@ def _place(
         local = upright(scan)
         for axis, values in zip(("x", "y", "z"), local.T, strict=True):
             rows[axis] = values
-        # rings that look ahead fire later where a line looks: the line has the time of its first
-        # shots
+        # rings that look ahead fire later for a line: the line has the time of its first shots
         rows["time"] -= np.where(known, head.firings.late[scan.ring], 0) * head.firings.period_s
         rows["range"] = scan.range_m
         rows[PASS] = number
-        # points off every ring go with those around them
+        # points off every ring get the firing of the points around them
         firing = np.maximum.accumulate(np.where(known, scan.firing, 0))
         line = np.where(known, scan.line, firing - late) - (first or 0)
         rows["scan_line"] = np.maximum(line, 0)
         rows["column"] = np.where(known, scan.column, NO_COLUMN)
         waiting = np.concatenate([waiting, rows])
         waiting = waiting[np.lexsort((waiting["range"], waiting["column"], waiting["scan_line"]))]
-        # lines to which later firings may add
+        # later firings may add to these lines
         is_open = waiting["scan_line"] >= int(firing.max(initial=0)) - late - (first or 0)
         placed.append(with_returns(waiting[~is_open]))
         waiting = waiting[is_open]
@@ -355,16 +350,12 @@ def _place(
 
 
 def with_returns(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return rows in the order of line, column and range with the returns of every shot numbered."""
+    """Return rows, sorted by line, column and range, with the numbers of their returns."""
     begins = (np.diff(rows["scan_line"], prepend=-1) != 0) | (
         np.diff(rows["column"], prepend=-2) != 0
     )
     begins |= rows["column"] == NO_COLUMN
-    shot = np.cumsum(begins) - 1
-    first = np.flatnonzero(begins)
-    count = np.diff(first, append=len(rows))
-    rows["return_number"] = np.minimum(np.arange(len(rows)) - first[shot] + 1, MOST_RETURNS)
-    rows["number_of_returns"] = np.minimum(count[shot], MOST_RETURNS)
+    rows["return_number"], rows["number_of_returns"] = count_returns(begins)
     return rows
 
 
@@ -377,8 +368,8 @@ def upright(scan: SpinningScan) -> F64:
     if not len(scan.path.time_s):
         return scan.local_m
     up = 1.0 if float(np.median(scan.path.poses.frame[:, 2, 2])) > 0.0 else -1.0
-    own: F64 = scan.local_m * np.array([1.0, up, up])
-    return own
+    upright_m: F64 = scan.local_m * np.array([1.0, up, up])
+    return upright_m
 
 
 @dataclass(frozen=True)
@@ -394,7 +385,7 @@ class SpinningSource(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        """Metadata of the cloud, and what is doubtful about the path."""
+        """Metadata of the cloud, and the findings about the path."""
         facts: SourceFacts = self.source.facts
         return replace(
             facts, points_per_line=None, rules=(), findings=(*facts.findings, *self.drive.findings)

@@ -99,11 +99,11 @@ def stations_of_lines(
     back_rad = turning.bearing(pieces.middle_s)
     stations, mirrored = (
         replace(
-            one,
-            position_m=one.position_m + pieces.first_m,
-            frame=turned_back(one.frame, back_rad),
+            found_stations,
+            position_m=found_stations.position_m + pieces.first_m,
+            frame=turned_back(found_stations.frame, back_rad),
         )
-        for one in both
+        for found_stations in both
     )
     return Windows.settled(pieces.middle_s, stations, mirrored)
 
@@ -141,8 +141,8 @@ def join_along(parts: list[Windows]) -> Windows:
 def _joined(parts: list[Stations]) -> Stations:
     return Stations(
         **{
-            one.name: np.concatenate([getattr(part, one.name) for part in parts])
-            for one in fields(Stations)
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Stations)
         }
     )
 

@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.types import F64
 from prc_cli.streams.registered.comparison import Comparison, Positions, compare
-from prc_cli.streams.registered.path import FoundPath
+from prc_cli.streams.registered.path import ScannerPath
 
 ARM = np.array([0.6, -0.3, 1.1])
 
@@ -40,14 +40,14 @@ def drive(time_s: F64, *, even: bool = False) -> tuple[F64, F64]:
     return place, np.stack([forward, left, up], axis=2)
 
 
-def tile_and_drive(*, arm: F64 = ARM, even: bool = False) -> tuple[FoundPath, Positions]:
+def tile_and_drive(*, arm: F64 = ARM, even: bool = False) -> tuple[ScannerPath, Positions]:
     """The path of a tile of ten seconds, and the trajectory of three minutes that it is of."""
     time_s = np.arange(0.0, 180.0, 0.01)
     place, frame = drive(time_s, even=even)
     part = slice(6000, 7000)
     noise = np.random.default_rng(1).normal(0.0, 0.002, (1000, 3))
     scanner = place[part] + np.einsum("nij,j->ni", frame[part], arm) + noise
-    path = FoundPath(
+    path = ScannerPath(
         0,
         time_s[part],
         scanner,

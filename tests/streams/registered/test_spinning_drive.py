@@ -10,7 +10,7 @@ from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import drive_of, open_input
-from prc_cli.streams.registered.found import found_paths
+from prc_cli.streams.registered.scanner_paths import scanner_paths
 from prc_cli.streams.registered.spinning_drive import judge_rings, with_returns
 from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud, station
 
@@ -49,7 +49,7 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     assert np.nanmedian(np.abs(range_m[line, column] - points.range_m[place])) < 0.005
     drive = drive_of(stream)
     assert drive is not None
-    (path,) = found_paths(drive)
+    (path,) = scanner_paths(drive)
     assert path.time_s[[0, -1]].tolist() == [
         points.time_s.min().round(9),
         points.time_s.max().round(9),

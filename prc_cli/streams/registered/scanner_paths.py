@@ -1,7 +1,4 @@
-"""The path of a scanner as it was found, with its uncertainty.
-
-For users, and to hold a trajectory against it.
-"""
+"""The path of every scanner with its uncertainty, for users and to check a trajectory."""
 
 from __future__ import annotations
 
@@ -12,25 +9,21 @@ import numpy as np
 
 from prc_cli.core.types import F64
 from prc_cli.streams.registered.drive import Drive
-from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, FoundPath, positions_at
+from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, ScannerPath, positions_at
 from prc_cli.streams.registered.scan import Scan, down_bearings, slow_part
 from prc_cli.streams.registered.spinning_drive import SpinningDrive
 
 
-def found_paths(drive: Drive | SpinningDrive) -> tuple[FoundPath, ...]:
-    """Return the path of every scanner of a drive.
-
-    Every pass reaches from its first to its last point, so that a trajectory of it holds all
-    points.
-    """
+def scanner_paths(drive: Drive | SpinningDrive) -> tuple[ScannerPath, ...]:
+    """Return the path of every scanner of a drive, from the first to the last point of each pass."""
     passes = drive.paths if isinstance(drive, SpinningDrive) else _paths_of_passes(drive)
-    by_scanner: dict[int, list[FoundPath]] = {}
+    by_scanner: dict[int, list[ScannerPath]] = {}
     for path in passes:
         by_scanner.setdefault(path.scanner, []).append(path)
     return tuple(_joined(paths) for paths in by_scanner.values())
 
 
-def _joined(paths: list[FoundPath]) -> FoundPath:
+def _joined(paths: list[ScannerPath]) -> ScannerPath:
     return replace(
         paths[0],
         time_s=np.concatenate([path.time_s for path in paths]),
@@ -42,11 +35,11 @@ def _joined(paths: list[FoundPath]) -> FoundPath:
     )
 
 
-def _paths_of_passes(drive: Drive) -> tuple[FoundPath, ...]:
+def _paths_of_passes(drive: Drive) -> tuple[ScannerPath, ...]:
     return tuple(_path_of_pass(drive, number) for number in range(len(drive.figures)))
 
 
-def _path_of_pass(drive: Drive, number: int) -> FoundPath:
+def _path_of_pass(drive: Drive, number: int) -> ScannerPath:
     scan = drive.scans[number]
     track = drive.tracks[number]
     figures = drive.figures[number]
@@ -56,24 +49,21 @@ def _path_of_pass(drive: Drive, number: int) -> FoundPath:
     time_s = np.concatenate([[first_s], knots.time_s[inside], [last_s]])
     place = np.clip(np.searchsorted(knots.time_s, time_s), 0, len(knots.time_s) - 1)
     beyond = np.maximum(np.maximum(knots.time_s[0] - time_s, time_s - knots.time_s[-1]), 0.0)
-    # where no line told the place, the speed may have changed as it usually does
+    # beyond the last line the speed may change as usual
     sigma = track.sigma_m[place] + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
     xyz = positions_at(knots.time_s, knots.position_m, time_s)
     frame = _level_frames(scan)[place]
-    return FoundPath(
+    return ScannerPath(
         figures.scanner, time_s, xyz, sigma, frame, frame[:, :, 0], np.full(len(time_s), number)
     )
 
 
 def _level_frames(scan: Scan) -> F64:
-    """Return the axes of the scanner at its knots, (k, 3, 3).
-
-    They stay while its mirror wanders.
-    """
+    """Return axes of the scanner, steady while its mirror wanders, (k, 3, 3)."""
     knots = scan.knots
     down, _ = down_bearings(knots)
     since = knots.time_s - knots.time_s[0]
-    # the platform is level on average: what grows is the rate of the mirror, known to a thousandth
+    # the platform is level on average; only the rate of the mirror, known to a thousandth, drifts
     steady = np.polyval(np.polyfit(since, down, 1), since)
     up = steady + slow_part(knots.time_s, down - steady) + math.pi
     above = np.cos(up)[:, None] * knots.frame[:, :, 0] + np.sin(up)[:, None] * knots.frame[:, :, 1]
