@@ -9,8 +9,8 @@ import pytest
 
 from prc_cli.streams.registered import path, resection, rotation, start
 from prc_cli.streams.registered.along import turning_along
-from prc_cli.streams.registered.returns import returns_of
 from prc_cli.streams.registered.fit import find_turning, fit_track, read_clock
+from prc_cli.streams.registered.returns import returns_of
 from prc_cli.streams.registered.scan import make_scan
 from tests.streams.registered.canyon import LINE_HZ, SHOT_HZ, SHOTS, canyon, frame, station
 
