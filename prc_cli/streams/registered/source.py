@@ -21,12 +21,12 @@ from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import PASS, Drive, reconstruct
-from prc_cli.streams.registered.spinning import NoScan
 from prc_cli.streams.registered.spinning_drive import (
     SpinningDrive,
     SpinningSource,
     reconstruct_spinning,
 )
+from prc_cli.streams.registered.spinning_rate import NoScan
 from prc_cli.streams.registered.spool import Spool
 from prc_cli.streams.rules import only_times_tell
 

@@ -19,13 +19,13 @@ from prc_cli.streams.registered.evidence import CHECK, CellCounts, Judged, PathF
 from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, ScannerPath, positions_at
 from prc_cli.streams.registered.returns import count_returns
 from prc_cli.streams.registered.spinning import (
-    NoScan,
     SpinningHead,
     SpinningScan,
-    are_clear,
     find_head,
     scan_piece,
 )
+from prc_cli.streams.registered.spinning_rate import NoScan
+from prc_cli.streams.registered.spinning_rings import are_clear
 from prc_cli.streams.registered.spool import Spool
 
 PIECE_POINTS = 1 << 20

@@ -30,7 +30,7 @@ class Windows:
     time_s: F64
     """(w,) float64, middle of every window [s]."""
     centre_m: F64
-    """(w, 3) float64, a place amid the points of every window [m]."""
+    """(w, 3) float64, median of the points of every window [m]."""
     since_s: F64
     """(w, n) float64, time of every point after the middle [s]."""
     xyz_m: F64
@@ -84,7 +84,7 @@ class Poses:
 
 
 def turned(hz: float, since_s: F64) -> F64:
-    """Return the azimuth after a time [rad], whole turns left out so that none of its digits are lost."""
+    """Return the azimuth after a time [rad], without whole turns: all digits are kept."""
     turns = hz * since_s
     azimuth: F64 = 2.0 * np.pi * (turns - np.floor(turns))
     return azimuth
@@ -153,19 +153,17 @@ def cut_windows(
     use = place < count
     index = np.where(use, begin[:, None] + np.where(count > n_points, spread, place), 0)
     points = xyz_m[index]
-    centre = np.stack(
-        [
-            np.median(p[u], axis=0) if u.any() else np.zeros(3)
-            for p, u in zip(points, use, strict=True)
-        ]
-    )
+    centre = np.zeros((len(points), 3))
+    for i, used in enumerate(use):
+        if used.any():
+            centre[i] = np.median(points[i][used], axis=0)
     since = np.where(use, time_s[index] - middle_s[:, None], 0.0)
     points = np.where(use[:, :, None], points - centre[:, None, :], 0.0)
     return Windows(middle_s, centre, since, points, use, index)
 
 
 def medians(values: F64, use: Mask) -> F64:
-    """Return the median of the values in use of every window, (w,); infinite for none."""
+    """Return the median of the used values of every window, (w,); inf = none."""
     ordered = np.sort(np.where(use, values, np.inf), axis=1)
     middle = np.maximum(use.sum(axis=1) - 1, 0) // 2
     median: F64 = ordered[np.arange(len(values)), middle]
@@ -174,16 +172,13 @@ def medians(values: F64, use: Mask) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """Poses by the linear fit, and how far they can be trusted."""
+    """Poses by the linear fit, and their quality."""
 
     poses: Poses
     residual_m: F64
     """(w,) float64, median distance of the points from their half planes [m]."""
     roundness: F64
-    """(w,) float64, length of the shorter axis of the frame over that of the longer one.
-
-    1 = a turn that fits.
-    """
+    """(w,) float64, shorter over longer axis of the frame; 1 = a turn that fits."""
     in_front: F64
     """(w,) float64, share of the points in front of the head."""
 
@@ -191,8 +186,7 @@ class LinearFit:
 def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) -> LinearFit:
     """Fit poses in closed form, with weights from the residuals of the round before.
 
-    The component of station and velocity along the axis stays 0: half planes through the axis do
-    not tell it.
+    Half planes through the axis do not show station and velocity along it: these stay 0.
     """
     cosine = np.cos(azimuth)[:, :, None]
     sine = np.sin(azimuth)[:, :, None]
@@ -224,7 +218,7 @@ def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) ->
     local = poses.local(windows)
     ahead = (np.cos(azimuth) * local[:, :, 0] + np.sin(azimuth) * local[:, :, 1] > 0) & windows.use
     share = ahead.sum(axis=1) / np.maximum(windows.use.sum(axis=1), 1)
-    # the same half planes, the other way
+    # half planes of opposite direction
     frame[:, :, :2] *= np.where(share < 0.5, -1.0, 1.0)[:, None, None]
     return LinearFit(
         poses, median, size[:, 1] / np.maximum(size[:, 0], 1e-12), np.maximum(share, 1.0 - share)
@@ -261,7 +255,7 @@ def refine(
         follows those of one angle.
     slope
         (w, n) float64, tangent of the elevation of every point's ring; NaN = none. Without it,
-        nothing tells the height along the axis: it stays as it is.
+        the height along the axis is unknown and stays.
     """
     cosine = np.cos(azimuth)
     sine = np.sin(azimuth)
@@ -322,6 +316,6 @@ def _equations(
     return weighted @ rows, (weighted @ residual[:, :, None])[:, :, 0]
 
 
-def placed(poses: Poses, windows: Windows) -> Poses:
+def in_cloud(poses: Poses, windows: Windows) -> Poses:
     """Return poses in the coordinates of the cloud."""
     return replace(poses, station_m=poses.station_m + windows.centre_m)

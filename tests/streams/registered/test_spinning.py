@@ -9,18 +9,14 @@ import pytest
 
 from prc_cli.streams.registered.firings import find_firings, firing_numbers
 from prc_cli.streams.registered.spinning import (
-    NoScan,
-    Rings,
     SpinningHead,
-    TurnRate,
     find_head,
-    find_turn_hz,
-    lock,
     scan_piece,
     share_one_time,
-    sharpest_height,
     shot_times,
 )
+from prc_cli.streams.registered.spinning_rate import NoScan, TurnRate, find_turn_hz, lock
+from prc_cli.streams.registered.spinning_rings import Rings, sharpest_height
 from prc_cli.streams.registered.turning import cut_windows, fit_linear, turned
 from tests.streams.registered.spinning_clouds import TURN_HZ, Cloud, frame, spinning_cloud, station
 
