@@ -1,8 +1,6 @@
-"""The stream of a cloud whose path is given.
+"""The stream of a cloud with a given path: rate and frames from the directions of points.
 
-Rate and frames of the beam from the directions to the points.
-
-A tile is cut and sorted in space, so neither the first records nor whole lines tell the rate. The
+A tile is cut and sorted in space, so neither its first records nor whole lines show the rate. The
 directions of short pieces do: they turn evenly in a plane through the scanner.
 """
 
@@ -45,12 +43,12 @@ from prc_cli.streams.registered.start import (
 )
 
 Places: TypeAlias = Callable[[F64], F64]
-"""Gives the place of the scanner (n, 3) at times (n,) [m]."""
+"""Times (n,) [s] to the places of the scanner, (n, 3) [m]."""
 PIECE_POINTS = 100
-"""Consecutive points whose directions give a rate."""
+"""Consecutive points of a piece."""
 MOST_PIECES = 400
 MOST_STEP_RAD = 0.1
-"""Neighbouring points that are farther apart in direction tell no rate [rad]."""
+"""Neighbouring points farther apart in direction are not used for the rate [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ def directions_in_planes(offset_m: F64, weight: F64) -> Directions:
 
 
 def rate_of_directions(time_s: F64, offset_m: F64) -> float | None:
-    """Return the turns a second of the directions to points; None where they do not turn.
+    """Return the turns a second of the directions to points; None if they do not turn.
 
     Parameters
     ----------
@@ -97,7 +95,7 @@ def rate_of_directions(time_s: F64, offset_m: F64) -> float | None:
     begin = np.linspace(0, max(len(time_s) - PIECE_POINTS, 0), MOST_PIECES).astype(np.int64)
     begin = np.unique(begin)
     end = np.minimum(begin + PIECE_POINTS, len(time_s))
-    # a piece with a gap in it is none
+    # without pieces that have a gap
     duration = time_s[end - 1] - time_s[begin]
     usable = duration < 4.0 * float(np.percentile(duration, 20))
     pieces = pieces_between(time_s, offset_m, begin[usable], end[usable], PIECE_POINTS)
@@ -121,9 +119,7 @@ def windows_along(
     turning: Turning,
     spacing_s: float,
 ) -> Windows:
-    """Return the frames of single lines whose stations are given.
-
-    See :func:`.start.stations_of_lines`.
+    """Return the frames of single lines with given stations, as :func:`.start.stations_of_lines`.
 
     Parameters
     ----------
@@ -157,7 +153,6 @@ def windows_along(
 
 
 def _offsets(pieces: Pieces) -> F64:
-    """Return the coordinates of the points of pieces, (p, n, 3) [m]."""
     return pieces.xyz_m + pieces.first_m[:, None, :]
 
 
@@ -167,7 +162,7 @@ def _with_bearings(
     turning: Turning,
     offset_m: F64,
 ) -> tuple[F64, F64]:
-    """Turn the frames so that bearings fit the angles; of both senses of turning the better one."""
+    """Turn frames to fit bearings to angles, for the better sense of turning; return residuals."""
     bearing = 2.0 * math.pi * turning.hz * pieces.time_s
     length = np.linalg.norm(offset_m, axis=2)
     frames: list[F64] = []
@@ -198,9 +193,7 @@ def _with_bearings(
 
 
 def turning_along(time_s: F64, xyz_m: F64, places: Places) -> Turning | None:
-    """Find the rate of turns of a scanner whose path is given.
-
-    None where the directions do not turn.
+    """Find the rate of turns of a scanner with a given path; None if directions do not turn.
 
     Parameters
     ----------
@@ -231,18 +224,13 @@ def track_along(
     duration_s: float,
     places: Places,
 ) -> Track | None:
-    """Return the track of a pass whose path is given; see :func:`.fit.fit_track`."""
-    parts = [
-        windows
-        for time_s, xyz_m in whole_lines(pieces(), turning)
-        if len(
-            (
-                windows := windows_along(
-                    time_s, xyz_m, places(time_s), turning, window_spacing(duration_s)
-                )
-            ).time_s
-        )
-    ]
+    """Return the track of a pass with a given path; see :func:`.fit.fit_track`."""
+    spacing_s = window_spacing(duration_s)
+    parts: list[Windows] = []
+    for time_s, xyz_m in whole_lines(pieces(), turning):
+        part = windows_along(time_s, xyz_m, places(time_s), turning, spacing_s)
+        if len(part.time_s):
+            parts.append(part)
     if not parts:
         return None
     windows = join_along(parts)

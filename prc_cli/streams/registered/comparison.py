@@ -1,10 +1,8 @@
-"""Holds a trajectory against the path that was found from the points.
+"""Compares a trajectory with the path from the points: clock, lever arm, coordinates.
 
-Its clock, its lever arm, its coordinates.
-
-The scanner lies at a constant place in the frame of the vehicle, so path less trajectory is
-constant on the axes of the scanner once the clocks agree. Where the speed changes, the clock and
-the lever arm along the path are told apart.
+The scanner has a constant place in the frame of the vehicle. So path minus trajectory is constant
+on the axes of the scanner once the clocks agree. Changes of speed separate the clock from the lever
+arm along the path.
 """
 
 from __future__ import annotations
@@ -22,53 +20,44 @@ COARSE_S = 0.2
 """Step of the clock in the search over a whole drive [s]."""
 COARSE_SAMPLES = 240
 MOST_SAMPLES = 20_000
-"""Positions of the path in that search, and in the fit."""
+"""Positions of the path in the search, and in the fit."""
 BATCH = 512
-"""Clocks that are tried at once."""
+"""Clocks of one batch."""
 LEAST_OVERLAP = 0.5
 """Share of the path that the trajectory must cover."""
 FAR_M = 15.0
-"""Farther from the path, a trajectory is in other coordinates or of another drive.
-
-No vehicle is longer [m].
-"""
+"""A trajectory farther away has other coordinates or is another drive: vehicles are shorter [m]."""
 FAR_HEIGHT_M = 10.0
-"""Heights that differ by more are of other systems, not of a lever arm [m]."""
+"""Larger differences of heights come from another system, not from a lever arm [m]."""
 FOOT_M = 0.3048
 MUCH_NEARER = 0.1
-"""Share of the distance that another unit must leave."""
+"""Largest share of the distance that the right unit leaves."""
 MOST_CLOCKS = 5
 APART_S = 1.0
-"""Clocks from which the fit begins, and how far they are apart [s].
-
-a street may be passed twice.
-"""
+"""Clocks at which the fit starts, and their least distance [s]: a street may be passed twice."""
 ALIKE_FITS = 1.5
-"""Fits that leave less than this multiple of the least are alike."""
+"""Fits with less than this multiple of the least spread are alike."""
 LEAST_CLOCK_S = 5e-4
 CERTAIN = 3.0
 """Clocks agree within this [s], and within this multiple of the standard deviation."""
 ROUNDS = 20
 FIRST_SCALE_M = 1.0
 LEAST_SCALE_M = 0.002
-"""Residuals at which weights halve are not below this [m]."""
+"""Least residual at which weights halve [m]."""
 SPEED_STEP_S = 0.02
-"""The speed of the trajectory is that over twice this time, or two of its steps [s]."""
+"""The speed of the trajectory is measured over twice this time, or two of its steps [s]."""
 INDEPENDENT_S = 0.1
-"""Errors of positions that lie closer in time than this are one [s]."""
-TELLING_S = 0.02
-"""A clock that is told less well than this is not told [s]."""
+"""Positions closer in time than this have the same error [s]."""
+CLOCK_SIGMA_S = 0.02
+"""A clock with a larger standard deviation is unknown [s]."""
 STRAIGHT_M = 1.0
-"""A path that leaves its straight line by less (standard deviation) has no shape [m]."""
+"""A path within this of a straight line (standard deviation) has no shape [m]."""
 ALIKE_M = 2.0
 ALIKE_SHARE = 0.03
-"""Shapes are alike within this, or this share of their extent.
-
-a lever arm turns with the vehicle.
-"""
+"""Shapes are alike within this [m], or this share of their extent: lever arms turn with vehicles."""
 MOST_DEGREES = (180.0, 90.0)
 LEAST_METRES = 1000.0
-"""Coordinates beyond this are no degrees."""
+"""Larger coordinates are not degrees [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +78,7 @@ class Positions:
         )
 
     def covers(self, time_s: F64) -> Mask:
-        """Tell which times lie within the trajectory."""
+        """Return which times are within the trajectory, bool of the shape of the times."""
         inside: Mask = (time_s >= self.time_s[0]) & (time_s <= self.time_s[-1])
         return inside
 
@@ -102,7 +91,7 @@ class Positions:
         return speed
 
     def frame_at(self, time_s: F64) -> F64:
-        """Return the axes of the vehicle at times (n,), (n, 3, 3), those of the nearest position."""
+        """Return the axes of the vehicle at the position nearest to times (n,), (n, 3, 3)."""
         assert self.frame is not None
         middle = 0.5 * (self.time_s[1:] + self.time_s[:-1])
         return self.frame[np.searchsorted(middle, time_s)]
@@ -110,30 +99,27 @@ class Positions:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How a trajectory fits the path of one scanner."""
+    """Fit of a trajectory to the path of one scanner."""
 
     scanner: int
     distance_m: float
-    """Median distance of the path from the trajectory as it is given [m].
-
-    NaN where their times do not overlap.
-    """
+    """Median distance of the path from the given trajectory [m]; NaN = times do not overlap."""
     clock_s: float
-    """What the trajectory's times lack [s]."""
+    """Offset to add to the times of the trajectory [s]."""
     clock_sigma_s: float
     """Its standard deviation [s]."""
     lever_m: tuple[float, float, float]
     """From the trajectory's point to the scanner [m], on :attr:`axes`."""
     lever_spread_m: tuple[float, float, float]
-    """How it spreads over the path, as a standard deviation [m]."""
+    """Standard deviation of the lever arm along the path [m]."""
     axes: str
-    """``vehicle``: by the trajectory's orientation; ``scanner``: those of the path found."""
+    """``vehicle``: from the trajectory's orientation; ``scanner``: of the path from the points."""
     forward: str
-    """What the first axis is, in words; the others are left and up."""
+    """The first axis in words; the others are left and up."""
     overlap: float
     """Share of the path that the trajectory covers with that clock."""
     misfit: str = ""
-    """What speaks against one drive in one coordinate system; empty = nothing."""
+    """Why this is not one drive in one coordinate system; empty if it is."""
 
     @property
     def lever_length_m(self) -> float:
@@ -147,8 +133,8 @@ class Comparison:
 
     @property
     def tells_clock(self) -> bool:
-        """Whether the clock can be told from the lever arm."""
-        return self.clock_sigma_s < TELLING_S
+        """Whether the clock is known apart from the lever arm."""
+        return self.clock_sigma_s < CLOCK_SIGMA_S
 
 
 def compare(path: ScannerPath, trajectory: Positions) -> Comparison:
@@ -157,25 +143,29 @@ def compare(path: ScannerPath, trajectory: Positions) -> Comparison:
     Parameters
     ----------
     path
-        As found from the points.
+        The path from the points.
     trajectory
         Positions of a vehicle or of the scanner.
     """
     every = max(len(path.time_s) // MOST_SAMPLES, 1)
     chosen = slice(None, None, every)
     sample = _Sample(path.time_s[chosen], path.xyz_m[chosen], path.frame[chosen])
-    given_m = _distance_as_given(sample, trajectory)
+    distance_given_m = _distance_as_given(sample, trajectory)
     clocks, distance_m = _near_clocks(sample, trajectory)
     if not len(clocks):
         return _unlike(
-            path, given_m, "the trajectory covers less than half of the path, whatever its clock"
+            path,
+            distance_given_m,
+            "the trajectory covers less than half of the path, whatever its clock",
         )
     if distance_m.min() > FAR_M:
-        return _unlike(path, given_m, _why_far(sample, trajectory, float(distance_m.min())))
+        return _unlike(
+            path, distance_given_m, _why_far(sample, trajectory, float(distance_m.min()))
+        )
     near = distance_m <= FAR_M
     fit = _best_fit(path.scanner, sample, trajectory, clocks[near], distance_m[near])
     forward = path.forward if trajectory.frame is None else "forward"
-    return replace(fit, distance_m=given_m, forward=forward)
+    return replace(fit, distance_m=distance_given_m, forward=forward)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +179,19 @@ class _Sample:
         return _Sample(self.time_s[::every], self.xyz_m[::every], self.frame[::every])
 
 
-def _unlike(path: ScannerPath, given_m: float, why: str) -> Comparison:
+def _unlike(path: ScannerPath, distance_given_m: float, why: str) -> Comparison:
     unknown = (math.nan, math.nan, math.nan)
     return Comparison(
-        path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", "", math.nan, why
+        path.scanner,
+        distance_given_m,
+        math.nan,
+        math.inf,
+        unknown,
+        unknown,
+        "scanner",
+        "",
+        math.nan,
+        why,
     )
 
 
@@ -205,10 +204,7 @@ def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
 
 
 def _clocks(sample: _Sample, trajectory: Positions) -> F64:
-    """Return the clocks that are tried, all at which enough of the path is covered.
-
-    0 is one of them.
-    """
+    """Return the clocks of the search [s], one of them 0: all with enough of the path covered."""
     first_s, last_s = sample.time_s[[0, -1]]
     low = first_s - trajectory.time_s[-1]
     high = last_s - trajectory.time_s[0]
@@ -220,16 +216,12 @@ def _clocks(sample: _Sample, trajectory: Positions) -> F64:
 
 
 def _near_clocks(sample: _Sample, trajectory: Positions) -> tuple[F64, F64]:
-    """Return the clocks at which the trajectory lies nearest (c,) [s], and the median distances there (c,) [m]."""
+    """Return the clocks with the nearest trajectory (c,) [s] and its median distances (c,) [m]."""
     coarse = sample.thinned()
     clocks = _clocks(coarse, trajectory)
-    distance = np.concatenate(
-        [
-            _distances(coarse, trajectory, clocks[first : first + BATCH])
-            for first in range(0, len(clocks), BATCH)
-        ]
-    )
-    # the one given counts first: a vehicle that stands is equally near at many
+    batches = (clocks[first : first + BATCH] for first in range(0, len(clocks), BATCH))
+    distance = np.concatenate([_distances(coarse, trajectory, batch) for batch in batches])
+    # the given clock comes first: a vehicle that stands is equally near at many
     order = np.lexsort((np.abs(clocks), np.round(distance, 2)))
     chosen: list[tuple[float, float]] = []
     for place in order[np.isfinite(distance[order])]:
@@ -258,7 +250,7 @@ def _finer_clock(
 
 
 def _distances(sample: _Sample, trajectory: Positions, clocks: F64) -> F64:
-    """Return the median distances in plan (c,) [m], infinite where too little of the path is covered."""
+    """Return the median distances in plan (c,) [m]; inf = too little of the path is covered."""
     time_s = sample.time_s[None, :] - clocks[:, None]
     inside = trajectory.covers(time_s)
     off = np.linalg.norm(sample.xyz_m[None, :, :2] - trajectory.xyz_at(time_s)[..., :2], axis=2)
@@ -277,7 +269,7 @@ def _best_fit(
     clocks: F64,
     distance_m: F64,
 ) -> Comparison:
-    """Return the fit from the clock that leaves least; of fits that are alike, the nearest."""
+    # of fits with alike spreads, the nearest
     fits = [_fit(scanner, sample, trajectory, float(clock)) for clock in clocks]
     least = min(fit.spread_m for fit in fits)
     alike = [
@@ -294,10 +286,7 @@ def _fit(
     trajectory: Positions,
     clock_s: float,
 ) -> Comparison:
-    """Fit clock and lever arm together.
-
-    The clock as it is given where the drive does not tell of another.
-    """
+    # clock and lever arm together; the given clock unless the drive shows another
     height_m = _height_off(sample, trajectory, clock_s)
     misfit = ""
     if abs(height_m) > FAR_HEIGHT_M:
@@ -305,7 +294,7 @@ def _fit(
         trajectory = replace(trajectory, xyz_m=trajectory.xyz_m + np.array([0.0, 0.0, height_m]))
     solved = _solve(sample, trajectory, clock_s, with_clock=True)
     distance_m = _distances(sample.thinned(), trajectory, np.zeros(1))[0]
-    limit = FAR_M if solved.clock_sigma_s > TELLING_S else 0.0
+    limit = FAR_M if solved.clock_sigma_s > CLOCK_SIGMA_S else 0.0
     if (
         abs(solved.clock_s) < max(CERTAIN * solved.clock_sigma_s, LEAST_CLOCK_S)
         or distance_m < limit
@@ -341,7 +330,7 @@ class _Solved:
     lever_m: F64
     """(3,) float64."""
     off_m: F64
-    """(n, 3) float64, what the lever arm leaves [m]."""
+    """(n, 3) float64, residuals of the lever arm [m]."""
 
 
 def _solve(
@@ -392,10 +381,7 @@ def _clock_sigma(
     stiffness: float,
     time_s: F64,
 ) -> float:
-    """Return the standard deviation of the clock [s].
-
-    Neighbouring errors are alike and count as one.
-    """
+    # neighbouring errors count as one
     variance = float((weight[:, None] * off_m * off_m).sum()) / max(2.0 * float(weight.sum()), 1e-9)
     n_times = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
     alike = max(len(time_s) / n_times, 1.0)
@@ -403,19 +389,16 @@ def _clock_sigma(
 
 
 def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
-    """Say what a trajectory that lies far from the path may be.
-
-    In other coordinates, or of another drive.
-    """
+    # other coordinates, or another drive
     far = f"the trajectory lies {distance_m:,.0f} m from the path found, at the best of all clocks"
     xy = np.abs(trajectory.xyz_m[:, :2]).max(axis=0)
     in_degrees = bool(np.all(xy <= MOST_DEGREES))
     if in_degrees and np.abs(sample.xyz_m[:, :2]).max() > LEAST_METRES:
         return f"{far}: its coordinates look like degrees"
-    for what, changed in _OTHER_UNITS.items():
+    for reason, changed in _OTHER_UNITS.items():
         _, near_m = _near_clocks(sample, replace(trajectory, xyz_m=changed(trajectory.xyz_m)))
         if near_m.min(initial=math.inf) < min(FAR_M, MUCH_NEARER * distance_m):
-            return f"{far}: {what}"
+            return f"{far}: {reason}"
     if moved := _moved_as_given(sample, trajectory):
         return f"{far}, but has the same path: {moved}"
     coarse = sample.thinned()
@@ -424,14 +407,11 @@ def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
     best = _shape(coarse, trajectory)
     if best.off_m > max(ALIKE_M, ALIKE_SHARE * _extent(coarse.xyz_m)):
         return f"{far}, and no part of it has the same shape (best: {best.off_m:.1f} m off): another drive"
-    return f"{far}, but has the same shape: {best.said()}"
+    return f"{far}, but has the same shape: {best.in_words()}"
 
 
 def _moved_as_given(sample: _Sample, trajectory: Positions) -> str:
-    """Say by what a trajectory is moved throughout, with the clock as it is given.
-
-    Empty if by nothing constant.
-    """
+    """Return the constant shift of a trajectory with the given clock, in words; empty if none."""
     if not trajectory.covers(sample.time_s).all():
         return ""
     off = sample.xyz_m - trajectory.xyz_at(sample.time_s)
@@ -446,7 +426,7 @@ _OTHER_UNITS: dict[str, Callable[[F64], F64]] = {
     "its x and y are swapped": lambda xyz_m: xyz_m[:, [1, 0, 2]],
     "its unit is feet": lambda xyz_m: xyz_m * FOOT_M,
 }
-"""What else a trajectory may be in, and how it comes out of it."""
+"""Other units and axes of a trajectory, with the way back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -454,13 +434,13 @@ class _Shape:
     """The turn, scale and move that bring a trajectory onto a path."""
 
     off_m: float
-    """Root mean square of what is left [m]."""
+    """Root mean square of the residuals [m]."""
     factor: complex
     """Scale and turn."""
     moved_m: tuple[float, float, float]
 
-    def said(self) -> str:
-        """Return it in words."""
+    def in_words(self) -> str:
+        """Return the change of coordinates in words."""
         scale = abs(self.factor)
         turn = math.degrees(math.atan2(self.factor.imag, self.factor.real))
         if abs(scale - 1.0) > 0.02:
@@ -500,6 +480,6 @@ def _extent(xyz_m: F64) -> float:
 
 
 def _breadth(xyz_m: F64) -> float:
-    """Return how far a path leaves its straight line, as a standard deviation [m]."""
+    """Return the standard deviation of a path from a straight line [m]."""
     centred = xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0)
     return float(np.linalg.svd(centred, compute_uv=False)[-1]) / math.sqrt(len(centred))

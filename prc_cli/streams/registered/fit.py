@@ -1,14 +1,11 @@
-"""Finds how a scanner moved and turned from its points, in three steps.
-
-Rate, first guess, smooth path.
-"""
+"""Finds the motion of a scanner from its points in three steps: rate, first guess, smooth path."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,36 +23,33 @@ from prc_cli.streams.registered.start import (
 )
 
 KNOT_S = 0.01
-"""Least time between knots [s]; at most a line lies between two."""
+"""Least time between knots [s], or a line."""
 WINDOW_SPACING_S = 0.02
-"""Time between the lines whose station is found alone [s]."""
+"""Time between single lines with a station [s]."""
 LEAST_WINDOWS = 20
-"""Lines whose station is found alone, at least, if there are so many."""
+"""Fewest single lines with a station, in short passes."""
 POINTS_BETWEEN_KNOTS = 120
-"""Points that are used between two knots."""
+"""Points between two knots."""
 MOST_WHOLE_M = 0.08
-"""Lines are looked at as arcs where whole lines fit worse than this (median) [m].
-
-The platform moves meanwhile.
-"""
+"""Lines are tried as arcs if whole lines have a larger median residual [m]."""
 ARC_GAIN = 0.3
-"""Lines are arcs where that lowers the residual of whole lines to this share."""
+"""Lines are arcs if that lowers the residual of whole lines to this share."""
 LEAST_TRUSTED = 3
 """Trusted windows that a path needs."""
 SEGMENT_KNOTS = 800
 OVERLAP_KNOTS = 200
-"""Knots that are smoothed at once, and how many of them neighbouring segments share."""
+"""Knots of a segment, and knots that neighbouring segments share."""
 ON_BEAM = 5.0
-"""A point lies on its beam within this many median residuals."""
+"""A point is on its beam within this many median residuals."""
 LEAST_GROUPS = 50
-"""Times that several points share are looked at if there are so many."""
+"""Fewest times that several points share, for the check."""
 OF_SEVERAL_SHOTS = 0.25
-"""Points of one time that differ by more than this share of the turn from time to time are several shots."""
+"""Points of one time are several shots if they differ by more than this share of a column."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """The path of one pass, and how well the points fit it."""
+    """The path of one pass, and its fit to the points."""
 
     knots: Knots
     sigma_m: F64
@@ -65,18 +59,15 @@ class Track:
     residual_m: float
     """Median distance of the points from their beams [m]."""
     share_on_beam: float
-    """Share of the points that lie on their beams, within :data:`ON_BEAM` residuals."""
+    """Share of the points on their beams, within :data:`ON_BEAM` residuals."""
     share_in_front: float
-    """Share of the points that lie in front of the scanner, not behind it."""
+    """Share of the points in front of the scanner."""
     share_trusted: float
     """Share of the single lines that fit and agree with their neighbours."""
 
 
 def window_spacing(duration_s: float) -> float:
-    """Return the time between the lines whose station is found alone [s].
-
-    Less than usual in short passes.
-    """
+    """Return the time between single lines with a station [s], less in short passes."""
     return min(WINDOW_SPACING_S, duration_s / LEAST_WINDOWS)
 
 
@@ -90,13 +81,13 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
     xyz_m
         (n, 3) float64 [m].
     rotation
-        The rate at which short pieces fit.
+        The rate of short pieces.
     """
     spacing_s = window_spacing(float(time_s[-1] - time_s[0]))
     turning = Turning(rotation.hz, rotation.hz, float(time_s[0]))
     windows = stations_of_lines(time_s, xyz_m, turning, spacing_s)
     residual = float(np.median(windows.stations.residual_m)) if len(windows.time_s) else math.inf
-    # whole turns that fit are no arcs
+    # whole turns that fit are not arcs
     arcs = _arcs(time_s, rotation) if residual > MOST_WHOLE_M else None
     if arcs is not None:
         of_arcs = stations_of_lines(time_s, xyz_m, arcs, spacing_s)
@@ -116,7 +107,7 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
 
 
 def _arcs(time_s: F64, rotation: Rotation) -> Turning | None:
-    """Return the turning of lines that the times alone show, if they are arcs of the rate."""
+    """Return the turning of arcs: lines by the times, of another rate than the turns."""
     rates = measure_rates(distinct_times(time_s))
     if rates is None or abs(rotation.hz / rates.line_hz - 1.0) < 0.01:
         return None
@@ -124,11 +115,11 @@ def _arcs(time_s: F64, rotation: Rotation) -> Turning | None:
 
 
 PassPieces: TypeAlias = Callable[[], Iterator[tuple[F64, F64]]]
-"""Gives times (n,) and points (n, 3) of a pass from its beginning, in pieces of rising times."""
+"""Yields times (n,) [s] and points (n, 3) [m] of a pass in pieces, each time from the start."""
 
 
 def fit_track(pieces: PassPieces, turning: Turning, duration_s: float) -> Track | None:
-    """Fit the path of one pass; None where too few lines can be placed.
+    """Fit the path of one pass; None if too few lines have a station.
 
     Parameters
     ----------
@@ -158,17 +149,16 @@ def knot_times(windows: Windows, turning: Turning) -> F64:
 
 
 def _windows(pieces: PassPieces, turning: Turning, spacing_s: float) -> Windows | None:
-    """Return the stations of single lines of a whole pass."""
-    parts = [
-        windows
-        for time_s, xyz_m in whole_lines(pieces(), turning)
-        if len((windows := stations_of_lines(time_s, xyz_m, turning, spacing_s)).time_s)
-    ]
+    parts: list[Windows] = []
+    for time_s, xyz_m in whole_lines(pieces(), turning):
+        part = stations_of_lines(time_s, xyz_m, turning, spacing_s)
+        if len(part.time_s):
+            parts.append(part)
     return join_windows(parts) if parts else None
 
 
 def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator[tuple[F64, F64]]:
-    """Cut pieces where scan lines begin."""
+    """Cut pieces at the beginnings of scan lines."""
     left_s = np.empty(0)
     left_m = np.empty((0, 3))
     for time_s, xyz_m in pieces:
@@ -191,14 +181,11 @@ def _smooth_all(
     knots: Knots,
     share_trusted: float,
 ) -> Track:
-    """Smooth the knots in overlapping segments.
-
-    Neighbouring segments give half of what they share.
-    """
+    # segments overlap; each gives half of the shared knots
     n = len(knots.time_s)
     sigma = np.zeros((n, 3))
     slope = 0.0
-    figures: list[tuple[float, float, float, int]] = []
+    figures: list[_Figures] = []
     done = 0
     for first, last, time_s, xyz_m in segments(pieces, knots.time_s):
         span = slice(first, last + 1)
@@ -215,18 +202,36 @@ def _smooth_all(
         knots.frame[kept] = fit.knots.frame[local]
         sigma[kept] = fit.sigma_m[local]
         figures.append(_figures(fit, observed.weight > 0))
-    weight = np.array([count for *_, count in figures], np.float64)
-    residual, on_beam, in_front = (
-        float(np.average([figure[i] for figure in figures], weights=weight)) for i in range(3)
+    weight = np.array([figure.n_points for figure in figures], np.float64)
+
+    def mean(values: list[float]) -> float:
+        return float(np.average(values, weights=weight))
+
+    return Track(
+        knots,
+        sigma,
+        slope,
+        residual_m=mean([figure.residual_m for figure in figures]),
+        share_on_beam=mean([figure.share_on_beam for figure in figures]),
+        share_in_front=mean([figure.share_in_front for figure in figures]),
+        share_trusted=share_trusted,
     )
-    return Track(knots, sigma, slope, residual, on_beam, in_front, share_trusted)
 
 
-def _figures(fit: Fit, usable: Mask) -> tuple[float, float, float, int]:
+class _Figures(NamedTuple):
+    """Residuals of a segment; fields as in :class:`Track`."""
+
+    residual_m: float
+    share_on_beam: float
+    share_in_front: float
+    n_points: int
+
+
+def _figures(fit: Fit, usable: Mask) -> _Figures:
     off = np.hypot(fit.in_plane_m, fit.across_m)[usable]
     residual = float(np.median(off))
     on_beam = float(np.mean(off < ON_BEAM * max(residual, fit.scale_m / ON_BEAM)))
-    return residual, on_beam, float(np.mean(fit.range_m[usable] > 0)), len(off)
+    return _Figures(residual, on_beam, float(np.mean(fit.range_m[usable] > 0)), len(off))
 
 
 def segments(pieces: PassPieces, knots_s: F64) -> Iterator[tuple[int, int, F64, F64]]:
@@ -259,7 +264,7 @@ def distinct_times(time_s: F64) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """What the times say of the shots."""
+    """Rates of the shots by the times."""
 
     distinct_hz: float
     """Shots a second if points of one time are returns of one shot."""
@@ -272,7 +277,7 @@ class Clock:
 
 
 def read_clock(time_s: F64) -> Clock | None:
-    """Return what the times of consecutive points say of the shots; None if they show no steps.
+    """Return the rates of shots by the times of consecutive points; None without steps.
 
     Parameters
     ----------
@@ -287,7 +292,7 @@ def read_clock(time_s: F64) -> Clock | None:
 
 
 def are_shots_of_one_time(scan: Scan, time_s: F64, xyz_m: F64) -> bool:
-    """Tell whether points of one time are shots of a coarse time, not returns of one shot on one beam.
+    """Return whether points of one time are several shots of a coarse time, not returns of one shot.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 Knots lie about one turn of the beam apart; between them the station is a straight line and the
 frame an even turn. Gauss-Newton minimises, with Cauchy weights, the distance of every point from
 its beam (in the scan plane and across it), and the changes of speed and of turn between
-neighbouring knots. So a line that cannot tell its station alone, such as one of open ground, is
-held by its neighbours.
+neighbouring knots. So neighbours hold a line that has no station of its own, for example on open
+ground.
 """
 
 from __future__ import annotations
@@ -20,21 +20,18 @@ from prc_cli.streams.registered.resection import masked_median
 SPEED_CHANGE_M_S2 = 4.0
 """Usual change of the platform's speed: a car that brakes, a step of a walker [m/s2]."""
 TURN_CHANGE_RAD_S2 = 6.0
-"""Usual change of its turn: a pot hole, the sway of a walker [rad/s2]."""
+"""Usual change of the platform's turn: a pot hole, the sway of a walker [rad/s2]."""
 SCALES_M = (1.0, 0.3, 0.1, 0.05)
-"""Residuals at which the weight of a point halves, round by round [m].
-
-The last one then follows the residuals.
-"""
+"""Residuals at which the weight of a point halves, by round; later ones follow the residuals [m]."""
 LEAST_SCALE_M = 0.01
 MOST_FINE_ROUNDS = 10
 STEEPEST = 0.1
-"""Steepest cone: mirrors are a few tenths of a degree off."""
+"""Steepest cone (tangent); mirrors are off by a few tenths of a degree."""
 LONGEST_STEP_M = 3.0
 LONGEST_TURN_RAD = 0.3
 """Longer steps of a knot are cut."""
 SPEED_S = 0.1
-"""Beyond the first and last knot the speed of this time goes on [s]."""
+"""Beyond the first and last knot the speed over this time continues [s]."""
 STEP_M = 1e-5
 """Steps below this end the rounds [m]."""
 
@@ -57,10 +54,7 @@ class Knots:
 
 @dataclass(frozen=True, slots=True)
 class ScannerPath:
-    """Where one scanner was, and how it stood, at ``k`` times of all its passes.
-
-    Straight lines in between.
-    """
+    """Place and axes of one scanner at ``k`` times of all its passes, with straight lines between."""
 
     scanner: int
     time_s: F64
@@ -76,7 +70,7 @@ class ScannerPath:
     number: I64
     """(k,) int64, number of the pass."""
     forward: str = "along the axis of its turn"
-    """What the first axis of the frame is, in words."""
+    """The first axis of the frame in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +91,7 @@ class Observations:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A smooth path and how well the points fit it."""
+    """A smooth path and its fit to the points."""
 
     knots: Knots
     in_plane_m: F64
@@ -111,16 +105,11 @@ class Fit:
     sigma_m: F64
     """(k, 3) float64, standard deviation of the stations [m]."""
     slope: float
-    """Rise of the beam along the axis per metre across it.
-
-    Tangent of the cone on which the beam turns.
-    """
+    """Tangent of the cone on which the beam turns: rise along the axis per metre across it."""
 
 
 def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
-    """Return positions on the straight lines between knots, (n, 3) [m].
-
-    Beyond them the speed goes on.
+    """Return positions on the straight lines between knots, (n, 3) [m]; beyond, the speed continues.
 
     Parameters
     ----------
@@ -143,10 +132,7 @@ def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
 
 
 def rotation_vectors(matrices: F64) -> F64:
-    """Return the rotation vectors of rotation matrices (k, 3, 3), (k, 3) [rad].
-
-    For turns well below half a turn.
-    """
+    """Return the rotation vectors of matrices (k, 3, 3) well below half a turn, (k, 3) [rad]."""
     skew = matrices - np.swapaxes(matrices, 1, 2)
     vector = 0.5 * np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     sine = np.linalg.norm(vector, axis=1)
@@ -259,10 +245,7 @@ def smooth(knots: Knots, observed: Observations, slope: float = 0.0) -> Fit:
 
 
 def _stepped(knots: Knots, step: F64) -> Knots:
-    """Move knots by a step (k, 6).
-
-    Long moves of a station are cut, since they leave the linear part.
-    """
+    # long steps, (k, 6), are cut: they leave the linear range
     length = np.linalg.norm(step[:, 3:], axis=1)
     cut = np.minimum(1.0, LONGEST_STEP_M / np.maximum(length, 1e-12))[:, None]
     turn = np.linalg.norm(step[:, :3], axis=1)
@@ -276,14 +259,14 @@ def _stepped(knots: Knots, step: F64) -> Knots:
 
 @dataclass(frozen=True, slots=True)
 class _System:
-    """Normal equations: blocks of six (turn in the frame, move of the station), and the cone for all of them."""
+    """Normal equations: six unknowns a knot (turn in the frame, move of the station), one cone."""
 
     banded: F64
     """(18, 6 k) float64, lower diagonals; see :func:`scipy.linalg.cholesky_banded`."""
     gradient: F64
     """(k, 6) float64."""
     border: F64
-    """(k, 6) float64, what couples the knots with the cone."""
+    """(k, 6) float64, coupling of the knots with the cone."""
     cone_weight: float
     cone_gradient: float
     in_plane_m: F64
@@ -390,7 +373,7 @@ def _add_smoothness(
     turn: F64,
     scale_m: float,
 ) -> None:
-    """Add what changes of speed and turn cost, relative to residuals of a point."""
+    """Add the cost of changes of speed and turn, relative to residuals of a point."""
     step = np.diff(knots.time_s)
     before = step[:-1]
     after = step[1:]
@@ -424,10 +407,7 @@ def _add_smoothness(
 
 
 def _banded(blocks: F64) -> F64:
-    """Return lower diagonals (18, 6 k) of block rows.
-
-    Blocks[k, j] couples knot k with knot k + j.
-    """
+    """Return lower diagonals (18, 6 k); ``blocks[k, j]`` couples knot k with knot k + j."""
     n = len(blocks)
     banded = np.zeros((18, 6 * n))
     for j in range(3):

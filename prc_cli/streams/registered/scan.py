@@ -14,10 +14,7 @@ from prc_cli.streams.registered.rotation import Turning
 
 TURN = 2.0 * math.pi
 LEVEL_S = 10.0
-"""Straight down is averaged over about this time.
-
-The platform rolls, the mirror wanders more slowly [s].
-"""
+"""Straight down is averaged over about this time: the platform rolls, the mirror drifts [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +31,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """How one scanner moved and turned during one pass."""
+    """Motion and rotation of one scanner during one pass."""
 
     knots: Knots
     turning: Turning
@@ -49,7 +46,7 @@ class Scan:
     cos_tilt: float
     """Cosine of the tilt of the scan plane from the vertical."""
     by_bearing: bool = False
-    """Whether columns are found by the measured bearing, since times are too coarse."""
+    """Whether columns follow from measured bearings, because times are too coarse."""
 
     @property
     def step_rad(self) -> float:
@@ -57,7 +54,7 @@ class Scan:
         return TURN / self.shots_per_turn
 
     def stations(self, time_s: F64) -> F64:
-        """Return where the scanner was at times (n,), (n, 3) [m]."""
+        """Return the places of the scanner at times (n,), (n, 3) [m]."""
         columns = [
             np.interp(time_s, self.knots.time_s, self.knots.position_m[:, axis])
             for axis in range(3)
@@ -110,10 +107,7 @@ class Scan:
         return Cells(line, column, range_m)
 
     def _columns_by_bearing(self, turns: F64, line: I64) -> I64:
-        """Return the columns of measured bearings.
-
-        Of two in one column one moves to a free one beside it.
-        """
+        # of two shots in one column, one moves to a free column beside it
         order = np.argsort(turns, kind="stable")
         column = np.minimum(
             ((turns - line) * self.shots_per_turn).astype(np.int64), self.points_per_line - 1
@@ -133,10 +127,7 @@ class Scan:
         return turns
 
     def _shots_in_line(self, time_s: F64, turns: F64, line: I64) -> F64:
-        """Return the shot within its line, near whole numbers.
-
-        Shots lie on a comb, wherever the line begins.
-        """
+        # shots are on a comb, wherever the line begins: near whole numbers after the shift
         turning = self.turning
         per_line = self.shots_per_turn * turning.hz / turning.line_hz
         shot = (turns - line) * per_line
@@ -152,17 +143,14 @@ class Scan:
 
 
 def down_bearings(knots: Knots) -> tuple[F64, float]:
-    """Return the bearing of straight down at every knot (k,) [rad], and the cosine of the plane's tilt."""
+    """Return the bearing of straight down at knots (k,) [rad], and the cosine of the tilt."""
     first = knots.frame[:, 2, 0]
     second = knots.frame[:, 2, 1]
     return np.unwrap(np.arctan2(-second, -first)), float(np.median(np.hypot(first, second)))
 
 
 def slow_part(time_s: F64, angle_rad: F64) -> F64:
-    """Return the slow part of an angle, (k,) [rad].
-
-    Straight lines through its means over :data:`LEVEL_S`.
-    """
+    """Return straight lines through the means of an angle over :data:`LEVEL_S`, (k,) [rad]."""
     n_parts = max(round((time_s[-1] - time_s[0]) / LEVEL_S), 1)
     if n_parts < 3:
         return np.full(len(time_s), float(np.mean(angle_rad)))
@@ -184,10 +172,9 @@ def make_scan(
     *,
     by_bearing: bool,
 ) -> Scan:
-    """Choose where lines begin, and M.
+    """Choose the begin of lines, and M.
 
-    Whole turns begin straight up, where the fewest shots return. Arcs begin where their first shot
-    is.
+    Whole turns begin straight up, with the fewest returns. Arcs begin at their first shot.
     """
     down, cos_tilt = down_bearings(knots)
     level = slow_part(knots.time_s, down)

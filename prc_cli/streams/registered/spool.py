@@ -19,7 +19,7 @@ _WHAT = "sorting"
 
 
 class Spool:
-    """Records of one type on disk; memory holds what is being read or written alone."""
+    """Records of one type on disk; memory holds only the records being read or written."""
 
     def __init__(self, dtype: np.dtype[np.void]) -> None:
         with scratch_errors(_WHAT):

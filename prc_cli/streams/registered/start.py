@@ -1,4 +1,4 @@
-"""A first guess of the path: the stations of single turns, those that agree with their neighbours."""
+"""A first guess of the path: stations of single turns that agree with their neighbours."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ WINDOW_POINTS = 200
 """Points of a turn that are used."""
 LEAST_WINDOW_POINTS = 40
 NEIGHBOURS = 10
-"""Windows on either side that a window is compared with."""
+"""Windows on either side for the comparison."""
 MOST_RESIDUAL_M = 0.25
 LEAST_IN_FRONT = 0.9
 LEAST_SPREAD_M = 0.3
 CLEAR_MISFIT = 0.2
-"""A sense of turning is clear where it misfits by less than this share of the other one."""
+"""A sense of turning is clear if its misfit is below this share of the other."""
 MOST_TURN_OFF_RAD = 0.2
-"""A window whose frame is turned farther from those of its neighbours is left out [rad]."""
+"""A window with a frame turned farther from its neighbours is left out [rad]."""
 MOST_MOVE_OFF_M = 1.5
-"""A window whose station is farther from where its neighbours put it is left out [m]."""
+"""A window with a station farther from its neighbours' line is left out [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +38,14 @@ class Windows:
     mirrored: Stations
     """The same for a beam that turns the other way."""
     trusted: Mask
-    """(w,) bool, whether it fits and agrees with its neighbours."""
+    """(w,) bool, window fits and agrees with its neighbours."""
 
     @classmethod
     def settled(cls, time_s: F64, stations: Stations, mirrored: Stations) -> Windows:
-        """Choose between mirror images, and mark what can be trusted.
+        """Choose between mirror images, and mark trusted windows.
 
-        A line that sees open ground alone is seen as well from its mirror image below the ground,
-        by a beam that turns the other way. The lines beside it that see more tell which it is; else
-        the upper one.
+        A line of open ground fits as well from its mirror image below the ground, by a beam that
+        turns the other way. Lines beside it that see more decide; else the upper one is chosen.
         """
         clear = stations.misfit_m < CLEAR_MISFIT * mirrored.misfit_m
         keep = stations.position_m[:, 2] >= mirrored.position_m[:, 2]
@@ -61,7 +60,7 @@ class Windows:
 
 
 def nearest_of(places: I64, n: int) -> I64:
-    """Return for 0 to n - 1 the nearest of some places, which rise; there is at least one.
+    """Return the nearest of the places, rising and at least one, for 0 to n - 1.
 
     >>> nearest_of(np.array([1, 5]), 7).tolist()
     [1, 1, 1, 1, 5, 5, 5]
@@ -99,17 +98,17 @@ def stations_of_lines(
     back_rad = turning.bearing(pieces.middle_s)
     stations, mirrored = (
         replace(
-            found_stations,
-            position_m=found_stations.position_m + pieces.first_m,
-            frame=turned_back(found_stations.frame, back_rad),
+            stations,
+            position_m=stations.position_m + pieces.first_m,
+            frame=turned_back(stations.frame, back_rad),
         )
-        for found_stations in both
+        for stations in both
     )
     return Windows.settled(pieces.middle_s, stations, mirrored)
 
 
 def lines_between(time_s: F64, turning: Turning, spacing_s: float) -> tuple[I64, I64]:
-    """Return first and last point (exclusive) of one scan line in every ``spacing_s`` that has enough points."""
+    """Return first and last point (exclusive) of one scan line with enough points per spacing."""
     line_s = 1.0 / turning.line_hz
     every = max(round(spacing_s / line_s), 1)
     first_line = math.floor((time_s[0] - turning.origin_s) / line_s)
@@ -132,23 +131,19 @@ def join_windows(parts: list[Windows]) -> Windows:
 
 
 def join_along(parts: list[Windows]) -> Windows:
-    """Return the windows of consecutive parts of a pass whose path is given as one."""
+    """Return the windows of consecutive parts of a pass with a given path as one."""
     time_s = np.concatenate([part.time_s for part in parts])
     stations = _joined([part.stations for part in parts])
     return Windows(time_s, stations, stations, trusted_windows(time_s, stations))
 
 
 def _joined(parts: list[Stations]) -> Stations:
-    return Stations(
-        **{
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Stations)
-        }
-    )
+    columns = ([getattr(part, field.name) for part in parts] for field in fields(Stations))
+    return Stations(*map(np.concatenate, columns))
 
 
 def turned_back(frame: F64, back_rad: F64) -> F64:
-    """Return frames (w, 3, 3) whose bearings are larger by some angles (w,)."""
+    """Return frames (w, 3, 3) with bearings larger by angles (w,) [rad]."""
     cosine = np.cos(back_rad)[:, None]
     sine = np.sin(back_rad)[:, None]
     first = cosine * frame[:, :, 0] - sine * frame[:, :, 1]
@@ -207,7 +202,7 @@ def knots_between(windows: Windows, knots_s: F64) -> Knots:
     frame = windows.stations.frame[windows.trusted]
     place = np.clip(np.searchsorted(when, knots_s) - 1, 0, len(when) - 2)
     share = (knots_s - when[place]) / (when[place + 1] - when[place])
-    # beyond the first and last window the path goes on as it is, but not far
+    # beyond the first and last window the path continues, but not far
     share = np.clip(share, -2.0, 3.0)
     turn = rotation_vectors(np.swapaxes(frame[:-1], 1, 2) @ frame[1:])
     return Knots(
@@ -218,11 +213,10 @@ def knots_between(windows: Windows, knots_s: F64) -> Knots:
 
 
 def drift_hz(windows: Windows) -> float:
-    """Return how much the rate is too low.
+    """Return how much the rate is too low [turns a second].
 
-    How fast straight down moves in the frame [turns a second].
-
-    A platform stays level on average, so in the frame of the beam straight down stays where it is.
+    A platform is level on average, so straight down rests in the frame of the beam at the right
+    rate.
     """
     frame = windows.stations.frame[windows.trusted]
     when = windows.time_s[windows.trusted]
