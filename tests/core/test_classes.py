@@ -35,8 +35,8 @@ def test_lookup_and_names_follow_the_table() -> None:
 @pytest.mark.parametrize("shape", [(0,), (4095,), (100, 99)])
 def test_counts_are_those_of_bincount(shape: tuple[int, ...], top: int) -> None:
     values = np.random.default_rng(top).integers(0, top, shape, endpoint=True).astype(np.uint8)
-    for given in (values, np.full(shape, top, np.uint8), values[::2]):
-        np.testing.assert_array_equal(count_bytes(given), np.bincount(given.ravel(), minlength=256))
+    for array in (values, np.full(shape, top, np.uint8), values[::2]):
+        np.testing.assert_array_equal(count_bytes(array), np.bincount(array.ravel(), minlength=256))
 
 
 @pytest.mark.parametrize("shape", [(0,), (0, 5), (1,), (30, 40)])
@@ -44,11 +44,11 @@ def test_values_are_looked_up(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(1)
     values = rng.integers(0, 256, shape).astype(np.uint8)
     table = rng.integers(0, 256, 256).astype(np.uint8)
-    for given in (values, values[::-1], np.asfortranarray(values)):
-        codes = recode(given, table)
-        np.testing.assert_array_equal(codes, table[given])
+    for array in (values, values[::-1], np.asfortranarray(values)):
+        codes = recode(array, table)
+        np.testing.assert_array_equal(codes, table[array])
         assert codes.flags.writeable
-        assert not np.shares_memory(codes, given)
+        assert not np.shares_memory(codes, array)
 
 
 EVERYWHERE = (Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION)

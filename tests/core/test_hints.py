@@ -117,7 +117,8 @@ def hints_of_the_program() -> tuple[str, ...]:
             if isinstance(node, ast.JoinedStr):
                 texts.append(
                     "".join(
-                        one.value if isinstance(one, ast.Constant) else "1" for one in node.values
+                        part.value if isinstance(part, ast.Constant) else "1"
+                        for part in node.values
                     )
                 )
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):

@@ -72,8 +72,8 @@ def test_results_come_in_order(threads: int) -> None:
 def test_few_items_are_in_flight(threads: int, ahead: int | None, most: int) -> None:
     source = Source(40)
     taken = []
-    for given, _ in enumerate(ordered(uneven, source(), threads=threads, ahead=ahead)):
-        taken.append(source.taken - given)
+    for n_done, _ in enumerate(ordered(uneven, source(), threads=threads, ahead=ahead)):
+        taken.append(source.taken - n_done)
     assert max(taken) == most
     assert source.closed
 

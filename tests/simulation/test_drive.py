@@ -152,7 +152,7 @@ def test_what_every_scan_keeps(kind: str) -> None:
         seen = ~np.isnan(block.range_m)
         assert block.range_m[seen].min() >= scanner.min_range_m
         assert block.range_m[seen].max() <= scanner.max_range_m
-        assert {Label(one) for one in np.unique(labels)} <= (
+        assert {Label(label) for label in np.unique(labels)} <= (
             KNOWN_DRIVE if is_drive else KNOWN_STATIC
         )
         if block.xyz_m is not None:
@@ -173,9 +173,11 @@ def classified(
     items = list(static_scan(0.2, azimuth_step, seed, turn=turn).labelled_blocks(lines))
     settings = load_config(preset="street-scan").config.classifier
     assert isinstance(settings, SequentialAngleParams)
-    found = list(label_blocks((item.block for item in items), settings, wanted=Wanted(stages=True)))
-    heights = [item.stages.ground_height_m for item in found if item.stages is not None]
-    labels = np.concatenate([item.labels for item in found])
+    labelled = list(
+        label_blocks((item.block for item in items), settings, wanted=Wanted(stages=True))
+    )
+    heights = [item.stages.ground_height_m for item in labelled if item.stages is not None]
+    labels = np.concatenate([item.labels for item in labelled])
     return labels, np.concatenate([item.labels for item in items]), np.concatenate(heights)
 
 
@@ -190,7 +192,7 @@ def scored(labels: U8, reference: U8, name: str) -> dict[str, ClassScores]:
 def test_classes_of_the_paper() -> None:
     scans = [classified(seed) for seed in (2, 21)]
     labels, reference = (np.concatenate([scan[i] for scan in scans]) for i in (0, 1))
-    found = scored(labels, reference, "street_scan")
+    score = scored(labels, reference, "street_scan")
     # found: .89 .61, .86 .87, .36 .92, .99 .96
     floors = {
         "vegetation": (0.8, 0.5),
@@ -199,8 +201,8 @@ def test_classes_of_the_paper() -> None:
         "horizontal": (0.95, 0.9),
     }
     for name, (recall, precision) in floors.items():
-        assert found[name].recall > recall, name
-        assert found[name].precision > precision, name
+        assert score[name].recall > recall, name
+        assert score[name].precision > precision, name
 
 
 @pytest.mark.slow

@@ -167,11 +167,11 @@ def test_nearest_finds_the_place_again(s: float) -> None:
 
 
 def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
-    one = StreetScene(seed=11)
+    whole = StreetScene(seed=11)
     two = StreetScene(seed=11)
     for s in (600.0, 30.0):
         around(two, s)
-    a = around(one, 100.0)
+    a = around(whole, 100.0)
     b = around(two, 130.0)
     _, in_a, in_b = np.intersect1d(a.number, b.number, return_indices=True)
     assert in_a.size > 1500
@@ -182,7 +182,7 @@ def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     assert a.number.min() >= 0
     assert a.number.max() < 2.0**53
     # a smaller circle holds nothing that the larger one does not
-    assert set(around(one, 100.0, 25.0).number) <= set(a.number)
+    assert set(around(whole, 100.0, 25.0).number) <= set(a.number)
     fresh = around(StreetScene(seed=12), 100.0)
     assert not np.array_equal(a.numbers, fresh.numbers)
 

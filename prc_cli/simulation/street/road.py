@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -251,6 +252,16 @@ class Ground:
             mesh.strip((s0, s1), (side.side * _FRONT_M, side.side * FAR_M), top, paved)
 
 
+class _CurbStop(NamedTuple):
+    """A place along a curb: distance along the street and from its crown, without sign [m]."""
+
+    s_foot: float
+    d_foot: float
+    s_top: float
+    d_top: float
+    height_m: float
+
+
 class _Mesh:
     """Turns places of the street into corners: straight between the stations."""
 
@@ -305,10 +316,8 @@ class _Mesh:
         )
         self.pile.quad(*corners, material)
 
-    def kerbside(
-        self, stops: list[tuple[float, float, float, float, float]], side: Side, *, verge: bool
-    ) -> None:
-        """Add gutter corners, curb, verge and sidewalk along stops (s and d of the curb's foot and top, its height)."""
+    def kerbside(self, stops: list[_CurbStop], side: Side, *, verge: bool) -> None:
+        """Add gutter corners, curb, verge and sidewalk along the stops of a curb."""
         top = self.ground.curb_m
         gutter = side.side * ROAD_HALF_M
         back = side.side * BUILDING_LINE_M
@@ -324,20 +333,22 @@ class _Mesh:
                     self.point(s_top, back, top),
                 )
             )
-        for one, two, a, b in zip(stops[:-1], stops[1:], lines[:-1], lines[1:], strict=True):
-            green = (
-                verge and min(one[4], two[4]) >= top - 1e-9 and max(one[1], two[1]) <= ROAD_HALF_M
-            )
+        for i in range(len(stops) - 1):
+            a = lines[i]
+            b = lines[i + 1]
+            is_straight = max(stops[i].d_foot, stops[i + 1].d_foot) <= ROAD_HALF_M
+            is_high = min(stops[i].height_m, stops[i + 1].height_m) >= top - 1e-9
+            green = verge and is_high and is_straight
             materials = (
                 Material.ASPHALT,
                 Material.CURB,
                 Material.GRASS if green else Material.SIDEWALK,
                 Material.SIDEWALK,
             )
-            for i, material in enumerate(materials):
-                if i == 0 and max(one[1], two[1]) <= ROAD_HALF_M:
+            for j, material in enumerate(materials):
+                if j == 0 and is_straight:
                     continue
-                self.pile.quad(a[i], b[i], b[i + 1], a[i + 1], material)
+                self.pile.quad(a[j], b[j], b[j + 1], a[j + 1], material)
 
     def raised_verge(self, stretches: list[Span], side: Side, height_m: float) -> None:
         """Add a verge over the strip at the curb, between edging stones on all sides."""
@@ -394,15 +405,11 @@ def _stops(
     base: list[float],
     stretch: Span,
     curb_m: float,
-) -> list[tuple[float, float, float, float, float]]:
-    """Places along a curb: s and d of its foot, s and d of its top, its height [m].
-
-    d without its sign.
-    """
+) -> list[_CurbStop]:
     low, high = stretch
     straight_low = low
     straight_high = high
-    arc: list[tuple[float, float, float, float, float]] = []
+    arc: list[_CurbStop] = []
     junction = side.junction
     if junction is not None:
         end = -1 if high < junction.s else 1
@@ -415,12 +422,12 @@ def _stops(
             out = float(np.cos(a))
             centre = ROAD_HALF_M + CORNER_M
             arc.append(
-                (
-                    middle - end * foot * into,
-                    centre - foot * out,
-                    middle - end * top * into,
-                    centre - top * out,
-                    curb_m,
+                _CurbStop(
+                    s_foot=middle - end * foot * into,
+                    d_foot=centre - foot * out,
+                    s_top=middle - end * top * into,
+                    d_top=centre - top * out,
+                    height_m=curb_m,
                 )
             )
         arc = arc if end < 0 else arc[::-1]
@@ -429,16 +436,12 @@ def _stops(
     for d0, d1 in side.dropped:
         knots += [d0 - DROP_M, d0, d1, d1 + DROP_M]
         heights += [curb_m, _LOW_CURB_M, _LOW_CURB_M, curb_m]
-    places = sorted(
-        {
-            s
-            for s in (*base, *knots, straight_low, straight_high)
-            if straight_low <= s <= straight_high
-        }
-    )
+    every = {*base, *knots, straight_low, straight_high}
+    places = sorted(s for s in every if straight_low <= s <= straight_high)
     curbs = np.interp(places, knots, heights).tolist() if knots else [curb_m] * len(places)
     straight = [
-        (s, ROAD_HALF_M, s, ROAD_HALF_M + _BATTER_M, h) for s, h in zip(places, curbs, strict=True)
+        _CurbStop(s, ROAD_HALF_M, s, ROAD_HALF_M + _BATTER_M, height_m)
+        for s, height_m in zip(places, curbs, strict=True)
     ]
     if not arc:
         return straight

@@ -69,12 +69,12 @@ def frame(time_s: F64, tilt_rad: float) -> F64:
     yaw = np.arctan2(0.6 * np.cos(2.0 * time_s), 8.0)
     pitch = tilt_rad + 0.01 * np.sin(4.0 * time_s)
     zero = np.zeros_like(yaw)
-    one = np.ones_like(yaw)
+    ones = np.ones_like(yaw)
     turn = np.stack(
-        [np.cos(yaw), -np.sin(yaw), zero, np.sin(yaw), np.cos(yaw), zero, zero, zero, one], axis=1
+        [np.cos(yaw), -np.sin(yaw), zero, np.sin(yaw), np.cos(yaw), zero, zero, zero, ones], axis=1
     )
     nod = np.stack(
-        [np.cos(pitch), zero, np.sin(pitch), zero, one, zero, -np.sin(pitch), zero, np.cos(pitch)],
+        [np.cos(pitch), zero, np.sin(pitch), zero, ones, zero, -np.sin(pitch), zero, np.cos(pitch)],
         axis=1,
     )
     return turn.reshape(-1, 3, 3) @ nod.reshape(-1, 3, 3)

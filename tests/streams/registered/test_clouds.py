@@ -152,8 +152,8 @@ def test_two_passes_are_two_streams(tmp_path: Path) -> None:
     cloud = shuffled(both(*passes))
     line, column, range_m = cells(tmp_path / "passes.laz", cloud)
     is_first = cloud.time_s < CLOCK_S + 300.0
-    for own in (is_first, ~is_first):
-        by_time = np.flatnonzero(own)[np.argsort(cloud.time_s[own])]
+    for of_pass in (is_first, ~is_first):
+        by_time = np.flatnonzero(of_pass)[np.argsort(cloud.time_s[of_pass])]
         assert_like_raw((line[by_time], column[by_time], range_m[by_time]), cloud.take(by_time))
 
 

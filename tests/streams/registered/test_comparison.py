@@ -32,10 +32,10 @@ def drive(time_s: F64, *, even: bool = False) -> tuple[F64, F64]:
             for part in (np.cos(turn), np.sin(turn))
         )
     zero = 0.0 * time_s
-    one = 1.0 + 0.0 * time_s
+    ones = 1.0 + 0.0 * time_s
     forward = np.stack([np.cos(heading), np.sin(heading), zero], axis=1)
     left = np.stack([-np.sin(heading), np.cos(heading), zero], axis=1)
-    up = np.stack([zero, zero, one], axis=1)
+    up = np.stack([zero, zero, ones], axis=1)
     place = np.stack([x, y, 0.02 * x], axis=1) + np.array([383_000.0, 6_670_000.0, 20.0])
     return place, np.stack([forward, left, up], axis=2)
 
@@ -70,28 +70,28 @@ def moved(
 @pytest.mark.parametrize("clock_s", [0.0012, -0.25, 17.3, -604_800.4])
 def test_the_clock_is_found_to_a_tenth_of_a_millisecond_with_the_lever_arm(clock_s: float) -> None:
     path, trajectory = tile_and_drive()
-    found = compare(path, moved(trajectory, clock_s=-clock_s))
-    assert found.clock_s == pytest.approx(clock_s, abs=1e-3)
-    assert abs(found.clock_s - clock_s) < 4 * found.clock_sigma_s
-    assert found.lever_m == pytest.approx(ARM, abs=0.01)
-    assert found.spread_m < 0.01
-    assert not found.misfit
+    comparison = compare(path, moved(trajectory, clock_s=-clock_s))
+    assert comparison.clock_s == pytest.approx(clock_s, abs=1e-3)
+    assert abs(comparison.clock_s - clock_s) < 4 * comparison.clock_sigma_s
+    assert comparison.lever_m == pytest.approx(ARM, abs=0.01)
+    assert comparison.spread_m < 0.01
+    assert not comparison.misfit
 
 
 def test_the_true_trajectory_is_left_as_it_is() -> None:
     path, trajectory = tile_and_drive(arm=np.zeros(3))
-    found = compare(path, trajectory)
-    assert (found.clock_s, found.misfit) == (0.0, "")
-    assert found.lever_length_m < 0.001
-    assert found.distance_m < 0.01
+    comparison = compare(path, trajectory)
+    assert (comparison.clock_s, comparison.misfit) == (0.0, "")
+    assert comparison.lever_length_m < 0.001
+    assert comparison.distance_m < 0.01
 
 
 def test_an_even_straight_drive_tells_no_clock_and_says_so() -> None:
     path, trajectory = tile_and_drive(even=True)
-    found = compare(path, trajectory)
-    assert not found.tells_clock
-    assert found.clock_s == 0.0
-    assert found.lever_m == pytest.approx(ARM, abs=0.02)
+    comparison = compare(path, trajectory)
+    assert not comparison.tells_clock
+    assert comparison.clock_s == 0.0
+    assert comparison.lever_m == pytest.approx(ARM, abs=0.02)
 
 
 def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle() -> None:
@@ -106,28 +106,31 @@ def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda one: replace(one, xyz_m=one.xyz_m[:, [1, 0, 2]]), "x and y are swapped"),
-        (lambda one: replace(one, xyz_m=one.xyz_m / 0.3048), "unit is feet"),
-        (lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0)), "moved by x 300,000.*throughout"),
+        (lambda drive: replace(drive, xyz_m=drive.xyz_m[:, [1, 0, 2]]), "x and y are swapped"),
+        (lambda drive: replace(drive, xyz_m=drive.xyz_m / 0.3048), "unit is feet"),
         (
-            lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0), clock_s=20.0),
+            lambda drive: moved(drive, by_m=(-300_000.0, 40.0, 0.0)),
+            "moved by x 300,000.*throughout",
+        ),
+        (
+            lambda drive: moved(drive, by_m=(-300_000.0, 40.0, 0.0), clock_s=20.0),
             "same shape.*x 300,000",
         ),
-        (lambda one: moved(one, by_m=(0.0, 0.0, 18.5)), "heights differ by -17.4"),
-        (lambda one: Positions(one.time_s, one.xyz_m * 1e-5), "degrees"),
+        (lambda drive: moved(drive, by_m=(0.0, 0.0, 18.5)), "heights differ by -17.4"),
+        (lambda drive: Positions(drive.time_s, drive.xyz_m * 1e-5), "degrees"),
         (
-            lambda one: Positions(
-                one.time_s, 90.0 * np.sin(np.outer(one.time_s, [0.3, 0.41, 0])) + 400.0
+            lambda drive: Positions(
+                drive.time_s, 90.0 * np.sin(np.outer(drive.time_s, [0.3, 0.41, 0])) + 400.0
             ),
             "another d",
         ),
-        (lambda one: Positions(one.time_s[:300], one.xyz_m[:300]), "less than half"),
+        (lambda drive: Positions(drive.time_s[:300], drive.xyz_m[:300]), "less than half"),
     ],
 )
 def test_other_coordinates_and_other_drives_are_named(change: object, words: str) -> None:
     path, trajectory = tile_and_drive()
-    found: Comparison = compare(path, change(trajectory))  # type: ignore[operator]
-    assert re.search(words, found.misfit), found.misfit
+    comparison: Comparison = compare(path, change(trajectory))  # type: ignore[operator]
+    assert re.search(words, comparison.misfit), comparison.misfit
 
 
 def test_a_street_that_is_passed_twice_is_matched_with_its_own_pass() -> None:

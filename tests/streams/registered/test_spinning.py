@@ -46,24 +46,24 @@ def head(name: str) -> SpinningHead | NoScan:
 @pytest.mark.parametrize("name", HEADS)
 def test_rate_and_rings_are_found(name: str) -> None:
     elevation, ahead, _, _ = HEADS[name]
-    found = head(name)
-    assert isinstance(found, SpinningHead)
-    assert found.rate.hz == pytest.approx(TURN_HZ, rel=3e-4)
-    assert found.rings.n_rings == len(elevation)
+    spinning = head(name)
+    assert isinstance(spinning, SpinningHead)
+    assert spinning.rate.hz == pytest.approx(TURN_HZ, rel=3e-4)
+    assert spinning.rings.n_rings == len(elevation)
     # the axis points down if the head turns to the right
-    upward = elevation if found.rings.is_up else -elevation[::-1]
-    assert np.degrees(found.rings.elevation_rad) == pytest.approx(upward, abs=0.05)
-    apart = np.degrees(found.rings.ahead_rad) - ahead
+    upward = elevation if spinning.rings.is_up else -elevation[::-1]
+    assert np.degrees(spinning.rings.elevation_rad) == pytest.approx(upward, abs=0.05)
+    apart = np.degrees(spinning.rings.ahead_rad) - ahead
     assert apart - np.median(apart) == pytest.approx(np.zeros(len(ahead)), abs=0.05)
-    assert found.firings.period_s == pytest.approx(1.0 / 3000.0, rel=1e-6)
+    assert spinning.firings.period_s == pytest.approx(1.0 / 3000.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", HEADS)
 def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
     points = cloud(name)
-    found = head(name)
-    assert isinstance(found, SpinningHead)
-    scan, _ = scan_piece(points.time_s, points.xyz_m, found)
+    spinning = head(name)
+    assert isinstance(spinning, SpinningHead)
+    scan, _ = scan_piece(points.time_s, points.xyz_m, spinning)
     assert np.mean(scan.column == points.ring) > 0.995
     placed = scan.ring >= 0
     shift = np.unique(scan.line[placed] - points.line[placed])
@@ -78,9 +78,9 @@ def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
 def test_stations_and_axis_are_found(name: str) -> None:
     _, _, tilt, sense = HEADS[name]
     points = cloud(name)
-    found = head(name)
-    assert isinstance(found, SpinningHead)
-    path = scan_piece(points.time_s, points.xyz_m, found)[0].path
+    spinning = head(name)
+    assert isinstance(spinning, SpinningHead)
+    path = scan_piece(points.time_s, points.xyz_m, spinning)[0].path
     assert path.poses.station_m == pytest.approx(station(path.time_s), abs=0.02)
     axis = sense * frame(path.time_s, np.radians(tilt))[:, :, 2]
     assert path.poses.frame[:, :, 2] == pytest.approx(axis, abs=0.003)
@@ -88,11 +88,11 @@ def test_stations_and_axis_are_found(name: str) -> None:
 
 def test_pieces_give_the_lines_of_the_whole() -> None:
     points = cloud("even rings")
-    found = head("even rings")
-    assert isinstance(found, SpinningHead)
-    whole, _ = scan_piece(points.time_s, points.xyz_m, found)
+    spinning = head("even rings")
+    assert isinstance(spinning, SpinningHead)
+    whole, _ = scan_piece(points.time_s, points.xyz_m, spinning)
     middle = len(points.time_s) // 2
-    first, then = scan_piece(points.time_s[:middle], points.xyz_m[:middle], found)
+    first, then = scan_piece(points.time_s[:middle], points.xyz_m[:middle], spinning)
     second, _ = scan_piece(points.time_s[middle:], points.xyz_m[middle:], then)
     assert np.array_equal(np.concatenate([first.line, second.line]), whole.line)
     assert np.array_equal(np.concatenate([first.ring, second.ring]), whole.ring)
@@ -102,9 +102,9 @@ def test_pieces_give_the_lines_of_the_whole() -> None:
 def test_a_tenth_of_the_points_is_enough() -> None:
     kept = np.random.default_rng(1).random(len(cloud("even rings").time_s)) < 0.1
     points = cloud("even rings").part(kept)
-    found = find_head(points.time_s, points.xyz_m)
-    assert isinstance(found, SpinningHead)
-    scan, _ = scan_piece(points.time_s, points.xyz_m, found)
+    spinning = find_head(points.time_s, points.xyz_m)
+    assert isinstance(spinning, SpinningHead)
+    scan, _ = scan_piece(points.time_s, points.xyz_m, spinning)
     assert np.mean(scan.column == points.ring) > 0.99
 
 
@@ -131,8 +131,8 @@ def test_points_of_one_plane_are_no_spinning_head() -> None:
 
 
 def test_few_points_are_refused_with_their_number() -> None:
-    found = find_turn_hz(np.arange(150.0), np.zeros((150, 3)))
-    assert found == NoScan("150 points, fewer than a turn needs (200)")
+    refusal = find_turn_hz(np.arange(150.0), np.zeros((150, 3)))
+    assert refusal == NoScan("150 points, fewer than a turn needs (200)")
     sparse = cloud("even rings").part(slice(None, None, 100))
     assert isinstance(find_head(sparse.time_s, sparse.xyz_m), NoScan)
 
@@ -175,11 +175,11 @@ def test_firings_follow_a_clock_that_drifts() -> None:
     true_s = firing * 50e-6 + ring * 5e-6
     time_s = 1e6 + true_s * (1.0 + 2e-5) + 3e-5 * np.sin(true_s)
     first = np.arange(20_000)
-    found = find_firings(time_s[first], ring[first], np.zeros(4), 10.0)
-    assert found is not None
-    assert found.period_s == pytest.approx(50e-6, rel=1e-3)
-    assert found.delay_s == pytest.approx(5e-6 * np.arange(4), abs=1e-7)
-    number, _ = firing_numbers(time_s, ring, found)
+    firings = find_firings(time_s[first], ring[first], np.zeros(4), 10.0)
+    assert firings is not None
+    assert firings.period_s == pytest.approx(50e-6, rel=1e-3)
+    assert firings.delay_s == pytest.approx(5e-6 * np.arange(4), abs=1e-7)
+    number, _ = firing_numbers(time_s, ring, firings)
     assert len(np.unique(number - firing)) == 1
 
 

@@ -72,9 +72,9 @@ def test_points_of_one_shot_are_its_returns_from_near_to_far() -> None:
     )
     rows["scan_line"] = [0, 0, 0, 1, 1]
     rows["column"] = [-1, -1, 3, 3, 3]
-    found = with_returns(rows)
-    assert found["return_number"].tolist() == [1, 1, 1, 1, 2]
-    assert found["number_of_returns"].tolist() == [1, 1, 1, 2, 2]
+    numbered = with_returns(rows)
+    assert numbered["return_number"].tolist() == [1, 1, 1, 1, 2]
+    assert numbered["number_of_returns"].tolist() == [1, 1, 1, 2, 2]
 
 
 def test_rings_that_points_lie_between_are_doubted_then_refused() -> None:
