@@ -77,9 +77,9 @@ def failed_words(event: Failed | Compared) -> str:
     name = event.name
     problem = event.problem
     assert problem is not None
-    before, text, rest = problem.where.partition(name)
+    before, text, position = problem.where.partition(name)
     if text and (not before or before.endswith(("/", "\\"))):
-        where = name + rest
+        where = name + position
     else:
         where = f"{name}: {problem.where}" if problem.where else name
     return f"{where}: {problem.problem}" + (f"; {problem.hint}" if problem.hint else "")
@@ -289,7 +289,7 @@ class JsonLog:
         if self._path is not None:
             _check_log(self._path)
         self._who: dict[str, Any] = {"process": os.getpid()}
-        self._told = False
+        self._has_warned = False
 
     def start(self, archive: Path, out: Path, shard: str | None) -> None:
         """Write that a run starts."""
@@ -358,11 +358,11 @@ class JsonLog:
                 with self._path.open("ab", buffering=0) as handle:
                     handle.write(line.encode("ascii"))
         except (OSError, ValueError) as error:  # a pipe that nobody reads, a stream that was closed
-            if not self._told:
+            if not self._has_warned:
                 name = self._path or "stdout"
                 why = getattr(error, "strerror", None) or error
                 say(f"warning: {name}: the log cannot be written ({why}); the run goes on")
-            self._told = True
+            self._has_warned = True
             if self._path is None:
                 sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python fails at exit
 

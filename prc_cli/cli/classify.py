@@ -28,7 +28,7 @@ from prc_cli.cli.report import (
     print_line,
     print_notices,
     print_profile,
-    print_taken,
+    print_run_assumptions,
     profile_of,
 )
 from prc_cli.config import LoadedConfig
@@ -168,7 +168,7 @@ def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose
     more = f" and {len(summaries) - 1} more" if len(summaries) > 1 else ""
     labels = sum((summary.counts.labels for summary in summaries[1:]), summaries[0].counts.labels)
     print_classes(f"{first.input.name}{more}", labels, first.config)
-    print_taken(first, verbose=verbose)
+    print_run_assumptions(first, verbose=verbose)
     n_back = sum(summary.record.tally.n_time_steps_back for summary in summaries)
     if n_back:
         print_line(f"note: the time goes back {n_back:,} times: prc info prints where")

@@ -11,7 +11,13 @@ import click
 from prc_cli.cli.evaluate import print_evaluation
 from prc_cli.cli.options import QUIET, add_options
 from prc_cli.cli.paths import WRITTEN
-from prc_cli.cli.report import compiling_note, line_progress, print_classes, print_line, print_taken
+from prc_cli.cli.report import (
+    compiling_note,
+    line_progress,
+    print_classes,
+    print_line,
+    print_run_assumptions,
+)
 from prc_cli.config import load_config
 from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
 from prc_cli.evaluation.scores import scores
@@ -122,7 +128,7 @@ def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
     drive = parts["drive"]
     record = drive.summary.record
     print_classes(record.input.name, drive.summary.counts.labels, record.config)
-    print_taken(record, verbose=False)
+    print_run_assumptions(record, verbose=False)
     if not tables:
         return
     click.echo("\na drive along a street: labels compared with the true classes of the simulator")

@@ -165,9 +165,8 @@ def _exit_code(
         _print(said.decode("utf-8", "replace"))
     if not os.WIFSIGNALED(status):
         for note in _read(notes).split(b"\0"):
-            if note.startswith(
-                b"!"
-            ):  # the last act of a run: until now it can be told from one that was killed
+            # files that mark a killed run: this one has ended
+            if note.startswith(b"!"):
                 with contextlib.suppress(OSError):
                     os.unlink(note[1:])  # noqa: PTH108 - pathlib takes as long to load as all of this
         return os.WEXITSTATUS(status)

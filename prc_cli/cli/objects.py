@@ -23,7 +23,7 @@ from prc_cli.cli.report import (
     line_progress,
     print_line,
     print_notices,
-    print_taken,
+    print_run_assumptions,
 )
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import COLUMNS, KINDS, ScanObject, find_objects, plain
@@ -95,7 +95,7 @@ def objects(
         )
     head()
     if not quiet:
-        print_taken(summary.record, verbose=verbose)
+        print_run_assumptions(summary.record, verbose=verbose)
         print_notices(summary.record.notices)
         counts = ", ".join(f"{n:,} {kind}{'s' * (n != 1)}" for kind, n in summary.n_objects.items())
         print_line(f"{source.name}: {counts} in {summary.counts.n_lines:,} lines")

@@ -1,10 +1,8 @@
-"""Types of options and arguments that name files.
+"""Types of options and arguments for files that a command reads or writes.
 
-Each says whether the command reads or writes them.
-
-Every path of every command has one of these types, and a test walks all of them. They declare the
-path while options are read: two options that name one file, where one of them writes it, are
-refused before anything is opened.
+Every path of every command has one of these types; a test checks all commands. The types declare
+the path while click reads the options. If two options name the same file and one of them writes it,
+the command is refused before any file is opened.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ STDOUT = "-"
 
 
 def _suffixes(path: Path) -> tuple[str, ...]:
-    """Return the suffixes of the files that are read in a folder."""
     return (*by_suffix("scans"), *by_suffix("codes")) if path.is_dir() else ()
 
 
@@ -42,7 +39,7 @@ class ReadPath(click.Path):
 
 
 class ScanPath(ReadPath):
-    """Name of an input: that of a folder stands for the file in it where it is one recording."""
+    """Name of an input: a file, or a folder that is one recording."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the file to read."""

@@ -170,7 +170,7 @@ def print_choice(choice: Assumption | None) -> None:
         print_line(f"method: {choice.value}: {short_reason(choice.why)}")
 
 
-def print_taken(record: RunRecord, *, verbose: bool) -> None:
+def print_run_assumptions(record: RunRecord, *, verbose: bool) -> None:
     """Print all assumptions, or only the method that prc chose."""
     if verbose:
         print_assumptions(record.assumptions, record.tally)
@@ -253,8 +253,8 @@ def _rows(profile: Profile) -> Iterator[StageTime]:
     is_waiting = [stage.name.startswith(_WAITING) for stage in stages]
     at_work = (stage for stage, waits in zip(stages, is_waiting, strict=True) if not waits)
     yield from sorted(at_work, key=lambda stage: -stage.cpu_s)
-    rest = profile.cpu_s - sum(stage.cpu_s for stage in stages)
-    yield StageTime(REST, 0.0, max(rest, 0.0), 0)
+    remaining_s = profile.cpu_s - sum(stage.cpu_s for stage in stages)
+    yield StageTime(REST, 0.0, max(remaining_s, 0.0), 0)
     yield from (stage for stage, waits in zip(stages, is_waiting, strict=True) if waits)
 
 

@@ -200,7 +200,7 @@ def _write_text(path: Path, text: str) -> None:
 @contextmanager
 def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
     """Give the folder to fill; a new folder gets its name when it is complete."""
-    taken = False
+    has_files = False
     is_new = not os.path.lexists(folder)
     try:
         if is_new:
@@ -209,11 +209,11 @@ def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
             temporary = temporary_name(folder)
             temporary.mkdir()
         else:
-            taken = any(folder.iterdir())
+            has_files = any(folder.iterdir())
     except OSError as error:
         problem = f"cannot be used as the demo's folder ({error.strerror})"
         raise OutputError(str(folder), problem, "choose another with --output") from error
-    if taken and not overwrite:
+    if has_files and not overwrite:
         problem = "the folder contains files"
         raise OutputExistsError(
             str(folder), problem, "choose another with --output, or add --overwrite"

@@ -327,12 +327,10 @@ def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) 
     rates = _measured_rates(sorted_by_time(source) if is_sorted else source) if in_order else None
     if rates is None:
         # the hint names prc info, which runs just now
-        _, sent_here, rest = refused.hint.partition(MEASURED)
-        return (
-            replace(refused, hint=f"the times show no constant rates; {rest}")
-            if sent_here
-            else refused
-        )
+        _, names_info, other_hints = refused.hint.partition(MEASURED)
+        if not names_info:
+            return refused
+        return replace(refused, hint=f"the times show no constant rates; {other_hints}")
     options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
     options.append(f"--set input.time_origin={rates.time_origin_s!r}")
     problem = "the file has times, but no scan lines and no columns"
