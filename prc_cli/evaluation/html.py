@@ -409,9 +409,9 @@ def _charts(
     breaks: set[int],
 ) -> Iterator[tuple[str, str]]:
     """Yield scores and their charts, as SVG."""
-    class_scores = [{item.name: item for item in scores(part.matrix).classes} for part in parts]
+    class_scores = [scores(part.matrix).by_name for part in parts]
     counts = [part.matrix.n_scored for part in parts]
-    # short, since the axis title gives the rest
+    # short, since the axis title gives the unit
     ticks = [
         f"{part.low:g}" if split == "lines" else part.name.removesuffix(" m") for part in parts
     ]

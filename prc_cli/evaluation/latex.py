@@ -101,7 +101,10 @@ def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
     if evaluation is not None and intervals:
         caption += f" Intervals: {escape(evaluation.interval_method)}."
     header = ["Class", *(_TITLES.get(name, name.capitalize()) for name in CLASS_SCORES)]
-    rows = [list(map(escape, score_row(item, intervals, "--"))) for item in matrix_scores.classes]
+    rows = [
+        list(map(escape, score_row(class_scores, intervals, "--")))
+        for class_scores in matrix_scores.classes
+    ]
     return _table(caption, "scores", header, rows)
 
 

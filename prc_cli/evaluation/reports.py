@@ -58,8 +58,8 @@ def as_dict(comparison: Comparison, gates: Iterable[GateResult] = ()) -> dict[st
             "mapping": comparison.mapping,
             "match": asdict(comparison.match) | {"notes": list(comparison.match.notes)},
             "intervals": {
-                name: {"low": _defined(item.low), "high": _defined(item.high)}
-                for name, item in comparison.intervals.items()
+                name: {"low": _defined(interval.low), "high": _defined(interval.high)}
+                for name, interval in comparison.intervals.items()
             },
             "interval_method": comparison.interval_method,
             "doubts": list(doubts(comparison)),
@@ -139,15 +139,16 @@ def as_markdown(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str
         "Reference in rows, predicted in columns: records (share of the row).",
         _table(["reference", *shown.predicted_names, "sum"], matrix_rows),
         _table(
-            ["class", *CLASS_SCORES], [score_row(item, intervals) for item in matrix_scores.classes]
+            ["class", *CLASS_SCORES],
+            [score_row(class_scores, intervals) for class_scores in matrix_scores.classes],
         ),
         f"Scored {matrix_scores.n_scored} records, ignored {matrix_scores.n_ignored}: "
         f"{overall_line(matrix_scores, intervals)}.",
     ]
     if isinstance(comparison, Evaluation):
         parts += _evaluation_blocks(comparison, shown)
-    if results := list(gates):
-        rows = [[*gate_cells(item), "passed" if item.passed else "failed"] for item in results]
+    if gate_results := list(gates):
+        rows = [[*gate_cells(gate), "passed" if gate.passed else "failed"] for gate in gate_results]
         parts.append(_table(["gate", "demanded", "found", ""], rows))
     return "\n\n".join(parts) + "\n"
 
@@ -192,16 +193,17 @@ def match_line(match: MatchReport) -> str:
 def doubts(evaluation: Evaluation) -> tuple[str, ...]:
     """Return reasons to doubt the evaluation itself, such as agreement no better than chance."""
     matrix_scores = scores(evaluation.matrix)
-    in_reference = [item for item in matrix_scores.classes if item.n_reference]
-    predicted = [item for item in matrix_scores.classes if item.n_predicted]
-    if len(in_reference) == 1 < len(predicted) and matrix_scores.n_scored >= _ENOUGH:
-        (only_class,) = in_reference
-        only = (
-            f"All {only_class.n_reference:,} scored records of the reference are {only_class.name}"
-        )
-        return (f"{only}: check that its codes are those of the class mapping.",)
-    names = [item for item in matrix_scores.classes if item.recall + item.precision >= 0]
-    if len(names) < 2 or matrix_scores.n_scored < _ENOUGH or not matrix_scores.kappa < _CHANCE:
+    if matrix_scores.n_scored < _ENOUGH:
+        return ()
+    classes = matrix_scores.classes
+    in_reference = [row for row in classes if row.n_reference]
+    in_predicted = [row for row in classes if row.n_predicted]
+    if len(in_reference) == 1 < len(in_predicted):
+        (only,) = in_reference
+        doubt = f"All {only.n_reference:,} scored records of the reference are {only.name}"
+        return (f"{doubt}: check that its codes are those of the class mapping.",)
+    n_with_scores = sum(row.recall + row.precision >= 0 for row in classes)
+    if n_with_scores < 2 or not matrix_scores.kappa < _CHANCE:
         return ()
     doubt = f"The agreement is about that of chance (kappa {figure(matrix_scores.kappa)})"
     return (f"{doubt}: check that both sides are in the same order, and the class mapping.",)
@@ -224,7 +226,7 @@ def split_table(
     rows = []
     for part in parts:
         part_scores = scores(part.matrix)
-        by_name = {item.name: item for item in part_scores.classes}
+        by_name = part_scores.by_name
         cells = [
             figure(value)
             for name in names
@@ -274,8 +276,8 @@ def with_interval(value: float, interval: Interval | None, dash: str = "-") -> s
 def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
     matrix_scores = scores(matrix)
     classes = {}
-    for item in matrix_scores.classes:
-        table = asdict(item)
+    for class_scores in matrix_scores.classes:
+        table = asdict(class_scores)
         classes[table.pop("name")] = {key: _defined(value) for key, value in table.items()}
     return {
         "n_scored": matrix_scores.n_scored,
@@ -368,10 +370,18 @@ def _sides(evaluation: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return ("predicted", evaluation.predicted), ("reference", evaluation.reference)
 
 
-def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = "-") -> list[str]:
+def score_row(
+    class_scores: ClassScores, intervals: Mapping[str, Interval], dash: str = "-"
+) -> list[str]:
     """Return the name of a class and its scores with their intervals, as text."""
-    values = ((getattr(item, name), intervals.get(f"{name}.{item.name}")) for name in CLASS_SCORES)
-    return [item.name, *(with_interval(value, interval, dash) for value, interval in values)]
+    values = (
+        (getattr(class_scores, name), intervals.get(f"{name}.{class_scores.name}"))
+        for name in CLASS_SCORES
+    )
+    return [
+        class_scores.name,
+        *(with_interval(value, interval, dash) for value, interval in values),
+    ]
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -76,6 +76,11 @@ class Scores:
     kappa: float
     """Cohen's kappa: agreement beyond that of independent labels with the same totals."""
 
+    @property
+    def by_name(self) -> dict[str, ClassScores]:
+        """The classes by their name."""
+        return {row.name: row for row in self.classes}
+
 
 def scores(matrix: ConfusionMatrix) -> Scores:
     """Compute all scores of a confusion matrix.
@@ -178,17 +183,15 @@ def gate_value(matrix_scores: Scores, name: str) -> float:
     score, dot, class_name = name.partition(".")
     if not dot and score in OVERALL_SCORES:
         return float(getattr(matrix_scores, score))
-    by_name = {
-        item.name: item for item in matrix_scores.classes if item.name in matrix_scores.scored
-    }
-    if score in CLASS_SCORES and class_name in by_name:
+    by_name = matrix_scores.by_name
+    scored = matrix_scores.scored
+    if score in CLASS_SCORES and class_name in scored:
         return float(getattr(by_name[class_name], score))
     if dot and score in CLASS_SCORES:
-        alone = class_name in (item.name for item in matrix_scores.classes)
-        why = ", which the mapping does not have on both sides" if alone else ""
-        problem = f"found class {class_name!r}{why}, expected one of: {', '.join(by_name)}"
+        why = ", which the mapping does not have on both sides" if class_name in by_name else ""
+        problem = f"found class {class_name!r}{why}, expected one of: {', '.join(scored)}"
     else:
-        per_class = ", ".join(f"{item}.CLASS" for item in CLASS_SCORES)
+        per_class = ", ".join(f"{class_score}.CLASS" for class_score in CLASS_SCORES)
         problem = f"found score {name!r}, expected one of: {', '.join(OVERALL_SCORES)}, {per_class}"
     where = "score"
     raise ConfigError(where, problem)
@@ -296,13 +299,13 @@ def check_gates(matrix_scores: Scores, gates: Iterable[Gate]) -> tuple[GateResul
 
 def refuse_failed(results: Iterable[GateResult]) -> None:
     """Raise if any gate failed, naming all failed ones."""
-    failed = [item for item in results if not item.passed]
+    failed = [gate for gate in results if not gate.passed]
     if failed:
         problems = [
-            f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed
+            f"found {_found(gate.value)}, demanded at least {gate.limit:.4f}" for gate in failed
         ]
         more = "; ".join(
-            f"{item.name}: {text}" for item, text in zip(failed[1:], problems[1:], strict=True)
+            f"{gate.name}: {text}" for gate, text in zip(failed[1:], problems[1:], strict=True)
         )
         raise GateError(failed[0].name, problems[0], more)
 
@@ -452,39 +455,35 @@ class ThreeWay(Brief):
 
     def largest_errors(self, most: int = 6) -> list[tuple[int, str, str]]:
         """Return the largest common errors: shots, reference class, the class that both give."""
-        errors = [
-            (int(self.counts[i, j, self.third_names.index(name)]), reference, name)
-            for i, reference in enumerate(self.reference_names)
-            for j, name in enumerate(self.predicted_names)
-            if name in self.third_names and name != reference
-        ]
-        return sorted((item for item in errors if item[0]), reverse=True)[:most]
+        errors = []
+        for i, reference in enumerate(self.reference_names):
+            for j, name in enumerate(self.predicted_names):
+                if name in self.third_names and name != reference:
+                    n = int(self.counts[i, j, self.third_names.index(name)])
+                    errors.append((n, reference, name))
+        return sorted((error for error in errors if error[0]), reverse=True)[:most]
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return header and one row a class.
 
         Scores of predicted and of third against the reference, and their agreement.
         """
-        matrices = {"predicted": self.predicted, "third": self.third_matrix}
-        by_name = {
-            title: {item.name: item for item in scores(matrix).classes}
-            for title, matrix in matrices.items()
-        }
-        agreement = {item.name: item.f1 for item in scores(self.between).classes}
-        header = [
-            "class",
-            "shots",
-            *(f"{title} {name}" for title in matrices for name in TABLE_SCORES),
-        ]
-        rows: list[list[str]] = []
-        for name, n in zip(
-            self.reference_names, self.counts.sum(axis=(1, 2)).tolist(), strict=True
-        ):
-            items = [classes[name] for classes in by_name.values()]
-            values = [getattr(item, score) for item in items for score in TABLE_SCORES]
-            if n or any(item.n_predicted for item in items):
-                rows.append([name, f"{n:,}", *map(figure, [*values, agreement.get(name, np.nan)])])
-        return [*header, "predicted and third f1"], rows
+        predicted = scores(self.predicted).by_name
+        third = scores(self.third_matrix).by_name
+        between = scores(self.between).by_name
+        header = ["class", "shots"]
+        header += [f"predicted {score}" for score in TABLE_SCORES]
+        header += [f"third {score}" for score in TABLE_SCORES]
+        header.append("predicted and third f1")
+        rows = []
+        n_shots = self.counts.sum(axis=(1, 2)).tolist()
+        for name, n in zip(self.reference_names, n_shots, strict=True):
+            if n or predicted[name].n_predicted or third[name].n_predicted:
+                values = [getattr(predicted[name], score) for score in TABLE_SCORES]
+                values += [getattr(third[name], score) for score in TABLE_SCORES]
+                values.append(between[name].f1 if name in between else math.nan)
+                rows.append([name, f"{n:,}", *map(figure, values)])
+        return header, rows
 
 
 def state_table(

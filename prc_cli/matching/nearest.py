@@ -204,13 +204,13 @@ class Cloud:
         count = self._count[chosen]
         groups = np.cumsum(count) // _READ_AT_ONCE
         for group in np.unique(groups).tolist():
-            here = np.flatnonzero(groups == group)
-            records = np.empty(int(count[here].sum()), self._dtype)
+            members = np.flatnonzero(groups == group)
+            records = np.empty(int(count[members].sum()), self._dtype)
             buffer = records.view(np.uint8).data
             n_bytes = 0
             size = self._dtype.itemsize
             with scratch_errors("matching"), self._lock:
-                for start, n in zip(first[here].tolist(), count[here].tolist(), strict=True):
+                for start, n in zip(first[members].tolist(), count[members].tolist(), strict=True):
                     self._handle.seek(start * size)
                     n_bytes += self._handle.readinto(buffer[n_bytes : n_bytes + n * size])  # type: ignore[attr-defined]
             yield records
@@ -221,12 +221,12 @@ def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
 
     No box is apart from the left cloud.
     """
-    mine = left.counts()
-    theirs = right.counts()
-    around = [mine[0] + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
-    cells = np.union1d(mine[0], np.intersect1d(np.concatenate(around), theirs[0]))
+    left_counts = left.counts()
+    right_counts = right.counts()
+    around = [left_counts[0] + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    cells = np.union1d(left_counts[0], np.intersect1d(np.concatenate(around), right_counts[0]))
     n = np.zeros(len(cells), np.int64)
-    for keys, counts in (mine, theirs):
+    for keys, counts in (left_counts, right_counts):
         held = np.isin(keys, cells)
         n[np.searchsorted(cells, keys[held])] += counts[held]
     column, row = cell_places(cells)
@@ -293,28 +293,28 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
     for box in random.permutation(np.array(boxes).reshape(-1, 4)).tolist():
         if len(parts) == _SAMPLED_TILES:
             break
-        ours = left.read(tuple(box))
-        if not len(ours["x"]):
+        left_points = left.read(tuple(box))
+        if not len(left_points["x"]):
             continue
-        theirs, distance, nearest, tree = nearest_of(
-            sample_of(ours, random), right, tuple(box), _FARTHEST_M
+        right_points, distance, nearest, tree = nearest_of(
+            sample_of(left_points, random), right, tuple(box), _FARTHEST_M
         )
-        if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
+        if tree is not None and len(right_points["x"]) > _NEIGHBOURS:
             near = np.unique(nearest[np.isfinite(distance)])
-            apart = np.full((len(theirs["x"]), 2), np.inf)
-            apart[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1])[0]
-            around = np.append(apart, [[np.inf, 0.0]], axis=0)[nearest]
-            parts.append((distance, around[:, 1], apart[near, 0]))
+            distances = np.full((len(right_points["x"]), 2), np.inf)
+            distances[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1])[0]
+            around = np.append(distances, [[np.inf, 0.0]], axis=0)[nearest]
+            parts.append((distance, around[:, 1], distances[near, 0]))
     if not parts:
         return None
-    apart, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
-    spread = float(np.median(apart))
+    distances, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
+    spread = float(np.median(distances))
     step = float(np.median(spacing))
     if not math.isfinite(spread):  # most points have no other near them
         return None
-    tolerance = _tolerance(np.sort(apart), spread, step)
-    beyond = apart > tolerance
-    sparse = float(np.mean(apart[beyond] <= around[beyond])) if beyond.any() else 0.0
+    tolerance = _tolerance(np.sort(distances), spread, step)
+    beyond = distances > tolerance
+    sparse = float(np.mean(distances[beyond] <= around[beyond])) if beyond.any() else 0.0
     return Fit(spread, step, tolerance, sparse)
 
 
@@ -396,14 +396,16 @@ def nearest_join(
 
     def join(box: Box) -> tuple[Nearest, int]:
         # right points of the tile can be partners of left points just outside
-        ours = left.read(box, tolerance)
-        core = _inside(ours, box)
-        theirs, distance, nearest, tree = nearest_of(ours, right, box, reach, tolerance)
+        left_points = left.read(box, tolerance)
+        core = _inside(left_points, box)
+        right_points, distance, nearest, tree = nearest_of(
+            left_points, right, box, reach, tolerance
+        )
         to = np.where(distance <= tolerance, nearest, -1)
-        used = np.zeros(len(theirs["x"]), np.bool_)
+        used = np.zeros(len(right_points["x"]), np.bool_)
         used[to[to >= 0]] = True
-        n_used = int(np.count_nonzero(used & _inside(theirs, box)))
-        ours = {n: v[core] for n, v in ours.items()}
+        n_used = int(np.count_nonzero(used & _inside(right_points, box)))
+        left_points = {n: v[core] for n, v in left_points.items()}
         to = to[core]
         distance = distance[core]
         nearest = nearest[core]
@@ -412,19 +414,19 @@ def nearest_join(
         if len(lone):
             around = tree.query(tree.data[nearest[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
             sparse[lone] = distance[lone] <= around
-        return Nearest(box, ours, theirs, to, distance, sparse), n_used
+        return Nearest(box, left_points, right_points, to, distance, sparse), n_used
 
-    for item, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
+    for tile, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
         tally.n_right += n_used
-        tally.n_left += len(item.to)
-        tally.n_pairs += int(np.count_nonzero(item.to >= 0))
-        tally.add_distances(item.distance, item.to >= 0)
-        if len(item.to):
-            yield item
+        tally.n_left += len(tile.to)
+        tally.n_pairs += int(np.count_nonzero(tile.to >= 0))
+        tally.add_distances(tile.distance, tile.to >= 0)
+        if len(tile.to):
+            yield tile
 
 
 def nearest_of(
-    ours: Columns,
+    points: Columns,
     cloud: Cloud,
     box: Box,
     bound: float,
@@ -437,26 +439,28 @@ def nearest_of(
     tuple
         The points; distance (n,), infinite beyond ``bound``; index (n,) of the nearest; their tree.
     """
-    theirs = cloud.read(box, margin + bound)
-    n = len(ours["x"])
-    if not len(theirs["x"]):
-        return theirs, np.full(n, np.inf), np.zeros(n, np.int64), None
+    cloud_points = cloud.read(box, margin + bound)
+    n = len(points["x"])
+    if not len(cloud_points["x"]):
+        return cloud_points, np.full(n, np.inf), np.zeros(n, np.int64), None
     # coordinates of a projection are millions of metres: the tree works beside the origin
-    origin = np.array([theirs[axis][0] for axis in AXES])
-    tree = tree_of(xyz_of(theirs) - origin)
-    timed = TIME in ours and TIME in theirs
-    k = min(_TIES, len(theirs["x"])) if timed else 1
+    origin = np.array([cloud_points[axis][0] for axis in AXES])
+    tree = tree_of(xyz_of(cloud_points) - origin)
+    timed = TIME in points and TIME in cloud_points
+    k = min(_TIES, len(cloud_points["x"])) if timed else 1
     limit = float(np.nextafter(bound, math.inf))  # it is exclusive
     distance, neighbours = tree.query(
-        xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit
+        xyz_of(points) - origin, [*range(1, k + 1)], distance_upper_bound=limit
     )
     best = np.zeros(n, np.int64)
     if timed:
         # of several as near, the one of the nearest time
-        apart = np.abs(np.append(theirs[TIME], np.nan)[neighbours] - ours[TIME][:, None])
-        equal = (distance == distance[:, :1]) & np.isfinite(apart)
-        best = np.argmin(np.where(equal, apart, np.inf), axis=1)
-    return theirs, distance[:, 0], neighbours[np.arange(n), best], tree
+        time_difference = np.abs(
+            np.append(cloud_points[TIME], np.nan)[neighbours] - points[TIME][:, None]
+        )
+        equal = (distance == distance[:, :1]) & np.isfinite(time_difference)
+        best = np.argmin(np.where(equal, time_difference, np.inf), axis=1)
+    return cloud_points, distance[:, 0], neighbours[np.arange(n), best], tree
 
 
 def _inside(columns: Columns, box: Box) -> Mask:

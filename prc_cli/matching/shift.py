@@ -43,11 +43,11 @@ def shift_of(left: Cloud, right: Cloud) -> F64 | None:
     for x0, y0, x1, y1 in random.permutation(
         np.array(tiles_of(left, right)).reshape(-1, 4)
     ).tolist():
-        ours = xyz_of(sample_of(left.read((x0, y0, x1, y1)), random, _PAIRS))
+        left_xyz = xyz_of(sample_of(left.read((x0, y0, x1, y1)), random, _PAIRS))
         dx, dy = start[:2].tolist()
-        theirs = xyz_of(right.read((x0 + dx, y0 + dy, x1 + dx, y1 + dy), _REACH_M))
-        if len(ours) and len(theirs) > _AROUND:
-            parts.append((ours, tree_of(theirs)))
+        right_xyz = xyz_of(right.read((x0 + dx, y0 + dy, x1 + dx, y1 + dy), _REACH_M))
+        if len(left_xyz) and len(right_xyz) > _AROUND:
+            parts.append((left_xyz, tree_of(right_xyz)))
         if len(parts) == _BOXES:
             break
     fitted = _fitted(parts, start)
@@ -95,8 +95,8 @@ def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
     near = near[np.isfinite(distance)]
     around = tree.data[tree.query(tree.data[near], k=_AROUND)[1]]
     middle = around.mean(axis=1)
-    apart = around - middle[:, None]
-    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    offsets = around - middle[:, None]
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
     flat = spread[:, 0] < _FLAT * spread[:, 1]
     normal = axes[flat, :, 0]
     return points[flat], normal, ((middle[flat] - points[flat]) * normal).sum(axis=1)
@@ -110,11 +110,11 @@ def _within(normal: F64, off: F64) -> Any:
     facing = np.argmax(np.abs(normal), axis=1)
     kept = np.zeros(len(off), np.bool_)
     for axis in range(3):
-        mine = np.flatnonzero(facing == axis)
-        if len(mine):
-            signed = off[mine] * np.sign(normal[mine, axis])
+        pairs = np.flatnonzero(facing == axis)
+        if len(pairs):
+            signed = off[pairs] * np.sign(normal[pairs, axis])
             middle = np.median(signed)
-            kept[mine] = (
+            kept[pairs] = (
                 np.abs(signed - middle)
                 <= _GATE * 1.4826 * np.median(np.abs(signed - middle)) + 1e-6
             )

@@ -264,17 +264,17 @@ class SideFile:
         """Open a file and the points it belongs to."""
         codes = open_codes(path, dimension)
         table = open_table(path)
-        beside = None
+        points_table = None
         if points is not None:
             if not points.is_file():
                 raise InputError(
                     str(points), "no such file, expected the points of the labels", "check the name"
                 )
-            beside = open_table(points)
-            if beside is None:
+            points_table = open_table(points)
+            if points_table is None:
                 problem = "unknown suffix, expected points: LAS, LAZ, text, .npz or .parquet"
                 raise InputError(str(points), problem, "name the input of the run")
-        return cls(codes, dimension, table, beside, dense_line_beside(path))
+        return cls(codes, dimension, table, points_table, dense_line_beside(path))
 
     @property
     def sources(self) -> tuple[RecordSource, ...]:
@@ -383,8 +383,8 @@ class Side:
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Read all files from the first record on."""
-        for item in fields(SideTally):
-            setattr(self.tally, item.name, item.default)
+        for tally_field in fields(SideTally):
+            setattr(self.tally, tally_field.name, tally_field.default)
         first = 0
         for index, file in enumerate(self.files):
             n_before = first
@@ -447,13 +447,15 @@ class Side:
             if place is not None and place[0] is not None:
                 asked.setdefault(file.sources.index(place[0]), []).append(place[1])
         # codes in the same file as other columns are read together with them, once
-        beside = file.table is not None and 0 in asked and file.codes.name in file.table.dimensions
-        if beside:
+        codes_in_table = (
+            file.table is not None and 0 in asked and file.codes.name in file.table.dimensions
+        )
+        if codes_in_table:
             asked[0].append(file.codes.name)
         streams = [
             _columns(file.sources[k], tuple(dict.fromkeys(read))) for k, read in asked.items()
         ]
-        if not beside:
+        if not codes_in_table:
             streams.insert(0, ({_CODES: codes} for codes in file.codes.chunks()))
         row = 0
         for parts in in_step(
@@ -464,7 +466,9 @@ class Side:
             n = len(next(iter(read.values())))
             index = np.arange(row, row + n, dtype=np.int64)
             values: Columns = {
-                CODE: file.codes.to_codes(read[file.codes.name], row) if beside else read[_CODES]
+                CODE: file.codes.to_codes(read[file.codes.name], row)
+                if codes_in_table
+                else read[_CODES]
             }
             for name, place in places.items():
                 if place is None or place[0] is None:

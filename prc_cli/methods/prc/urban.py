@@ -85,11 +85,11 @@ def find_ground(
     ids, position = np.unique(components.ids[present], return_inverse=True)
     if not len(ids):
         return 0, Totals.none()
-    here = np.zeros(len(ids), dtype=np.int64)
-    np.add.at(here, position, smooth[present])
-    running = here + totals.of(ids)
+    in_block = np.zeros(len(ids), dtype=np.int64)
+    np.add.at(in_block, position, smooth[present])
+    running = in_block + totals.of(ids)
     # on ties the first, which is the oldest
-    ground = ids[np.argmax(running if params.ground == "running-total" else here)]
+    ground = ids[np.argmax(running if params.ground == "running-total" else in_block)]
     # the last shot of every stretch of equal ids; the last stretch follows below
     last_ids = last_line[np.flatnonzero(last_line[1:] != last_line[:-1])]
     may_continue = np.zeros(len(ids), dtype=bool)

@@ -132,11 +132,11 @@ def mark_shots(
                     continue
                 root_far = float(place[line, q]) / root
                 rise = abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2])
-                apart = abs(root_far * root_far - far)
+                distance_m = abs(root_far * root_far - far)
                 mark = 0
-                if apart < thresholds.upright * rise + thresholds.upright_m:
+                if distance_m < thresholds.upright * rise + thresholds.upright_m:
                     mark = UPRIGHT
-                elif rise < thresholds.level * apart:
+                elif rise < thresholds.level * distance_m:
                     mark = LEVEL
                 marks[line, i] |= np.uint8(mark)
                 marks[line, q] |= np.uint8(mark)

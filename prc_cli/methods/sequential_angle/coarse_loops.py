@@ -349,12 +349,12 @@ def _first_label(tilt: F64, begin: int, end: int) -> int:
     n = min(end - begin, 5)
     first = np.empty(5, np.float64)
     for i in range(n):  # by hand: the library's sort takes seconds to compile
-        here = tilt[begin + i]
+        angle = tilt[begin + i]
         j = i
-        while j > 0 and first[j - 1] > here:
+        while j > 0 and first[j - 1] > angle:
             first[j] = first[j - 1]
             j -= 1
-        first[j] = here
+        first[j] = angle
     median = (first[(n - 1) // 2] + first[n // 2]) / 2.0
     return _VERTICAL if median < _MIDDLE else _HORIZONTAL
 
@@ -436,9 +436,9 @@ def surface_image(
         # first one with an angle
         label = _UNDECIDED if m == 0 else int(labels[beam[0]])
         for k in range(width):
-            here = int(labels[k])
-            label = label if here == _MISSING else here
-            labels[k] = _MISSING if here == _MISSING and math.isnan(range_m[row, k]) else label
+            code = int(labels[k])
+            label = label if code == _MISSING else code
+            labels[k] = _MISSING if code == _MISSING and math.isnan(range_m[row, k]) else label
     return image
 
 
@@ -450,12 +450,12 @@ def _sort(values: F64, n: int) -> None:
         gap = 3 * gap + 1
     while gap > 0:
         for i in range(gap, n):
-            here = values[i]
+            value = values[i]
             j = i
-            while j >= gap and values[j - gap] > here:
+            while j >= gap and values[j - gap] > value:
                 values[j] = values[j - gap]
                 j -= gap
-            values[j] = here
+            values[j] = value
         gap //= 3
 
 
@@ -664,14 +664,14 @@ def behind_walls(
         m = n_green = ZERO
         width = np.int64(n_beams[row])
         for k in range(n):
-            here = surface[row, k]
-            image[row, k] = here
-            if k < width and here != _MISSING:
+            code_here = surface[row, k]
+            image[row, k] = code_here
+            if k < width and code_here != _MISSING:
                 x[m] = horizontal_m[row, k]
                 z[m] = xyz_m[row, k, 2]
                 beam[m] = k
-                code[m] = here
-                n_green += here == _VEGETATION
+                code[m] = code_here
+                n_green += code_here == _VEGETATION
                 m += 1
         if n_green == 0:
             continue
