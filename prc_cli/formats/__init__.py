@@ -101,8 +101,8 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
         return f"name the file in it: {scan}"
     bags = _files_with(path, _BAG_PARTS)
     if bags and (path / METADATA).is_file():
-        more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
-        return f"name the file in this bag: {bags[0]}{more}"
+        others = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
+        return f"name the file in this bag: {bags[0]}{others}"
     scans = _files_with(path, known)
     return (
         f"name a file in it, for example {scans[0]}"

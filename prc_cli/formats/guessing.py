@@ -122,9 +122,9 @@ def _are_rings(numbers: F64) -> bool:
 
 def _are_sweeps(azimuth: F64, step: F64, elevation: F64) -> bool:
     """Whether points of a sector are ring after ring: azimuths restart, elevations stay."""
-    way = np.sign(np.median(step[step != 0]))
+    sense = np.sign(np.median(step[step != 0]))
     low, high = np.percentile(azimuth, [5, 95])
-    back = np.flatnonzero(-way * step > (high - low) / 2) + 1
+    back = np.flatnonzero(-sense * step > (high - low) / 2) + 1
     if not LEAST_RINGS <= len(back) + 1 <= MAX_RINGS:
         return False
     spreads = [np.std(part) for part in np.split(elevation, back) if len(part) > 1]

@@ -221,10 +221,10 @@ def find_columns(
             _check_once(where, names, usual.name)
             item = LayoutField.model_validate({"name": standard, "unit": usual.unit})
             columns[standard] = Column(keys[usual.index], usual.name, item)
-    taken = {column.key for column in columns.values()}
+    used_keys = {column.key for column in columns.values()}
     for index, name in enumerate(names):
         dimension = name or str(index)
-        if keys[index] not in taken and dimension not in columns:
+        if keys[index] not in used_keys and dimension not in columns:
             columns[dimension] = Column(keys[index], name, LayoutField(name=dimension))
     return columns
 

@@ -83,9 +83,9 @@ def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
         return starts
     position = np.arange(len(starts))
     first_of_run = np.maximum.accumulate(np.where(starts, position, 0))
-    again = return_number == return_number[first_of_run]
-    again[1:] |= return_number[1:] == return_number[:-1]
-    starts |= continues & again
+    repeats = return_number == return_number[first_of_run]
+    repeats[1:] |= return_number[1:] == return_number[:-1]
+    starts |= continues & repeats
     return starts
 
 

@@ -134,23 +134,23 @@ class _SortedRun:
         wanted = min(n_records - len(self.window), self._n_on_disk)
         if self._handle is None or len(self.window) > n_records // 2 or wanted <= 0:
             return
-        more = np.empty(wanted, self.window.dtype)
+        records = np.empty(wanted, self.window.dtype)
         with scratch_errors("sorting"):
             self._handle.seek(self._position)
-            raw = self._handle.read(more.nbytes)
-        more.view(np.uint8)[:] = np.frombuffer(raw, np.uint8)
-        self._position += more.nbytes
+            raw = self._handle.read(records.nbytes)
+        records.view(np.uint8)[:] = np.frombuffer(raw, np.uint8)
+        self._position += records.nbytes
         self._n_on_disk -= wanted
-        self.window = np.concatenate([self.window, more])
+        self.window = np.concatenate([self.window, records])
 
     def take(self, limit: float, *, with_equal: bool) -> NDArray[np.void]:
         """Remove and return records below ``limit``, or also equal to it."""
         count = int(
             np.searchsorted(self.window[_TIME], limit, side="right" if with_equal else "left")
         )
-        taken = self.window[:count]
+        records = self.window[:count]
         self.window = self.window[count:]
-        return taken
+        return records
 
 
 def _merge(runs: list[_SortedRun], merge_records: int) -> Iterator[NDArray[np.void]]:

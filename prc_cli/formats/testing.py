@@ -36,9 +36,9 @@ def check_reads(
 ) -> int:
     """Read a sample twice, and every dimension alone; return the number of records or shots."""
     if not form.records:
-        first, again = (list(_images(form, sample, config or InputConfig())) for _ in range(2))
+        first, second = (list(_images(form, sample, config or InputConfig())) for _ in range(2))
         assert first, "no blocks"
-        for block, same in zip(first, again, strict=True):
+        for block, same in zip(first, second, strict=True):
             assert block.tobytes() == same.tobytes(), "a block differs when the file is read again"
         return sum(block.size for block in first)
     source = form.open_records(sample, layout)
@@ -198,16 +198,16 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     near = len(data) if rng.random() < 0.5 else min(len(data), 400)
     position = int(rng.integers(near))
     n = int(rng.choice((1, 4, 30, 300)))
-    way = int(rng.integers(5))
-    if way == 0:
+    kind = int(rng.integers(5))
+    if kind == 0:
         return bytes(out[: position + 1])
-    if way == 1:
+    if kind == 1:
         out[position] ^= 1 << int(rng.integers(8))
-    elif way == 2:
+    elif kind == 2:
         out[position : position + n] = bytes([int(rng.choice((0, 0x20, 0x39, 0xFF)))]) * min(
             n, len(out) - position
         )
-    elif way == 3:
+    elif kind == 3:
         del out[position : position + n]
     else:
         out[position:position] = out[position : position + n]

@@ -111,8 +111,8 @@ class Rows:
     def finish(self) -> None:
         """Check that no bytes follow; in an archive, zipfile compares the checksum here."""
         with _damage(self.header.where, "the numbers are damaged"):
-            more = self._handle.read(1)
-        if more:
+            next_byte = self._handle.read(1)
+        if next_byte:
             raise InputError(self.header.where, f"more bytes than {self._n_read} rows take", _COPY)
 
 

@@ -100,8 +100,8 @@ class LasBuilder(StagedWriter):
 
     def _begin(self) -> None:
         dimensions = [RANGE, SCAN_LINE, COLUMN, *(column.dimension for column in self._optional)]
-        more = [(dimension.name, dimension.dtype.str) for dimension in dimensions]
-        self._dtype = np.dtype([*standard_columns(_POINT_FORMAT), *more])
+        extra_columns = [(dimension.name, dimension.dtype.str) for dimension in dimensions]
+        self._dtype = np.dtype([*standard_columns(_POINT_FORMAT), *extra_columns])
         n_bytes = self._dtype.itemsize
         vlrs = [extra_bytes_vlr(dimensions)]
         if self._crs and (crs := vlr_of_crs(self._crs)[0]) is not None:

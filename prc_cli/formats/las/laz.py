@@ -476,11 +476,11 @@ class LazRecords:
         bounds = self.table.first_record
         first_byte = self.table.first_byte
         with contextlib.suppress(InputError), decoding(self._source, ""):
-            again = self.open(
+            decoder_of_all = self.open(
                 self._source, type(decoder), lazrs.SELECTIVE_DECOMPRESS_ALL, int(bounds[chunk])
             )
             while chunk < end - 1:
-                again.decompress_many(
+                decoder_of_all.decompress_many(
                     bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes)
                 )
                 chunk += 1
@@ -497,8 +497,8 @@ class LazRecords:
         for begin in self.table.first_byte[first:end].tolist():
             source.seek(begin + self.header.record_bytes)
             head = source.read(layout.size)
-            held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
-            yield held, self.header.record_bytes + layout.size + sum(layers)
+            n_records, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
+            yield n_records, self.header.record_bytes + layout.size + sum(layers)
 
     def _check_layers(self, source: Source, first: int, end: int) -> None:
         """Compare the sizes declared in chunks of point formats 6-10 with the chunk table."""
@@ -507,14 +507,20 @@ class LazRecords:
         path = self.header.path
         table = self.table
         chunks = zip(self.heads(source, first, end), self.sizes(first, end).tolist(), strict=True)
-        for chunk, ((held, claimed), (n_records, n_bytes)) in enumerate(chunks, start=first):
+        for chunk, ((n_declared, declared_bytes), (n_records, n_bytes)) in enumerate(
+            chunks, start=first
+        ):
             begin = int(table.first_byte[chunk])
             what = f"LAZ chunk {chunk} (from record {table.first_record[chunk]})"
-            if held < n_records or (held > n_records and chunk < self.n_chunks - 1):
+            if n_declared < n_records or (n_declared > n_records and chunk < self.n_chunks - 1):
                 where = begin + self.header.record_bytes
-                raise damaged(path, where, f"{what} holds {held} records, expected {n_records}")
-            if claimed > n_bytes:
-                raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
+                raise damaged(
+                    path, where, f"{what} holds {n_declared} records, expected {n_records}"
+                )
+            if declared_bytes > n_bytes:
+                raise damaged(
+                    path, begin, f"{what} claims {declared_bytes} bytes, expected {n_bytes}"
+                )
 
 
 def read_batches(
@@ -589,11 +595,11 @@ def tail_bounds(source: Source, header: LasHeader) -> Span:
     with decoding(source, f"the chunk table at byte {table_at} cannot be read"):
         source.seek(table_at)
         table = lazrs.read_chunk_table_only(source, records.vlr)
-        again = io.BytesIO()
-        lazrs.write_chunk_table(again, table, records.vlr)
+        encoded = io.BytesIO()
+        lazrs.write_chunk_table(encoded, table, records.vlr)
     source.seek(table_at)
-    if source.read(len(again.getvalue())) == again.getvalue():
-        return Span(table_at + len(again.getvalue()), stop)
+    if source.read(len(encoded.getvalue())) == encoded.getvalue():
+        return Span(table_at + len(encoded.getvalue()), stop)
     # a table of another encoder: only the offset of the EVLRs shows its end
     return Span(header.evlrs[0].start if header.evlrs else stop, stop)
 

@@ -195,16 +195,18 @@ def read_layout(header: LasHeader) -> RecordLayout:
                 column, None, extra.scale, extra.offset, extra.no_data, as_float=as_float
             )
             described[name] = extra
-    taken = _take_usual(fields, described)
+    old_names = _take_usual(fields, described)
     if renamed := [
-        f"{name_in_file} as {name}" for name, name_in_file in taken.items() if name_in_file != name
+        f"{name_in_file} as {name}"
+        for name, name_in_file in old_names.items()
+        if name_in_file != name
     ]:
         notes.append(f"extra dimensions taken under another name: {', '.join(renamed)}")
     if left:
         columns.append(("undescribed bytes", f"V{left}"))
         notes.append(f"{left} bytes of every record are described nowhere and not read")
-    angle_name = taken.get("angle")
-    range_name = taken.get("range", "range")
+    angle_name = old_names.get("angle")
+    range_name = old_names.get("range", "range")
     return RecordLayout(
         np.dtype(columns), fields, tuple(dimensions), tuple(notes), angle_name, range_name
     )

@@ -157,8 +157,8 @@ class RawStream(StreamWriter):
         return "\n".join([*lines, "", *_layout(self._dtype, f"points_per_line = {self._m}")])
 
 
-def _layout(dtype: np.dtype[np.void], *more: str) -> list[str]:
-    lines = ["[layout]", 'endian = "little"', *more, "fields = ["]
+def _layout(dtype: np.dtype[np.void], *keys: str) -> list[str]:
+    lines = ["[layout]", 'endian = "little"', *keys, "fields = ["]
     for name in dtype.names or ():
         unit = ', unit = "rad"' if name == "angle" else ""
         lines.append(f'    {{ name = "{name}", type = "{dtype[name].str[1:]}"{unit} }},')

@@ -151,8 +151,8 @@ def _without_mark(
     block_bytes: int,
 ) -> bytes:
     """Drop a byte order mark at the start, and refuse files that are not text."""
-    while len(piece) < 4 and (more := _read(path, handle, block_bytes, 1)):
-        piece += more
+    while len(piece) < 4 and (next_piece := _read(path, handle, block_bytes, 1)):
+        piece += next_piece
     for magic, (kind, suffix) in _COMPRESSED.items():
         if piece.startswith(magic):
             problem = f"the content is {kind}-compressed, expected text"

@@ -328,8 +328,8 @@ class TextSource(FieldSource):
             usual: tuple[str, ...] = ("range",) if n == 1 and self.text.header_line is None else ()
             if self._is_cloud and n >= len(AXES):
                 usual = (*AXES, "intensity")[: n if path.suffix.lower() == ".pts" else len(AXES)]
-            taken = tuple(LayoutField(name=name) for name in usual)
-            layout = (layout or Layout()).model_copy(update={"fields": taken})
+            fields = tuple(LayoutField(name=name) for name in usual)
+            layout = (layout or Layout()).model_copy(update={"fields": fields})
         where = f"{path}: line {self.text.header_line or self.text.first_row}"
         hint = f"; is {self.text.delimiter!r} the delimiter?" if n == 1 else ""
         columns = find_columns(where, names, layout, tuple(map(str, range(n))), hint)

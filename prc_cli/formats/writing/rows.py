@@ -57,20 +57,24 @@ def _with_extra(
     extra = item.block.extra
     line = (extra.line[inside] - rows.start).astype(np.int64)
     cell = line * block.points_per_line + extra.column[inside]
-    more = {name: column[cell] for name, column in values.items()}
-    more["range_m"] = extra.range_m[inside]
-    more["intensity"] = np.full(len(inside), np.nan, np.float32)
+    extra_rows = {name: column[cell] for name, column in values.items()}
+    extra_rows["range_m"] = extra.range_m[inside]
+    extra_rows["intensity"] = np.full(len(inside), np.nan, np.float32)
     if item.extra_codes is not None:
-        more["class"] = item.extra_codes[inside]
+        extra_rows["class"] = item.extra_codes[inside]
     if item.extra_registered_m is not None:
-        more |= {axis: item.extra_registered_m[inside, index] for index, axis in enumerate("xyz")}
+        extra_rows |= {
+            axis: item.extra_registered_m[inside, index] for index, axis in enumerate("xyz")
+        }
     elif "x" in values:
         # all returns of a shot lie on the same beam
         with np.errstate(invalid="ignore"):
             ratio = (extra.range_m[inside] / values["range_m"][cell]).astype(np.float64)
-        more |= {axis: (values[axis][cell] * ratio).astype(np.float32) for axis in "xyz"}
+        extra_rows |= {axis: (values[axis][cell] * ratio).astype(np.float32) for axis in "xyz"}
     owner = np.concatenate([np.arange(len(values["line"])), cell])
-    all_values = {name: np.concatenate([column, more[name]]) for name, column in values.items()}
+    all_values = {
+        name: np.concatenate([column, extra_rows[name]]) for name, column in values.items()
+    }
     number_returns(all_values, owner)
     order = np.argsort(owner, kind="stable")
     return {name: column[order] for name, column in all_values.items()}
