@@ -35,9 +35,9 @@ class _Input(Params):
 
     method: Literal["auto"] | MethodName = Field(
         "auto",
-        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), fused (our own "
-        "combination of both), rings (spinning scanners), or auto: the method whose table is given, else what labels "
-        "the input best",
+        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), "
+        "fused (our own combination of both), rings (spinning scanners), or auto: the method whose "
+        "table is given, else what labels the input best",
     )
     input: InputConfig = Field(
         default_factory=InputConfig, description="how the stream is read from the input"
@@ -75,7 +75,7 @@ class RunConfig(MethodTables, _Input):
 
     @property
     def is_decided(self) -> bool:
-        """Whether a method is named; if not, :mod:`prc_cli.jobs.choice` chooses one by the input."""
+        """Whether a method is named; else :mod:`prc_cli.jobs.choice` chooses one by the input."""
         return self.method != "auto"
 
     @property
@@ -172,7 +172,10 @@ class MethodChoice:
             return ()
         # figures of `python -m benchmarks.contest`, photon-80
         problem = f"PRC as published was taken: {self.lacks}"
-        expected = "the angles of the beams, with which fused labels streets (mean F1 0.96 there, of PRC 0.59)"
+        expected = (
+            "the angles of the beams, with which fused labels streets "
+            "(mean F1 0.96 there, of PRC 0.59)"
+        )
         return (
             Finding(
                 "method",
@@ -194,7 +197,7 @@ class MethodChoice:
 
 
 def refuse_window(config: RunConfig, command: str) -> None:
-    """Raise :class:`ConfigError` if a part of a stream is given to a command that needs it whole."""
+    """Raise :class:`ConfigError` if a part of a stream is given where all of it is needed."""
     if config.input.window is not None:
         problem = f"found {config.input.window.option}, but {command} takes files whole"
         raise ConfigError(
@@ -318,7 +321,7 @@ _PRESET = "preset "
 
 
 def preset_of(loaded: LoadedConfig) -> str | None:
-    """Return the preset that named the method, or that is equal to the chosen one; None = no preset.
+    """Return the preset that named the method, or equals the chosen one; None = no preset.
 
     >>> preset_of(load_config(preset="street-scan")), preset_of(load_config())
     ('street-scan', None)
@@ -410,14 +413,15 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     """Add the layout beside a dump (``drive.bin.toml`` or ``drive.toml``), if none is given."""
     layout = loaded.config.layout
     if layout is not None and layout.fields and not has_layout(path):
+        reason = f"{suffix_of(path) or 'these'} files describe their records themselves"
         if loaded.sources.get("layout.fields") == "option" and path.is_file():
-            problem = f"does nothing: {suffix_of(path) or 'these'} files describe their records themselves"
+            problem = f"does nothing: {reason}"
             raise ConfigError(
                 "layout.fields",
                 problem,
                 "leave it out; ranges in mm: --set input.range_scale=0.001",
             )
-        note = f"the layout is not used: {suffix_of(path) or 'these'} files describe their records themselves"
+        note = f"the layout is not used: {reason}"
         return loaded if note in loaded.notes else replace(loaded, notes=(*loaded.notes, note))
     if layout is not None or not has_layout(path):
         return loaded
@@ -452,7 +456,10 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     known = len(sample["layout"]["fields"])
     sample["layout"]["fields"] += [{"name": name, "type": "f4"} for name in names[known:]]
     shown = f"{', '.join(names[:-1])} and {names[-1]}"
-    note = f"the records look like {shown} of a frame: read as {FRAME_SAMPLE} says; --layout says otherwise"
+    note = (
+        f"the records look like {shown} of a frame: read as {FRAME_SAMPLE} says; "
+        "--layout says otherwise"
+    )
     return _with_table(loaded, sample, FRAME_SAMPLE, note)
 
 
@@ -512,7 +519,8 @@ def options_of(loaded: LoadedConfig) -> list[str]:
 
     Presets and settings of the output are left out.
 
-    >>> options_of(load_config(options={"method": "prc", "input": {"points_per_line": 2154, "lines": "fixed"}}))
+    >>> inputs = {"points_per_line": 2154, "lines": "fixed"}
+    >>> options_of(load_config(options={"method": "prc", "input": inputs}))
     ['--method', 'prc', '--set', 'input.points_per_line=2154', '--set', 'input.lines=fixed']
     """
     values = dict(flatten(loaded.config.to_table()))

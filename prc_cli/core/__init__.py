@@ -1,1 +1,1 @@
-"""Shared by all layers: errors, class codes, stream types, configuration machinery, atomic files, threads."""
+"""Shared by all layers: errors, class codes, stream types, configuration, files, threads."""

@@ -20,7 +20,7 @@ MOST_WAITING = 1 << 26
 
 
 def look_ahead_lines(points_per_line: int) -> int:
-    """Lines that must follow a block for its shots to have neighbours i + M + 1 and i + 4 (2019, eqs. 7, 8)."""
+    """Return the lines after a block with neighbours i + M + 1 and i + 4 (2019, eqs. 7, 8)."""
     reach = max(points_per_line + LOOK_AHEAD_SHOTS, 4)
     return -(-reach // points_per_line)
 
@@ -59,10 +59,13 @@ def regroup(
 
 def _too_wide(points_per_line: int, lines_per_block: int) -> InputError:
     problem = (
-        f"{lines_per_block} lines of {points_per_line} shots, expected at most {MOST_WAITING} shots in a block: "
-        "a few kilobytes can claim as many"
+        f"{lines_per_block} lines of {points_per_line} shots, expected at most {MOST_WAITING} "
+        "shots in a block: a few kilobytes can claim as many"
     )
-    hint = "check the shots in a scan line (-M); if they are right, set fewer lines a block (prc.lines_per_block)"
+    hint = (
+        "check the shots in a scan line (-M); if they are right, set fewer lines a block "
+        "(prc.lines_per_block)"
+    )
     return InputError("block of scan lines", problem, hint)
 
 
@@ -87,7 +90,7 @@ class LineBuffer:
             self.n_lines += block.n_lines
 
     def take(self, n_lines: int, ahead: int = 0) -> ScanBlock:
-        """Remove ``n_lines`` lines; the next ``ahead`` lines are copied into ``next_m`` and stay in the buffer."""
+        """Remove ``n_lines`` lines; copy the ``ahead`` lines after them into ``next_m``."""
         block = join(self.take_parts(n_lines))
         following: list[NDArray[np.float32]] = []
         missing = ahead

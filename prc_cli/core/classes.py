@@ -102,8 +102,8 @@ class Reason(IntEnum):
 
 FURTHER_RETURN = 14 << 4
 VOTED = 15 << 4
-"""Reasons of any label: ``label | VOTED`` took the label of most shots around, ``label | FURTHER_RETURN`` that of a
-shot around that is as far."""
+"""Reasons of any label: ``label | VOTED`` is the label of most shots around, ``label |
+FURTHER_RETURN`` the label of a shot around at the same range."""
 
 
 class Surface(IntEnum):
@@ -133,7 +133,7 @@ class TriggerSide(IntEnum):
 
 
 class CarTest(IntEnum):
-    """Result of the search for cars for a return between dividers (Stamos et al. 2012, sec. 7.3 to 8)."""
+    """Result of the car search for a return between dividers (Stamos et al. 2012, sec. 7.3-8)."""
 
     OUTSIDE = 0
     """In no interval."""
@@ -212,7 +212,7 @@ ASPRS_NAMES = {
 
 
 class ClassCodes(Params):
-    """LAS class codes, ASPRS LAS 1.4 table 17 where it has one, user codes from 64 up elsewhere (``[classes]``)."""
+    """LAS class codes: ASPRS LAS 1.4 table 17, else user codes from 64 (``[classes]``)."""
 
     unclassified: int = Field(1, ge=0, le=255, description="shots that no rule decided")
     noise: int = Field(7, ge=0, le=255, description="unsupported shots")
@@ -276,7 +276,7 @@ _SMALL = 16
 
 
 def count_bytes(values: U8) -> I64:
-    """Return how often every value occurs, five times as fast as :func:`numpy.bincount` where most are below 16."""
+    """Return the counts of values, faster than :func:`numpy.bincount` if most are below 16."""
     flat = values.ravel()
     if len(flat) < _FEW:
         return np.bincount(flat, minlength=256)

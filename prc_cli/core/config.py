@@ -40,7 +40,8 @@ class Params(BaseModel):
         changed = ", ".join(
             f"{key}={value!r}" for key, value in flatten(self.model_dump(exclude_defaults=True))
         )
-        return f"{type(self).__name__}({changed if len(changed) <= LONGEST else f'{changed[:LONGEST]}...'})"
+        shown = changed if len(changed) <= LONGEST else f"{changed[:LONGEST]}..."
+        return f"{type(self).__name__}({shown})"
 
 
 _EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"}

@@ -1,4 +1,4 @@
-"""Metadata of a file: every format declares it as :class:`SourceFacts`, the only way to ask for it."""
+"""Metadata of a file: every format declares it as :class:`SourceFacts`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from prc_cli.core.types import U8
 
 
 class ClassContexts(Protocol):
-    """LAZ compression contexts of the classes, kept while a file is read so that it can be rewritten exactly."""
+    """LAZ compression contexts of the classes, kept to rewrite a file exactly."""
 
     @property
     def n_seen(self) -> int:
@@ -62,13 +62,15 @@ class SourceFacts:
     The file has one time per line, which blocks repeat for each shot, or a line's shots are fired
     out of turn."""
     has_returns: bool = False
-    """Whether shots of the file may have several returns, known where images are read (bags, packets)."""
+    """Whether shots of the file may have several returns, known where images are read (bags,
+    packets)."""
     has_scans: bool = False
     """Whether the file has several scans in sequence; each is a scanner of the stream."""
     stations: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     """Position of every scan [m], by scanner; empty if all are at the origin."""
     scanners: tuple[str, ...] = ()
-    """Names of the scanners, by their number, where several send at the same time (bags, packets)."""
+    """Names of the scanners, by their number, where several send at the same time (bags,
+    packets)."""
     rules: tuple[KnownRule, ...] = ()
     """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()
@@ -88,7 +90,8 @@ class SourceFacts:
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
     """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
     downs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    """Scan angle that points straight down [rad] and cosine of the tilt of the scan plane, by scanner, where known."""
+    """Scan angle that points straight down [rad] and cosine of the tilt of the scan plane, by
+    scanner, where known."""
     has_fitted_lines: bool = False
     """Whether lines and columns come from a fitted path; such lines need not repeat."""
     findings: tuple[Finding, ...] = ()

@@ -84,7 +84,7 @@ def read_small(path: Path, limit: int) -> bytes:
 
 
 def read_own(path: Path, limit: int) -> bytes:
-    """Return the content of a small file that only this user may write, and its folder; no links."""
+    """Return the content of a small file that only this user may write; no links."""
     if not hasattr(os, "getuid"):
         return read_small(path, limit)
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -273,7 +273,7 @@ def make_folder(folder: Path) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a fresh hidden name beside ``path``, on its file system, with the machine and the process id in it."""
+    """Return a new hidden name beside ``path`` with the machine and the process id."""
     _note(path)
     number = f"{_RUN.get()}{secrets.token_hex(4)}"
     name = path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{number}.part")
@@ -296,7 +296,7 @@ _notes: list[int] = []
 
 
 def note_temporaries(descriptor: int) -> None:
-    """Note outputs in an open file, each with a null behind it, for the process that cleans up after a crash.
+    """Note outputs in an open file, each ended by a null, for the clean-up after a crash.
 
     A name ends in ``/`` if it is a temporary folder. It begins with ``+`` if it is an output that
     replaced another, with ``?`` if it may have been there before, and with ``!`` if it is the
@@ -575,7 +575,7 @@ def remove_own() -> None:
 
 
 def why_not_written(temporary: Path) -> int:
-    """Return the error number of the system for a library that could not write a file, 0 = unknown."""
+    """Return the system's error number for a library that could not write, 0 = unknown."""
     with contextlib.suppress(OSError, ImportError):
         import resource
 
@@ -620,7 +620,9 @@ def left_words(placed: Sequence[Path] = _REPLACED) -> str:
         return "no output was left behind"
     names = ", ".join(path.name for path in placed[:_MOST_NAMED])
     more = f" and {len(placed) - _MOST_NAMED} more" * (len(placed) > _MOST_NAMED)
-    return f"{names}{more} {'are' if len(placed) > 1 else 'is'} whole and {'stay' if len(placed) > 1 else 'stays'}"
+    if len(placed) > 1:
+        return f"{names}{more} are whole and stay"
+    return f"{names} is whole and stays"
 
 
 def flush(temporary: Path) -> None:
@@ -665,7 +667,10 @@ def output_errors(path: Path) -> Iterator[None]:
                 str(path), "the disk is full; nothing was written under this name", free
             ) from error
         if error.errno == errno.EFBIG:
-            problem = "the system's limit for the size of a file is too small; nothing was written under this name"
+            problem = (
+                "the system's limit for the size of a file is too small; "
+                "nothing was written under this name"
+            )
             raise OutputError(str(path), problem, "raise it: ulimit -f unlimited") from error
         # reading errors keep their own file name: they are not about the output
         if error.filename is not None and Path(os.fsdecode(error.filename)).parent != path.parent:
@@ -675,7 +680,7 @@ def output_errors(path: Path) -> Iterator[None]:
 
 
 def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
-    """Ask the system to start writing part of a file to the disk, so that the final flush waits less."""
+    """Ask the system to write part of a file to the disk, so that the final flush is short."""
     advise = getattr(os, "posix_fadvise", None)
     if advise is not None:
         # DONTNEED makes Linux start writing dirty pages; only pages already written leave the cache

@@ -99,7 +99,8 @@ class Finding:
     def problem(self) -> str:
         """Return the fault and the expectation in one clause.
 
-        >>> Finding("units", Verdict.DOUBTFUL, "the scanner is 6.6 m above the ground", "at most 5 m").problem
+        >>> found = "the scanner is 6.6 m above the ground"
+        >>> Finding("units", Verdict.DOUBTFUL, found, "at most 5 m").problem
         'the scanner is 6.6 m above the ground, expected at most 5 m'
         """
         return f"{self.found}, expected {self.expected}" if self.expected else self.found
@@ -111,7 +112,8 @@ class Finding:
     def sentence(self) -> str:
         """Return the finding with its name, and what to do.
 
-        >>> Finding("units", Verdict.DOUBTFUL, "the scanner is 6.6 m above the ground", "at most 5 m").sentence()
+        >>> found = "the scanner is 6.6 m above the ground"
+        >>> Finding("units", Verdict.DOUBTFUL, found, "at most 5 m").sentence()
         'units: the scanner is 6.6 m above the ground, expected at most 5 m'
         """
         return f"{self.check}: {self.problem}" + (f"; {self.hint}" if self.hint else "")
@@ -133,7 +135,8 @@ def is_doubt(notice: str) -> bool:
 def doubt_of(notice: str) -> tuple[str, str] | None:
     """Return the check and the sentence of a doubt in a run record; None for any other notice.
 
-    >>> doubt_of(Finding("units", Verdict.DOUBTFUL, "the median range is 700 m", "at most 100 m").notice())
+    >>> doubt = Finding("units", Verdict.DOUBTFUL, "the median range is 700 m", "at most 100 m")
+    >>> doubt_of(doubt.notice())
     ('units', 'units: the median range is 700 m, expected at most 100 m')
     >>> doubt_of("the time goes back") is None
     True

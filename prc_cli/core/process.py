@@ -139,7 +139,8 @@ _M_ARENA_MAX = -8
 _SMALL = 1 << 17
 _LARGE = (1 << 25) - (1 << 16)
 _KEPT = 1 << 26
-"""glibc's first threshold for mapping, the largest that can be set, and the most kept free [bytes]."""
+"""glibc's first threshold for mapping, the largest that can be set, and the most kept free
+[bytes]."""
 
 
 def return_memory() -> None:
@@ -168,7 +169,7 @@ _P = ParamSpec("_P")
 
 
 class _Held(threading.local):
-    """State per thread: signals are handled in the main thread, which must not wait for loops of other threads."""
+    """State per thread: the main thread handles signals, and does not wait for other loops."""
 
     depth = 0
     pending: BaseException | None = None

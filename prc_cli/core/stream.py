@@ -57,7 +57,8 @@ class StreamInfo(Brief):
     line_hz: float | None = None
     """Scan lines per second [Hz]; None = unknown."""
     line_rule: str = ""
-    """How scan lines are found in records: dimension, fixed, angle-wrap or time; empty = no records."""
+    """How scan lines are found in records: dimension, fixed, angle-wrap or time; empty = no
+    records."""
     down_rad: float | None = None
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad].
 
@@ -76,7 +77,7 @@ class StreamInfo(Brief):
     """Names of the records' dimensions; empty for images and frames."""
 
     def down(self, scanner: int) -> tuple[float | None, float]:
-        """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
+        """Return the scan angle of straight down [rad] (None = unknown), and the tilt's cosine."""
         if self.downs:
             return self.downs.get(scanner, (None, 1.0))
         return self.down_rad, self.cos_tilt
@@ -112,7 +113,7 @@ class ReadTally:
         return ReadTally(*map(add, _counts_of(self), _counts_of(other)))
 
     def counts(self, *, everything: bool = False) -> Iterator[tuple[str, int]]:
-        """Yield every count but ``n_records``, with a description; zeros only with ``everything``."""
+        """Yield every count but ``n_records`` by description; zeros with ``everything``."""
         for name in self.__dataclass_fields__:
             count = getattr(self, name)
             if name != "n_records" and (count or everything):
@@ -178,9 +179,10 @@ class ScanBlock(Brief):
     angle_rad: F64 | None = None
     """(M,) float64, scan angle per column [rad]."""
     beam_rad: F64 | None = None
-    """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi]; the sign is the side of the
-    scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None
-    = unknown or not requested."""
+    """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi].
+
+    The sign is the side of the scan plane. It turns one way with the column, by a turn at most;
+    column 0 may be anywhere. None = unknown or not requested."""
     has_rings: bool = False
     """Whether columns are known to be the rings of a spinning scanner."""
     frame: SensorFrame | None = None
@@ -288,7 +290,7 @@ class StageLabels:
 
 @dataclass(frozen=True, slots=True)
 class CriticalZetas:
-    """Range differences that both thresholds must exceed for a shot to have support (Lehtola et al. 2019, V-A)."""
+    """Least thresholds with which a shot has support (Lehtola et al. 2019, V-A)."""
 
     in_line_m: F32
     """(lines, M) float32, compared with zeta_p [m]; inf = too few neighbours, NaN = missing."""
@@ -324,6 +326,7 @@ class LabelledBlock(Brief):
     reasons: U8 | None = None
     """(lines, M) uint8, :class:`prc_cli.core.classes.Reason`; None unless asked for."""
     measures: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """(lines, M) arrays that the stages measured, by names with their units, for ``prc explain``."""
+    """(lines, M) arrays that the stages measured, by names with their units, for ``prc
+    explain``."""
     is_up_assumed: bool = False
     """Whether there is a plane below and one above the scanner, and z is assumed to point up."""

@@ -32,7 +32,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 
 def default_threads() -> int:
-    """Return the number of cores this process may use, at least 1, by its affinity and its container's quota."""
+    """Return the number of cores of this process, by its affinity and its container's quota."""
     try:
         cores = len(os.sched_getaffinity(0))
     except AttributeError:  # not on this system

@@ -28,7 +28,7 @@ class Window:
     stop_is_relative: bool = False
 
     def bounds(self, origin: float) -> tuple[float, float]:
-        """Return first and stop for a stream whose first line has this number, or whose first time is this one."""
+        """Return first and stop for a stream that starts at this line number or time [s]."""
         return (
             self.first + (origin if self.first_is_relative else 0.0),
             self.stop + (origin if self.stop_is_relative else 0.0),
@@ -63,8 +63,8 @@ def _of_lines(text: str) -> Window:
 def _of_times(text: str) -> Window:
     match = _TIMES.fullmatch(text.strip())
     expected = (
-        "A:B, from A until just before B, in the stream's own seconds (prc info shows them), or with a + since its "
-        "first one: 512.5:542.5, +10:+40, +1min:"
+        "A:B, from A until just before B, in the stream's own seconds (prc info shows them), "
+        "or with a + since its first one: 512.5:542.5, +10:+40, +1min:"
     )
     if match is None:
         raise ValueError(expected)

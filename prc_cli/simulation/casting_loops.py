@@ -210,7 +210,7 @@ def _read_line(
 
 @helper
 def _measure_line(rays: F64, angle: F64) -> _Frame:
-    """Fit a plane to the shots of a line, measure how far they stray from it, write their angles."""
+    """Fit a plane to the shots of a line, measure their deviation, write their angles."""
     normal, first, second = _lay_plane(rays)
     centre = _middle(rays[0])[0], _middle(rays[1])[0], _middle(rays[2])[0]
     stray = out = tilt = 0.0
@@ -563,7 +563,7 @@ def _along_cone(
     vy: float,
     ready: F64,
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return a, b, c of the equation of shot and cone; place, speed, radius, growth along its axis."""
+    """Return a, b, c of a shot and a cone; place, speed, radius, growth along the axis."""
     x = rays[0, i] - vx * rays[6, i] - ready[0]
     y = rays[1, i] - vy * rays[6, i] - ready[1]
     z = rays[2, i] - ready[2]
@@ -951,7 +951,8 @@ def cast_shots(
 
 
 @kernel(
-    "Tuple((float64[:, :, ::1], float64[:, :, ::1]))(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])"
+    "Tuple((float64[:, :, ::1], float64[:, :, ::1]))"
+    "(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])"
 )
 def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
     """Place and turn every shot of every line, straight between the poses around it.

@@ -21,7 +21,8 @@ from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
 from prc_cli.simulation.world import PROPERTIES, Bodies, BodiesNear, Material, Shape, hashed
 
 LINES_AT_ONCE = 64
-"""Lines that are simulated together, whatever blocks are asked for: values do not depend on these."""
+"""Lines that are simulated together, whatever blocks are asked for: values do not depend on
+these."""
 LINES_LOOKED_AT = 1 << 12
 """Lines whose places are computed together in the search for the end of a drive."""
 MOST_LINES = 2**31 - 1
@@ -64,7 +65,8 @@ class SimulatedScan:
     flake_m: float = 0.0
     """Mean way of a beam from one flake of snow, or drop, to the next [m]; 0 = clear air."""
     relabel: Callable[[F64], U8] | None = None
-    """Reference labels by place, (n, 3) [m] to (n,); unset = of the bodies. Needs ``with_world``."""
+    """Reference labels by place, (n, 3) [m] to (n,); unset = of the bodies. Needs
+    ``with_world``."""
 
     @property
     def lines_at_once(self) -> int:
@@ -238,7 +240,7 @@ def in_snow(
     first_line: int,
     seed: int,
 ) -> Measured:
-    """Return measurements with flakes, or drops, in the way of the beams; their returns are noise."""
+    """Return measurements with flakes or drops before the surfaces; their returns are noise."""
     n_lines, m = returns.range_m.shape
     shot = (first_line * m + np.arange(n_lines * m, dtype=np.int64)).reshape(n_lines, m)
     way = -flake_m * np.log1p(-hashed(seed, 40, shot))

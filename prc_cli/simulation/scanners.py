@@ -48,11 +48,13 @@ class Scanner(Params):
     )
     elevations_deg: tuple[float, ...] = Field(
         (),
-        description="spinning: elevation of every ring, rising; none = even steps over the field [degrees]",
+        description="spinning: elevation of every ring, rising; "
+        "none = even steps over the field [degrees]",
     )
     azimuths_deg: tuple[float, ...] = Field(
         (),
-        description="spinning: how far every ring looks ahead of the head, in its turn; none = all alike [degrees]",
+        description="spinning: how far every ring looks ahead of the head, in its turn; "
+        "none = all alike [degrees]",
     )
     line_hz: float = Field(gt=0, le=1e6, description="scan lines a second [Hz]")
     points_per_line: int = Field(ge=2, le=100_000, description="M, shots in a scan line")
@@ -190,7 +192,7 @@ class Scanner(Params):
 
     @property
     def late_lines(self) -> I64:
-        """Lines by which every ring sees a direction after the one that looks ahead most, (M,) int64."""
+        """Delay of every ring behind the one that looks ahead most, (M,) int64 [lines]."""
         ahead = np.rint(
             np.array(self.azimuths_deg or [0.0] * self.points_per_line) / self.azimuth_step_deg
         )
@@ -205,7 +207,7 @@ class Scanner(Params):
         return azimuth
 
     def angle_rad(self) -> F64:
-        """Return the angle of every column in the scan plane, (M,) float64, rising, 0 = down [rad]."""
+        """Return the angles of columns in the scan plane, (M,) float64, 0 = down [rad]."""
         if self.elevations_deg:
             return np.deg2rad(90.0 + np.array(self.elevations_deg))
         column = np.arange(self.points_per_line, dtype=np.float64) + 0.5
@@ -213,7 +215,7 @@ class Scanner(Params):
         return angle
 
     def directions(self) -> F64:
-        """Return the direction of every column on an even platform, (M, 3) float64, unit vectors."""
+        """Return the unit vectors of columns on an even platform, (M, 3) float64."""
         angle = self.angle_rad()
         zero = np.zeros_like(angle)
         if self.turns:

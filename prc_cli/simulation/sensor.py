@@ -2,19 +2,22 @@
 
 The model (the loops are in :mod:`sensor_loops`):
 
-- An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at the power of a white
-  wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far
-  surfaces drop out.
-- Range noise grows with the weakness of the echo, so with range, incidence and darkness alike, and with the depth that
-  the beam's width spans on a slanted surface.
-- Between two neighbours of a line whose ranges step, there is an edge at a random place. A beam that is wide enough to
-  reach it is split, so the share of split shots is the beam's width over the distance of the shots.
+- An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at
+  the power of a white wall at the scanner's half range. The odds grow with the fourth power, so
+  dark, grazing and far surfaces drop out.
+- Range noise grows with the weakness of the echo, so with range, incidence and darkness alike, and
+  with the depth that the beam's width spans on a slanted surface.
+- Between two neighbours of a line with a step of range, there is an edge at a random place. A beam
+  that is wide enough to reach it is split, so the share of split shots is the beam's width over the
+  distance of the shots.
   A continuous wave gives a range in between, weighted by power; a pulse gives two returns, or a
   mixture if they are closer than the pulse is long. Only neighbours within the line count: a line
   depends on nothing but itself.
-- Glass answers with the pane (always where it is met squarely), a ghost beyond it, or lets the light through.
-- Background light gives a continuous wave a range from anywhere within the ambiguity interval, oftenest where the sky
-  is bright, and moves some ranges off their surface. Ranges beyond the interval come back wrapped.
+- Glass answers with the pane (always at normal incidence), with a ghost beyond it, or lets the
+  light through.
+- Background light gives a continuous wave a range from anywhere within the ambiguity interval, most
+  often in a bright sky, and moves some ranges off their surface. Ranges beyond the interval come
+  back wrapped.
 
 A range that is not that of a surface is labelled NOISE; a mixture within ``edge_m`` of a surface is
 that surface's, and one of two surfaces of the same label, such as two leaves, keeps it.
@@ -96,7 +99,8 @@ class Measured:
     intensity: F32
     """(lines, M) float32, power over that of a white wall at 10 m; 0 = missing."""
     extra_line: I32
-    """(e,) int32, line within the block of every further return, sorted by line, column and range."""
+    """(e,) int32, line within the block of every further return, sorted by line, column and
+    range."""
     extra_column: I32
     """(e,) int32."""
     extra_range_m: F32
@@ -146,7 +150,7 @@ def scan(
 
 
 def _about(bodies: Bodies) -> tuple[F64, U8]:
-    """Return (reflectance, number in 0..1) float64 and (label, bits) uint8 of bodies, (n, 2) each."""
+    """Return (reflectance, random number) and (label, bits) of bodies, (n, 2) each."""
     reflectance = np.array([PROPERTIES[material].reflectance for material in Material])
     label = np.array([PROPERTIES[material].label for material in Material], dtype=np.uint8)
     is_glass = np.array([PROPERTIES[material].is_glass for material in Material])
@@ -172,7 +176,7 @@ def _model(scanner: Scanner) -> SensorModel:
 
 @lru_cache(maxsize=1)
 def _quantiles() -> F64:
-    """Return quantiles of the standard normal law from 0 to 1, (4097,) float64, both ends at 4.2."""
+    """Return quantiles of the standard normal law, (4097,) float64, both ends at 4.2."""
     law = NormalDist()
     inner = [law.inv_cdf(i / _QUANTILES) for i in range(1, _QUANTILES)]
     return np.array([-4.2, *inner, 4.2])

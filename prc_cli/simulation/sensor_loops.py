@@ -1,4 +1,4 @@
-"""Loops of the simulated sensor, from surfaces to ranges: echoes, mixture, loss, noise, stray light.
+"""Loops of the simulated sensor: echoes, their mixture, loss, noise and stray light.
 
 Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else.
 Powers are in 1/m²: share of the light that comes back from a surface, times the cosine of
@@ -60,7 +60,8 @@ _NOTHING = 128
 _T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
 """Range, power, tangent of incidence, label: columns of echoes, first rows of a line's shots."""
 _STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
-"""Further rows: slope of flat surfaces, shares of the beam on the surfaces of the shots beside it."""
+"""Further rows: slope of flat surfaces, shares of the beam on the surfaces of the shots beside
+it."""
 
 
 class _Hit(NamedTuple):
@@ -210,7 +211,7 @@ def _pane_echo(
     model: SensorModel,
     echo: F64,
 ) -> int:
-    """Write the echo of glass itself, or of what it mirrors; return the number of echoes, 0 or 1."""
+    """Write the echo of glass or of its mirror image; return the number of echoes, 0 or 1."""
     t = work[_T, column]
     echo[0, _T] = t
     echo[0, _POWER] = work[_POWER, column]
@@ -256,7 +257,7 @@ def _add_echo(
 
 @helper
 def _merge(echo: F64, n: int, model: SensorModel) -> int:
-    """Merge echoes that the scanner cannot separate (all, or within a pulse); return their number."""
+    """Merge echoes that the scanner cannot separate; return their number."""
     kept = 0
     for i in range(1, n):
         gap = echo[i, _T] - echo[kept, _T]

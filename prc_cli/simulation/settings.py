@@ -56,7 +56,10 @@ class SimulationSettings(Params):
     )
 
 
-_FRAME = "where the world lies on earth; unset = nowhere, coordinates count from the start, but for an SBET"
+_FRAME = (
+    "where the world lies on earth; unset = nowhere, coordinates count from the start, "
+    "but for an SBET"
+)
 
 
 class MovingSettings(SimulationSettings):
@@ -218,7 +221,10 @@ def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], 
             continue
         keys = sorted(set(in_file) - {"name"})
         if "name" in asked and keys and asked["name"] != in_file.get("name"):
-            problem = f"{name}: found the preset {asked['name']!r} asked for beside {keys[0]} in [{name}], expected one"
+            problem = (
+                f"{name}: found the preset {asked['name']!r} asked for beside {keys[0]} "
+                f"in [{name}], expected one"
+            )
             raise ConfigError(
                 where, problem, f"leave [{name}] out of the file, or do not ask for a preset"
             )
@@ -329,7 +335,10 @@ def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:
         step_deg = settings.scanner.azimuth_step_deg
         most = max(1, round(360.0 / step_deg))
         if settings.lines is not None and settings.lines > most:
-            problem = f"found {settings.lines}, expected at most {most}: the head turns once, in steps of {step_deg:g}°"
+            problem = (
+                f"found {settings.lines}, expected at most {most}: "
+                f"the head turns once, in steps of {step_deg:g}°"
+            )
             raise ConfigError("lines", problem, "set a smaller scanner.azimuth_step_deg")
         return (
             max(1, round(settings.station.turn_deg / step_deg))

@@ -56,7 +56,7 @@ class Hits(NamedTuple):
 
 
 class CastBodies(NamedTuple):
-    """The arrays of :class:`prc_cli.simulation.world.Bodies` that the caster takes, and one more."""
+    """Arrays of :class:`prc_cli.simulation.world.Bodies` for the caster."""
 
     shape: Annotated[U8, 1]
     numbers: Table

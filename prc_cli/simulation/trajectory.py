@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     import pyproj
 
 PathPoint = Callable[[F64], tuple[F64, F64]]
-"""A scene's way: distances (n,) float64 [m] to the ground below the platform, (n, 3) float64 [m], and heading, (n,)
+"""A scene's way: distances (n,) float64 [m] to the ground below the platform, (n, 3) float64 [m],
+and heading, (n,)
 float64 [rad, 0 = x, positive to the left]; continuous both."""
 
 _KNOT_S = 0.005
@@ -87,7 +88,8 @@ class MotionParams(Params):
         # a stop lies at 0.3 to 0.7 of its stretch, with room to brake before and to speed up after
         # it
         if 0.0 < 0.3 * self.stop_every_m < self.braking_m:
-            problem = f"stop_every_m of at least {self.braking_m / 0.3:.0f} at this speed and braking, or 0"
+            least_m = self.braking_m / 0.3
+            problem = f"stop_every_m of at least {least_m:.0f} at this speed and braking, or 0"
             raise ValueError(problem)
         return self
 
@@ -233,7 +235,7 @@ class Trajectory:
         return Pose(position, roll, pitch, yaw)
 
     def _stop_and_go(self, time_s: F64) -> tuple[F64, F64, F64]:
-        """Return distance, speed and acceleration of a platform that cruises evenly but for its stops."""
+        """Return distance, speed and acceleration of a platform with even speed between stops."""
         motion = self.motion
         v = self.motion.speed_m_s
         stretch = motion.stop_every_m
@@ -363,7 +365,7 @@ _COLUMNS = ("time", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
 class Frame(Params):
-    """A coordinate system in metres, x east, y north, and the place of the simulated world in it."""
+    """A coordinate system in metres, x east, y north, and the place of the world in it."""
 
     crs: str = Field("EPSG:32635", description="as pyproj takes it")
     easting_m: float = Field(363_000.0, description="of the world's origin [m]")
@@ -423,7 +425,10 @@ def check_frame(path: Path, frame: Frame) -> None:
 
 def _earth(path: Path, frame: Frame) -> pyproj.Proj:
     if not frame.crs:
-        problem = "an SBET trajectory is in latitude and longitude, and the simulated world lies nowhere on earth"
+        problem = (
+            "an SBET trajectory is in latitude and longitude, "
+            "and the simulated world lies nowhere on earth"
+        )
         raise ConfigError(
             str(path), problem, "give a coordinate system, for example EPSG:32635, or write CSV"
         )

@@ -119,7 +119,8 @@ class Bodies:
     velocity: F64
     """(n, 2) float64, along x and y [m/s]."""
     number: F64
-    """(n,) float64, identity, 0 to below 2^53, the same whatever is in sight; it seeds the leaves."""
+    """(n,) float64, identity, 0 to below 2^53, the same whatever is in sight; it seeds the
+    leaves."""
 
     @classmethod
     def join(cls, parts: list[Bodies]) -> Bodies:

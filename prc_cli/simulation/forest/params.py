@@ -76,7 +76,10 @@ class ForestSceneParams(Params):
     @model_validator(mode="after")
     def _check(self) -> ForestSceneParams:
         if self.dbh_min_m >= self.dbh_mean_m:
-            problem = f"found dbh_min_m {self.dbh_min_m:g}, expected less than dbh_mean_m {self.dbh_mean_m:g}"
+            problem = (
+                f"found dbh_min_m {self.dbh_min_m:g}, "
+                f"expected less than dbh_mean_m {self.dbh_mean_m:g}"
+            )
             raise ValueError(problem)
         if self.pine_share + self.spruce_share + self.birch_share <= 0:
             problem = (
@@ -114,4 +117,5 @@ PRESETS: dict[str, ForestSceneParams] = {
         logs_per_ha=250,
     ),
 }
-"""Forests by name: the mature mixed stand, an open heath of pines, a thicket of spruces on stony ground."""
+"""Forests by name: the mature mixed stand, an open heath of pines, a thicket of spruces on stony
+ground."""

@@ -138,7 +138,7 @@ class Floor:
         return Bodies.join([stems, tufts])
 
     def _logs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
-        """Return dead stems and branches that lie about, in two pieces so that they follow the ground."""
+        """Return dead stems and branches on the ground, in two pieces each that follow it."""
         middle = self._places(self._params.logs_per_ha, i, j, chance)
         n = len(middle)
         length = 1.0 + 5.0 * chance.random(n) ** 2
@@ -194,7 +194,7 @@ class _Cell:
 
 
 class ForestScene:
-    """An endless forest of cells (:data:`prc_cli.simulation.world.BodiesNear`), each of own random numbers."""
+    """An endless forest of cells, see :data:`prc_cli.simulation.world.BodiesNear`."""
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:
         self.params = params

@@ -1,4 +1,4 @@
-"""Houses: facades with recessed windows, doors, balconies and cornices, gable and flat roofs, yards and passages.
+"""Houses: facades with windows, doors and balconies, gable and flat roofs, yards, passages.
 
 A facade costs few bodies: piers between the columns of windows and bands between the storeys are
 boxes as deep as the recess, and one pane of glass runs behind all of them; so jambs, sills and
@@ -65,7 +65,7 @@ def build_houses(
     plan: Plan,
     seed: int,
 ) -> None:
-    """Add the houses of a piece, those along its side streets, and those that stand behind open yards."""
+    """Add the houses of a piece, along its side streets and behind open yards."""
     for side in plan.sides:
         rng = generator(seed, Purpose.HOUSES, plan.piece, side.side)
         for lot in side.lots:
@@ -236,7 +236,7 @@ def _gable(
     style: Style,
     rise: float,
 ) -> None:
-    """Roof with its ridge along the street, eaves that stand out, and the triangles of wall under it."""
+    """Roof with its ridge along the street, eaves, and the triangles of wall under it."""
     half = 0.5 * style.width + 0.02
     middle = 0.5 * style.depth
     out = 0.4

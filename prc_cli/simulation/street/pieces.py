@@ -62,7 +62,7 @@ class Kerb:
         return frame_at(self.ground, s, self.side.side * d, self.side.side)
 
     def free(self, s: float, reach: float) -> bool:
-        """Whether the strip at the curb is free within ``reach``, without low curb or side street."""
+        """Whether the strip at the curb is free within ``reach``: no body, low curb, street."""
         low = s - reach
         high = s + reach
         if low < self.plan.start or high > self.plan.start + PIECE_M:

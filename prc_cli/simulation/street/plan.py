@@ -121,7 +121,7 @@ def generator(
     number: int = 0,
     side: int = 1,
 ) -> np.random.Generator:
-    """Return the generator of a purpose at a place (piece, block, car), whatever was drawn before."""
+    """Return the generator of a purpose at a place (piece, block, car)."""
     place = (int(purpose) * 2 + (side > 0)) * 2**56 + number + 2**40
     return np.random.Generator(np.random.Philox(key=np.array([seed, place], dtype=np.uint64)))
 

@@ -1,4 +1,4 @@
-"""The ground: road with a crown, curbs that drop at driveways and crossings, sidewalks, land and side streets.
+"""The ground: road, curbs that drop at driveways and crossings, sidewalks, land, side streets.
 
 One surface of triangles that share their corners. Across the street it is made of strips between
 lines of constant distance from the crown; along the street its lines are straight between stations
@@ -73,11 +73,11 @@ class Centreline:
         return _sum(self._hills, s_m) - self._hill_0
 
     def side_slope(self, s_m: F64, side: int) -> F64:
-        """Slope of the land on the left (1) or right (-1), positive = up away from the street [m/m]."""
+        """Return the slope of the land left (1) or right (-1), positive = up outwards [m/m]."""
         return _sum(self._sides[side], s_m)
 
     def lane(self, s_m: F64) -> F64:
-        """Position of the lane's middle in plan, (n, 2) float64 [m], for (n,) distances of any sign."""
+        """Return the middle of the lane in plan at distances (n,), (n, 2) float64 [m]."""
         turns = np.floor(s_m / PERIOD_M)
         within = s_m - turns * PERIOD_M
         i = np.minimum((within / _STEP_M).astype(np.int64), len(self._table) - 2)
@@ -180,7 +180,7 @@ class Ground:
         return result
 
     def height(self, s_m: float, d_m: float) -> float:
-        """Height of the ground at a place that is neither in a side street nor at a dropped curb [m]."""
+        """Return the height of the ground, without side streets and dropped curbs [m]."""
         raised = self.curb_m if abs(d_m) > ROAD_HALF_M else 0.0
         return float(self.road(np.array([s_m]), np.array([d_m]))[0]) + raised
 
@@ -191,7 +191,7 @@ class Ground:
     def spot(
         self, s: float, d: float, *, tilted: bool
     ) -> tuple[float, float, float, float, float, float]:
-        """Place and height [m], heading [rad], slopes along and to the left, 0 where not asked for."""
+        """Return place and height [m], heading [rad], slopes along and left, 0 if not tilted."""
         places = np.array([s, s - 1.0, s + 1.0])
         heading = self.line.heading(places)
         (x, y), *_ = self.line.place(places, np.full(3, d)).tolist()
@@ -454,7 +454,7 @@ def _side_street(
     side: int,
     curb_m: float,
 ) -> None:
-    """Add the road of a side street, with a crown that grows out of the main road, and its curbs."""
+    """Add a side street: a road with a crown from the main road on, and its curbs."""
     corner = ROAD_HALF_M + CORNER_M
     across = [ROAD_HALF_M, corner, BUILDING_LINE_M, _FRONT_M, FAR_M]
     low = junction.s - junction.half

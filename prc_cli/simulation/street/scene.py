@@ -19,7 +19,8 @@ from prc_cli.simulation.world import Bodies
 _KEPT_PIECES = 64
 """Pieces that are remembered: more than are in sight at once."""
 _REACH_M = 40.0
-"""Bodies of a piece stay within this way along the street from its ends, as seen from the crown [m]."""
+"""Bodies of a piece stay within this way along the street from its ends, as seen from the crown
+[m]."""
 _NUMBERS = 2.0**14
 """Identities that a piece has room for."""
 _FIRST = 2.0**38

@@ -54,7 +54,8 @@ STRAIGHT_M = 1.0
 """A path within this of a straight line (standard deviation) has no shape [m]."""
 ALIKE_M = 2.0
 ALIKE_SHARE = 0.03
-"""Shapes are alike within this [m], or this share of their extent: lever arms turn with vehicles."""
+"""Shapes are alike within this [m], or this share of their extent: lever arms turn with
+vehicles."""
 MOST_DEGREES = (180.0, 90.0)
 LEAST_METRES = 1000.0
 """Larger coordinates are not degrees [m]."""
@@ -406,7 +407,8 @@ def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
         return f"{far}: other coordinates or another drive, which a straight path does not tell"
     best = _shape(coarse, trajectory)
     if best.off_m > max(ALIKE_M, ALIKE_SHARE * _extent(coarse.xyz_m)):
-        return f"{far}, and no part of it has the same shape (best: {best.off_m:.1f} m off): another drive"
+        shape = f"no part of it has the same shape (best: {best.off_m:.1f} m off)"
+        return f"{far}, and {shape}: another drive"
     return f"{far}, but has the same shape: {best.in_words()}"
 
 

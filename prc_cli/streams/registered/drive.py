@@ -145,7 +145,8 @@ class Drive(Judged):
             Assumption(
                 "input.lines",
                 f"time:{turning.line_hz:.9g}",
-                f"points lie {figures.residual_m:.3f} m off their beams (median) at this many lines a second",
+                f"points lie {figures.residual_m:.3f} m off their beams (median) "
+                "at this many lines a second",
             ),
             Assumption(
                 "input.columns",

@@ -37,7 +37,8 @@ HOLE_CELLS = 8
 """Longer gaps are no holes of a surface."""
 HOLE_M = 0.1
 HOLE_SHARE = 0.02
-"""Points on both sides of a hole differ in range by at most this [m], and this share of it for every cell."""
+"""Points on both sides of a hole differ in range by at most this [m], and this share of it for
+every cell."""
 
 
 class Judged:
@@ -242,7 +243,8 @@ def judge(
             passed.share_bridged,
             MOST_BRIDGED,
             0.9,
-            f"{when}{passed.share_bridged:.0%} of the lines do not tell where the scanner was (within {BRIDGED_M} m)",
+            f"{when}{passed.share_bridged:.0%} of the lines do not tell where the scanner was "
+            f"(within {BRIDGED_M} m)",
             f"at most {MOST_BRIDGED:.0%}",
             "open ground tells too little; " + _HINT_TRAJECTORY,
         )
@@ -270,7 +272,10 @@ def judge(
 
 def no_stations(path: str, turning: Turning) -> EvidenceError:
     """Return the error of points whose scan lines do not place the scanner."""
-    problem = f"the beam turns {turning.hz:.5g} times a second, but its lines are too short or too few to place the scanner"
+    problem = (
+        f"the beam turns {turning.hz:.5g} times a second, "
+        "but its lines are too short or too few to place the scanner"
+    )
     hint = f"look at the unit of x, y, z; give a larger part of the drive; or {_HINT_TRAJECTORY}"
     return EvidenceError(path, problem, hint)
 
@@ -279,8 +284,9 @@ def no_rotation(path: str, rotation: Rotation | None) -> EvidenceError:
     """Return the error of points that fit no turning beam."""
     reason = "too few points follow each other in time"
     if rotation is not None:
-        reason = f"at the best rate, {rotation.hz:.4g} turns a second, points lie {rotation.residual_m:.2f} m off"
-        reason += f" their beams, and {1 - rotation.in_front:.0%} of them behind the scanner"
+        reason = f"at the best rate, {rotation.hz:.4g} turns a second, points lie "
+        reason += f"{rotation.residual_m:.2f} m off their beams, and "
+        reason += f"{1 - rotation.in_front:.0%} of them behind the scanner"
     problem = f"no rotation of a scanner fits the points and their times: {reason}"
     hint = (
         "airborne scanners, several scanners merged, and times that are coarse cannot be read so; "

@@ -131,7 +131,7 @@ def firing_numbers(
     Returns
     -------
     (n,) int64, Firings
-        Number of the firing, -1 for points of no ring; the firings with the phase of the last block.
+        Number of the firing, -1 = no ring; the firings with the phase of the last block.
     """
     known = ring >= 0
     if not known.any():

@@ -138,7 +138,7 @@ def fit_track(pieces: PassPieces, turning: Turning, duration_s: float) -> Track 
 
 
 def knot_times(windows: Windows, turning: Turning) -> F64:
-    """Return evenly spaced times from a line before the first window to a line after the last, (k,) [s]."""
+    """Return even times, a line before the first window to a line after the last, (k,) [s]."""
     line_s = 1.0 / turning.line_hz
     step = max(line_s, KNOT_S)
     first_s = windows.time_s[0] - line_s
@@ -292,7 +292,7 @@ def read_clock(time_s: F64) -> Clock | None:
 
 
 def are_shots_of_one_time(scan: Scan, time_s: F64, xyz_m: F64) -> bool:
-    """Return whether points of one time are several shots of a coarse time, not returns of one shot.
+    """Return whether points of one time are several shots, not returns of one shot.
 
     Parameters
     ----------

@@ -22,7 +22,8 @@ SPEED_CHANGE_M_S2 = 4.0
 TURN_CHANGE_RAD_S2 = 6.0
 """Usual change of the platform's turn: a pot hole, the sway of a walker [rad/s2]."""
 SCALES_M = (1.0, 0.3, 0.1, 0.05)
-"""Residuals at which the weight of a point halves, by round; later ones follow the residuals [m]."""
+"""Residuals at which the weight of a point halves, by round; later ones follow the residuals
+[m]."""
 LEAST_SCALE_M = 0.01
 MOST_FINE_ROUNDS = 10
 STEEPEST = 0.1
@@ -54,7 +55,7 @@ class Knots:
 
 @dataclass(frozen=True, slots=True)
 class ScannerPath:
-    """Place and axes of one scanner at ``k`` times of all its passes, with straight lines between."""
+    """Place and axes of one scanner at ``k`` times; straight lines between."""
 
     scanner: int
     time_s: F64
@@ -109,7 +110,7 @@ class Fit:
 
 
 def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
-    """Return positions on the straight lines between knots, (n, 3) [m]; beyond, the speed continues.
+    """Return positions between knots, (n, 3) [m]; beyond them the speed continues.
 
     Parameters
     ----------
@@ -423,7 +424,7 @@ def _banded(blocks: F64) -> F64:
 
 
 def inverse_blocks(banded: F64) -> F64:
-    """Return the diagonal blocks of the inverse of a banded matrix, (k, 6, 6), by selected inversion.
+    """Return the diagonal blocks of the inverse of a banded matrix, (k, 6, 6).
 
     Parameters
     ----------

@@ -30,7 +30,8 @@ class Stations:
     frame: F64
     """(w, 3, 3) float64, columns e1, e2, n: bearing 0, bearing 90 degrees, axis of the turn."""
     residual_m: F64
-    """(w,) float64, median distance of the points from their beams, in the plane and across it [m]."""
+    """(w,) float64, median distance of the points from their beams, in the plane and across it
+    [m]."""
     in_front: F64
     """(w,) float64, share of the points that lie in front of the beam, not behind it."""
     spread_m: F64

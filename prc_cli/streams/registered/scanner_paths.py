@@ -15,7 +15,7 @@ from prc_cli.streams.registered.spinning_drive import SpinningDrive
 
 
 def scanner_paths(drive: Drive | SpinningDrive) -> tuple[ScannerPath, ...]:
-    """Return the path of every scanner of a drive, from the first to the last point of each pass."""
+    """Return the path of every scanner, from the first to the last point of each pass."""
     passes = drive.paths if isinstance(drive, SpinningDrive) else _paths_of_passes(drive)
     by_scanner: dict[int, list[ScannerPath]] = {}
     for path in passes:

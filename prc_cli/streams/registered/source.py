@@ -61,7 +61,10 @@ def with_points(
     """
     lacking = [name for name in (*XYZ, "time") if name not in source.dimensions]
     if lacking:
-        problem = f"range = points needs x, y, z and a time for every point; the file has no {', '.join(lacking)}"
+        problem = (
+            "range = points needs x, y, z and a time for every point; "
+            f"the file has no {', '.join(lacking)}"
+        )
         raise InputError(source.path, problem, f"it has: {', '.join(source.dimensions)}")
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
@@ -228,7 +231,7 @@ def _is_usable(chunk: RecordChunk) -> Mask:
 
 @dataclass(frozen=True)
 class _WithLost(DerivedSource):
-    """A cloud as a stream, followed by the records without time or coordinates, which have no cell."""
+    """A cloud as a stream, followed by the records without time or coordinates."""
 
     drive: Drive | SpinningDrive
     lost: I64

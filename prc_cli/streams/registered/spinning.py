@@ -75,7 +75,7 @@ class SpinningScan:
 
     @property
     def residual_m(self) -> float:
-        """Median distance of the points from the cones of their rings and from their half planes [m]."""
+        """Median distance of the points from the cones and half planes of their shots [m]."""
         return float(np.median(np.hypot(self.path.beside_m, self.path.cone_m)))
 
     @property
@@ -95,7 +95,7 @@ def find_head(time_s: F64, xyz_m: F64) -> SpinningHead | NoScan:
     Parameters
     ----------
     time_s
-        (n,) float64, rising [s]. Gaps are allowed: some seconds from all over a long drive are enough.
+        (n,) float64, rising [s]. Gaps are allowed: some seconds from all over a drive are enough.
     xyz_m
         (n, 3) float64, registered points [m].
 
@@ -151,7 +151,7 @@ def share_one_time(
     ring: I64,
     rate: TurnRate,
 ) -> float:
-    """Return the share of points with the time of the point before in their ring, but another azimuth."""
+    """Return the share of shots with the time of the shot before in their ring."""
     known = np.flatnonzero(ring >= 0)
     order = known[np.argsort(ring[known], kind="stable")]
     same = (np.diff(ring[order]) == 0) & (np.diff(time_s[order]) == 0)
@@ -160,7 +160,7 @@ def share_one_time(
 
 
 def scan_piece(time_s: F64, xyz_m: F64, head: SpinningHead) -> tuple[SpinningScan, SpinningHead]:
-    """Find line, ring and range of the points of a piece of a drive, and the head for the next piece.
+    """Find line, ring and range of the points of a piece, and the head for the next piece.
 
     Parameters
     ----------

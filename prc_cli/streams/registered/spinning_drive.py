@@ -301,7 +301,10 @@ def judge_rings(share_clear: float) -> Finding:
     verdict = Verdict.FINE
     if share_clear < LEAST_CLEAR:
         verdict = Verdict.DOUBTFUL if share_clear >= WORST_CLEAR else Verdict.AGAINST
-    hint = "the times may be rounded, or the points moved after the drive; give the path: --range trajectory:FILE"
+    hint = (
+        "the times may be rounded, or the points moved after the drive; "
+        "give the path: --range trajectory:FILE"
+    )
     problem = f"{1.0 - share_clear:.0%} of the points lie between the rings of the scanner"
     return Finding(CHECK, verdict, problem, f"at most {1.0 - LEAST_CLEAR:.0%}", hint)
 

@@ -82,7 +82,7 @@ class HeadPath:
         )
 
     def local(self, time_s: F64, xyz_m: F64) -> F64:
-        """Return points in the frame of the head that does not spin, by the nearest window, (n, 3) float64 [m]."""
+        """Return points in the frame of the head that does not spin, (n, 3) float64 [m]."""
         middle = 0.5 * (self.time_s[1:] + self.time_s[:-1])
         local = np.empty((len(time_s), 3))
         border = np.searchsorted(time_s, middle)
@@ -160,7 +160,7 @@ def _filled_middles(time_s: F64, middle: F64, length_s: float) -> F64:
 
 
 def _predicted_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
-    """Move stations along their axes onto the rings, near the height that the window before predicts."""
+    """Move stations along their axes onto the rings, near the predicted height."""
     poses = fit.poses
     local = poses.local(windows)
     level = np.hypot(local[:, :, 0], local[:, :, 1])

@@ -41,7 +41,8 @@ MIN_ROUNDNESS = 0.5
 SCALES_M = np.geomspace(1.0, 0.01, 25)
 """Residuals at which the weight of a point halves, for a fit that chooses among rings [m]."""
 FOLLOW_SCALES_M = (np.geomspace(1.0, 0.1, 6),) * 4 + (np.geomspace(0.1, 0.01, 5),) * 2
-"""Residuals for rings that look ahead by different, known angles, of which every point follows the nearest [m]."""
+"""Residuals for rings that look ahead by different, known angles, of which every point follows the
+nearest [m]."""
 NEAR_M = 0.03
 WIDE_M = 0.3
 MIN_CONTRAST = 6.0
@@ -81,7 +82,8 @@ class TurnRate:
     origin_s: float
     """Time of azimuth 0 of the head in its frame [s]."""
     residual_m: float
-    """Median distance of the points from the half planes of their shots, in windows that count [m]."""
+    """Median distance of the points from the half planes of their shots, in windows that count
+    [m]."""
     locked: float
     """Share of the sampled windows that count."""
 
@@ -91,7 +93,7 @@ class TurnRate:
 
 
 def sample_middles(time_s: F64, n_windows: int) -> F64:
-    """Return middles of windows, spread unevenly over the points: no period of the drive repeats."""
+    """Return middles of windows, spread unevenly over the points [s]."""
     place = np.modf((np.arange(n_windows) + 0.5) * 0.6180339887498949)[0]
     return np.unique(time_s[(place * len(time_s)).astype(np.int64)])
 
@@ -102,7 +104,7 @@ def find_turn_hz(time_s: F64, xyz_m: F64) -> TurnRate | NoScan:
     Parameters
     ----------
     time_s
-        (n,) float64, rising [s]. Gaps are allowed: some seconds from all over a long drive are enough.
+        (n,) float64, rising [s]. Gaps are allowed: some seconds from all over a drive are enough.
     xyz_m
         (n, 3) float64, registered points [m].
 
@@ -232,7 +234,7 @@ def wrapped(angle: F64) -> F64:
 
 
 def drift_hz(windows: Windows, poses: Poses, hz: float) -> float:
-    """Return the error of a rate: vehicles move along their heading, so velocity rests in the frame."""
+    """Return the error of a rate: the velocity of a vehicle rests in the true frame [Hz]."""
     velocity = (poses.velocity_m_s[:, None, :] @ poses.frame)[:, 0, :2]
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > MIN_SPEED_M_S
     if moving.sum() < 4:

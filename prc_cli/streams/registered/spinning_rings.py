@@ -72,7 +72,8 @@ class Rings:
     n_points: I64
     """(k,) int64, number of points of every ring."""
     climb: float
-    """Usual speed of the head along its axis over the speed across it; 0 = axis square to the road."""
+    """Usual speed of the head along its axis over the speed across it; 0 = axis square to the
+    road."""
     is_up: bool
     """Whether the axis points up; it points down if the head turns to the right from above."""
 
@@ -349,7 +350,7 @@ def _ring_bins(elevation: F64) -> I64:
 
 
 def _agreeing(elevation: F64, use: Mask, width_rad: float) -> Mask:
-    """Mark the windows whose points crowd at the elevations of other windows: their height is right."""
+    """Mark windows with the crowded elevations of other windows: their height is right."""
     every = [
         _ring_density(angle[known], width_rad) for angle, known in zip(elevation, use, strict=True)
     ]

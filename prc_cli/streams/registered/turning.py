@@ -59,7 +59,7 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Station, frame and their rates at the middle of ``w`` windows, relative to the windows' centres."""
+    """Station, frame and their rates at the middle of ``w`` windows, relative to the centres."""
 
     station_m: F64
     """(w, 3) float64 [m]."""
@@ -309,7 +309,7 @@ def _equations(
     residual: F64,
     weight: F64,
 ) -> tuple[F64, F64]:
-    """Return normal equations of turn, move, rate and speed, (w, 12, 12), and their gradient, (w, 12)."""
+    """Return equations of turn, move, rate, speed, (w, 12, 12), and the gradient, (w, 12)."""
     rows = np.concatenate([-_cross(still, across), -across], axis=2)
     rows = np.concatenate([rows, since * rows], axis=2)
     weighted = np.swapaxes(rows * weight[:, :, None], 1, 2)
