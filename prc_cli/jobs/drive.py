@@ -158,7 +158,6 @@ class _StreamRun:
         engine: Engine,
         loading: Callable[[], AbstractContextManager[None]],
     ) -> Iterator[RunSummary]:
-        """Classify one stream and write its outputs."""
         return_memory()  # before any thread
         before = [file_state(part) for part in self.parts]
         loaded, opened = open_decided(

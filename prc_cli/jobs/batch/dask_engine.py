@@ -339,7 +339,6 @@ class _ClusterRun:
         )
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
-        """Keep the workers busy and yield events."""
         more = True
         while True:
             self._check_cluster()
@@ -416,7 +415,6 @@ class _ClusterRun:
         worker: str,
         n_lines: int,
     ) -> Iterator[Event]:
-        """Turn the report of a worker into events."""
         if kind == ENDED:
             self._running.pop(key, None)
         elif kind == BEGUN:
@@ -435,7 +433,6 @@ class _ClusterRun:
             job.n_reported = n_lines
 
     def _on_result(self, key: str) -> Iterator[Event]:
-        """Yield the outcome of an order."""
         job = self._pending.get(key)
         if job is None:
             return

@@ -334,7 +334,6 @@ def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> 
 
 
 def _death(task: Task | Comparison, code: int, printed: str) -> Problem:
-    """Describe how a worker died."""
     hint = "the file is tried again alone"
     if isinstance(task, Comparison):
         hint = f"look at it and at {task.reference}"

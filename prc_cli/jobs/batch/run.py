@@ -153,7 +153,6 @@ class _BatchRun:
         self._clock = time.monotonic()
 
     def execute(self, plan: Plan, config: BatchConfig, known: Mapping[str, Entry]) -> BatchSummary:
-        """Execute a plan and return the summary."""
         run = self._journal.begin_run(self._owner)
         if self._lock.inherited_from is not None:
             self._note(f"took over from a run that died: {self._lock.inherited_from}")

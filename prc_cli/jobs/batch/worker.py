@@ -315,13 +315,11 @@ class _Parent:
             raise SystemExit(ExitCode.TERMINATED) from None
 
     def count(self, n_lines: int) -> None:
-        """Count finished lines."""
         self._n_lines += n_lines
         if time.monotonic() - self._last >= PROGRESS_S:
             self.send_lines()
 
     def send_lines(self) -> None:
-        """Report the lines that were counted."""
         if self._n_lines:
             self.send(self._n_lines)
         self._n_lines = 0

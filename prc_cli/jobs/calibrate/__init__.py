@@ -178,9 +178,9 @@ def calibrate(
         mapping, codes = prepared
         n_records = stream.info.n_records or n_records
         training, held_out = _groups(
-            stream, run, (codes, mapping), search, lines, n_records, progress
+            stream, run, codes, mapping, search, lines, n_records, progress
         )
-        result, search_notes = _search(run, advice, mapping, (training, held_out), search, tried)
+        result, search_notes = _search(run, advice, mapping, training, held_out, search, tried)
         advice = _found_advice(advice, result, run)
         notes = (*notes, *search_notes)
     values = {item.key: item.value for item in advice}
@@ -254,7 +254,8 @@ def _measure(
 def _groups(
     stream: ScanStream,
     config: RunConfig,
-    reference: tuple[CodeSource, ClassMapping],
+    codes: CodeSource,
+    mapping: ClassMapping,
     search: SearchOptions,
     lines: dict[int, int],
     n_records: int,
@@ -272,7 +273,7 @@ def _groups(
     training, held_out = split_groups(len(kept), search.training_share, search.seed)
     groups: list[Group] = []
     with tempfile.TemporaryFile(prefix="prc-calibrate-") as spool:
-        classes = _spool(*reference, spool, n_records, stream.info.path)
+        classes = _spool(codes, mapping, spool, n_records, stream.info.path)
         number = 0
         for block in regroup(stream.blocks(), length):
             if progress is not None:
@@ -337,12 +338,12 @@ def _search(
     config: RunConfig,
     advice: tuple[Advice, ...],
     mapping: ClassMapping,
-    groups: tuple[tuple[Group, ...], tuple[Group, ...]],
+    training: tuple[Group, ...],
+    held_out: tuple[Group, ...],
     search: SearchOptions,
     tried: Tried | None,
 ) -> tuple[SearchResult, tuple[str, ...]]:
     # searches, evaluates the result, and notes its limits
-    training, held_out = groups
     for name, side in (("training", training), ("held-out", held_out)):
         if not any((group.reference >= 0).any() for group in side):
             problem = f"no {name} line has a class that is scored"
@@ -365,7 +366,7 @@ def _search(
     for name, configured_values in tables.items():
         sides = [
             scores(confusion(side, with_values(config, configured_values), mapping))
-            for side in groups
+            for side in (training, held_out)
         ]
         has_noise = has_noise or any(
             class_scores.name == "noise" and class_scores.n_reference
@@ -373,7 +374,8 @@ def _search(
         )
         judged.append(Judged(name, *(figures(side, search.objective) for side in sides)))
     notes = (*_blind(values, has_noise=has_noise), *_doubts(judged, search.objective))
-    n_training, n_held_out = (sum(group.block.range_m.size for group in side) for side in groups)
+    n_training = sum(group.block.range_m.size for group in training)
+    n_held_out = sum(group.block.range_m.size for group in held_out)
     result = SearchResult(
         search.objective,
         values,

@@ -308,7 +308,6 @@ def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
 
 
 def _round(value: float) -> float:
-    """Round to three significant digits."""
     return float(f"{value:.3g}")
 
 

@@ -244,7 +244,8 @@ def evaluate_all(
             raise UnlistedError.of(error.mapping, error.side, codes) from error
         names += [file.codes.path for file in left.files]
     if options.allow_missing:
-        _note_missing(paths, pools, counts)
+        _note_missing("predicted", paths[0], [left for left, _ in pools], counts)
+        _note_missing("reference", paths[1], [right for _, right in pools], counts)
     if CONFIDENCE in counts.parts:
         for sentence in reliability_notes(counts.parts[CONFIDENCE]):
             counts.note(sentence)
@@ -323,17 +324,13 @@ def evaluate(
     return evaluate_all([Path(predicted)], [Path(reference)], mapping, options=options).matrix
 
 
-def _note_missing(
-    paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: Counts
-) -> None:
-    for k, side in enumerate(paths):
-        used = {file.codes.path for pool in pools for file in pool[k].files}
-        missing = [path.name for path in files_of(side) if str(path) not in used]
-        if missing:
-            shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
-            side_name = ("predicted", "reference")[k]
-            files_have = "file has" if len(missing) == 1 else "files have"
-            counts.note(f"{len(missing)} {side_name} {files_have} no partner, left out: {shown}")
+def _note_missing(name: str, paths: list[Path], sides: list[Side], counts: Counts) -> None:
+    used = {file.codes.path for side in sides for file in side.files}
+    missing = [path.name for path in files_of(paths) if str(path) not in used]
+    if missing:
+        shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
+        files_have = "file has" if len(missing) == 1 else "files have"
+        counts.note(f"{len(missing)} {name} {files_have} no partner, left out: {shown}")
 
 
 def _with_stored_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, Side]:
@@ -396,13 +393,15 @@ def _compare(
         )
         raise InputError(left.path, problem, "give both files of the same one")
     _report(left, right, tally, counts, options)
-    outside = (0, 0)
+    n_left = left.tally.n_usable
+    n_right = right.tally.n_usable
     if registered is not None:
         counts.tolerances.add(registered.tolerance)
         registered.report(tally)
-        outside = registered.n_cut, registered.n_beside
+        n_left -= registered.n_cut
+        n_right -= registered.n_beside
     if options.match != "order":
-        _refuse_poor(left, right, tally, options, outside)
+        _refuse_poor(left, right, n_left, n_right, tally, options)
     return options.match
 
 
@@ -657,15 +656,15 @@ def _refuse_other_scan(side: Side, partner: Side) -> None:
 def _refuse_poor(
     left: Side,
     right: Side,
+    n_left: int,
+    n_right: int,
     tally: JoinTally,
     options: EvaluateOptions,
-    outside: tuple[int, int],
 ) -> None:
+    # n_left, n_right: records that could be matched
     if options.match == "cell":
         _refuse_other_scan(left, right)
         _refuse_other_scan(right, left)
-    n_left = left.tally.n_usable - outside[0]
-    n_right = right.tally.n_usable - outside[1]
     smaller = left
     larger = right
     n_matched = tally.n_pairs

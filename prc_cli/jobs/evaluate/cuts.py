@@ -252,10 +252,11 @@ class Cover:
     They are in the air, or seen through a window or a gap.
     """
 
-    def __init__(self, predicted: tuple[I64, I64], reference: tuple[I64, I64]) -> None:
-        """Start with the squares of both sides: sorted keys and number of shots, (n,)."""
-        self._predicted, self._n = predicted
-        self._covered, _ = reference
+    def __init__(self, predicted: I64, n_shots: I64, reference: I64) -> None:
+        """Start with sorted keys of the squares of both sides, and numbers of predicted shots."""
+        self._predicted = predicted
+        self._n = n_shots
+        self._covered = reference
         column, row = cell_places(self._covered)
         self._coarse = np.unique(keys_of(column // self.COARSE, row // self.COARSE))
         self._empty: dict[int, int] = {}

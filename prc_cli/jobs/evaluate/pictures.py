@@ -146,7 +146,6 @@ class _Cells:
 
     @classmethod
     def read(cls, file: SideFile, points_per_line: int, most_lines: int) -> _Cells:
-        """Read the first lines."""
         wanted = most_lines * points_per_line
         if not file.has_cells:
             codes = _first_codes(file, wanted)

@@ -110,7 +110,8 @@ class Registered:
                 self._reference(right, others, keep_file=FILE in plan.reference),
             )
             predicted, reference = ordered(lambda k: Cloud(sides[k], files[k]), range(2), threads=2)
-            self._cover = Cover(predicted.squares(), reference.squares())
+            reference_squares, _ = reference.squares()
+            self._cover = Cover(*predicted.squares(), reference_squares)
             self._check(predicted, reference)
             third_cloud = None
             if third is not None:

@@ -314,7 +314,6 @@ class _ObjectRun:
         self._findings: tuple[Finding, ...] = ()
 
     def objects(self, output: Path, progress: Progress | None) -> Iterator[ScanObject]:
-        """Classify, and yield the objects as they end."""
         with open_items(
             self._source, output, self._loaded, blocks_of=self._blocks, codes=self._takes_classes
         ) as opened:
@@ -329,7 +328,6 @@ class _ObjectRun:
         self._findings = (self._judge or self._watch).findings()
 
     def summary(self) -> ObjectsSummary:
-        """Return the summary of a finished run."""
         assert self._watch is not None
         record = run_record(self._watch.info, self._counts, self._loaded)
         texts = filter(None, (self._notice, *notices(self._findings)))

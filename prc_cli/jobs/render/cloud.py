@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -173,8 +173,10 @@ def draw_cloud(
                 buffer,
                 points,
                 slice(first, first + POINTS_AT_ONCE),
-                (colour, limits),
-                (words, classes),
+                colour,
+                limits,
+                words,
+                classes,
                 counts,
             )
     n_hidden = sum(int(counts[place]) for place in words.table.hidden)
@@ -336,13 +338,14 @@ def _add(
     buffer: DepthBuffer,
     points: Points,
     part: slice,
-    scale: tuple[ColourBy, tuple[float, float]],
-    labels: tuple[Vocabulary, RecordClasses | None],
+    colour: ColourBy,
+    limits: Sequence[float],
+    words: Vocabulary,
+    classes: RecordClasses | None,
     counts: I64,
 ) -> None:
     # hidden points are counted but not drawn
-    (colour, limits) = scale
-    (words, classes) = labels
+
     xyz = points.xyz[part]
     drawn = np.ones(len(xyz), bool)
     if classes is not None:

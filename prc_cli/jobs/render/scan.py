@@ -526,7 +526,6 @@ class _Sheet:
             self.kept.setdefault(name, []).append(thin)
 
     def drawing(self) -> Drawing:
-        """Return the pictures."""
         layout = self.layout
         part = self.part
         planes = {name: np.concatenate(parts) for name, parts in self.kept.items()}

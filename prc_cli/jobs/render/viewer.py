@@ -88,7 +88,6 @@ class _Kept:
     turn_rad: float = 0.0
 
     def add(self, item: LabelledBlock) -> None:
-        """Keep the shots of a block."""
         block = item.block
         (low, high) = self.part.inside(item.block)
         if self.beam_rad is None:

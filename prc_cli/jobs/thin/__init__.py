@@ -472,7 +472,6 @@ class _ThinRun:
             return writer.finish(record)
 
     def summary(self, record: RunRecord) -> ThinningSummary:
-        """Return the summary of a written output."""
         names = {**self.loaded.config.classes.names(), NO_CODE: "none"}
         bytes_input = self.source.stat().st_size
         outputs = (self.output,) if is_bag(self.output) else outputs_of(self.output)[:-1]

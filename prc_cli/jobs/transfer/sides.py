@@ -109,7 +109,8 @@ def open_sides(
     right = KeyedSource(target, rules[1])
     surveys = survey(left), survey(right)
     if options.match == "record":
-        left, surveys = _equal_order(left, right, surveys, assumptions)
+        left, labels_survey = _equal_order(left, right, *surveys, assumptions)
+        surveys = labels_survey, surveys[1]
     sides = TransferSides(left, right, surveys, 0.0, assumptions=assumptions)
     for side, its_survey in zip((left, right), surveys, strict=True):
         _refuse_useless(side, its_survey, options)
@@ -267,17 +268,17 @@ def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
 def _equal_order(
     left: KeyedSource,
     right: KeyedSource,
-    surveys: tuple[Survey, Survey],
+    labels: Survey,
+    points: Survey,
     assumptions: list[Assumption],
-) -> tuple[KeyedSource, tuple[Survey, Survey]]:
+) -> tuple[KeyedSource, Survey]:
     # either all records match by order, or the registered file has only the shots with a return
-    labels, points = surveys
     n_all = left.source.n_records or labels.n_read
     if n_all == points.n_records or labels.n_read == points.n_records:
         assumptions.append(
             Assumption("transfer.match", "record", "record i of the labels is point i")
         )
-        return left, surveys
+        return left, labels
     if labels.n_records == points.n_records:
         why = (
             "the labels without shots that have no return are as many as the points: "
@@ -285,7 +286,7 @@ def _equal_order(
         )
         assumptions.append(Assumption("transfer.match", "record", why))
         ranked = replace(left, rule=KeyRule("rank", same=left.rule.same))
-        return ranked, (survey(ranked), points)
+        return ranked, survey(ranked)
     problem = (
         f"found {n_all:,} records ({labels.n_records:,} with a class), "
         f"expected {points.n_records:,} as {right.path} has, to match by equal order"
