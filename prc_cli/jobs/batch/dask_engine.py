@@ -275,19 +275,19 @@ def _examine(client: Any, first: Task) -> None:
             continue
         if not isinstance(facts, WorkerFacts):
             _check_version(f"worker {address}", facts)
-        who = f"worker {address} on {facts.host}"
-        _check_version(who, facts.version)
+        worker = f"worker {address} on {facts.host}"
+        _check_version(worker, facts.version)
         if facts.unseen:
             hint = "mount the archive and the outputs there under the same paths"
-            raise ConfigError(who, f"does not see {facts.unseen[0]}", hint)
+            raise ConfigError(worker, f"does not see {facts.unseen[0]}", hint)
 
 
-def _check_version(who: str, version: str | BaseException) -> None:
+def _check_version(name: str, version: str | BaseException) -> None:
     if version != __version__:
         problem = f"found prc {version}, expected {__version__} as here"
         if not isinstance(version, str):
             problem = f"prc cannot be loaded there ({_one_line(version)})"
-        raise ConfigError(who, problem, f"pip install '{EXTRA}=={__version__}' there")
+        raise ConfigError(name, problem, f"pip install '{EXTRA}=={__version__}' there")
 
 
 @dataclass(slots=True, eq=False)
@@ -339,18 +339,20 @@ class _ClusterRun:
         )
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
-        more = True
+        has_tasks = True
         while True:
             self._check_cluster()
             slots = sum(self._workers.values())
             # a few more orders than threads of workers, so that no thread is idle
-            while more and len(self._pending) < (self._settings.jobs or slots + max(1, slots // 8)):
+            while has_tasks and len(self._pending) < (
+                self._settings.jobs or slots + max(1, slots // 8)
+            ):
                 task = next(tasks, None)
                 if task is None:
-                    more = False
+                    has_tasks = False
                 else:
                     self._submit(_absolute(task))
-            if not (more or self._pending):
+            if not (has_tasks or self._pending):
                 return
             yield from self._drain()
             yield from self._watch()
@@ -388,14 +390,12 @@ class _ClusterRun:
             key: worker for key, worker in self._running.items() if worker in self._workers
         }
 
-    def _order(self, task: Task) -> Order:
-        return Order(task, self._settings.threads, self._topic, __version__, str(Path.cwd()))
-
     def _submit(self, task: Task) -> None:
         self._n += 1
-        # the word before the dash is what the dashboard groups by
+        # the dashboard groups tasks by the word before the dash
         key = f"classify-{self._topic.removeprefix('prc-')}{self._n:08x}"
-        future = self._client.submit(do_order, self._order(task), key=key, pure=False)
+        order = Order(task, self._settings.threads, self._topic, __version__, str(Path.cwd()))
+        future = self._client.submit(do_order, order, key=key, pure=False)
         self._pending[key] = _Job(task, future)
         future.add_done_callback(self._queue_future)
 

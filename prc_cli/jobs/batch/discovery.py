@@ -285,7 +285,7 @@ class Drives:
             if match is None or match[2] == "**":
                 problem = (
                     f"found {text!r}, "
-                    "expected a wildcard in the file's name that stands for the number of a part"
+                    "expected a wildcard in the file name for the number of the part"
                 )
                 raise ConfigError("--drive", problem, "for example 'drive_*_??.laz'")
             self._patterns.append((Patterns([text]), match[1], match[2], match[3]))

@@ -62,8 +62,8 @@ def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[in
     ((2, 3), (2, 1))
     """
     cores = default_threads()
-    wanted = max(1, min(jobs or cores, max(1, n_files)))
-    return wanted, threads or max(1, cores // wanted)
+    n_workers = max(1, min(jobs or cores, max(1, n_files)))
+    return n_workers, threads or max(1, cores // n_workers)
 
 
 @dataclass(slots=True, eq=False)
@@ -159,14 +159,14 @@ class _Pool:
     def run(self, tasks: Iterator[Task | Comparison]) -> Iterator[Event]:
         """Give every free worker a task, and yield what happens."""
         task = next(tasks, None)
-        more = task is not None
-        while more or any(worker.task is not None for worker in self._workers):
-            while more and len(self._workers) < self._settings.jobs:
+        has_tasks = task is not None
+        while has_tasks or any(worker.task is not None for worker in self._workers):
+            while has_tasks and len(self._workers) < self._settings.jobs:
                 self._start()
-            while more and (worker := self._free_worker()) is not None:
+            while has_tasks and (worker := self._free_worker()) is not None:
                 # not earlier: the journal records a task as started when the iterator yields it
                 if task is None and (task := next(tasks, None)) is None:
-                    more = False
+                    has_tasks = False
                 else:
                     for name in task.names:
                         yield Started(name, worker.name)
@@ -334,7 +334,7 @@ def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> 
 
 
 def _death(task: Task | Comparison, code: int, printed: str) -> Problem:
-    hint = "the file is tried again alone"
+    hint = "prc tries such a file once more, as the only one in work"
     if isinstance(task, Comparison):
         hint = f"look at it and at {task.reference}"
     elif code == -getattr(signal, "SIGKILL", 9):

@@ -133,9 +133,9 @@ class Lock:
             # the network may come back; if it does not, reading or writing fails later
             return
         if owner is None or owner.token != self.owner.token:
-            how = "its file is gone" if owner is None else f"taken over by {owner}"
+            cause = "its file is gone" if owner is None else f"taken over by {owner}"
             hint = "this run stopped; run again to do the other files"
-            raise BusyError(str(self.path), f"the lock was lost: {how}", hint)
+            raise BusyError(str(self.path), f"the lock was lost: {cause}", hint)
 
     def _acquire(self) -> None:
         remove_stale(self.path)
@@ -243,7 +243,7 @@ def _read(path: Path) -> Owner | None:
 
 
 def _busy(path: Path, owner: Owner) -> BusyError:
-    here = f", or stop it: kill {owner.pid}" if owner.host == platform.node() else ""
+    stop = f", or stop it: kill {owner.pid}" if owner.host == platform.node() else ""
     return BusyError(
-        str(path), f"another run is at work here: {owner}", f"wait until it has ended{here}"
+        str(path), f"another run is at work here: {owner}", f"wait until it has ended{stop}"
     )

@@ -88,11 +88,11 @@ def _vanished(folder: Path, archive: Path) -> Iterator[str]:
 
 def _temporary_files(out: Path) -> Iterator[Path]:
     # by their names; links to folders are not followed
-    for place, _, names in os.walk(out):
+    for folder, _, names in os.walk(out):
         for name in sorted(names):
-            path = Path(place, name)
+            path = Path(folder, name)
             if is_left_behind(path) is not False or (
-                Path(place).name == OWN_FOLDER and _SHARED.fullmatch(name)
+                Path(folder).name == OWN_FOLDER and _SHARED.fullmatch(name)
             ):
                 yield path
 
@@ -149,12 +149,12 @@ def verify_outputs(out: Path) -> Iterator[Verified]:
 
 def _recorded(out: Path) -> Iterator[tuple[str, tuple[int, str | None] | None]]:
     # by the records beside the outputs; links to folders are not followed
-    for place, folders, names in os.walk(out):
+    for folder, folders, names in os.walk(out):
         if OWN_FOLDER in folders:
             folders.remove(OWN_FOLDER)
         for name in names:
             if name.endswith(RECORD_SUFFIX) and not name.startswith("."):
-                path = Path(place, name)
+                path = Path(folder, name)
                 recorded = None
                 with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
                     output = json.loads(read_small(path, LARGEST_RECORD))["output"]

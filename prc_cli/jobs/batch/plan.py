@@ -618,7 +618,7 @@ def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> 
 
     Files of the same configuration are preferred.
     """
-    wanted = {item.task.config_sha256 for item in todo}
+    configs = {item.task.config_sha256 for item in todo}
     sizes: dict[str, list[int]] = {}
     for item in todo:
         sizes.setdefault(suffix_of(item.task.source), []).append(item.size)
@@ -627,7 +627,7 @@ def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> 
     sources = []
     for suffix, sizes_of_suffix in sorted(sizes.items()):
         ended = [
-            (entry.config_sha256 in wanted, entry.outcome)
+            (entry.config_sha256 in configs, entry.outcome)
             for name, entry in known.items()
             if isinstance(entry.outcome, Done)
             and suffix_of(Path(name)) == suffix

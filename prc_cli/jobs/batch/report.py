@@ -368,16 +368,16 @@ def _reference_of(
 ) -> Path | None:
     """Return the reference with the name of the input or of an output, and any suffix; or None."""
     name = PurePosixPath(output.name)
-    place = tree / name.parent
-    if place not in folders:
-        folders[place] = _by_stem(place)
+    folder = tree / name.parent
+    if folder not in folders:
+        folders[folder] = _by_stem(folder)
     input_stem = name.name[: len(name.name) - len(suffix_of(Path(name.name)))]
     for stem in (stem_of(Path(output.relative)), name.name, input_stem):
-        references = folders[place].get(stem, [])
+        references = folders[folder].get(stem, [])
         if len(references) > 1:
             names = " and ".join(path.name for path in references[:2])
             problem = f"{names} have one name, expected one file"
-            raise InputError(str(place), problem, "move one of them away")
+            raise InputError(str(folder), problem, "move one of them away")
         if references:
             return references[0]
     return None

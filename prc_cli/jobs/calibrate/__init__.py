@@ -264,8 +264,8 @@ def _groups(
     """Read the stream again and keep the drawn line groups, training and held-out."""
     k = config.prc.lines_per_block
     m = stream.info.points_per_line
-    wanted = -(-sum(lines.values()) // (GROUPS * k)) * k
-    length = max(k, min(wanted, search.max_shots // 10 // m // k * k))
+    length_of_group = -(-sum(lines.values()) // (GROUPS * k)) * k
+    length = max(k, min(length_of_group, search.max_shots // 10 // m // k * k))
     # a remainder of less than half a group is left out
     n_groups = sum(n // length + (2 * (n % length) >= length) for n in lines.values())
     order = np.random.default_rng(search.seed).permutation(n_groups)

@@ -258,8 +258,8 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
                 f"{PLATEAU_M:g} m {plateau:.1%}"
             )
         else:
-            place = int(np.argmax(good)) if good.any() else len(grid) - 1
-            value = round_up(float(grid[place]))
+            index = int(np.argmax(good)) if good.any() else len(grid) - 1
+            value = round_up(float(grid[index]))
             least = (
                 f"{need:.0%} of that and {ZETA_SIGMAS:g} times the noise of {1000 * noise:.2g} mm"
             )

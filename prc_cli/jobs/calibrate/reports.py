@@ -129,19 +129,19 @@ def judged_rows(calibration: Calibration) -> tuple[tuple[str, ...], list[tuple[s
 def curve_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
     """Yield threshold and shares over zeta_p, zeta_s and d_c (background), three per decade."""
     curves = calibration.curves
-    wanted = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {
+    targets = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {
         100.0
     }
     # thresholds are a tenth of a decade apart: 2 and 5 get the nearest ones
-    for target in sorted(wanted):
+    for target in sorted(targets):
         cells = []
         for grid, shares in (
             (curves.zetas_p, curves.over_zeta_p(1.0)),
             (curves.zetas_s, curves.over_zeta_s(1.0)),
             (curves.lengths, curves.background_share()),
         ):
-            place = min(range(len(grid)), key=lambda i: abs(math.log(grid[i] / target)))
-            cells.append(f"{shares[place]:.1%}")
+            index = min(range(len(grid)), key=lambda i: abs(math.log(grid[i] / target)))
+            cells.append(f"{shares[index]:.1%}")
         yield f"{target:g}", cells[0], cells[1], cells[2]
 
 
@@ -218,13 +218,13 @@ def as_svg(calibration: Calibration) -> str:
             f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True)
         )
         # a chosen threshold off the scale is drawn at its edge
-        off = "" if first <= value <= last else " (off the scale)"
+        suffix = "" if first <= value <= last else " (off the scale)"
         return {
             "name": name,
             "points": points,
             "colour": colour,
             "dash": dash,
-            "chosen": f"{key} = {value:g} m{off}",
+            "chosen": f"{key} = {value:g} m{suffix}",
             "at": x(min(max(value, first), last)),
         }
 

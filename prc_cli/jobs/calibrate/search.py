@@ -44,7 +44,7 @@ class Axis:
     """Coarse values, ascending."""
     bounds: tuple[float, float]
     """Bounds of the refinement."""
-    whole: bool = False
+    is_integer: bool = False
     """Whole numbers only."""
 
 
@@ -61,7 +61,7 @@ PRC_AXES = (
     Axis("prc.surfaces.area", (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0), (1.0, 5000.0)),
     Axis(ZETA_P, (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
     Axis(ZETA_S, (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
-    Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 20.0), whole=True),
+    Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 20.0), is_integer=True),
 )
 ANGLE_AXES = (
     Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05), (0.0005, 0.5)),
@@ -129,7 +129,9 @@ class Searcher:
                     )
         for level in range(REFINEMENTS + 1):
             best = self._descend(best, level)
-        return {axis.key: int(best[axis.key]) if axis.whole else best[axis.key] for axis in axes}
+        return {
+            axis.key: int(best[axis.key]) if axis.is_integer else best[axis.key] for axis in axes
+        }
 
     def _descend(self, best: dict[str, float], level: int) -> dict[str, float]:
         """Change one parameter at a time, until a round gains nothing."""
@@ -302,7 +304,9 @@ def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
     """Return the values next to one, on whole numbers or by a factor."""
     low, high = axis.bounds
     near = (
-        (value - 1, value + 1) if axis.whole else (_round(value / factor), _round(value * factor))
+        (value - 1, value + 1)
+        if axis.is_integer
+        else (_round(value / factor), _round(value * factor))
     )
     return tuple(candidate for candidate in near if low <= candidate <= high)
 

@@ -224,10 +224,10 @@ class SensorMeter:
         self._n_sampled += len(values)
         exact = values.astype(np.float64)
         slack = np.spacing(values).astype(np.float64)
-        for place, unit in enumerate(_ROUNDINGS):
-            off = np.abs(exact - np.round(exact / unit) * unit)
+        for index, unit in enumerate(_ROUNDINGS):
+            error = np.abs(exact - np.round(exact / unit) * unit)
             # where float32 is coarser than the unit, every value would look rounded
-            self._rounded[place] += np.count_nonzero((off <= slack) & (slack < unit / 16))
+            self._rounded[index] += np.count_nonzero((error <= slack) & (slack < unit / 16))
 
     def _rounding(self) -> float | None:
         for unit, count in zip(_ROUNDINGS, self._rounded.tolist(), strict=True):
@@ -255,8 +255,8 @@ def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
         low = stretches.min(axis=1)
         high = stretches.max(axis=1)
         stretches = stretches[high <= MAX_SPREAD * low]
-    place = np.arange(STRETCH) - STRETCH // 2
-    basis = np.linalg.qr(np.stack([np.ones(STRETCH), place, place**2], axis=1))[0]
+    offset = np.arange(STRETCH) - STRETCH // 2
+    basis = np.linalg.qr(np.stack([np.ones(STRETCH), offset, offset**2], axis=1))[0]
     residual = (1.0 / stretches) @ (np.eye(STRETCH) - basis @ basis.T)
     middle = stretches[:, STRETCH // 2]
     deviation: F64 = np.sqrt((residual**2).sum(axis=1) / (STRETCH - 3)) * middle**2
@@ -267,9 +267,9 @@ def _log_counts(values: F32 | F64, edges: F64) -> I64:
     """Count values in logarithmic bins, without NaN and values outside."""
     flat = values.ravel()
     with np.errstate(divide="ignore", invalid="ignore"):
-        place = np.log(flat / edges[0]) * ((len(edges) - 1) / math.log(edges[-1] / edges[0]))
-        inside = (place >= 0) & (place < len(edges) - 1)
-    counts: I64 = np.bincount(place[inside].astype(np.intp), minlength=len(edges) - 1)
+        bin_number = np.log(flat / edges[0]) * ((len(edges) - 1) / math.log(edges[-1] / edges[0]))
+        inside = (bin_number >= 0) & (bin_number < len(edges) - 1)
+    counts: I64 = np.bincount(bin_number[inside].astype(np.intp), minlength=len(edges) - 1)
     return counts
 
 
@@ -278,15 +278,15 @@ def _quantile(counts: I64, edges: F64, share: float) -> float | None:
     total = int(counts.sum())
     if not total:
         return None
-    place = int(np.searchsorted(counts.cumsum(), share * total))
-    return float(math.sqrt(edges[place] * edges[place + 1]))
+    bin_number = int(np.searchsorted(counts.cumsum(), share * total))
+    return float(math.sqrt(edges[bin_number] * edges[bin_number + 1]))
 
 
 def _log_mode(counts: I64, edges: F64, smooth: int) -> float:
     """Return the most frequent value of logarithmic bins, after smoothing with a triangle."""
     weights = np.bartlett(smooth + 2)[1:-1]
-    place = int(np.argmax(np.convolve(counts, weights, mode="same")))
-    return float(math.sqrt(edges[place] * edges[place + 1]))
+    bin_number = int(np.argmax(np.convolve(counts, weights, mode="same")))
+    return float(math.sqrt(edges[bin_number] * edges[bin_number + 1]))
 
 
 def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
@@ -305,22 +305,22 @@ def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
     # start at the flattest well-filled bin relative to its range, then go outwards on either side
     most = max(n for _, _, n in bins)
     start = min(
-        (place for place, (_, _, n) in enumerate(bins) if n >= most / 10),
+        (index for index, (_, _, n) in enumerate(bins) if n >= most / 10),
         key=lambda i: bins[i][1],
     )
     flat = {start} if bins[start][1] < FLAT_M else set()
     for order in (range(start + 1, len(bins)), range(start - 1, -1, -1)):
         last = start
-        for place in order:
-            scale = max(1.0, bins[place][0] / bins[last][0])
+        for index in order:
+            scale = max(1.0, bins[index][0] / bins[last][0])
             if (
                 flat
-                and bins[place][1] <= MAX_GROWTH * scale * bins[last][1]
-                and bins[place][1] < FLAT_M
+                and bins[index][1] <= MAX_GROWTH * scale * bins[last][1]
+                and bins[index][1] < FLAT_M
             ):
-                flat.add(place)
-                last = place
-    return tuple(NoiseBin(*item, flat=place in flat) for place, item in enumerate(bins))
+                flat.add(index)
+                last = index
+    return tuple(NoiseBin(*item, flat=index in flat) for index, item in enumerate(bins))
 
 
 def _fit_noise(bins: tuple[NoiseBin, ...]) -> tuple[float | None, float | None]:

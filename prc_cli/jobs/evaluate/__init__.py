@@ -435,28 +435,28 @@ def _plan(
     left_has = left.dimensions
     right_has = right.dimensions
     asked = asked_parts(options)
-    wanted = dict.fromkeys(
+    columns = dict.fromkeys(
         LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines
     )
     if options.window is not None:
-        place = LINE if options.window.in_lines else SECONDS
-        wanted[place] = None
-        if place not in (*left_has, *right_has):
+        column = LINE if options.window.in_lines else SECONDS
+        columns[column] = None
+        if column not in (*left_has, *right_has):
             raise _no_place(left, right, options.window)
     if options.min_confidence is not None:
-        wanted[CONFIDENCE] = None
-    for name in wanted:
+        columns[CONFIDENCE] = None
+    for name in columns:
         if name != CONFIDENCE and name not in (*left_has, *right_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
             hint = "give -M, or --predicted-points with the points of the labels"
             raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
-    if CONFIDENCE in wanted and CONFIDENCE not in left_has:
+    if CONFIDENCE in columns and CONFIDENCE not in left_has:
         problem = f"no confidence in {left.path}, expected a dimension or column of this name"
         hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
         raise ConfigError("--by-confidence, --min-confidence", problem, hint)
     shared = {RANGE}.intersection(left_has, right_has) if options.match == "cell" else set()
-    predicted = [name for name in {**wanted, **dict.fromkeys(shared)} if name in left_has]
-    only_right = [name for name in wanted if name not in left_has and name in right_has]
+    predicted = [name for name in {**columns, **dict.fromkeys(shared)} if name in left_has]
+    only_right = [name for name in columns if name not in left_has and name in right_has]
     reference = [*shared, *only_right]
     if "blocks" in asked or LINE in asked:
         predicted += [FILE, ROW]

@@ -66,10 +66,10 @@ class StatePlan:
         """Count shots, by their coordinates [m] and states, all (n,)."""
         keys, index = np.unique(cell_keys(x, y, EDGE_M), return_inverse=True)
         n = np.bincount(index * (NO_STATE + 1) + states, minlength=len(keys) * (NO_STATE + 1))
-        both = np.concatenate([self._keys, keys])
-        self._keys, place = np.unique(both, return_inverse=True)
+        all_keys = np.concatenate([self._keys, keys])
+        self._keys, index_of_key = np.unique(all_keys, return_inverse=True)
         counts = np.zeros((len(self._keys), NO_STATE + 1), np.int64)
-        np.add.at(counts, place, np.concatenate([self._counts, n.reshape(-1, NO_STATE + 1)]))
+        np.add.at(counts, index_of_key, np.concatenate([self._counts, n.reshape(-1, NO_STATE + 1)]))
         self._counts = counts
 
     def picture(self) -> bytes | None:

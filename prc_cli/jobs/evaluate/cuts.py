@@ -43,15 +43,15 @@ class ScoredWindow:
 
     def keep(self, columns: Columns) -> Mask:
         """Mark the records within the window."""
-        place = np.asarray(columns[LINE if self._window.in_lines else SECONDS], np.float64)
-        known = np.isfinite(place) & ~(self._window.in_lines & (place < 0))
+        position = np.asarray(columns[LINE if self._window.in_lines else SECONDS], np.float64)
+        known = np.isfinite(position) & ~(self._window.in_lines & (position < 0))
         if known.any():
             if self._origin_s is None:
-                self._origin_s = float(place[known][0])
-            self._low = min(self._low, float(place[known].min()))
-            self._high = max(self._high, float(place[known].max()))
+                self._origin_s = float(position[known][0])
+            self._low = min(self._low, float(position[known].min()))
+            self._high = max(self._high, float(position[known].max()))
         low, high = self._window.bounds(self._origin_s or 0.0)
-        keep: Mask = known & (place >= low) & (place < high)
+        keep: Mask = known & (position >= low) & (position < high)
         self._n += len(keep)
         self._n_inside += int(np.count_nonzero(keep))
         return keep
@@ -295,10 +295,10 @@ class Cover:
         if shape[0] * shape[1] > _MOST_BYTES:
             return None
         grid = np.zeros(shape, np.int64)
-        place = column - column.min(), row - row.min()
-        grid[place] = [self._empty[cell] for cell in cells.tolist()]
-        names = label(grid > 0)[0][place]
-        n = np.bincount(names, grid[place])
+        cells_of_grid = column - column.min(), row - row.min()
+        grid[cells_of_grid] = [self._empty[cell] for cell in cells.tolist()]
+        names = label(grid > 0)[0][cells_of_grid]
+        n = np.bincount(names, grid[cells_of_grid])
         in_gap = names == int(np.argmax(n))
         x = column[in_gap] * edge
         y = row[in_gap] * edge

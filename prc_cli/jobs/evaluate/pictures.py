@@ -79,12 +79,14 @@ def class_pictures(
         colour_of_class = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
         codes = cells_of_side.image(first_line, n_lines, points_per_line)
         images.append(colour_of_class[mapping.class_indices(codes, side) + 1].astype(np.uint8))
-    beside = (
+    point_files = (
         _points_of(path, points_path)
         for (_, path), points_path in zip(sides, points, strict=True)
         if points_path is not None
     )
-    rows = _rows((*beside, predicted, reference), points_per_line, -(-points_per_line // _HEIGHT))
+    rows = _rows(
+        (*point_files, predicted, reference), points_per_line, -(-points_per_line // _HEIGHT)
+    )
     first, second = (places[:, rows].T for places in images)
     differ = np.where(first == second, np.uint8(len(names) + 1), first)
     differ[(first == 0) | (second == 0)] = 0
@@ -146,9 +148,9 @@ class _Cells:
 
     @classmethod
     def read(cls, file: SideFile, points_per_line: int, most_lines: int) -> _Cells:
-        wanted = most_lines * points_per_line
+        most_cells = most_lines * points_per_line
         if not file.has_cells:
-            codes = _first_codes(file, wanted)
+            codes = _first_codes(file, most_cells)
             # LAS has no shots without return; the run record of a label file may say that it has a
             # code for every cell
             is_dense = file.dense_line == points_per_line
@@ -171,9 +173,9 @@ class _Cells:
             cells_read.append(line[near] * points_per_line + column[near])
             if line.min() >= first + most_lines:
                 break
-        none = [np.empty(0, np.int64)]
-        codes = np.concatenate(codes_read or none)
-        cell = np.concatenate(cells_read or none)
+        empty = [np.empty(0, np.int64)]
+        codes = np.concatenate(codes_read or empty)
+        cell = np.concatenate(cells_read or empty)
         return cls(codes, cell, file.codes.n, first or 0)
 
     def stop_line(self, points_per_line: int) -> int:
@@ -217,14 +219,14 @@ def _with_points(path: Path, dimension: str | None, where: Path | None) -> SideF
     return SideFile.open(path, dimension, None)
 
 
-def _first_codes(file: SideFile, wanted: int) -> I64:
+def _first_codes(file: SideFile, most: int) -> I64:
     parts: list[I64] = []
     n = 0
-    if wanted:
+    if most:
         for chunk in open_codes(Path(file.codes.path), file.name).chunks():
-            parts.append(chunk[: wanted - n])
+            parts.append(chunk[: most - n])
             n += len(parts[-1])
-            if n == wanted:
+            if n == most:
                 break
     return np.concatenate(parts) if parts else np.empty(0, np.int64)
 

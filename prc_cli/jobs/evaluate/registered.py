@@ -85,8 +85,8 @@ class Registered:
             (self._heights, GROUND, "heights"),
             (self._trees is not None, STEM, "--trees"),
         )
-        for wanted, name, option in asked:
-            if wanted and name not in names:
+        for is_needed, name, option in asked:
+            if is_needed and name not in names:
                 problem = (
                     f"{option} needs a class {name!r} in [reference], found {', '.join(names)}"
                 )
@@ -209,10 +209,10 @@ class Registered:
         if overlaps:
             _, width, depth, first, second = max(overlaps)
             names = [Path(self._sides[1].files[index].codes.path).name for index in (first, second)]
-            more = f" ({len(overlaps)} such pairs)" if len(overlaps) > 1 else ""
+            pairs = f" ({len(overlaps)} such pairs)" if len(overlaps) > 1 else ""
             yield (
                 f"reference files overlap: {names[0]} and {names[1]} "
-                f"by {width:.1f} m x {depth:.1f} m{more}; "
+                f"by {width:.1f} m x {depth:.1f} m{pairs}; "
                 "every predicted shot is compared with one point all the same"
             )
 
@@ -221,8 +221,8 @@ class Registered:
         partner = tile.to >= 0
         # shots without partner where the reference has points, or in the area of the options
         covered = np.zeros(len(partner), np.bool_)
-        place = [tile.left[axis][~partner] for axis in "xy"]
-        covered[~partner] = self._cover.holds(*place) | (self._area is not None)
+        xy = [tile.left[axis][~partner] for axis in "xy"]
+        covered[~partner] = self._cover.holds(*xy) | (self._area is not None)
         chosen = partner
         if self._options.unmatched == NOISE:
             chosen = partner | (covered & ~(tile.sparse & self._is_thinned))

@@ -241,9 +241,9 @@ def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
     has_classes = False
     n_without = 0
     for points in cloud.points((*_VALUES, "classification") if cloud.has_class_codes else _VALUES):
-        none = np.full(len(points.xyz), np.nan)
+        unknown = np.full(len(points.xyz), np.nan)
         rows = np.column_stack(
-            [points.xyz, *(points.values.get(name, none) for name in _VALUES), points.record]
+            [points.xyz, *(points.values.get(name, unknown) for name in _VALUES), points.record]
         )
         sample.add(rows[np.isfinite(points.xyz).all(axis=1)])
         n_without += points.n_without

@@ -513,13 +513,13 @@ class _Sheet:
             predicted = inside["predicted"]
             reference = inside["reference"]
             unscored = self.words.unscored
-            both = (predicted > 0) & (predicted != unscored)
-            both &= (reference > 0) & (reference != unscored)
-            self.n_compared += int(np.count_nonzero(both))
-            self.n_differing += int(np.count_nonzero(both & (predicted != reference)))
+            is_compared = (predicted > 0) & (predicted != unscored)
+            is_compared &= (reference > 0) & (reference != unscored)
+            self.n_compared += int(np.count_nonzero(is_compared))
+            self.n_differing += int(np.count_nonzero(is_compared & (predicted != reference)))
         start = (self.part.first - block.first_line - low) % self.layout.line_step
-        wanted = {*self.steps, *(("predicted", "reference") if "difference" in self.steps else ())}
-        for name in wanted & set(inside):
+        names = {*self.steps, *(("predicted", "reference") if "difference" in self.steps else ())}
+        for name in names & set(inside):
             thin = np.ascontiguousarray(
                 inside[name][start :: self.layout.line_step, :: self.layout.column_step]
             )

@@ -434,11 +434,11 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
             continue
         by_id = np.argsort(ids, kind="stable")
         place = np.minimum(np.searchsorted(ids[by_id], sorted_ids[low:high]), len(ids) - 1)
-        hit = ids[by_id][place] == sorted_ids[low:high]
+        has_record = ids[by_id][place] == sorted_ids[low:high]
         for name in names:
-            columns[name][order[low:high][hit]] = np.asarray(chunk.values[name], np.float64)[by_id][
-                place[hit]
-            ]
+            columns[name][order[low:high][has_record]] = np.asarray(chunk.values[name], np.float64)[
+                by_id
+            ][place[has_record]]
     return {name: values.reshape(record.shape) for name, values in columns.items()}
 
 

@@ -381,7 +381,7 @@ class _ThinRun:
         las = read_las(self.source)
         check_copied(las)
         with contextlib.ExitStack() as stack:
-            temporary, beside = stack.enter_context(
+            temporary, record_file = stack.enter_context(
                 atomic_outputs(self.output, record_path(self.output))
             )
             stays = stack.enter_context(
@@ -414,7 +414,7 @@ class _ThinRun:
             )
             record = replace(record, notices=(*record.notices, *notices))
             check_unchanged(self.source, before)
-            beside.write_bytes(record.to_json())
+            record_file.write_bytes(record.to_json())
         return record
 
     def write(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:

@@ -99,8 +99,8 @@ def thin_frames(
                 thinned.touch()
                 continue
             summaries.append(thin_one(frame, thinned))
-            for beside in temporary.glob(f"{thinned.name}.*"):
-                beside.unlink()
+            for extra_file in temporary.glob(f"{thinned.name}.*"):
+                extra_file.unlink()
         yield summaries
         with output_errors(output):
             temporary.rename(output)

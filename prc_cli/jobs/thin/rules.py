@@ -111,13 +111,15 @@ def _all_but(only: list[str], rules: list[ThinRule], table: ClassCodes) -> ThinR
 def _split(
     text: str,
     option: str,
-    what: str,
+    value_name: str,
     example: str,
 ) -> tuple[str, str]:
     name, sign, value = (part.strip() for part in text.partition("="))
     if not (name and sign and value):
         raise ConfigError(
-            option, f"found {text!r}, expected CLASS={what}", f"for example {option} {example}"
+            option,
+            f"found {text!r}, expected CLASS={value_name}",
+            f"for example {option} {example}",
         )
     return name, value
 

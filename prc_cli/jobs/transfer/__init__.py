@@ -325,9 +325,10 @@ def transfer(
             points=None if points is None else fingerprint(points),
             counts=counts,
         )
-        writer.name_classes(
-            {code: name for code, name in _user_names(labels).items() if is_transferred[code]}
-        )
+        names = ClassCodes().user_names()
+        if suffix_of(labels) in LAS_SUFFIXES:
+            names |= names_of_file(labels)
+        writer.name_classes({code: name for code, name in names.items() if is_transferred[code]})
         return TransferSummary(output, writer.finish(stored), counts)
 
 
@@ -367,12 +368,6 @@ def _partners(
 def _cloud(side: KeyedSource, carried: tuple[str, ...], stack: ExitStack) -> Cloud:
     columns = columns_of(side, (*AXES, CODE, *carried), sort=False)
     return Cloud(columns, stack.enter_context(scratch_file("matching")))
-
-
-def _user_names(labels: Path) -> dict[int, str]:
-    # the names in the file with the classes win
-    file_names = names_of_file(labels) if suffix_of(labels) in LAS_SUFFIXES else {}
-    return {**ClassCodes().user_names(), **file_names}
 
 
 def _state(path: Path) -> tuple[int, ...]:
