@@ -31,36 +31,36 @@ from prc_cli.formats.records import Body, shorten
 from prc_cli.formats.text.dialect import to_number
 
 MAX_RATIO = 264 / 3
-"""Most bytes that a byte of LZF can stand for: the longest match is 264 bytes in three."""
+"""Most unpacked bytes of a byte of LZF: the longest match is 264 bytes in three."""
 _SHORT = 32
-"""Control bytes below this are followed by so many bytes, plus one, as they are."""
+"""A smaller control byte n means that n + 1 plain bytes follow."""
 
 
 def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
-    """Unpack data of a known size."""
+    """Unpack LZF data of a known size; None if they are damaged."""
     out = bytearray()
-    at = 0
+    position = 0
     end = len(data)
-    while at < end:
-        control = data[at]
-        at += 1
+    while position < end:
+        control = data[position]
+        position += 1
         if control < _SHORT:
-            stop = at + control + 1
+            stop = position + control + 1
             if stop > end:
                 return None
-            out += data[at:stop]
-            at = stop
+            out += data[position:stop]
+            position = stop
         else:
             length = control >> 5
             if length == 7:
-                if at >= end:
+                if position >= end:
                     return None
-                length += data[at]
-                at += 1
-            if at >= end:
+                length += data[position]
+                position += 1
+            if position >= end:
                 return None
-            first = len(out) - ((control & 31) << 8) - data[at] - 1
-            at += 1
+            first = len(out) - ((control & 31) << 8) - data[position] - 1
+            position += 1
             length += 2
             if first < 0:
                 return None
@@ -75,7 +75,7 @@ def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
 MAX_UNPACKED_BYTES = 4 << 30
 """Largest compressed cloud when unpacked: it is held in memory."""
 USUAL_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""Of headers that say nothing of the sensor."""
+"""Viewpoint of headers without a position of the sensor."""
 _KEYS = (
     "VERSION",
     "FIELDS",
@@ -96,7 +96,7 @@ _COPY = "copy it from the archive again"
 
 @dataclass(slots=True)
 class PcdHeader:
-    """What the header says."""
+    """The header of a file."""
 
     path: Path
     lines: dict[str, tuple[int, list[str]]] = field(default_factory=dict)
@@ -158,23 +158,24 @@ def _fields(header: PcdHeader) -> list[tuple[str, np.dtype[Any]]]:
         raise InputError(
             header.where("COUNT"), f"more than {MAX_PROPERTIES} numbers a point", _AGAIN
         )
-    found: list[tuple[str, np.dtype[Any]]] = []
+    numbers: list[tuple[str, np.dtype[Any]]] = []
     for name, count, size, kind in zip(fields, counts, sizes, kinds, strict=True):
         letter, known = _KINDS.get(kind, ("", ()))
         if size not in known:
-            problem = f"field {shorten(name)!r} is of type {shorten(kind)} and {size} bytes, expected I, U or F"
+            field_type = f"type {shorten(kind)} and {size} bytes"
+            problem = f"field {shorten(name)!r} is of {field_type}, expected I, U or F"
             raise InputError(header.where("TYPE"), problem, _AGAIN)
-        own = "" if name == "_" else name
-        names = [own if count == 1 or not own else f"{own}_{index}" for index in range(count)]
-        found += [(each, np.dtype(f"<{letter}{size}")) for each in names]
-    named = [name for name, _ in found if name]
+        base = "" if name == "_" else name
+        names = [base if count == 1 or not base else f"{base}_{index}" for index in range(count)]
+        numbers += [(number_name, np.dtype(f"<{letter}{size}")) for number_name in names]
+    named = [name for name, _ in numbers if name]
     if not named or len(set(named)) != len(named):
         raise InputError(header.where("FIELDS"), "fields without names or of equal names", _AGAIN)
-    return found
+    return numbers
 
 
 def _size(header: PcdHeader) -> tuple[int, int]:
-    """Return width and height; they must agree with the number of points."""
+    """Return width and height, which must agree with the number of points."""
     width = header.number("WIDTH")
     height = header.number("HEIGHT")
     points = header.number("POINTS", width * height)
@@ -193,7 +194,7 @@ def _size(header: PcdHeader) -> tuple[int, int]:
 
 
 def _viewpoint(header: PcdHeader) -> list[float]:
-    """Return the place of the sensor and its direction as a quaternion."""
+    """Return the position of the sensor and its direction as a quaternion."""
     values = [to_number(cell) for cell in header.words("VIEWPOINT", "0 0 0 1 0 0 0")]
     kept = [value for value in values if value is not None and math.isfinite(value)]
     if len(values) != 7 or len(kept) != 7:
@@ -206,7 +207,7 @@ def _viewpoint(header: PcdHeader) -> list[float]:
 
 
 def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
-    """Open a PCD file; an organised one has a line in every row, and NaN where a shot has no return."""
+    """Open a PCD file; in an organised one every row is a line, and NaN is a missing shot."""
     header = read_pcd_header(path)
     fields = _fields(header)
     data = " ".join(header.words("DATA"))
@@ -291,7 +292,7 @@ def _rules(
 
 
 def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: int) -> Body:
-    """Unpack a compressed cloud, which holds its fields one after the other."""
+    """Unpack a compressed cloud, whose fields follow each other."""
     path = header.path
     start = header.n_bytes
     wanted = n * sum(kind.itemsize for _, kind in fields)
@@ -306,12 +307,14 @@ def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: i
                 f"{path}: byte {start}", problem, "correct width and height, or export it again"
             )
         if n_packed > there - 8 or wanted > n_packed * MAX_RATIO or wanted > MAX_UNPACKED_BYTES:
-            problem = f"{n_packed} packed bytes of {max(there - 8, 0)} in the file, for {wanted} bytes of points"
+            problem = (
+                f"{n_packed} packed bytes of {max(there - 8, 0)}, for {wanted} bytes of points"
+            )
             raise InputError(f"{path}: byte {start}", problem, _COPY)
         unpacked = decode_lzf(memoryview(handle.read(n_packed)), wanted)
     if unpacked is None and n_packed == n_unpacked:
-        problem = "the points are said to be compressed, but are as long as without"
-        hint = "its writer did not compress them: save it again as binary, for example with Open3D or PCL"
+        problem = "the header says compressed, but the points are not compressed"
+        hint = "save it again as binary, for example with Open3D or PCL"
         raise InputError(f"{path}: byte {start + 8}", problem, hint)
     if unpacked is None:
         raise InputError(
@@ -320,11 +323,11 @@ def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: i
             _COPY,
         )
     columns: Columns = {}
-    at = 0
+    offset = 0
     for name, kind in fields:
         if name:
-            columns[name] = np.frombuffer(unpacked, kind, n, at)
-        at += n * kind.itemsize
+            columns[name] = np.frombuffer(unpacked, kind, n, offset)
+        offset += n * kind.itemsize
     return _Held(columns, n)
 
 

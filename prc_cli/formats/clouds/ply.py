@@ -67,7 +67,7 @@ class Element:
 
 @dataclass(slots=True)
 class PlyHeader:
-    """What the header says."""
+    """The header of a file."""
 
     form: str = ""
     """``ascii``, ``binary_little_endian`` or ``binary_big_endian``."""
@@ -79,7 +79,9 @@ class PlyHeader:
     @property
     def vertex_at(self) -> int:
         """Index of the points among the elements, -1 if there are none."""
-        return next((index for index, one in enumerate(self.elements) if one.name == "vertex"), -1)
+        return next(
+            (index for index, element in enumerate(self.elements) if element.name == "vertex"), -1
+        )
 
     @property
     def vertex(self) -> Element:
@@ -105,7 +107,8 @@ def read_ply_header(path: Path) -> PlyHeader:
             header.comments.append(rest)
         elif word == "format" and not header.form:
             if not cells or cells[0] not in ORDERS or cells[1:] != ["1.0"]:
-                problem = f"found format {shorten(' '.join(cells))!r}, expected {', '.join(ORDERS)} and 1.0"
+                form = shorten(" ".join(cells))
+                problem = f"found format {form!r}, expected {', '.join(ORDERS)} and 1.0"
                 raise InputError(where, problem, _AGAIN)
             header.form = cells[0]
         elif word == "element":
@@ -127,7 +130,7 @@ def _check_points(path: Path, header: PlyHeader) -> None:
             _AGAIN,
         )
     if header.vertex_at < 0:
-        names = ", ".join(one.name for one in header.elements[:10]) or "none"
+        names = ", ".join(element.name for element in header.elements[:10]) or "none"
         raise InputError(str(path), f"no element vertex, it has {names}", "export the points")
     if header.vertex.list_name:
         problem = (
@@ -145,7 +148,7 @@ def _add_element(where: str, cells: list[str], elements: list[Element]) -> None:
         raise InputError(
             where, f"found {shorten(' '.join(cells))!r}, expected a name and a count", _AGAIN
         )
-    if any(one.name == cells[0] for one in elements):
+    if any(element.name == cells[0] for element in elements):
         raise InputError(
             where, f"element {shorten(cells[0])!r} a second time, expected once", _AGAIN
         )
@@ -173,7 +176,7 @@ def _add_property(where: str, cells: list[str], element: Element) -> None:
 
 
 def offsets_of(comments: list[str]) -> tuple[float, float, float]:
-    """Return the offset of the coordinates that a comment gives [m], as IGN and other programs write it.
+    """Return the offset of the coordinates in a comment of IGN and other programs [m].
 
     >>> offsets_of(["offset Pos 649000.0 6840000.0 0.0"])
     (649000.0, 6840000.0, 0.0)
@@ -202,19 +205,21 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
     notes: tuple[str, ...] = ()
     keys = names
     if not order:
-        first_line = header.n_lines + sum(one.count for one in before) + 1
+        first_line = header.n_lines + sum(element.count for element in before) + 1
         body: Body = text_body(path, names, first_line, vertex.count)
         keys = tuple(map(str, range(len(names))))
     else:
-        if lists := [one.name for one in before if one.list_name and one.count]:
+        if lists := [element.name for element in before if element.list_name and element.count]:
             problem = f"the points follow the lists of element {lists[0]!r}, expected them first"
             raise InputError(str(path), problem, "export the points alone")
-        start = header.n_bytes + sum(one.count * one.dtype(order).itemsize for one in before)
+        start = header.n_bytes + sum(
+            element.count * element.dtype(order).itemsize for element in before
+        )
         body = binary_body(path, vertex.dtype(order), start, vertex.count, _COPY)
-        rest = path.stat().st_size - start - vertex.count * vertex.dtype(order).itemsize
-        if rest and vertex is header.elements[-1]:
+        n_left = path.stat().st_size - start - vertex.count * vertex.dtype(order).itemsize
+        if n_left and vertex is header.elements[-1]:
             notes = (
-                f"{rest} bytes behind the last point were left out: the header does not name them",
+                f"{n_left} bytes behind the last point were left out: the header does not name them",
             )
     head = CloudHead(
         path=path,
@@ -224,10 +229,12 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
         offsets_m=offsets_of(header.comments),
         comments=tuple(header.comments),
         notes=notes,
-        others=tuple(one.name for one in header.elements if one is not vertex and one.count),
+        others=tuple(
+            element.name for element in header.elements if element is not vertex and element.count
+        ),
         described={
             "format": header.form,
-            "elements": {one.name: one.count for one in header.elements},
+            "elements": {element.name: element.count for element in header.elements},
             "properties": dict(vertex.properties),
             "comments": list(header.comments),
         },

@@ -58,15 +58,15 @@ class CloudHead:
     types: Mapping[str, np.dtype[Any]]
     """Stored type by property, in order."""
     keys: tuple[str, ...] = ()
-    """What the body calls the properties, if not as the header."""
+    """Names of the properties in the body; empty = as in the header."""
     offsets_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """To be added to x, y, z, where a comment says so."""
+    """Offset of x, y, z from a comment [m]."""
     rules: tuple[KnownRule, ...] = ()
     points_per_line: int | None = None
     viewpoint: tuple[float, ...] = ()
-    """Place and direction of the sensor in the header; empty = none."""
+    """Position and direction of the sensor in the header; empty = none."""
     others: tuple[str, ...] = ()
-    """What the file holds beside the points and their properties, such as other elements."""
+    """Other contents of the file, such as elements beside the points."""
     vectors: tuple[str, ...] = ()
     """Fields of several numbers."""
     notes: tuple[str, ...] = ()
@@ -75,21 +75,21 @@ class CloudHead:
 
 
 def header_lines(path: Path, last: str, hint: str) -> Iterator[tuple[int, str, int]]:
-    """Yield number, text and end of every line of a header, up to the one that begins with a word."""
+    """Yield number, text and end of every header line, up to the one with the word ``last``."""
     with open_to_read(path) as handle:
         head = handle.read(MAX_HEADER_BYTES)
-    at = number = 0
+    position = number = 0
     line = ""
     while line.split()[:1] != [last]:
-        end = head.find(b"\n", at)
+        end = head.find(b"\n", position)
         number = number + 1
         if end < 0:
             raise InputError(
                 f"{path}: line {number}", f"no line {last} in the first {len(head)} bytes", hint
             )
-        line = head[at:end].decode("utf-8", errors="replace").strip()
-        at = end + 1
-        yield number, line, at
+        line = head[position:end].decode("utf-8", errors="replace").strip()
+        position = end + 1
+        yield number, line, position
 
 
 def whole_number(where: str, cell: str, most: int = sys.maxsize) -> int:
@@ -122,46 +122,48 @@ class CloudSource(FieldSource):
             head.path, head.format, find_columns(str(head.path), names, layout, head.keys), body
         )
         self.head = head
-        """What the header says."""
+        """The header of the file."""
         has_layout = layout is not None and bool(layout.fields)
         own_m = _own_points_per_line(head.comments)
         notes = list(head.notes)
-        found = self.columns
+        columns = self.columns
         looked_at = ("time", "angle", "range", *AXES, _RETURN, _RETURNS)
-        first = self._first_rows([found[name].key for name in looked_at if name in found])
+        first = self._first_rows([columns[name].key for name in looked_at if name in columns])
         if not has_layout:
             self._find_units(first, notes)
         if own_m is not None:
             self._change(("scan_line", "column"), missing=float(NO_CELL))
-        self._has_pulses = {_RETURN, _RETURNS, "time"} <= set(found)
-        if self._has_pulses and len(first[found["time"].key]):
+        self._has_pulses = {_RETURN, _RETURNS, "time"} <= set(columns)
+        if self._has_pulses and len(first[columns["time"].key]):
             is_copy = self._runs(first).is_copy
             n_copies = int(np.count_nonzero(is_copy))
             if n_copies:
                 notes.append(
-                    f"{n_copies} of the first {len(is_copy)} rows repeat a return of their shot that stands before: "
-                    "they are taken as further returns, not as shots"
+                    f"{n_copies} of the first {len(is_copy)} rows repeat an earlier return of their "
+                    "shot: they are further returns, not shots"
                 )
             # other programs list every return once
-            self._has_pulses = n_copies > 0 or found[_RETURN].name.lower() == "num_echo"
+            self._has_pulses = n_copies > 0 or columns[_RETURN].name.lower() == "num_echo"
         renamed = [
-            f"{one.name} as {name}"
-            for name, one in found.items()
-            if one.name != name and name in NAMES
+            f"{column.name} as {name}"
+            for name, column in columns.items()
+            if column.name != name and name in NAMES
         ]
         if renamed and not has_layout:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
-        has_own_lines = "scan_line" in found and own_m is None
+        has_own_lines = "scan_line" in columns and own_m is None
         rules = list(head.rules)
-        if {"ring", *AXES} <= set(found) and not has_own_lines and "angle" not in found:
+        if {"ring", *AXES} <= set(columns) and not has_own_lines and "angle" not in columns:
             rules += [
-                rule for rule in ring_rules() if rule.key not in {one.key for one in head.rules}
+                rule
+                for rule in ring_rules()
+                if rule.key not in {column.key for column in head.rules}
             ]
-        rules += angle_rules(found["angle"].name if "angle" in found else None)
+        rules += angle_rules(columns["angle"].name if "angle" in columns else None)
         self.facts = SourceFacts(
-            range_name=found["range"].name if "range" in found else "range",
+            range_name=columns["range"].name if "range" in columns else "range",
             points_per_line=own_m
-            if "column" in found and own_m is not None
+            if "column" in columns and own_m is not None
             else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),
@@ -180,9 +182,9 @@ class CloudSource(FieldSource):
             if name in self.columns
         ]
         keys += [self.columns[_RETURN].key, self.columns[_RETURNS].key]
-        own = tuple(name for name in names if name not in (_RETURN, _RETURNS))
+        stored_names = tuple(name for name in names if name not in (_RETURN, _RETURNS))
         for first, stored, runs in self._whole_runs(self.body.stored(tuple(dict.fromkeys(keys)))):
-            chunk = self.decoded(first, stored, own, len(runs.ordinal))
+            chunk = self.decoded(first, stored, stored_names, len(runs.ordinal))
             made = {_RETURN: runs.ordinal, _RETURNS: runs.n_rows}
             yield replace(
                 chunk,
@@ -203,34 +205,35 @@ class CloudSource(FieldSource):
         return {key: stored[key] for key in keys}
 
     def _change(self, names: tuple[str, ...], **values: Any) -> None:
-        """Change how columns are decoded."""
+        """Change the layout fields of columns."""
         for name in names:
             if name in self.columns:
-                one = self.columns[name]
-                self.columns[name] = replace(one, item=one.item.model_copy(update=values))
+                column = self.columns[name]
+                self.columns[name] = replace(column, item=column.item.model_copy(update=values))
 
     def _find_units(self, first: Columns, notes: list[str]) -> None:
-        """Find the units of ranges and times that are stored as whole numbers.
-
-        Add the offsets of coordinates.
-        """
-        found = self.columns
+        """Find the units of ranges and times in integers; add the offsets of coordinates."""
+        columns = self.columns
         for axis, offset in zip(AXES, self.head.offsets_m, strict=True):
             if offset:
                 self._change((axis, f"{axis}_origin"), offset=offset)
         if any(self.head.offsets_m):
             notes.append("a comment gives an offset of the coordinates: added to x, y, z")
-        time = found.get("time")
-        range_ = found.get("range")
+        time = columns.get("time")
+        range_ = columns.get("range")
         if time is not None and first[time.key].dtype.kind in "iu" and time.name.lower() == "t":
             self._change(("time",), unit="ns")
             notes.append(f"{time.name} holds whole numbers: taken as nanoseconds")
-        if range_ is not None and first[range_.key].dtype.kind in "iu" and set(AXES) <= set(found):
+        if (
+            range_ is not None
+            and first[range_.key].dtype.kind in "iu"
+            and set(AXES) <= set(columns)
+        ):
             with np.errstate(
                 over="ignore", invalid="ignore"
             ):  # a NaN that signals warns when it is cast
                 xyz = np.stack(
-                    [np.asarray(first[found[axis].key], np.float64) for axis in AXES], axis=1
+                    [np.asarray(first[columns[axis].key], np.float64) for axis in AXES], axis=1
                 )
                 stored = np.asarray(first[range_.key], np.float64)
                 length = np.sqrt((xyz * xyz).sum(axis=1))
@@ -239,8 +242,8 @@ class CloudSource(FieldSource):
             for unit, factor in (("mm", 1e-3), ("cm", 1e-2)):
                 if abs(scale / factor - 1) < 0.02:
                     self._change(("range",), unit=unit)
-                    told = f"{round(1 / factor)} to a metre of x, y, z: taken as {unit}"
-                    notes.append(f"{range_.name} holds whole numbers, {told}")
+                    ratio = f"{round(1 / factor)} to a metre of x, y, z: taken as {unit}"
+                    notes.append(f"{range_.name} holds whole numbers, {ratio}")
 
     def _runs(self, stored: Stored) -> _Runs:
         columns = self.columns
@@ -251,14 +254,14 @@ class CloudSource(FieldSource):
     def _whole_runs(
         self, chunks: Iterator[tuple[int, Stored, int]]
     ) -> Iterator[tuple[int, Stored, _Runs]]:
-        """Yield the chunks with the rows of a shot never apart."""
+        """Yield chunks in which no shot is split."""
         held: tuple[int, Stored] | None = None
         for first, stored, n in chunks:
             if held is not None:
                 stored = _each(lambda old, new: np.concatenate([old, new]), held[1], stored)
                 first, n = held[0], n + first - held[0]
             runs = self._runs(stored)
-            # the last shot may go on in the next chunk
+            # the last shot may continue in the next chunk
             cut = n - int(runs.ordinal[-1])
             if cut:
                 yield first, _each(lambda column, cut=cut: column[:cut], stored), runs.until(cut)
@@ -268,10 +271,10 @@ class CloudSource(FieldSource):
 
 
 def _each(change: Any, *stored: Stored) -> Stored:
-    """Return a change of records, or of every column of a table."""
+    """Apply a function to records, or to every column of a table."""
     if isinstance(stored[0], np.ndarray):
         return change(*stored)  # type: ignore[no-any-return]
-    return {name: change(*(one[name] for one in stored)) for name in stored[0]}
+    return {name: change(*(table[name] for table in stored)) for name in stored[0]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,13 +299,13 @@ def find_runs(
     number: NDArray[Any],
     count: NDArray[Any],
 ) -> _Runs:
-    """Find the rows of every shot; a shot may be listed again with every return that was added.
+    """Find the rows of every shot, which may be listed again with every added return.
 
     One shot listed with one return, then with two; then a shot of its own:
 
-    >>> found = find_runs([np.array([1., 1., 1., 2.])], [np.array([5., 5., 9., 5.])], np.array([1, 1, 2, 1]),
-    ...                   np.array([1, 2, 2, 1]))
-    >>> found.ordinal, found.n_rows, found.is_copy
+    >>> time, range_m = np.array([1.0, 1.0, 1.0, 2.0]), np.array([5.0, 5.0, 9.0, 5.0])
+    >>> runs = find_runs([time], [range_m], np.array([1, 1, 2, 1]), np.array([1, 2, 2, 1]))
+    >>> runs.ordinal, runs.n_rows, runs.is_copy
     (array([1, 2, 3, 1]), array([3, 3, 3, 1]), array([ True, False, False, False]))
     """
     n = len(number)
@@ -314,7 +317,7 @@ def find_runs(
         head[1:] = apart
     lists = head | (number <= 1)
     first = np.flatnonzero(lists)
-    # a list is a new one of the same shot where it is longer and begins with the same return
+    # a list that is longer and begins with the same return is of the same shot
     longer = count[first[1:]] > count[first[:-1]]
     for key in place:
         longer = longer & (key[first[1:]] == key[first[:-1]])
@@ -322,20 +325,20 @@ def find_runs(
     starts[first[1:]] = head[first[1:]] | ~longer
     position = np.arange(n, dtype=np.int64)
     ordinal = position - np.maximum.accumulate(np.where(starts, position, 0))
-    # runs without end are no returns
+    # endless runs are not returns
     starts |= (ordinal > 0) & (ordinal % MAX_RUN == 0)
     begin = np.maximum.accumulate(np.where(starts, position, 0))
-    at = np.flatnonzero(starts)
-    size = np.diff(np.append(at, n))
+    first_rows = np.flatnonzero(starts)
+    size = np.diff(np.append(first_rows, n))
     of_shot = np.cumsum(starts) - 1
     of_list = np.cumsum(lists) - 1
-    last_list = of_list[np.append(at[1:], n) - 1] if n else of_list
+    last_list = of_list[np.append(first_rows[1:], n) - 1] if n else of_list
     is_copy = of_list != last_list[of_shot] if n else np.zeros(0, np.bool_)
     return _Runs(position - begin + 1, size[of_shot].astype(np.int64), is_copy)
 
 
 def _own_points_per_line(comments: tuple[str, ...]) -> int | None:
-    """Return M as this program wrote it; None in other files."""
-    told = [text.removeprefix(OWN_COMMENT) for text in comments if text.startswith(OWN_COMMENT)]
-    m = told[-1].strip() if told else ""
+    """Return M from a comment of prc; None in other files."""
+    numbers = [text.removeprefix(OWN_COMMENT) for text in comments if text.startswith(OWN_COMMENT)]
+    m = numbers[-1].strip() if numbers else ""
     return int(m) if m.isascii() and m.isdecimal() and 0 < len(m) <= 8 and int(m) else None

@@ -1,4 +1,4 @@
-"""Writers of PLY and PCD: whole streams, classified inputs of other formats, and clouds with their classes added."""
+"""Write PLY and PCD: streams, classified inputs of other formats, and clouds with their classes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def cloud_header(
     width: int | None = None,
     viewpoint: Sequence[float] = (),
 ) -> bytes:
-    """Return a header, as long for any number of points.
+    """Return a header, of equal length for any number of points.
 
     >>> print(cloud_header(".ply", np.dtype([("x", "<f4")]), 7).decode())
     ply
@@ -81,7 +81,7 @@ def cloud_header(
             for name, kind in zip(names, kinds, strict=True)
         ]
         return ("\n".join([*lines, "end_header"]) + "\n").encode()
-    # organised only where every row is whole
+    # organised only if every row is complete
     columns, rows = (width, n // width) if width and n and n % width == 0 and n > width else (n, 1)
     sizes = " ".join(str(kind.itemsize) for kind in kinds)
     types = " ".join({"f": "F", "u": "U", "i": "I"}[kind.kind] for kind in kinds)
@@ -121,10 +121,10 @@ _ROW_NAMES = {"range": "range_m", "scan_line": "line", "time": "time_s"}
 
 
 def stream_records(item: StreamItem, rows: slice, dtype: np.dtype[np.void]) -> NDArray[Any]:
-    """Return the records of some lines of a block, missing shots included; a class of none is 0."""
+    """Return the records of lines of a block with missing shots; a missing class is 0."""
     values = stream_rows(item, rows)
     names = dtype.names or ()
-    found = np.zeros(len(values["line"]), dtype)
+    records = np.zeros(len(values["line"]), dtype)
     for name in names:
         column = values.get(_ROW_NAMES.get(name, name))
         if column is None:
@@ -133,8 +133,8 @@ def stream_records(item: StreamItem, rows: slice, dtype: np.dtype[np.void]) -> N
             column = np.where(
                 (column == NO_CODE) | (column < 0) | (column > 255), _NO_CLASS, column
             )
-        found[name] = np.minimum(column, 255) if dtype[name].str == "|u1" else column
-    return found
+        records[name] = np.minimum(column, 255) if dtype[name].str == "|u1" else column
+    return records
 
 
 def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
@@ -144,7 +144,7 @@ def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
 
 
 class CloudWriter(StagedWriter):
-    """Writer of a point per cell, NaN without a return unless only returns are wanted, and per further return."""
+    """Writer of a point for every cell and further return; a missing shot is NaN or left out."""
 
     def __init__(
         self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None
@@ -166,7 +166,7 @@ class CloudWriter(StagedWriter):
         return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {_NO_CLASS}",)
 
     def _write_header(self) -> np.dtype[np.void]:
-        """Write the header, as long for any number of points; return the record."""
+        """Write the header, of equal length for any number of points; return the record type."""
         shape = self._shape
         m = 0
         if shape is None:  # no block has come
@@ -174,7 +174,7 @@ class CloudWriter(StagedWriter):
         else:
             dtype = stream_dtype(shape)
             m = shape.points_per_line
-        # further returns, lines of other lengths and shots left out leave no rows of a width
+        # rows have equal width only without further returns, other line lengths and omitted shots
         width = m if self._labels is None and self._n == self._n_cells else None
         comments = (f"{OWN_COMMENT}{m}",) if m else ()
         self._handle.seek(0)
@@ -199,22 +199,24 @@ class CloudWriter(StagedWriter):
                     codes=True,
                 )
             if labels.place is not None or block.xyz_m is None:
-                own, extra = self._coordinates(item)
-                item = replace(item, registered_m=own, extra_registered_m=extra)
+                registered_m, extra_registered_m = self._coordinates(item)
+                item = replace(
+                    item, registered_m=registered_m, extra_registered_m=extra_registered_m
+                )
         elif item.codes is not None:
             self._n_codes_lost += int(np.count_nonzero((item.codes > 255) | (item.codes < NO_CODE)))
         assert self._shape is not None
         if not self._n_cells:
             self._dtype = self._write_header()
         for rows in _spans(block.n_lines, block.points_per_line):
-            found = stream_records(item, rows, self._dtype)
+            records = stream_records(item, rows, self._dtype)
             if labels is not None or self._shape.points:
-                found = found[~np.isnan(found["x" if labels is None else "range"])]
+                records = records[~np.isnan(records["x" if labels is None else "range"])]
             if labels is not None:
-                self._count(np.ascontiguousarray(found[_CLASS]))
-            self._n += len(found)
+                self._count(np.ascontiguousarray(records[_CLASS]))
+            self._n += len(records)
             self._n_cells += (rows.stop - rows.start) * self._shape.points_per_line
-            self._handle.write(found.data)
+            self._handle.write(records.data)
 
     def _close(self) -> None:
         self._write_header()
@@ -232,8 +234,8 @@ def _cells(axis: int, name: str) -> OptionalColumn:
 
     def of_extra(block: LabelledBlock) -> Values:
         extra = block.block.extra
-        found = extra.column if axis else block.block.first_line + extra.line.astype(np.int64)
-        return np.asarray(found).astype(np.uint32)
+        numbers = extra.column if axis else block.block.first_line + extra.line.astype(np.int64)
+        return np.asarray(numbers).astype(np.uint32)
 
     dimension = ExtraDimension(name, np.dtype("<u4"), "")
     return OptionalColumn(
@@ -256,13 +258,13 @@ _RANGE = OptionalColumn(
 
 
 class CloudRewriter(ScatterWriter):
-    """Writer of all properties of a cloud, with class, line, column (4294967295 = none) and range added."""
+    """Writer of a cloud with all its properties, class, line, column (4294967295 = none), range."""
 
     def __init__(self, labels: LabelOutput, source: CloudSource) -> None:
         asked = [
             column for column in asked_columns(labels.options) if column.dimension is not RANGE
         ]
-        own = {name.lower() for name in source.head.types}
+        present = {name.lower() for name in source.head.types}
         added = [_RANGE] if "range" not in source.dimensions else []
         cells = _CELLS
         if labels.is_thinned:
@@ -279,7 +281,7 @@ class CloudRewriter(ScatterWriter):
             if name.lower() not in written
             and name not in {column.name for column in (*added, *asked)}
         )
-        replaced = sorted(own & written)
+        replaced = sorted(present & written)
         if replaced:
             self._notice(f"the input has {', '.join(replaced)} already; the values were replaced")
 
@@ -288,7 +290,7 @@ class CloudRewriter(ScatterWriter):
             self._notice(f"not kept: {'; '.join(lost)}")
 
     def _lost(self) -> list[str]:
-        """Return what the header of the input says and that of the output does not."""
+        """Return the facts of the input's header that the output cannot keep."""
         head = self._source.head
         is_pcd = self.path.suffix.lower() == ".pcd"
         lost = [f"element {name}" for name in head.others]
@@ -318,17 +320,17 @@ class CloudRewriter(ScatterWriter):
             handle.write(cloud_header(suffix, dtype, total, comments, self._width, viewpoint))
             stored = source.stored(self._kept)
             for first, columns, n in stored:
-                found = np.empty(n, dtype)
+                records = np.empty(n, dtype)
                 for name in self._kept:
-                    found[name] = columns[name]
+                    records[name] = columns[name]
                 for column in self._optional:
-                    found[column.name] = self._spools[column.name].span(first, first + n)
-                found[_CLASS] = self._code_spool.span(first, first + n)
+                    records[column.name] = self._spools[column.name].span(first, first + n)
+                records[_CLASS] = self._code_spool.span(first, first + n)
                 if self._is_part:
-                    found = found[self._code_spool.span(first, first + n) != NO_CODE]
-                self._count(np.ascontiguousarray(found[_CLASS]))
-                handle.write(found.data)
-                total -= len(found)
+                    records = records[self._code_spool.span(first, first + n) != NO_CODE]
+                self._count(np.ascontiguousarray(records[_CLASS]))
+                handle.write(records.data)
+                total -= len(records)
                 if not total and self._is_part:
                     break
         if total:
@@ -346,7 +348,7 @@ class CloudRewriter(ScatterWriter):
 
 
 def open_label_writer(labels: LabelOutput) -> StagedWriter:
-    """Return the writer that keeps the properties of a PLY or PCD input, or makes a new cloud of another input."""
+    """Return the writer that keeps the properties of a PLY or PCD input, or writes a new cloud."""
     if labels.source.suffix.lower() in CLOUD_SUFFIXES:
         from prc_cli.formats import open_source
 

@@ -1,4 +1,4 @@
-"""Reader of E57 (ASTM E2807), organised scans in a binary container, with pye57.
+"""Read E57 (ASTM E2807), organised scans in a binary container, with pye57.
 
 Points carry the row and column of their cell; a cell without a point is a missing shot. A first
 pass reads only these two, for the number of lines and beams and the order of the points. Points
@@ -125,16 +125,15 @@ class E57File:
 
     @contextlib.contextmanager
     def _errors(self, what: str = "") -> Iterator[None]:
-        """Turn exceptions of the library into one-line errors."""
+        """Raise InputError for exceptions of the library."""
         try:
             yield
         except (self._library.E57Exception, *_NOT_AS_EXPECTED) as error:
             text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
             where = f"{self._path}: {what}" if what else str(self._path)
-            problem = f"the E57 structure is damaged or not as the standard has it ({text})"
-            raise InputError(
-                where, problem, "copy it from the archive again or export it again"
-            ) from error
+            problem = f"the E57 structure is damaged or not as in the standard ({text})"
+            hint = "copy it from the archive again or export it again"
+            raise InputError(where, problem, hint) from error
 
     def scans(self) -> list[E57Scan]:
         """Return the metadata of every scan from the XML section."""
@@ -146,14 +145,15 @@ class E57File:
                 str(self._path), f"found {n} scans, expected at most {MAX_SCANS}", "split the file"
             )
         size = self._path.stat().st_size
-        found = []
+        scans = []
         for index in range(n):
             with self._errors(f"scan {index}"):
-                found.append(self._scan(index))
-            if found[-1].n_points > 8 * size:
-                problem = f"found {found[-1].n_points} points in a file of {size} bytes, expected a bit a point at least"
+                scans.append(self._scan(index))
+            if scans[-1].n_points > 8 * size:
+                n = scans[-1].n_points
+                problem = f"found {n} points in a file of {size} bytes, expected a bit a point"
                 raise InputError(f"{self._path}: scan {index}", problem, _AGAIN)
-        return found
+        return scans
 
     def _scan(self, index: int) -> E57Scan:
         node = self._image.root()["data3D"][index]
@@ -210,7 +210,7 @@ class E57File:
 
 
 def _check_frame(path: Path) -> None:
-    """Refuse a file that is not E57 or is cut short; the library says the rest."""
+    """Refuse a file that is not E57 or is cut; the library checks the rest."""
     size = path.stat().st_size
     with open_to_read(path) as handle:
         head = handle.read(_HEAD.size)
@@ -227,7 +227,7 @@ def _value(node: Any) -> float:
 
 
 def _values(node: Any, table: str, *names: str) -> list[float] | None:
-    """Return the numbers of a table; None where one is absent or not finite."""
+    """Return the numbers of a table; None if one is absent or not finite."""
     if not node.isDefined(table) or not all(node[table].isDefined(name) for name in names):
         return None
     values = [_value(node[table][name]) for name in names]
@@ -254,7 +254,7 @@ def _limits(node: Any) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """A scan, how its cells are numbered and how its points are brought into the sensor's frame."""
+    """A scan with the numbers of its cells and its pose."""
 
     table: E57Scan
     shape: ScanShape
@@ -268,7 +268,7 @@ class _Scan:
 
     @property
     def bounds_differ(self) -> bool:
-        """Whether the header's bounds leave points out."""
+        """Whether the header's bounds exclude points."""
         bounds = self.table.bounds
         if bounds is None or not self.shape.n_cells:
             return False
@@ -338,14 +338,17 @@ class E57Stream:
         )
         self._spare_cells -= max(shape.n_cells - MAX_SPARSE * table.n_points, 0)
         if self._spare_cells < 0:
-            problem = f"found {table.n_points} points in {shape.n_lines} columns x {shape.points_per_line} rows"
-            raise InputError(self._where(table.index), f"{problem}, expected a denser scan", _AGAIN)
+            size = f"{shape.n_lines} columns x {shape.points_per_line} rows"
+            problem = f"found {table.n_points} points in {size}, expected a denser scan"
+            raise InputError(self._where(table.index), problem, _AGAIN)
         counts = np.zeros(shape.n_lines, np.int64)
-        at = tally.columns[0] - column_low
-        counts[at : at + tally.columns[1] - tally.columns[0] + 1] = tally.counts
+        first_column = tally.columns[0] - column_low
+        counts[first_column : first_column + tally.columns[1] - tally.columns[0] + 1] = tally.counts
         if counts.max() > MAX_RETURNS * shape.points_per_line:
             column = column_low + int(counts.argmax())
-            problem = f"found {counts.max()} points in column {column}, which has {shape.points_per_line} rows"
+            problem = (
+                f"found {counts.max()} points in column {column} of {shape.points_per_line} rows"
+            )
             raise InputError(self._where(table.index), problem, _AGAIN)
         return _Scan(table, shape, row_low, column_low, counts, tally.in_order, pose)
 
@@ -354,12 +357,10 @@ class E57Stream:
         shown = ", ".join(table.fields[:30]) or "none"
         lacking = [name for name in (ROW, COLUMN) if name not in table.fields]
         if lacking:
-            problem = f"no {' and no '.join(lacking)}: the points are not organised in rows and columns, found {shown}"
-            raise InputError(
-                where,
-                problem,
-                "export it as a structured (gridded) E57 or PTX, with row and column",
-            )
+            names = " and no ".join(lacking)
+            problem = f"no {names}: the points have no rows and columns, found {shown}"
+            hint = "export it as a structured (gridded) E57 or PTX, with row and column"
+            raise InputError(where, problem, hint)
         if not any(set(names) <= set(table.fields) for names in (CARTESIAN, SPHERICAL)):
             problem = f"expected {', '.join(CARTESIAN)} or {', '.join(SPHERICAL)}, found {shown}"
             raise InputError(where, problem, _AGAIN)
@@ -392,39 +393,38 @@ class E57Stream:
         full = [scan for scan in self._scans if scan.shape.n_cells]
         turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in full)
         how = "turned by the poses" if turned else "as they are: no pose turns them"
-        found = [
+        assumptions = [
             Assumption(
                 "input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}"
             )
         ]
         n_scattered = sum(not scan.in_order for scan in full)
         if n_scattered:
-            why = f"the points of {n_scattered} of {len(full)} scans do not come column by column: put in order on disk"
-            found.append(Assumption("input.columns", f"{ROW}, {COLUMN}", why))
+            scattered = f"{n_scattered} of {len(full)} scans"
+            why = f"the points of {scattered} do not come column by column: sorted on disk"
+            assumptions.append(Assumption("input.columns", f"{ROW}, {COLUMN}", why))
         else:
-            found.append(
+            assumptions.append(
                 Assumption("input.columns", f"{ROW}, {COLUMN}", "the points come column by column")
             )
         if any(INTENSITY in scan.table.fields and scan.table.intensity_limits for scan in full):
             why = "the header's limits are its ends"
-            found.append(Assumption("input", "intensity: 0 to 65535 in the stream", why))
+            assumptions.append(Assumption("input", "intensity: 0 to 65535 in the stream", why))
         used = {name for scan in full for name in (ROW, COLUMN, *_used_fields(scan.table))}
-        if other := [
-            name
-            for name in dict.fromkeys(name for scan in full for name in scan.table.fields)
-            if name not in used
-        ]:
-            found.append(
-                Assumption("input", f"not read: {', '.join(other[:20])}", "they are not needed")
+        fields = dict.fromkeys(name for scan in full for name in scan.table.fields)
+        if unread := [name for name in fields if name not in used]:
+            assumptions.append(
+                Assumption("input", f"not read: {', '.join(unread[:20])}", "they are not needed")
             )
-        return found
+        return assumptions
 
     def _notes(self) -> list[str]:
         differ = [scan.shape.scanner for scan in self._scans if scan.bounds_differ]
         if not differ:
             return []
         return [
-            f"the header's index bounds do not fit the points of scan {listed(differ)}: the points' own are taken"
+            f"the header's index bounds do not fit scan {listed(differ)}: "
+            "prc uses the rows and columns of the points"
         ]
 
     def blocks(self) -> Iterator[ScanBlock]:
@@ -447,16 +447,18 @@ class E57Stream:
             if scan.in_order
             else _scattered(points, edges, lines)
         )
-        for (first, stop), found in zip(pieces, by_piece, strict=True):
-            if len(found) and not (found["line"].min() >= first and found["line"].max() < stop):
+        for (first, stop), points_of_piece in zip(pieces, by_piece, strict=True):
+            if len(points_of_piece) and not (
+                points_of_piece["line"].min() >= first and points_of_piece["line"].max() < stop
+            ):
                 raise self._changed(scan)
-            block = self._block(scan, first, stop - first, found)
+            block = self._block(scan, first, stop - first, points_of_piece)
             tally = sum(tallies, block.tally)
             tallies.clear()
             yield replace(block, tally=tally, is_last=stop == scan.shape.n_lines)
 
     def _changed(self, scan: _Scan) -> InputError:
-        problem = "the points are not the ones that were found when it was opened"
+        problem = "the points changed after the file was opened"
         return InputError(
             self._where(scan.table.index), problem, "run again when the copy is complete"
         )
@@ -464,10 +466,7 @@ class E57Stream:
     def _points(
         self, file: E57File, scan: _Scan, tallies: list[ReadTally]
     ) -> Iterator[NDArray[Any]]:
-        """Yield points with their cells, in the order of the file.
-
-        Points refused are added to the tallies.
-        """
+        """Yield points with their cells, in the order of the file; add refused ones to the tallies."""
         table = scan.table
         shape = scan.shape
         cartesian = _is_cartesian(table)
@@ -519,26 +518,26 @@ class E57Stream:
             points = points[order]
             cell = cell[order]
             starts = np.append(True, cell[1:] != cell[:-1])
-            stands = choose_returns(
+            is_main = choose_returns(
                 starts,
                 points["range"],
                 points["intensity"] if with_intensity else None,
                 points["return"] if with_returns else None,
                 self._config.return_,
             )
-            other = points[~stands]
+            further = points[~is_main]
             extra = ExtraReturns(
-                (other["line"] - first).astype(np.int32),
-                other["row"].copy(),
-                other["range"].copy(),
-                other["record"].copy(),
+                (further["line"] - first).astype(np.int32),
+                further["row"].copy(),
+                further["range"].copy(),
+                further["record"].copy(),
             )
-            points = points[stands]
-            cell = cell[stands]
+            points = points[is_main]
+            cell = cell[is_main]
             tally = (
-                ReadTally(n_extra_returns=len(other))
+                ReadTally(n_extra_returns=len(further))
                 if with_returns
-                else ReadTally(n_collisions=len(other))
+                else ReadTally(n_collisions=len(further))
             )
 
         def image(name: str, fill: float, *shape: int) -> NDArray[Any]:
@@ -564,14 +563,14 @@ def _is_cartesian(table: E57Scan) -> bool:
 
 def _used_fields(table: E57Scan) -> tuple[str, ...]:
     """Return the fields of a point that are read beside row and column."""
-    own, state = (
+    coordinates, state = (
         (CARTESIAN, CARTESIAN_STATE) if _is_cartesian(table) else (SPHERICAL, SPHERICAL_STATE)
     )
-    return (*own, *(name for name in (state, INTENSITY, RETURN) if name in table.fields))
+    return (*coordinates, *(name for name in (state, INTENSITY, RETURN) if name in table.fields))
 
 
 class _IndexTally:
-    """Rows and columns that the points of a scan have."""
+    """Rows and columns of the points of a scan."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -583,7 +582,6 @@ class _IndexTally:
         self._last = -np.inf
 
     def add(self, row: F64, column: F64) -> None:
-        """Count points."""
         rows = self._span(ROW, row, self.rows)
         columns = self._span(COLUMN, column, self.columns)
         for name, (low, high), limit in (
@@ -595,15 +593,15 @@ class _IndexTally:
                 raise InputError(self._where, problem, _AGAIN)
         if columns != self.columns:
             grown = np.zeros(columns[1] - columns[0] + 1, np.int64)
-            at = self.columns[0] - columns[0]
-            grown[at : at + len(self.counts)] = self.counts
+            offset = self.columns[0] - columns[0]
+            grown[offset : offset + len(self.counts)] = self.counts
             self.counts = grown
         self.rows = rows
         self.columns = columns
         number = column.astype(np.int64)
         low = int(number.min())
-        found = np.bincount(number - low)
-        self.counts[low - columns[0] : low - columns[0] + len(found)] += found
+        counts = np.bincount(number - low)
+        self.counts[low - columns[0] : low - columns[0] + len(counts)] += counts
         self.in_order = self.in_order and bool(
             column[0] >= self._last and (column[1:] >= column[:-1]).all()
         )
@@ -618,15 +616,13 @@ class _IndexTally:
         if not is_whole:
             problem = f"found {name} from {low:g} to {high:g}, expected whole numbers"
             raise InputError(self._where, problem, _AGAIN)
-        return (
-            (int(low), int(high))
-            if before[1] < before[0]
-            else (min(before[0], int(low)), max(before[1], int(high)))
-        )
+        if before[1] < before[0]:
+            return int(low), int(high)
+        return min(before[0], int(low)), max(before[1], int(high))
 
 
 def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple[F64, F64]:
-    """Return sensor-centred coordinates (n, 3) and ranges (n,) [m], NaN where a point lies at the origin."""
+    """Return sensor-centred coordinates (n, 3) and ranges (n,) [m], NaN for points at the origin."""
     if cartesian:
         xyz = np.stack([chunk[name] for name in CARTESIAN], axis=1)
         length = lengths(xyz)
@@ -644,7 +640,7 @@ def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple
 
 
 def _scaled(intensity: F64, table: E57Scan) -> NDArray[np.float32]:
-    """Return intensities scaled to 0 to 65535 by the limits in the header, unchanged without limits."""
+    """Return intensities scaled to 0 to 65535 by the header's limits, unchanged without limits."""
     if table.intensity_limits is None:
         return to_float32(intensity)
     low, high = table.intensity_limits
@@ -653,7 +649,7 @@ def _scaled(intensity: F64, table: E57Scan) -> NDArray[np.float32]:
 
 
 def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterator[NDArray[Any]]:
-    """Gather points of any order in groups of ``lines`` lines, through a file with a place for each."""
+    """Group points of any order by ``lines`` lines, through a file with a place for each group."""
     with scratch_file("the points of a scan") as handle:
         filled = edges[:-1].copy()
         for chunk in points:
@@ -664,10 +660,10 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
             starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
             with scratch_errors("the points of a scan"):
                 for start, stop in zip(starts, np.append(starts[1:], len(chunk)), strict=True):
-                    own = int(group[start])
-                    handle.seek(int(filled[own]) * _POINT.itemsize)
+                    number = int(group[start])
+                    handle.seek(int(filled[number]) * _POINT.itemsize)
                     handle.write(chunk[start:stop].tobytes())
-                    filled[own] += stop - start
+                    filled[number] += stop - start
         if not np.array_equal(filled, edges[1:]):
             raise InputError(
                 "E57",

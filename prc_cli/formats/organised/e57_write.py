@@ -49,7 +49,7 @@ class E57Stream(StreamWriter):
         super().__init__(path, shape)
         if shape.times or shape.returns:
             self._notice(
-                "pye57 reads times and several returns of E57 only with ignore_unsupported_fields=True"
+                "pye57 reads times and returns of E57 only with ignore_unsupported_fields=True"
             )
         self._library = libe57
         self._scan: _Scan | None = None
@@ -104,14 +104,13 @@ class E57Stream(StreamWriter):
             self._image.cancel()
 
     def _guid(self, what: str) -> Any:
-        """Name the file and its scans; the same run gives the same names."""
-        own = self.path.name.encode("utf-8", "backslashreplace").decode()
-        name = uuid.uuid5(uuid.NAMESPACE_URL, f"prc-cli:{own}:{what}")
-        return self._library.StringNode(self._image, f"{{{str(name).upper()}}}")
+        # the same run gives the same names
+        file_name = self.path.name.encode("utf-8", "backslashreplace").decode()
+        guid = uuid.uuid5(uuid.NAMESPACE_URL, f"prc-cli:{file_name}:{what}")
+        return self._library.StringNode(self._image, f"{{{str(guid).upper()}}}")
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
-        """Turn the library's exceptions into one line each."""
         try:
             yield
         except (self._library.E57Exception, RuntimeError) as error:
@@ -126,7 +125,10 @@ class E57Stream(StreamWriter):
         block = item.block
         if self._scan is None or self._scan.scanner != block.scanner:
             if block.scanner in self._done:
-                problem = f"scanner {block.scanner} comes again after another, expected the lines of each together"
+                problem = (
+                    f"scanner {block.scanner} comes again after another, "
+                    "expected all lines of a scanner together"
+                )
                 raise OutputError(
                     str(self.path),
                     problem,
@@ -171,12 +173,12 @@ class E57Stream(StreamWriter):
         first = 0 if self._scan is None else self._scan.first_line
         points["rowIndex"] = values["column"]
         points["columnIndex"] = block.first_line - first + line
-        own = np.zeros(len(cell), np.float32)
+        intensity = np.zeros(len(cell), np.float32)
         if block.intensity is not None:
-            own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)[cell]
+            intensity = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)[cell]
         # the stream has the intensity of the chosen return of a shot only
         is_further = np.append(False, cell[1:] == cell[:-1])
-        points["intensity"] = np.where(is_further, np.minimum(own, 0.0), own)
+        points["intensity"] = np.where(is_further, np.minimum(intensity, 0.0), intensity)
         points["returnIndex"] = values["return_number"] - 1
         points["returnCount"] = values["number_of_returns"]
         if "time_s" in values:
@@ -197,7 +199,7 @@ class E57Stream(StreamWriter):
         angle = block.angle_rad
         if angle is None:
             self._notice(
-                f"no angles: {block.points_per_line} columns are spread evenly over a full turn, from nadir on"
+                f"no angles: {block.points_per_line} columns are spread evenly over a turn from down"
             )
             angle = 2.0 * np.pi * np.arange(block.points_per_line) / block.points_per_line
         else:

@@ -100,16 +100,16 @@ class _Scan:
         yield from ordered(self._parse, blocks, threads=threads, ahead=threads)
 
     def _parse(self, lines: Lines) -> F64:
-        """Return (n, 3 or 4) float64, a row of it for every line of the text."""
+        """Return the numbers of the lines, (n, 3 or 4) float64."""
         n = count_line_ends(lines.data) + (not lines.data.endswith(b"\n"))
         used = range(min(self.n_cells, 4))
-        found = (
+        columns = (
             None
             if b'"' in lines.data
             else parse_fast(single_blanks(lines.data), self.n_cells, used)
         )
-        if found is not None and len(found[0]) == n:
-            return np.stack(found, axis=1)
+        if columns is not None and len(columns[0]) == n:
+            return np.stack(columns, axis=1)
         rows = np.empty((n, len(used)))
         for index, line in enumerate(lines.data.split(b"\n")[:n]):
             number = lines.first + index
@@ -128,21 +128,24 @@ class _Scan:
         return rows
 
     def refuse_row(self, number: int, line: bytes) -> NoReturn:
-        """Explain why a line is not a point."""
+        """Raise InputError for a line that is not a point."""
         n_before = number - self.first_line
         cells = line.split()
         if len(cells) == 1 and _COUNT.fullmatch(cells[0]):
-            problem = f"the next scan begins after {n_before} points, the header in line {self.header_line} says "
+            problem = (
+                f"the next scan begins after {n_before} points, "
+                f"the header in line {self.header_line} says {self.size}"
+            )
             hint = "correct the header or export the scan again"
-            raise InputError(f"{self.path}: line {number}", problem + self.size, hint)
-        found = f"{len(cells)} numbers" if cells else "a blank line"
-        problem = f"found {found}, expected {self.n_cells} as in line {self.first_line}"
+            raise InputError(f"{self.path}: line {number}", problem, hint)
+        content = f"{len(cells)} numbers" if cells else "a blank line"
+        problem = f"found {content}, expected {self.n_cells} as in line {self.first_line}"
         problem += f" (point {n_before + 1} of {self.size})"
         raise InputError(f"{self.path}: line {number}", problem, "export the scan again")
 
 
 class PtxStream:
-    """A PTX file as a stream; points at 0, 0, 0 are missing shots, the header turns z up and has the origin."""
+    """A PTX file as a stream: points at 0, 0, 0 are missing shots, the header has the pose."""
 
     def __init__(
         self, path: Path, config: InputConfig, _lines_at_once: int = 1
@@ -164,7 +167,7 @@ class PtxStream:
             if turned
             else "as they are: the headers do not turn them"
         )
-        found = [
+        assumptions = [
             Assumption(
                 "input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}"
             )
@@ -178,7 +181,7 @@ class PtxStream:
             )
             if len(scales) > 1:
                 how = "0 to 65535 where the file has 0 to 1, else as in the file"
-            found.append(
+            assumptions.append(
                 Assumption(
                     "input",
                     f"intensity: {how}",
@@ -186,14 +189,14 @@ class PtxStream:
                 )
             )
         if any(scan.n_cells > 4 for scan in self._scans):
-            found.append(Assumption("input", "not read: colour", "it is not needed"))
+            assumptions.append(Assumption("input", "not read: colour", "it is not needed"))
         short = self._scans[-1].shape
         if short.n_records != short.n_cells:
             missing = short.n_cells - short.n_records
-            found.append(
+            assumptions.append(
                 Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots")
             )
-        return found
+        return assumptions
 
     def _notes(self) -> list[str]:
         moved = [scan.shape.scanner for scan in self._scans if scan.pose.offset_m.any()]
@@ -274,21 +277,21 @@ class _Survey:
 
     def scans(self) -> list[_Scan]:
         """Return every scan; its points are counted, not parsed."""
-        found: list[_Scan] = []
+        scans: list[_Scan] = []
         n_records = 0
         if self._handle.read(3) != b"\xef\xbb\xbf":
             self._handle.seek(0)
-        while (line := self._next_header(found)) is not None:
-            if len(found) == MAX_SCANS:
+        while (line := self._next_header(scans)) is not None:
+            if len(scans) == MAX_SCANS:
                 raise InputError(
                     str(self._path),
                     f"more than {MAX_SCANS} scans, expected fewer",
                     "split the file",
                 )
-            scan = self._scan(len(found), n_records, line)
-            found.append(scan)
+            scan = self._scan(len(scans), n_records, line)
+            scans.append(scan)
             n_records += scan.shape.n_records
-        return found
+        return scans
 
     def _next_header(self, before: list[_Scan]) -> bytes | None:
         """Return the first line that is not blank, None at the end of the file."""
@@ -302,13 +305,13 @@ class _Survey:
         return None
 
     def _refuse_points(self, scan: _Scan, text: bytes) -> NoReturn:
-        """Return the error for a point where the next scan should begin."""
+        """Raise InputError for a point in place of the next scan."""
         # in a scan that is too short, the header of the next one follows among the points
         for _ in scan.parts():
             pass
         problem = (
-            f"found {shorten(text.decode('utf-8', errors='replace'))!r}, expected the next scan or the end: the header "
-            f"in line {scan.header_line} says {scan.size}"
+            f"found {shorten(text.decode('utf-8', errors='replace'))!r}, expected the next scan "
+            f"or the end: the header in line {scan.header_line} says {scan.size}"
         )
         hint = "correct the header or export the scan again"
         raise InputError(f"{self._path}: line {self._line}", problem, hint)
@@ -342,18 +345,19 @@ class _Survey:
             )
         shape = ScanShape(scanner, n_lines if m else 0, m if n_lines else 0, n_found, first_record)
         scan = _Scan(self._path, shape, header_line, pose, start, self._handle.tell(), n_cells)
-        return (
-            replace(scan, intensity_scale=_intensity_scale(scan))
-            if n_cells > 3 and wanted
-            else scan
-        )
+        if n_cells > 3 and wanted:
+            scan = replace(scan, intensity_scale=_intensity_scale(scan))
+        return scan
 
     def _pose(self, header_line: int, position: list[float], matrix: F64) -> Pose:
         rotation = matrix[:3, :3]
         # a row vector times the matrix: the translation is the last row
         if not (is_rotation(rotation) and np.array_equal(matrix[:, 3], (0.0, 0.0, 0.0, 1.0))):
             where = f"{self._path}: line {header_line + 6}"
-            problem = "the transformation is no rotation with a translation, expected four rows x x x 0 and last t t t 1"
+            problem = (
+                "the transformation is no rotation with a translation, "
+                "expected three rows x x x 0 and a last row t t t 1"
+            )
             raise InputError(where, problem, "correct the header or export the scan again")
         # some programs omit the position
         offset = matrix[3, :3] - np.array(position) if any(position) else np.zeros(3)
@@ -397,7 +401,7 @@ class _Survey:
         return [value for value in values if value is not None]
 
     def _skip(self, n: int) -> int:
-        """Skip n lines; return how many there were."""
+        """Skip n lines; return the number of lines that the file had."""
         passed = 0
         while passed < n:
             start = self._handle.tell()
@@ -415,10 +419,7 @@ class _Survey:
 
 
 def _intensity_scale(scan: _Scan) -> float:
-    """Return the factor for intensities.
-
-    65535 where they run from 0 to 1, as PTX defines, else 1.
-    """
+    """Return the factor for intensities: 65535 if they are from 0 to 1, as PTX defines, else 1."""
     n_seen = 0
     for rows in scan.parts(_LOOKED_AT * _ROW_BYTES):
         # leave out shots without return

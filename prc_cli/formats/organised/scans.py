@@ -129,7 +129,7 @@ def lines_per_block(points_per_line: int) -> int:
 
 
 def refuse_rules(path: Path, config: InputConfig, what: str, **allowed: tuple[str, ...]) -> None:
-    """Refuse rules that do not apply to a file, which says them itself."""
+    """Refuse rules that a file has itself."""
     for key, values in allowed.items():
         value = getattr(config, key)
         if value not in values:
@@ -154,14 +154,11 @@ RULED_OUT = frozenset(
         "time_origin",
     )
 )
-"""Keys that scans refuse, or that do nothing for them.
-
-They hold lines, columns and angles themselves.
-"""
+"""Keys that scans refuse or ignore: they have their own lines, columns and angles."""
 
 
 def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
-    """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges."""
+    """Refuse options that do not apply to an organised scan, which has its own lines and ranges."""
     refuse_rules(
         path,
         config,
@@ -179,18 +176,18 @@ def check_rules(path: Path, config: InputConfig, what: str = "organised scans") 
 
 
 def check_width(where: Path | str, points_per_line: int, config: InputConfig) -> None:
-    """Refuse another line length than ``input.points_per_line``, where the file says its own."""
+    """Refuse a file whose line length is not ``input.points_per_line``."""
     wanted = config.points_per_line
     if wanted is not None and wanted != points_per_line:
-        problem = f"found {points_per_line} points per line, expected {wanted} as input.points_per_line says"
+        problem = f"found {points_per_line} points per line, input.points_per_line is {wanted}"
         raise InputError(str(where), problem, "leave input.points_per_line out")
 
 
 def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> None:
     """Refuse a file without shots, or with another line length than ``input.points_per_line``."""
     if not any(shape.n_cells for shape in shapes):
-        found = "no scans" if not shapes else f"{_scans(len(shapes))} without points"
-        raise InputError(str(path), f"found {found}, expected scan data", "export it again")
+        scans_text = "no scans" if not shapes else f"{_scans(len(shapes))} without points"
+        raise InputError(str(path), f"found {scans_text}, expected scan data", "export it again")
     for shape in shapes:
         if shape.n_cells:
             check_width(f"{path}: scan {shape.scanner}", shape.points_per_line, config)

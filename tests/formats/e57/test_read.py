@@ -78,7 +78,7 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
             block.intensity, np.where(np.isnan(ranges), np.nan, points[..., 3].astype(np.float32))
         )
         assert block.tally == ReadTally(n_records=len(order))
-        on_disk = any("put in order on disk" in item.why for item in stream.info.assumptions)
+        on_disk = any("sorted on disk" in item.why for item in stream.info.assumptions)
         assert on_disk != (name in ("column by column", "rows of a column in no order"))
 
 
